@@ -1,0 +1,73 @@
+# Everything here works in a virtual environment that it makes by itself, without ROS.
+# On a machine with ROS 2 installed, build with colcon instead: see README.md.
+
+SHELL := /bin/bash
+PYTHON ?= python3
+# The first Python 3.12 found; needed by test-oldest only.
+PYTHON312 ?= $(firstword $(foreach python,$(PYTHON) python3.12 \
+	$(wildcard $(HOME)/.pyenv/versions/3.12.*/bin/python3),\
+	$(if $(filter 3.12,$(call version_of,$(python))),$(python))))
+DEMO_ARGS ?=
+TEST_ARGS ?=
+
+# Set by a shell that has sourced an installed ROS, or by a program started from another
+# environment's ROS wheels; here they would bring in modules and libraries built for another Python.
+unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+unexport AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH
+unexport ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION RMW_IMPLEMENTATION
+
+version_of = $(shell $(1) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
+
+VENV := .venv
+VENV_OLDEST := .venv-oldest
+# Each exists once its environment is complete; the name tells a change of PYTHON.
+READY := $(VENV)/finished-with-$(call version_of,$(PYTHON))
+READY_OLDEST := $(VENV_OLDEST)/finished-with-3.12
+SETUP := setup.py setup.cfg pyproject.toml scripts/create_environment.sh
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-oldest lint environment clean
+
+help: ## Show this list
+	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | \
+		sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
+	@echo
+	@echo '  PYTHON=python3.12 chooses another Python, DEMO_ARGS="--seconds 5" and'
+	@echo '  TEST_ARGS="-k depth" are passed on.'
+
+demo: $(READY) ## Run camera driver, depth and deblurring over DDS, and save what they see
+	@$(VENV)/bin/coded_aperture demo $(DEMO_ARGS)
+
+test: $(READY) ## Run every test
+	@$(VENV)/bin/python -m pytest $(TEST_ARGS)
+
+lint: $(READY) ## Check style and types
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/mypy
+
+ifneq ($(filter test-oldest,$(MAKECMDGOALS)),)
+ifeq ($(PYTHON312),)
+test-oldest:
+	@echo 'SKIPPED test-oldest: no Python 3.12 found, name one as in' \
+		'make test-oldest PYTHON312=/usr/bin/python3.12'
+else
+test-oldest: $(READY_OLDEST)
+	@$(VENV_OLDEST)/bin/python -m pytest $(TEST_ARGS)
+endif
+endif
+test-oldest: ## Run every test with the oldest supported versions (those of Ubuntu 24.04)
+
+environment: $(READY) ## Only make the virtual environment (.venv)
+
+$(VENV)/finished-with-%: $(SETUP)
+	@scripts/create_environment.sh $(PYTHON) $(VENV) ros,eval,dev
+
+$(READY_OLDEST): $(SETUP) test/constraints-oldest.txt
+	@scripts/create_environment.sh $(PYTHON312) $(VENV_OLDEST) ros,eval,dev \
+		test/constraints-oldest.txt
+
+clean: ## Remove the virtual environments, build folders and caches
+	rm -rf .venv .venv-oldest build install log *.egg-info
+	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

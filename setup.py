@@ -1,0 +1,80 @@
+"""Installation by pip and by colcon (ament_python)."""
+
+import re
+from glob import glob
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "coded_aperture_ros"
+HERE = Path(__file__).parent
+VERSION = re.search(r'^__version__ = "(.+)"$', (HERE / NAME / "__init__.py").read_text(), re.M)[1]
+
+# PyMaxflow is GPL-3 and has wheels for x86_64 only. It is imported only where graph cuts are asked
+# for; everything else works without it, and this package itself stays Apache-2.0.
+GRAPH_CUTS = "PyMaxflow>=1.3"
+
+setup(
+    name=NAME,
+    version=VERSION,
+    description="Metric depth and all-in-focus frames from a single coded-aperture camera",
+    long_description=(HERE / "README.md").read_text() if (HERE / "README.md").exists() else "",
+    long_description_content_type="text/markdown",
+    license="Apache-2.0",
+    author="The coded_aperture_ros authors",
+    maintainer="The coded_aperture_ros authors",
+    maintainer_email="maintainers@example.org",
+    python_requires=">=3.10",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/config", sorted(glob("config/*.yaml") + glob("config/*.xml"))),
+        (f"share/{NAME}/launch", sorted(glob("launch/*.py"))),
+    ],
+    zip_safe=False,
+    # The lower bounds are what Ubuntu 24.04 (ROS 2 Jazzy) installs with apt; `make test-oldest`
+    # runs the tests with them.
+    install_requires=[
+        "numpy>=1.26",
+        "scipy>=1.11",
+        "opencv-python-headless>=4.6",
+        "PyYAML>=6.0",
+        f'{GRAPH_CUTS}; platform_machine == "x86_64"',
+    ],
+    extras_require={
+        # Real rclpy for machines without ROS: CPython 3.10-3.13 on x86_64 Linux. Never install it
+        # into the Python of a machine that has ROS.
+        "ros": [
+            "ros-rclpy[fastrtps]==7.1.6",
+            "ros-jazzy-sensor-msgs==5.3.6",
+            "ros-jazzy-std-msgs==5.3.6",
+            "ros-jazzy-geometry-msgs==5.3.6",
+            "ros-jazzy-diagnostic-msgs==5.3.6",
+            "ros-jazzy-rcl-interfaces==2.0.3",
+            "ros-jazzy-rosgraph-msgs==2.0.3",
+        ],
+        "eval": ["rosbags>=0.10", "matplotlib>=3.8", "scikit-image>=0.22", "tqdm>=4.66"],
+        "gpu": ["torch>=2.2"],
+        "graphcut": [GRAPH_CUTS],
+        "dev": [
+            "pytest>=8",
+            "pytest-timeout>=2.3",
+            "hypothesis>=6.100",
+            "ruff>=0.6",
+            "mypy>=1.11",
+            "types-PyYAML",
+            "colcon-core>=0.17",
+            "colcon-ros>=0.5",
+        ],
+    },
+    entry_points={
+        "console_scripts": [
+            f"camera_driver_node = {NAME}.nodes.camera_driver_node:main",
+            f"depth_node = {NAME}.nodes.depth_node:main",
+            f"deblur_node = {NAME}.nodes.deblur_node:main",
+            f"pipeline = {NAME}.nodes.pipeline:main",
+            f"coded_aperture = {NAME}.cli.main:main",
+        ],
+    },
+)
