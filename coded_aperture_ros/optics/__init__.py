@@ -1,0 +1,17 @@
+"""Lens, mask and point-spread functions: from depth to the blur that the camera records."""
+
+from coded_aperture_ros.optics.camera import Camera, camera_from_mapping, load_camera
+from coded_aperture_ros.optics.mask import MASK_NAMES, Mask
+from coded_aperture_ros.optics.psf import PsfStack, psf_width, render_psf, render_psf_stack
+
+__all__ = [
+    "MASK_NAMES",
+    "Camera",
+    "Mask",
+    "PsfStack",
+    "camera_from_mapping",
+    "load_camera",
+    "psf_width",
+    "render_psf",
+    "render_psf_stack",
+]

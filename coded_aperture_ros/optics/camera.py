@@ -1,0 +1,275 @@
+"""The camera: what turns a depth into a blur size, and the YAML file that describes it."""
+
+import dataclasses
+import difflib
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike, NDArray
+
+from coded_aperture_ros.configuration import Option, check_option
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.optics import lens
+from coded_aperture_ros.optics.mask import Mask
+
+# Every number of a camera file, with the values that a camera can have.
+_NUMBERS: dict[str, tuple[type, Option]] = {
+    "focal_length_mm": (float, Option("Focal length of the lens", "mm", 0.1, 10_000)),
+    "pixel_pitch_um": (float, Option("Distance between pixel centres", "um", 0.1, 1_000)),
+    "focal_length_px": (float, Option("Image distance over pixel pitch", "px", 1, 1_000_000)),
+    "focus_distance_m": (float, Option("Distance of the focal plane", "m", 0.001, 100_000)),
+    "image_width": (int, Option("Width of the image", "px", 1, 100_000)),
+    "image_height": (int, Option("Height of the image", "px", 1, 100_000)),
+    "mask_extent_mm": (float, Option("Outer extent of the mask's grid", "mm", 0.001, 10_000)),
+    "lens_mask_distance_mm": (
+        float,
+        Option("How far the mask sits in front of the lens", "mm", -1_000, 1_000),
+    ),
+}
+_SIDE = Option("Side of the focal plane that the scene is on", choices=("far", "near"))
+_PHYSICAL = ("focal_length_mm", "pixel_pitch_um")
+_OPTIONAL = ("lens_mask_distance_mm", "side")
+_KEYS = (*_NUMBERS, "side", "mask")
+
+
+@dataclasses.dataclass(frozen=True)
+class Camera:
+    """A coded-aperture camera in pinhole form.
+
+    Attributes
+    ----------
+    focal_length_px : float
+        Image distance over pixel pitch.
+    focus_distance_m : float
+        Distance from the lens to the plane in focus.
+    image_width, image_height : int
+        Size of the image in pixels.
+    mask : Mask
+        The pattern in the aperture.
+    mask_extent_mm : float
+        Outer extent of the mask's grid, `M` of thesis eq. 3.28.
+    lens_mask_distance_mm : float
+        How far the mask sits in front of the lens; negative between lens and sensor.
+    side : {"far", "near"}
+        Which side of the focal plane the scene is on: beyond it, or between it and the lens.
+
+    Raises
+    ------
+    InputError
+        Naming the value that no camera can have, and what is allowed.
+    """
+
+    focal_length_px: float
+    focus_distance_m: float
+    image_width: int
+    image_height: int
+    mask: Mask
+    mask_extent_mm: float
+    lens_mask_distance_mm: float = 0.0
+    side: str = "far"
+
+    def __post_init__(self) -> None:
+        for name, (expected, described) in _NUMBERS.items():
+            if name not in _PHYSICAL:
+                check_option(name, getattr(self, name), expected, described)
+        check_option("side", self.side, str, _SIDE)
+        if not isinstance(self.mask, Mask):
+            raise InputError(f"mask: expected a Mask, got {self.mask!r}")
+        if self._lens_mask_distance_m >= self.focus_distance_m:
+            raise InputError(
+                f"lens_mask_distance_mm: {self.lens_mask_distance_mm!r} puts the mask beyond the "
+                f"focal plane, use less than {self.focus_distance_m * 1e3:g} mm"
+            )
+
+    @staticmethod
+    def from_lens(
+        focal_length_mm: float, pixel_pitch_um: float, focus_distance_m: float, **others: Any
+    ) -> "Camera":
+        """Build a camera from its lens and sensor; `others` are the other fields of `Camera`.
+
+        Raises
+        ------
+        InputError
+            If a value is out of range, or the focus is nearer than the lens can form an image.
+        """
+        for name, value in (
+            ("focal_length_mm", focal_length_mm),
+            ("pixel_pitch_um", pixel_pitch_um),
+            ("focus_distance_m", focus_distance_m),
+        ):
+            check_option(name, value, *_NUMBERS[name])
+        if focus_distance_m * 1e3 <= focal_length_mm:
+            raise InputError(
+                f"focus_distance_m: {focus_distance_m!r} is not beyond the focal length, "
+                f"use more than {focal_length_mm * 1e-3:g} m"
+            )
+        distance_mm = lens.image_distance(focal_length_mm, focus_distance_m * 1e3)
+        return Camera(distance_mm * 1e3 / pixel_pitch_um, focus_distance_m, **others)
+
+    @property
+    def _lens_mask_distance_m(self) -> float:
+        return self.lens_mask_distance_mm * 1e-3
+
+    @property
+    def blur_at_infinity_px(self) -> float:
+        """Blur size of a point infinitely far away: `M f / z_focus`."""
+        return self.mask_extent_mm * 1e-3 * self.focal_length_px / self.focus_distance_m
+
+    def blur_size_px(self, depth_m: ArrayLike) -> NDArray[np.float64]:
+        """Signed blur size of the full mask extent at each depth; see `lens`."""
+        return lens.blur_size_from_depth(
+            depth_m, self.focus_distance_m, self.blur_at_infinity_px, self._lens_mask_distance_m
+        )
+
+    def depth_m(self, blur_size_px: ArrayLike) -> NDArray[np.float64]:
+        """Depth at each signed blur size; `+inf` at or beyond the blur size of infinity."""
+        return lens.depth_from_blur_size(
+            blur_size_px,
+            self.focus_distance_m,
+            self.blur_at_infinity_px,
+            self._lens_mask_distance_m,
+        )
+
+    def blur_range_px(self, near_m: float, far_m: float) -> tuple[float, float]:
+        """Signed blur sizes at the two ends of a depth range, the smaller one first.
+
+        Raises
+        ------
+        InputError
+            If the range is not one, or does not lie on the camera's side of the focal plane.
+        """
+        nearest = max(0.0, self._lens_mask_distance_m)
+        if not nearest < near_m < far_m:
+            raise InputError(
+                f"depth range {near_m:g} to {far_m:g} m: expected two increasing distances "
+                f"beyond {nearest:g} m"
+            )
+        focus = self.focus_distance_m
+        if near_m < focus < far_m:
+            raise InputError(
+                f"the focus at {focus:g} m lies inside the depth range {near_m:g} to {far_m:g} m: "
+                "points on the two sides of the focal plane give the same blur (a symmetric mask, "
+                "or any power spectrum, cannot tell them apart); focus before or beyond the range, "
+                "or narrow the range to one side"
+            )
+        if (self.side == "far") != (near_m >= focus):
+            actual, other = ("near", "in front of") if self.side == "far" else ("far", "beyond")
+            raise InputError(
+                f"the depth range {near_m:g} to {far_m:g} m lies {other} the focus at {focus:g} m "
+                f"but the camera's side is {self.side}: set side: {actual} or move the focus"
+            )
+        smallest, largest = self.blur_size_px([near_m, far_m])
+        return float(smallest), float(largest)
+
+    def number_of_levels(self, near_m: float, far_m: float, resolution_px: float = 1.0) -> float:
+        """Count the depth levels that can be told apart in a depth range (thesis eq. 3.29).
+
+        Raises
+        ------
+        InputError
+            As `blur_range_px`, or if `resolution_px` is not positive.
+        """
+        if not resolution_px > 0:
+            raise InputError(f"resolution_px: expected more than 0 px, got {resolution_px!r}")
+        return lens.levels_between(*self.blur_range_px(near_m, far_m), resolution_px)
+
+    def scaled(self, factor: float) -> "Camera":
+        """Return the camera of the image resized by `factor` (0.5 halves its width)."""
+        if not (factor > 0 and math.isfinite(factor)):
+            raise InputError(f"scale factor: expected a positive number, got {factor!r}")
+        return dataclasses.replace(
+            self,
+            focal_length_px=self.focal_length_px * factor,
+            image_width=max(1, round(self.image_width * factor)),
+            image_height=max(1, round(self.image_height * factor)),
+        )
+
+
+def load_camera(path: str | os.PathLike[str]) -> Camera:
+    """Read a camera file (YAML).
+
+    Raises
+    ------
+    InputError
+        One line that names the file and the key, and says what is allowed.
+    """
+    path = Path(path)
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot read camera file {path}: {error.strerror or error}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f" in line {mark.line + 1}" if mark else ""
+        raise InputError(f"camera file {path}: not valid YAML{line}") from error
+    return camera_from_mapping(content, f"camera file {path}", path.parent)
+
+
+def camera_from_mapping(
+    mapping: Any, where: str = "camera", folder: str | os.PathLike[str] = "."
+) -> Camera:
+    """Build a camera from the keys of a camera file.
+
+    Parameters
+    ----------
+    mapping : mapping
+        `focal_length_mm` and `pixel_pitch_um`, or `focal_length_px`; `focus_distance_m`,
+        `image_width`, `image_height`, `mask` (`{name: ...}` or `{file: ...}`),
+        `mask_extent_mm`; optionally `lens_mask_distance_mm` and `side`.
+    where : str
+        What to call the mapping in error messages.
+    folder : path-like
+        What a relative mask file is relative to.
+
+    Raises
+    ------
+    InputError
+        One line that names `where` and the key, and says what is allowed.
+    """
+    try:
+        _check_keys(mapping)
+        values = dict(mapping)
+        values["mask"] = _mask_from(values["mask"], Path(folder))
+        if "focal_length_px" in values:
+            return Camera(**values)
+        return Camera.from_lens(**values)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+
+
+def _check_keys(mapping: Any) -> None:
+    if not isinstance(mapping, Mapping):
+        raise InputError("expected keys and values, such as focal_length_mm: 50")
+    for key in mapping:
+        if key not in _KEYS:
+            close = difflib.get_close_matches(str(key), _KEYS, 1)
+            hint = f"did you mean {close[0]}?" if close else "use " + ", ".join(_KEYS)
+            raise InputError(f"unknown key {key!r}: {hint}")
+    if "focal_length_px" in mapping:
+        for key in _PHYSICAL:
+            if key in mapping:
+                raise InputError(
+                    f"{key}: focal_length_px already says it, give either focal_length_px or "
+                    "focal_length_mm with pixel_pitch_um"
+                )
+        needed = set(_KEYS) - set(_PHYSICAL)
+    else:
+        needed = set(_KEYS) - {"focal_length_px"}
+    missing = [key for key in _KEYS if key in needed - set(_OPTIONAL) and key not in mapping]
+    if missing:
+        hint = " (or focal_length_px)" if set(missing) & set(_PHYSICAL) else ""
+        raise InputError(f"missing {', '.join(missing)}{hint}")
+
+
+def _mask_from(entry: Any, folder: Path) -> Mask:
+    if not isinstance(entry, Mapping) or len(entry) != 1 or not set(entry) <= {"name", "file"}:
+        raise InputError(f"mask: expected {{name: levin}} or {{file: mask.png}}, got {entry!r}")
+    (kind, value), *_ = entry.items()
+    if not isinstance(value, str):
+        raise InputError(f"mask: expected the {kind} as text, got {value!r}")
+    return Mask.named(value) if kind == "name" else Mask.from_file(folder / value)

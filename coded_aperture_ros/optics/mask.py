@@ -1,0 +1,184 @@
+"""Aperture masks: named patterns from the literature, and masks from picture or array files."""
+
+import dataclasses
+import difflib
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coded_aperture_ros.errors import InputError
+
+_LEVIN = """
+00110101100 00000100000 11000000011 01001110010 10000100001 10011111001
+10000100001 01001110010 11000000011 00000100000 00110101100
+"""
+_VEERARAGHAVAN = "0100001 0011001 0000001 1011000 0111000 0110101 1001101"
+_ZHOU = """
+00011101100 00011100110 11111101111 11111100111 11111000111 11111000011
+11111000011 10001000000 00001000000 01111111110 00011111100
+"""
+_MURA_PRIME = 13
+# The holes are 4/17 of the extent wide; half cells are needed to centre one of them.
+_HOLE_GRID = 34
+_HOLE_SIDE = 8
+# Curved outlines are stored as coverage on a grid fine enough that a cell stays below half a
+# pixel up to blur sizes of 48 px.
+_CURVE_GRID = 96
+_CURVE_SUPERSAMPLING = 16
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Mask:
+    """The pattern of an aperture.
+
+    Attributes
+    ----------
+    name : str
+        One of `MASK_NAMES`, or the name of the file that the mask came from.
+    transmission : ndarray of float32, shape [n, m]
+        Fraction of the light that each square cell lets through, 0 to 1; row 0 is the top. The
+        longer side of the grid spans the mask's extent. Read-only.
+    """
+
+    name: str
+    transmission: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        grid = np.array(self.transmission, dtype=np.float32)
+        if grid.ndim != 2 or grid.size == 0:
+            raise InputError(
+                f"mask {self.name}: expected a grid of rows and columns, got shape {grid.shape}"
+            )
+        if not (np.isfinite(grid).all() and grid.min() >= 0.0 and grid.max() <= 1.0):
+            raise InputError(f"mask {self.name}: transmissions must lie between 0 and 1")
+        if not grid.any():
+            raise InputError(f"mask {self.name}: no cell is open, so no light passes")
+        grid.setflags(write=False)
+        object.__setattr__(self, "transmission", grid)
+
+    @property
+    def open_fraction(self) -> float:
+        """Open area over the area of the square that bounds the mask's grid."""
+        return float(self.transmission.sum(dtype=np.float64)) / max(self.transmission.shape) ** 2
+
+    @property
+    def digest(self) -> str:
+        """A hash of the pattern, to tell whether two files speak of the same mask."""
+        shape = "x".join(str(length) for length in self.transmission.shape)
+        return hashlib.sha256(shape.encode() + self.transmission.tobytes()).hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Mask) and self.digest == other.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    @staticmethod
+    def named(name: str) -> "Mask":
+        """Return one of the masks of `MASK_NAMES`.
+
+        Raises
+        ------
+        InputError
+            If there is no mask of that name.
+        """
+        if name not in _BUILDERS:
+            close = difflib.get_close_matches(str(name), MASK_NAMES, 1)
+            hint = f"did you mean {close[0]}? " if close else ""
+            raise InputError(f"unknown mask {name!r}: {hint}use one of {', '.join(MASK_NAMES)}")
+        return Mask(name, _BUILDERS[name]())
+
+    @staticmethod
+    def from_rows(rows: ArrayLike, name: str = "rows") -> "Mask":
+        """Build a mask from strings, top row first; `1` and `#` are open, all else is closed."""
+        lines = [str(row) for row in np.atleast_1d(np.asarray(rows))]
+        if len({len(line) for line in lines}) != 1:
+            raise InputError(f"mask {name}: all rows must have the same length")
+        return Mask(name, np.array([[cell in "1#" for cell in line] for line in lines]))
+
+    @staticmethod
+    def from_file(path: str | os.PathLike[str]) -> "Mask":
+        """Read a mask from a picture (white is open) or from a two-dimensional `.npy` array.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, not a picture or array, or holds values outside 0 to 1.
+        """
+        path = Path(path)
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise InputError(f"cannot read mask {path}: {error.strerror or error}") from error
+        if path.suffix.lower() == ".npy":
+            return Mask(path.name, _array_of(path))
+        picture = None
+        if data:
+            flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+            picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        if picture is None:
+            raise InputError(f"cannot read mask {path}: not a picture, use PNG or .npy")
+        if picture.dtype.kind == "u":
+            picture = picture / np.float32(np.iinfo(picture.dtype).max)
+        return Mask(path.name, picture)
+
+
+def _array_of(path: Path) -> NDArray[np.float32]:
+    try:
+        array = np.load(path, allow_pickle=False)
+        return np.asarray(array, dtype=np.float32)
+    except (ValueError, EOFError, OSError, TypeError) as error:
+        raise InputError(f"cannot read mask {path}: not a numeric .npy array") from error
+
+
+def _grid(rows: str) -> NDArray[np.float32]:
+    return np.array([[float(cell) for cell in row] for row in rows.split()], dtype=np.float32)
+
+
+def _square_holes(corners: list[tuple[int, int]]) -> NDArray[np.float32]:
+    grid = np.zeros((_HOLE_GRID, _HOLE_GRID), dtype=np.float32)
+    for row, column in corners:
+        grid[row : row + _HOLE_SIDE, column : column + _HOLE_SIDE] = 1.0
+    return grid
+
+
+def _ring(inner_radius: float) -> NDArray[np.float32]:
+    """Return the coverage of a ring with outer radius 1 on a square grid that just holds it."""
+    fine = _CURVE_GRID * _CURVE_SUPERSAMPLING
+    x = (np.arange(fine) + 0.5) / fine * 2.0 - 1.0
+    squared_radius = x[:, None] ** 2 + x[None, :] ** 2
+    inside = (squared_radius <= 1.0) & (squared_radius >= inner_radius**2)
+    blocks = inside.reshape(_CURVE_GRID, _CURVE_SUPERSAMPLING, _CURVE_GRID, _CURVE_SUPERSAMPLING)
+    return blocks.mean(axis=(1, 3), dtype=np.float32)
+
+
+def _mura() -> NDArray[np.float32]:
+    """Return a modified uniformly redundant array, by the quadratic-residue rule."""
+    p = _MURA_PRIME
+    residues = {i * i % p for i in range(1, p)}
+    sign = np.array([1 if i in residues else -1 for i in range(p)])
+    grid = (np.outer(sign, sign) == 1).astype(np.float32)
+    grid[:, 0] = 1.0
+    grid[0, :] = 0.0
+    return grid
+
+
+_MIDDLE = (_HOLE_GRID - _HOLE_SIDE) // 2
+_END = _HOLE_GRID - _HOLE_SIDE
+_BUILDERS: dict[str, Callable[[], NDArray[np.float32]]] = {
+    "levin": lambda: _grid(_LEVIN),
+    "two_hole": lambda: _square_holes([(_MIDDLE, 0), (_MIDDLE, _END)]),
+    "three_hole": lambda: _square_holes([(0, _MIDDLE), (_END, 0), (_END, _END)]),
+    "four_hole": lambda: _square_holes([(0, 0), (0, _END), (_END, 0), (_END, _END)]),
+    "annulus": lambda: _ring(0.75),
+    "veeraraghavan": lambda: _grid(_VEERARAGHAVAN),
+    "zhou": lambda: _grid(_ZHOU),
+    "mura": _mura,
+    "disc": lambda: _ring(0.0),
+}
+MASK_NAMES = tuple(_BUILDERS)

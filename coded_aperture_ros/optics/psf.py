@@ -1,0 +1,202 @@
+"""Point-spread functions: rendered from a mask by exact area integration, or measured."""
+
+import dataclasses
+import os
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.files import atomic_output
+from coded_aperture_ros.optics.mask import Mask
+
+_SCHEMA = "coded_aperture_ros/psf_stack"
+_SCHEMA_VERSION = 1
+# Below this the PSF is a single pixel anyway; it only keeps the division by the cell width safe.
+_SMALLEST_SIZE_PX = 1e-6
+
+
+def render_psf(mask: Mask, blur_size_px: float) -> NDArray[np.float32]:
+    """Render the PSF of a mask whose extent is `blur_size_px` wide in the image.
+
+    A pixel's value is the mask's transmission integrated over the pixel's square, divided by the
+    sum. Cells and pixels are both rectangles, so the integral is the exact overlap, separable
+    into `A @ T @ B.T`, and smooth in the blur size.
+
+    Parameters
+    ----------
+    mask : Mask
+    blur_size_px : float
+        Signed; a negative size, of a point in front of the focal plane, gives the mask rotated
+        by 180 degrees.
+
+    Returns
+    -------
+    ndarray of float32, shape [k, k]
+        Smallest odd `k` that holds the PSF; centred, unit sum.
+    """
+    size = abs(float(blur_size_px))
+    if not np.isfinite(size):
+        raise InputError(f"blur size: expected a finite number of pixels, got {blur_size_px!r}")
+    cells = mask.transmission.astype(np.float64)
+    if blur_size_px < 0:
+        cells = cells[::-1, ::-1]
+    pixels = psf_width(size)
+    cell_px = max(size, _SMALLEST_SIZE_PX) / max(cells.shape)
+    rows = _overlap(pixels, cells.shape[0], cell_px)
+    columns = _overlap(pixels, cells.shape[1], cell_px)
+    psf = rows @ cells @ columns.T
+    return (psf / psf.sum()).astype(np.float32)
+
+
+def psf_width(blur_size_px: float) -> int:
+    """Smallest odd number of pixels that covers a centred PSF of that size."""
+    return 2 * int(np.ceil(max(abs(blur_size_px) - 1.0, 0.0) / 2.0)) + 1
+
+
+def _overlap(pixels: int, cells: int, cell_px: float) -> NDArray[np.float64]:
+    """Overlap of each pixel with each cell, both rows centred on zero; shape [pixels, cells]."""
+    pixel_edges = np.arange(pixels + 1)[:, None] - pixels / 2.0
+    cell_edges = (np.arange(cells + 1)[None, :] - cells / 2.0) * cell_px
+    covered = np.clip(pixel_edges, cell_edges[:, :-1], cell_edges[:, 1:])
+    return np.diff(covered, axis=0)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PsfStack:
+    """PSFs of increasing level, on one common odd support.
+
+    Attributes
+    ----------
+    blur_sizes_px : ndarray of float64, shape [L]
+        Signed blur size of each level; the level's index where a measured stack does not say.
+    psfs : ndarray of float32, shape [L, k, k]
+        Centred, unit sum.
+    depths_m : ndarray of float64, shape [L], or None
+        Depth of each level, for measured PSFs that state it.
+    """
+
+    blur_sizes_px: NDArray[np.float64]
+    psfs: NDArray[np.float32]
+    depths_m: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        psfs = np.ascontiguousarray(self.psfs, dtype=np.float32)
+        if psfs.ndim != 3 or psfs.shape[0] == 0 or psfs.shape[1] != psfs.shape[2]:
+            raise InputError(f"psfs: expected the shape [N, k, k], got {list(psfs.shape)}")
+        if psfs.shape[1] % 2 == 0:
+            raise InputError(
+                f"psfs: expected an odd width so that the centre is a pixel, got {psfs.shape[1]}"
+            )
+        if not np.isfinite(psfs).all():
+            raise InputError("psfs: all values must be finite")
+        object.__setattr__(self, "psfs", psfs)
+        object.__setattr__(self, "blur_sizes_px", self._one_each("sizes_px", self.blur_sizes_px))
+        if self.depths_m is not None:
+            object.__setattr__(self, "depths_m", self._one_each("depths_m", self.depths_m))
+
+    def _one_each(self, name: str, values: ArrayLike) -> NDArray[np.float64]:
+        array = np.asarray(values, dtype=np.float64)
+        if array.shape != (len(self.psfs),) or not np.isfinite(array).all():
+            raise InputError(
+                f"{name}: expected {len(self.psfs)} finite numbers, one for each PSF, "
+                f"got the shape {list(array.shape)}"
+            )
+        return array
+
+    def __len__(self) -> int:
+        return len(self.psfs)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the stack as `.npz`, without pickled objects."""
+        arrays: dict[str, Any] = {
+            "schema": _SCHEMA,
+            "schema_version": _SCHEMA_VERSION,
+            "psfs": self.psfs,
+            "sizes_px": self.blur_sizes_px,
+        }
+        if self.depths_m is not None:
+            arrays["depths_m"] = self.depths_m
+        with atomic_output(path) as temporary, temporary.open("wb") as file:
+            np.savez(file, **arrays)
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> "PsfStack":
+        """Read a stack saved by `save`, or measured PSFs.
+
+        A measured file needs `psfs` [N, k, k] only, and may have `sizes_px` [N] and `depths_m`
+        [N]. Measured PSFs may be noisy, slightly negative and not of unit sum: they are divided
+        by their sum.
+
+        Raises
+        ------
+        InputError
+            Naming the file, if it is missing, truncated, of another kind or of a newer version.
+        """
+        path = Path(path)
+        arrays = _read_arrays(path)
+        if "schema" in arrays and str(arrays["schema"]) != _SCHEMA:
+            raise InputError(f"{path}: is a {arrays['schema']} file, not a PSF stack")
+        if _version(arrays) > _SCHEMA_VERSION:
+            raise InputError(
+                f"{path}: written by a newer version of this package "
+                f"(PSF stack version {_version(arrays)}, this one reads {_SCHEMA_VERSION})"
+            )
+        if "psfs" not in arrays:
+            raise InputError(f"{path}: not a PSF stack, it has no array named psfs")
+        try:
+            psfs = np.asarray(arrays["psfs"], dtype=np.float64)
+            stack = PsfStack(
+                arrays.get("sizes_px", np.arange(len(psfs), dtype=np.float64)),
+                psfs.astype(np.float32),
+                arrays.get("depths_m"),
+            )
+            return dataclasses.replace(stack, psfs=_unit_sum(psfs))
+        except (InputError, ValueError, TypeError) as error:
+            raise InputError(f"{path}: {error}") from error
+
+
+def _read_arrays(path: Path) -> dict[str, NDArray]:
+    try:
+        content = np.load(path, allow_pickle=False)
+        if not isinstance(content, np.lib.npyio.NpzFile):
+            raise TypeError("a single array")
+        with content as archive:
+            return {name: archive[name] for name in archive.files}
+    except FileNotFoundError as error:
+        raise InputError(f"cannot read PSF stack {path}: no such file") from error
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, TypeError) as error:
+        raise InputError(
+            f"cannot read PSF stack {path}: truncated, or not an .npz file of plain arrays"
+        ) from error
+
+
+def _version(arrays: dict[str, NDArray]) -> int:
+    try:
+        return int(arrays.get("schema_version", np.array(0)))
+    except (TypeError, ValueError):
+        return 0
+
+
+def _unit_sum(psfs: NDArray[np.float64]) -> NDArray[np.float32]:
+    sums = psfs.sum(axis=(1, 2), keepdims=True)
+    if not (sums > 0).all():
+        raise InputError(f"psfs: PSF {int(np.argmin(sums))} has no positive sum")
+    return (psfs / sums).astype(np.float32)
+
+
+def render_psf_stack(mask: Mask, blur_sizes_px: ArrayLike) -> PsfStack:
+    """Render the PSFs of several blur sizes onto one common support; see `render_psf`."""
+    sizes = np.atleast_1d(np.asarray(blur_sizes_px, dtype=np.float64))
+    if sizes.size == 0:
+        raise InputError("blur sizes: at least one is needed")
+    width = max(psf_width(size) for size in sizes)
+    psfs = np.zeros((len(sizes), width, width), dtype=np.float32)
+    for padded, size in zip(psfs, sizes, strict=True):
+        psf = render_psf(mask, size)
+        margin = (width - len(psf)) // 2
+        padded[margin : margin + len(psf), margin : margin + len(psf)] = psf
+    return PsfStack(sizes, psfs)
