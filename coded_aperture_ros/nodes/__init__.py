@@ -1,0 +1,8 @@
+"""ROS 2 nodes: each converts messages, calls the library and publishes.
+
+Importing any of the modules here needs rclpy, so its environment is prepared first.
+"""
+
+from coded_aperture_ros.nodes.environment import prepare_ros_environment
+
+prepare_ros_environment()

@@ -1,0 +1,78 @@
+"""The program `coded_aperture`: one sub-command per module of this package.
+
+A sub-command module has `add_parser(subparsers)`, which sets the parser's default `run` to its
+function `run(args) -> int`. What is slow to import, it imports in there: `--help` must be quick.
+"""
+
+import argparse
+import logging
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.util import find_spec
+
+from coded_aperture_ros import __version__
+from coded_aperture_ros.blas import slow_blas_warning
+from coded_aperture_ros.errors import InputError
+
+PROGRAM = "coded_aperture"
+COMMANDS = tuple(
+    import_module(f"coded_aperture_ros.cli.{name}")
+    for name in ("demo", "learn", "depth", "deblur", "simulate")
+    if find_spec(f"coded_aperture_ros.cli.{name}")
+)
+
+FAILED = 1
+INTERRUPTED = 130  # what shells report for a program that Ctrl-C ended
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one sub-command.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Command line without the program's name; by default that of the process.
+
+    Returns
+    -------
+    int
+        0 done, 1 failed (one line on stderr says why), 130 interrupted. Wrong usage raises
+        `SystemExit` with status 2, after argparse has said what is wrong.
+    """
+    options = make_parser().parse_args(arguments)
+    logging.basicConfig(stream=sys.stderr, level=logging.INFO, format=f"{PROGRAM}: %(message)s")
+    if warning := slow_blas_warning():
+        logging.warning(warning)
+    try:
+        status: int = options.run(options)
+        sys.stdout.flush()
+    except InputError as error:
+        print(f"{PROGRAM}: error: {error}", file=sys.stderr)
+        return FAILED
+    except BrokenPipeError:
+        # Whoever read our output has left. Python's own flush at exit would complain about it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    return status
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of the whole command line."""
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM,
+        description="Metric depth and all-in-focus frames from a single coded-aperture camera.",
+        epilog=f"'{PROGRAM} COMMAND --help' shows a command's options and an example.",
+    )
+    parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for command in COMMANDS:
+        command.add_parser(subparsers)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,76 @@
+"""What rclpy needs from the environment when it comes from the wheels on PyPI.
+
+An installed ROS is set up by its `setup.bash`; nothing here changes anything then.
+"""
+
+import os
+import sys
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+
+_BOOTSTRAP = "ros_wheels_bootstrapper"
+_BOOTSTRAP_DONE = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+
+
+def prepare_ros_environment() -> None:
+    """Make `import rclpy` and what follows work with the wheels; call it before the import.
+
+    Raises
+    ------
+    SystemExit
+        With one line that says what to install, where rclpy is not to be found.
+    """
+    if find_spec("rclpy") is None:
+        raise SystemExit(
+            "coded_aperture_ros: rclpy not found: source /opt/ros/jazzy/setup.bash, or without ROS "
+            "pip install 'coded_aperture_ros[ros]'"
+        )
+    if not _rclpy_is_a_wheel():
+        return
+    os.environ.setdefault("ROS_DISTRO", "jazzy")
+    prefixes = _split(os.environ.get("AMENT_PREFIX_PATH"))
+    if sys.prefix not in prefixes:
+        os.environ["AMENT_PREFIX_PATH"] = os.pathsep.join([sys.prefix, *prefixes])
+
+
+def clean_environment() -> dict[str, str]:
+    """Return the environment for a program that runs in *another* Python environment.
+
+    The wheels point LD_LIBRARY_PATH at their own libraries and leave a guard variable that keeps
+    the other environment's wheels from doing so; AMENT_PREFIX_PATH names this environment. What
+    the user put into these variables stays.
+    """
+    environment = dict(os.environ)
+    if environment.pop(_BOOTSTRAP_DONE, None) is not None:
+        _remove(environment, "LD_LIBRARY_PATH", _is_inside_this_environment)
+    _remove(environment, "AMENT_PREFIX_PATH", lambda entry: entry == sys.prefix)
+    return environment
+
+
+def _rclpy_is_a_wheel() -> bool:
+    # A virtual environment may hold the wheels while rclpy comes from a sourced ROS all the same,
+    # by PYTHONPATH: what counts is where rclpy will be imported from.
+    rclpy, bootstrap = find_spec("rclpy"), find_spec(_BOOTSTRAP)
+    if rclpy is None or bootstrap is None or rclpy.origin is None or bootstrap.origin is None:
+        return False
+    return Path(rclpy.origin).parents[1] == Path(bootstrap.origin).parents[1]
+
+
+def _is_inside_this_environment(entry: str) -> bool:
+    prefix = Path(sys.prefix)
+    return Path(entry) == prefix / "lib" or (
+        Path(entry).is_relative_to(prefix.resolve()) and Path(entry).name.startswith("ros_")
+    )
+
+
+def _remove(environment: dict[str, str], name: str, unwanted: Callable[[str], bool]) -> None:
+    kept = [entry for entry in _split(environment.get(name)) if not unwanted(entry)]
+    if kept:
+        environment[name] = os.pathsep.join(kept)
+    else:
+        environment.pop(name, None)
+
+
+def _split(variable: str | None) -> list[str]:
+    return [entry for entry in (variable or "").split(os.pathsep) if entry]

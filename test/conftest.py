@@ -1,0 +1,39 @@
+"""What the tests share: the data folder, and a ROS network of their own."""
+
+import os
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+# Before anything imports rclpy. Domains 1 to 100 keep clear of the ports that Linux hands out; the
+# process number keeps test runs on one machine apart, and all of them from a robot's domain 0.
+_LOGS = tempfile.TemporaryDirectory(prefix="coded_aperture_ros-logs-")
+os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["ROS_LOG_DIR"] = _LOGS.name
+for name in ("ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", "ROS_NAMESPACE", "ROS_DISCOVERY_SERVER"):
+    os.environ.pop(name, None)
+
+if find_spec("rclpy"):
+    import coded_aperture_ros.nodes  # noqa: F401  prepares the environment of the wheels
+
+DATA = "CODED_APERTURE_DATA"
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """Folder of the real and the ray-traced images."""
+    if DATA not in os.environ:
+        pytest.skip(f"needs the data folder: set {DATA}")
+    folder = Path(os.environ[DATA])
+    if not folder.is_dir():
+        pytest.fail(f"{DATA} is {folder}, which is not a folder")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def checkout() -> Path:
+    """Folder of the project's sources."""
+    return Path(__file__).resolve().parent.parent
