@@ -2,18 +2,16 @@
 
 import dataclasses
 import os
-import zipfile
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from coded_aperture_ros.archive import read_archive, write_archive
 from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.files import atomic_output
 from coded_aperture_ros.optics.mask import Mask
 
-_SCHEMA = "coded_aperture_ros/psf_stack"
+_SCHEMA = "coded-aperture PSF stack"
 _SCHEMA_VERSION = 1
 # Below this the PSF is a single pixel anyway; it only keeps the division by the cell width safe.
 _SMALLEST_SIZE_PX = 1e-6
@@ -112,16 +110,10 @@ class PsfStack:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the stack as `.npz`, without pickled objects."""
-        arrays: dict[str, Any] = {
-            "schema": _SCHEMA,
-            "schema_version": _SCHEMA_VERSION,
-            "psfs": self.psfs,
-            "sizes_px": self.blur_sizes_px,
-        }
+        arrays: dict[str, Any] = {"psfs": self.psfs, "sizes_px": self.blur_sizes_px}
         if self.depths_m is not None:
             arrays["depths_m"] = self.depths_m
-        with atomic_output(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, **arrays)
+        write_archive(path, _SCHEMA, _SCHEMA_VERSION, arrays)
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> "PsfStack":
@@ -136,15 +128,7 @@ class PsfStack:
         InputError
             Naming the file, if it is missing, truncated, of another kind or of a newer version.
         """
-        path = Path(path)
-        arrays = _read_arrays(path)
-        if "schema" in arrays and str(arrays["schema"]) != _SCHEMA:
-            raise InputError(f"{path}: is a {arrays['schema']} file, not a PSF stack")
-        if _version(arrays) > _SCHEMA_VERSION:
-            raise InputError(
-                f"{path}: written by a newer version of this package "
-                f"(PSF stack version {_version(arrays)}, this one reads {_SCHEMA_VERSION})"
-            )
+        arrays = read_archive(path, _SCHEMA, _SCHEMA_VERSION, foreign=True)
         if "psfs" not in arrays:
             raise InputError(f"{path}: not a PSF stack, it has no array named psfs")
         try:
@@ -157,28 +141,6 @@ class PsfStack:
             return dataclasses.replace(stack, psfs=_unit_sum(psfs))
         except (InputError, ValueError, TypeError) as error:
             raise InputError(f"{path}: {error}") from error
-
-
-def _read_arrays(path: Path) -> dict[str, NDArray]:
-    try:
-        content = np.load(path, allow_pickle=False)
-        if not isinstance(content, np.lib.npyio.NpzFile):
-            raise TypeError("a single array")
-        with content as archive:
-            return {name: archive[name] for name in archive.files}
-    except FileNotFoundError as error:
-        raise InputError(f"cannot read PSF stack {path}: no such file") from error
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, TypeError) as error:
-        raise InputError(
-            f"cannot read PSF stack {path}: truncated, or not an .npz file of plain arrays"
-        ) from error
-
-
-def _version(arrays: dict[str, NDArray]) -> int:
-    try:
-        return int(arrays.get("schema_version", np.array(0)))
-    except (TypeError, ValueError):
-        return 0
 
 
 def _unit_sum(psfs: NDArray[np.float64]) -> NDArray[np.float32]:
