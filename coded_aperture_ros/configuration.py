@@ -5,7 +5,7 @@ that a default or a range is written in one place only.
 """
 
 import dataclasses
-import math
+import sys
 from typing import Any
 
 from coded_aperture_ros.errors import InputError
@@ -89,7 +89,8 @@ def check_option(name: str, value: Any, expected: type, described: Option) -> No
     if expected in (int, float):
         too_small = described.minimum is not None and value < described.minimum
         too_large = described.maximum is not None and value > described.maximum
-        if not math.isfinite(value) or too_small or too_large:
+        # Not math.isfinite, which fails for integers beyond the range of floats.
+        if too_small or too_large or not abs(value) <= sys.float_info.max:
             raise InputError(f"{name}: {value!r} is out of range{allowed}")
 
 
