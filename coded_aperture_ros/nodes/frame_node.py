@@ -1,0 +1,166 @@
+"""What every node that turns frames into other frames has in common."""
+
+import time
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from std_msgs.msg import Header
+
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.nodes.diagnostics import DiagnosticsPublisher, Statistics
+from coded_aperture_ros.nodes.messages import MessageError, stamp_ns
+from coded_aperture_ros.nodes.newest import NewestWorker
+from coded_aperture_ros.nodes.parameters import NodeParameters
+from coded_aperture_ros.nodes.running import publish
+
+Item = TypeVar("Item")
+
+_LAZY_PERIOD_S = 0.2
+_LOG_PERIOD_S = 10.0
+
+
+class FrameNode(Node, Generic[Item]):
+    """A node that works on the newest frame, in a thread of its own, while someone listens.
+
+    A node that derives from this one calls `advertise` for each output and `listen` for each
+    input, implements `process`, and ends its constructor with `start`.
+
+    Parameters
+    ----------
+    name : str
+        Of the node.
+    *configs : dataclass instances
+        The defaults of the node's parameters; see `NodeParameters`.
+    fixed : tuple of types
+        Those of them that cannot change while the node runs.
+    **node_options
+        Those of `rclpy.node.Node`, such as `context` and `namespace`.
+    """
+
+    def __init__(
+        self, name: str, *configs: Any, fixed: tuple[type, ...] = (), **node_options: Any
+    ) -> None:
+        super().__init__(name, **node_options)
+        self.configs = NodeParameters(self, *configs, fixed=fixed)
+        self.statistics = Statistics()
+        self._outputs: dict[str, Any] = {}
+        self._inputs: list[Callable[[], Any]] = []
+        self._listening: list[Any] = []
+        self._logged_s: dict[str, float] = {}
+        self._taken_up_s = 0.0
+        self._worker: NewestWorker[Item] | None = None
+
+    def advertise(self, topic: str, message_type: type) -> None:
+        """Create the publisher of an output."""
+        self._outputs[topic] = self.create_publisher(
+            message_type,
+            topic,
+            reliable(),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+
+    def listen(self, topic: str, message_type: type, callback: Callable[[Any], None]) -> None:
+        """Subscribe to an input; under `lazy` only while some output has a subscriber."""
+
+        def subscribe() -> Any:
+            return self.create_subscription(
+                message_type,
+                topic,
+                callback,
+                newest_only(),
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            )
+
+        self._inputs.append(subscribe)
+
+    def start(self) -> None:
+        """Begin to work; the last thing that a constructor does."""
+        self._worker = NewestWorker(
+            self._process_safely, self.statistics.count_dropped, self.get_name()
+        )
+        # Subscribed at once, so that a QoS override that cannot be met is found at start.
+        self._listening = [subscribe() for subscribe in self._inputs]
+        self._update_listening()
+        self.create_timer(
+            _LAZY_PERIOD_S, self._update_listening, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+        DiagnosticsPublisher(self, self.statistics, lambda: bool(self._listening))
+
+    def process(self, item: Item) -> None:
+        """Do the work on one item, in the worker's thread."""
+        raise NotImplementedError
+
+    @property
+    def lazy(self) -> bool:
+        """Whether to work only while someone subscribes to an output."""
+        return True
+
+    def offer(self, item: Item) -> None:
+        """Hand an item to the worker; what still waits there is dropped."""
+        if self._worker is not None:
+            self._worker.offer(item)
+
+    def wants(self, topic: str) -> bool:
+        """Return whether an output has to be made."""
+        return not self.lazy or self._outputs[topic].get_subscription_count() > 0
+
+    def send(self, topic: str, message: Any) -> None:
+        """Publish an output."""
+        publish(self, self._outputs[topic], message)
+
+    def sent(self, header: Header) -> None:
+        """Count a frame as done: `header` is that of the frame that the outputs came from."""
+        latency_s = (self.get_clock().now().nanoseconds - stamp_ns(header)) * 1e-9
+        self.statistics.count_processed(latency_s, time.monotonic() - self._taken_up_s)
+
+    def reject(self, kind: str, reason: str) -> None:
+        """Count a message that cannot be used, and say why at most every ten seconds a kind."""
+        self.statistics.count_rejected(kind)
+        now_s = time.monotonic()
+        if now_s - self._logged_s.get(kind, -_LOG_PERIOD_S) >= _LOG_PERIOD_S:
+            self._logged_s[kind] = now_s
+            self.get_logger().warning(f"skipped: {reason}")
+
+    def close(self) -> None:
+        """End the worker; the node can then be destroyed."""
+        if self._worker is not None:
+            self._worker.stop()
+
+    def _process_safely(self, item: Item) -> None:
+        self._taken_up_s = time.monotonic()
+        try:
+            self.process(item)
+        except MessageError as error:
+            self.reject(error.kind, str(error))
+        except InputError as error:
+            self.reject("frame", str(error))
+        except Exception as error:
+            # A robot goes on driving: one frame that meets a fault of ours must not end the node.
+            self.reject("internal", f"internal error {type(error).__name__}: {error}")
+
+    def _update_listening(self) -> None:
+        wanted = any(self.wants(topic) for topic in self._outputs)
+        if wanted and not self._listening:
+            self._listening = [subscribe() for subscribe in self._inputs]
+        elif not wanted and self._listening:
+            for subscription in self._listening:
+                self.destroy_subscription(subscription)
+            self._listening = []
+
+
+def reliable(depth: int = 5) -> QoSProfile:
+    """Return the QoS of outputs: a reliable publisher serves every kind of subscriber."""
+    return QoSProfile(
+        depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE
+    )
+
+
+def newest_only() -> QoSProfile:
+    """Return the QoS of image inputs: sensor data, of which only the newest matters."""
+    return QoSProfile(
+        depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT
+    )

@@ -1,0 +1,61 @@
+"""Pairs of messages that come from the same frame."""
+
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+First = TypeVar("First")
+Second = TypeVar("Second")
+
+
+class StampPairs(Generic[First, Second]):
+    """Pairs messages of two topics by their exact stamps, in a buffer that cannot grow.
+
+    A pair makes everything older than it obsolete: stamps increase, and results are wanted for
+    the newest frame only.
+
+    Parameters
+    ----------
+    capacity : int
+        Messages of each topic to keep while they wait for their partner.
+    dropped : callable
+        Called for every message of the first topic that is given up without a partner.
+    """
+
+    def __init__(self, capacity: int, dropped: Callable[[], None]) -> None:
+        self._capacity = capacity
+        self._dropped = dropped
+        self._first: dict[int, First] = {}
+        self._second: dict[int, Second] = {}
+
+    def add_first(self, stamp_ns: int, message: First) -> tuple[First, Second] | None:
+        """Add a message of the first topic; return the pair that it completes."""
+        self._keep(self._first, stamp_ns, message)
+        return self._pair(stamp_ns)
+
+    def add_second(self, stamp_ns: int, message: Second) -> tuple[First, Second] | None:
+        """Add a message of the second topic; return the pair that it completes."""
+        self._keep(self._second, stamp_ns, message)
+        return self._pair(stamp_ns)
+
+    def __len__(self) -> int:
+        """Return how many messages wait for their partner."""
+        return len(self._first) + len(self._second)
+
+    def _keep(self, waiting: dict, stamp_ns: int, message: First | Second) -> None:
+        waiting[stamp_ns] = message
+        if len(waiting) > self._capacity:
+            self._forget(waiting, next(iter(waiting)))  # the one that came first
+
+    def _pair(self, stamp_ns: int) -> tuple[First, Second] | None:
+        if stamp_ns not in self._first or stamp_ns not in self._second:
+            return None
+        pair = self._first.pop(stamp_ns), self._second.pop(stamp_ns)
+        for waiting in (self._first, self._second):
+            for old in [stamp for stamp in waiting if stamp < stamp_ns]:
+                self._forget(waiting, old)
+        return pair
+
+    def _forget(self, waiting: dict, stamp_ns: int) -> None:
+        del waiting[stamp_ns]
+        if waiting is self._first:
+            self._dropped()

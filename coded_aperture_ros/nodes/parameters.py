@@ -1,0 +1,127 @@
+"""ROS parameters made from configuration dataclasses, and kept in step with them."""
+
+import dataclasses
+import sys
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.exceptions import ParameterException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from coded_aperture_ros.configuration import Option, options_of
+from coded_aperture_ros.errors import InputError
+
+Config = TypeVar("Config")
+
+_LARGEST_INTEGER = 2**63 - 1
+
+
+class NodeParameters:
+    """The parameters of a node: one per option of its configuration dataclasses.
+
+    A bad value is refused with the reason and the old one stays. A good one replaces the whole
+    (frozen) configuration, so that a worker thread that took one at the start of a frame keeps a
+    consistent one, and can tell by identity that something has changed since.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    *configs : dataclass instances
+        The defaults, made with `configuration.option`; option names must differ.
+    fixed : tuple of types, optional
+        Configurations that cannot change while the node runs: all their parameters are read-only.
+
+    Raises
+    ------
+    InputError
+        Where the node was started with a value that is refused.
+    """
+
+    def __init__(self, node: Node, *configs: Any, fixed: tuple[type, ...] = ()) -> None:
+        self._configs: dict[type, Any] = {}
+        self._owner: dict[str, type] = {}
+        for config in configs:
+            values = {}
+            for name, (field, described) in options_of(config).items():
+                if type(config) in fixed:
+                    described = dataclasses.replace(described, read_only=True)
+                values[name] = _declared(node, name, getattr(config, name), field, described)
+                self._owner[name] = type(config)
+            self._configs[type(config)] = dataclasses.replace(config, **values)
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._apply)
+
+    def __getitem__(self, config_type: type[Config]) -> Config:
+        """Return the present configuration of this type."""
+        return self._configs[config_type]
+
+    def _check(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            self._changed(parameters)
+        except InputError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _apply(self, parameters: list[Parameter]) -> None:
+        self._configs.update(self._changed(parameters))
+
+    def _changed(self, parameters: list[Parameter]) -> dict[type, Any]:
+        values: dict[type, dict[str, Any]] = {}
+        for parameter in parameters:
+            owner = self._owner.get(parameter.name)
+            if owner is not None:
+                values.setdefault(owner, {})[parameter.name] = parameter.value
+        return {
+            owner: dataclasses.replace(self._configs[owner], **changes)
+            for owner, changes in values.items()
+        }
+
+
+def descriptor_of(default: Any, described: Option) -> ParameterDescriptor:
+    """Return the ROS descriptor of an option: its description, range and read-only flag."""
+    unit = f" [{described.unit}]" if described.unit else ""
+    descriptor = ParameterDescriptor(
+        description=f"{described.description}{unit}", read_only=described.read_only
+    )
+    if described.choices is not None:
+        descriptor.additional_constraints = described.allowed
+    if described.minimum is None and described.maximum is None:
+        return descriptor
+    if isinstance(default, float):
+        largest = sys.float_info.max
+        descriptor.floating_point_range = [
+            FloatingPointRange(
+                from_value=float(-largest if described.minimum is None else described.minimum),
+                to_value=float(largest if described.maximum is None else described.maximum),
+            )
+        ]
+    elif isinstance(default, int):
+        descriptor.integer_range = [
+            IntegerRange(
+                from_value=int(
+                    -_LARGEST_INTEGER if described.minimum is None else described.minimum
+                ),
+                to_value=int(_LARGEST_INTEGER if described.maximum is None else described.maximum),
+                step=1,
+            )
+        ]
+    return descriptor
+
+
+def _declared(
+    node: Node, name: str, default: Any, field: dataclasses.Field, described: Option
+) -> Any:
+    if isinstance(field.default, float):
+        default = float(default)
+    try:
+        return node.declare_parameter(name, default, descriptor_of(default, described)).value
+    except ParameterException as error:
+        hint = ", write it with a decimal point" if isinstance(default, float) else ""
+        allowed = f" (allowed: {described.allowed})" if described.allowed else ""
+        raise InputError(f"parameter {name}: {error}{allowed}{hint}") from error

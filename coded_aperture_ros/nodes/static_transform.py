@@ -1,0 +1,72 @@
+"""The transform from a robot's frame to the camera's optical frame."""
+
+import math
+
+from geometry_msgs.msg import TransformStamped
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+# From a body frame (x forward, y left, z up) to an optical one (x right, y down, z forward):
+# roll and yaw of -90 degrees (REP 103).
+_OPTICAL_ROLL, _OPTICAL_YAW = -math.pi / 2, -math.pi / 2
+
+
+def optical_transform(
+    base_frame: str,
+    optical_frame: str,
+    position_m: tuple[float, float, float],
+    pitch_rad: float = 0.0,
+) -> TransformStamped:
+    """Return the transform of a camera that looks forward from `base_frame`.
+
+    Parameters
+    ----------
+    base_frame, optical_frame : str
+        The first has x forward, y left, z up; the second x right, y down, z forward.
+    position_m : (x, y, z)
+        Of the camera in the base frame.
+    pitch_rad : float
+        How far the camera looks down.
+    """
+    transform = TransformStamped(child_frame_id=optical_frame)
+    transform.header.frame_id = base_frame
+    translation, rotation = transform.transform.translation, transform.transform.rotation
+    translation.x, translation.y, translation.z = (float(value) for value in position_m)
+    tilt = (0.0, math.sin(pitch_rad / 2), 0.0, math.cos(pitch_rad / 2))
+    optical = _product(
+        (0.0, 0.0, math.sin(_OPTICAL_YAW / 2), math.cos(_OPTICAL_YAW / 2)),
+        (math.sin(_OPTICAL_ROLL / 2), 0.0, 0.0, math.cos(_OPTICAL_ROLL / 2)),
+    )
+    rotation.x, rotation.y, rotation.z, rotation.w = _product(tilt, optical)
+    return transform
+
+
+def broadcast_static(node: Node, transform: TransformStamped) -> bool:
+    """Publish a transform on /tf_static once, for late joiners too.
+
+    Returns False, with a warning, where tf2_msgs is not installed.
+    """
+    try:
+        from tf2_msgs.msg import TFMessage
+    except ImportError:
+        node.get_logger().warning(
+            "no static transform published: tf2_msgs is not installed (apt: ros-jazzy-tf2-msgs)"
+        )
+        return False
+    qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    transform.header.stamp = node.get_clock().now().to_msg()
+    node.create_publisher(TFMessage, "/tf_static", qos).publish(TFMessage(transforms=[transform]))
+    return True
+
+
+_Quaternion = tuple[float, float, float, float]
+
+
+def _product(a: _Quaternion, b: _Quaternion) -> _Quaternion:
+    """Return the Hamilton product of two quaternions (x, y, z, w): rotation `b`, then `a`."""
+    return (
+        a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1],
+        a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0],
+        a[3] * b[2] + a[0] * b[1] - a[1] * b[0] + a[2] * b[3],
+        a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2],
+    )

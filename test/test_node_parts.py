@@ -1,0 +1,156 @@
+"""The parts that the nodes are made of, each for itself."""
+
+import math
+import threading
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from coded_aperture_ros.nodes.diagnostics import Statistics, status_of
+from coded_aperture_ros.nodes.newest import NewestWorker
+from coded_aperture_ros.nodes.pairing import StampPairs
+from coded_aperture_ros.nodes.static_transform import optical_transform
+
+
+class SlowWork:
+    """Work that takes exactly as long as the test lets it."""
+
+    def __init__(self):
+        self.done, self.dropped = [], 0
+        self.begun, self.go_on = threading.Semaphore(0), threading.Semaphore(0)
+        self.worker = NewestWorker(self.work, self.drop)
+
+    def work(self, item):
+        self.begun.release()
+        assert self.go_on.acquire(timeout=10)
+        self.done.append(item)
+
+    def drop(self):
+        self.dropped += 1
+
+
+def test_a_slow_worker_goes_on_with_the_newest():
+    slow = SlowWork()
+    slow.worker.offer(0)
+    assert slow.begun.acquire(timeout=10)
+    for item in range(1, 10):
+        slow.worker.offer(item)
+    slow.go_on.release()
+    assert slow.begun.acquire(timeout=10)
+    slow.go_on.release()
+    slow.worker.stop()
+    assert (slow.done, slow.dropped) == ([0, 9], 8)
+
+
+def test_stop_waits_for_the_item_in_work_and_forgets_the_next():
+    slow = SlowWork()
+    slow.worker.offer(0)
+    assert slow.begun.acquire(timeout=10)
+    slow.worker.offer(1)
+    threading.Timer(0.1, slow.go_on.release).start()
+    slow.worker.stop()
+    assert slow.done == [0]
+    slow.worker.stop()  # a second time does nothing
+
+
+class Pairs:
+    def __init__(self, capacity=3):
+        self.dropped = 0
+        self.pairs = StampPairs(capacity, self.drop)
+
+    def drop(self):
+        self.dropped += 1
+
+
+def test_pairs_by_exact_stamp_in_either_order():
+    made = Pairs()
+    assert made.pairs.add_first(10, "image") is None
+    assert made.pairs.add_second(11, "depth of another") is None
+    assert made.pairs.add_second(10, "depth") == ("image", "depth")
+    assert made.pairs.add_first(11, "late image") == ("late image", "depth of another")
+    assert (made.dropped, len(made.pairs)) == (0, 0)
+
+
+def test_a_pair_makes_what_is_older_obsolete():
+    made = Pairs()
+    for stamp in (1, 2, 3):
+        made.pairs.add_first(stamp, f"image {stamp}")
+    assert made.pairs.add_second(3, "depth 3") == ("image 3", "depth 3")
+    assert (made.dropped, len(made.pairs)) == (2, 0)
+
+
+def test_the_buffer_is_bounded():
+    made = Pairs(capacity=3)
+    for stamp in range(100):
+        assert made.pairs.add_first(stamp, stamp) is None
+        assert made.pairs.add_second(1000 + stamp, stamp) is None
+    assert len(made.pairs) == 6
+    assert made.dropped == 97
+
+
+def test_statistics_count_and_measure():
+    clock = iter(np.arange(0, 100, 0.1))
+    statistics = Statistics(now=lambda: float(next(clock)))
+    for latency in (0.05, 0.1, 0.3):
+        statistics.count_received()
+        statistics.count_processed(latency, 0.01)
+    statistics.count_processed(-5.0, 0.01)  # a stamp from the future
+    statistics.count_processed(1e9, 0.01)  # a stamp of another clock
+    statistics.count_dropped()
+    statistics.count_rejected("step")
+    statistics.count_rejected("step")
+    summary = statistics.summary()
+    assert (summary.received, summary.processed, summary.dropped) == (3, 5, 1)
+    assert summary.rejected == {"step": 2}
+    assert summary.latency_s[0] == pytest.approx(0.1)
+    assert summary.latency_s[2] == pytest.approx(0.3)
+    assert 0.1 < summary.latency_s[1] <= 0.3
+
+
+def test_the_rate_forgets_what_is_long_ago():
+    now = [0.0]
+    statistics = Statistics(now=lambda: now[0])
+    for frame in range(200):
+        now[0] = frame * 0.1
+        statistics.count_received()
+        statistics.count_processed(0.05, 0.05)
+    assert statistics.summary().rate_hz == pytest.approx(10, rel=0.02)
+    now[0] += 60
+    assert statistics.summary().rate_hz == 0
+    assert statistics.summary().latency_s is None
+
+
+def test_status_tells_what_is_wrong():
+    statistics = Statistics()
+    good = status_of("/robot/depth_node", statistics.summary(), 0, stalled=False)
+    assert (good.name, good.level) == ("robot/depth_node: frames", DiagnosticStatus.OK)
+    waiting = status_of("depth_node", statistics.summary(), 0, stalled=True)
+    assert (waiting.level, waiting.message) == (DiagnosticStatus.WARN, "waiting for frames")
+    statistics.count_rejected("data")
+    bad = status_of("depth_node", statistics.summary(), 1, stalled=False)
+    assert bad.level == DiagnosticStatus.WARN
+    assert {pair.key: pair.value for pair in bad.values}["rejected_data"] == "1"
+
+
+def rotated(transform, vector):
+    q = transform.transform.rotation
+    axis = np.array([q.x, q.y, q.z])
+    cross = np.cross(axis, vector)
+    return np.array(vector) + 2 * q.w * cross + 2 * np.cross(axis, cross)
+
+
+def test_the_optical_frame_looks_forward():
+    """REP 103: optical z is forward (base x), x is right (base -y), y is down (base -z)."""
+    transform = optical_transform("base_link", "camera_optical_frame", (0.1, 0.2, 0.3))
+    np.testing.assert_allclose(rotated(transform, [0, 0, 1]), [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(rotated(transform, [1, 0, 0]), [0, -1, 0], atol=1e-12)
+    np.testing.assert_allclose(rotated(transform, [0, 1, 0]), [0, 0, -1], atol=1e-12)
+    assert transform.transform.translation.z == 0.3
+    assert transform.child_frame_id == "camera_optical_frame"
+
+
+def test_a_positive_pitch_looks_down():
+    transform = optical_transform("base_link", "optical", (0, 0, 0), math.radians(30))
+    forward = rotated(transform, [0, 0, 1])
+    np.testing.assert_allclose(forward, [math.cos(math.pi / 6), 0, -0.5], atol=1e-12)
