@@ -17,6 +17,7 @@ LAYERS = (
     ("depth",),
     ("deblur",),
     ("evaluation",),
+    ("sources",),
     ("nodes",),
     ("cli",),
 )
