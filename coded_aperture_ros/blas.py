@@ -3,7 +3,7 @@
 from pathlib import Path
 
 SLOW_BLAS_WARNING = (
-    "NumPy uses the reference BLAS, which is about 10 times slower than need be: "
+    "NumPy uses the reference BLAS, which is 10 or more times slower than OpenBLAS: "
     "sudo apt install libopenblas0"
 )
 
