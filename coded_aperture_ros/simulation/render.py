@@ -1,0 +1,202 @@
+"""A coded frame from a sharp image and its depth map: space-varying blur with occlusion.
+
+The scene is cut into layers of equal blur size. Each pixel is shared between the two layers that
+enclose its blur size, so that slanted surfaces blur smoothly. The layers are composed from front
+to back; a layer is seen through what the layers in front of it leave open. Light through
+different parts of the aperture passes an occluding edge in different places, so the aperture is
+cut into blocks, each composed on its own: a block is small enough that "how much of it is
+covered" says nearly all about "what of it is covered".
+"""
+
+import dataclasses
+from collections import deque
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.optics import Camera, Mask, render_psf
+from coded_aperture_ros.simulation.hidden import Surface, fill_unknown, hidden_surface
+
+# Layers closer than this in blur size belong to one surface and do not occlude one another. It
+# must exceed what a slanted surface changes within the reach of a PSF.
+_SURFACE_GAP_PX = 1.5
+_LEAST_COVERAGE = 1e-3
+
+
+def render_coded_frame(
+    image: NDArray,
+    depth_m: NDArray,
+    camera: Camera,
+    *,
+    layer_spacing_px: float = 0.5,
+    aperture_blocks: int = 3,
+) -> NDArray[np.float32]:
+    """Render what a coded-aperture camera records of a scene.
+
+    Parameters
+    ----------
+    image : ndarray, shape [h, w] or [h, w, 3]
+        The sharp scene, linear light.
+    depth_m : ndarray, shape [h, w]
+        Metres, in front of or behind the focal plane; unknown (NaN) depth is taken from the
+        farthest known neighbour.
+    camera : Camera
+        Its focal length in pixels must be that of the image; its image size is not used.
+    layer_spacing_px : float
+        Distance between layers in blur size.
+    aperture_blocks : int
+        The aperture is cut into that many blocks in each direction. More blocks are more exact
+        around occluding edges and slower.
+
+    Returns
+    -------
+    ndarray of float32, shape of `image`
+        Linear light, without noise. A scene in one plane is exactly the image convolved with
+        `render_psf`, with the image's edges replicated.
+
+    Raises
+    ------
+    InputError
+        If the shapes differ, a depth is not positive, or no depth is known.
+    """
+    _check(image, depth_m, layer_spacing_px, aperture_blocks)
+    blur_size_px = _blur_sizes(fill_unknown(depth_m), camera)
+    colours = np.asarray(image, dtype=np.float32).reshape(*depth_m.shape, -1)
+    visible = Surface(blur_size_px, colours)
+    # How far behind an occluder's edge the light that just passes it can come from.
+    reach_px = int(np.ceil(np.ptp(blur_size_px) / 2)) + 1
+    hidden = hidden_surface(visible, _SURFACE_GAP_PX, reach_px)
+    layers = list(_layers(visible, hidden, layer_spacing_px))
+    frame = np.zeros_like(colours)
+    lag = int(np.ceil(_SURFACE_GAP_PX / layer_spacing_px))
+    for block in _blocks(camera.mask, aperture_blocks):
+        frame += _through_block(layers, block, camera.mask, colours.shape, lag)
+    return frame.reshape(image.shape)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Layer:
+    """A layer's premultiplied colours and its coverage, [rows, columns, channels + 1], cut out."""
+
+    blur_size_px: float
+    light: NDArray[np.float32]
+    top: int
+    left: int
+
+
+def _check(image: NDArray, depth_m: NDArray, spacing_px: float, blocks: int) -> None:
+    if image.ndim not in (2, 3) or image.shape[:2] != depth_m.shape or not image.size:
+        raise InputError(
+            "image and depth must be of one size: "
+            f"got the shapes {list(image.shape)} and {list(depth_m.shape)}"
+        )
+    if not np.isfinite(image).all():
+        raise InputError("image: all pixels must be finite")
+    if not np.isfinite(spacing_px) or spacing_px <= 0:
+        raise InputError(f"layer spacing: expected more than 0 px, got {spacing_px!r}")
+    if blocks < 1:
+        raise InputError(f"aperture blocks: expected at least 1, got {blocks!r}")
+
+
+def _blur_sizes(depth_m: NDArray, camera: Camera) -> NDArray[np.float32]:
+    blur_size_px = camera.blur_size_px(depth_m)
+    # A NaN, of a point behind the mask, fails this comparison too.
+    fits = np.abs(blur_size_px) <= max(depth_m.shape)
+    if not fits.all():
+        raise InputError(
+            f"depth {depth_m[~fits].min():g} m is too near the lens: its blur is wider than the "
+            "image; check the unit of the depth map and the camera's focus"
+        )
+    return blur_size_px.astype(np.float32)
+
+
+def _layers(visible: Surface, hidden: Surface, spacing_px: float) -> Iterator[_Layer]:
+    """Cut both surfaces into layers, front (smallest signed blur size) first."""
+    # The hidden surface repeats blur sizes of the visible one, so these two bounds hold for both.
+    first, last = float(visible.blur_size_px.min()), float(visible.blur_size_px.max())
+    count = int(np.ceil((last - first) / spacing_px)) + 1
+    step = (last - first) / max(count - 1, 1)
+    for size in np.linspace(first, last, count):
+        share = [_share(surface.blur_size_px, size, step) for surface in (visible, hidden)]
+        covered = (share[0] > 0) | (share[1] > 0)
+        rows, columns = np.flatnonzero(covered.any(axis=1)), np.flatnonzero(covered.any(axis=0))
+        if not rows.size:
+            continue
+        box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+        colours = share[0][box][..., None] * visible.colours[box]
+        colours += share[1][box][..., None] * hidden.colours[box]
+        coverage = (share[0] + share[1])[box][..., None]
+        light = np.concatenate([colours, coverage], axis=2)
+        yield _Layer(float(size), light, int(rows[0]), int(columns[0]))
+
+
+def _share(blur_size_px: NDArray, size: float, step: float) -> NDArray[np.float32]:
+    """Return the share of each pixel in a layer: 1 at its size, 0 at the next layers' sizes."""
+    if step == 0:
+        return np.isfinite(blur_size_px).astype(np.float32)
+    share = np.maximum(0, 1 - np.abs(blur_size_px - np.float32(size)) / np.float32(step))
+    return np.nan_to_num(share, nan=0.0, copy=False)
+
+
+def _blocks(mask: Mask, count: int) -> Iterator[Mask]:
+    """Cut a mask into masks of the same grid, each open in one block only."""
+    grid = mask.transmission
+    for rows in np.array_split(np.arange(grid.shape[0]), min(count, grid.shape[0])):
+        for columns in np.array_split(np.arange(grid.shape[1]), min(count, grid.shape[1])):
+            block = np.zeros_like(grid)
+            block[np.ix_(rows, columns)] = grid[np.ix_(rows, columns)]
+            if block.any():
+                yield Mask(mask.name, block)
+
+
+def _through_block(
+    layers: list[_Layer], block: Mask, mask: Mask, shape: tuple[int, ...], lag: int
+) -> NDArray[np.float32]:
+    """Compose the light that reaches the sensor through one block of the aperture."""
+    height, width, channels = shape
+    weight = block.transmission.sum(dtype=np.float64) / mask.transmission.sum(dtype=np.float64)
+    total = np.zeros((height, width, channels + 1), dtype=np.float32)
+    # Coverage by the layers that are in front by more than the surface gap.
+    occluded = np.zeros((height, width), dtype=np.float32)
+    recent: deque[tuple[tuple[slice, slice], NDArray[np.float32]]] = deque()
+    for layer in layers:
+        if len(recent) == lag:
+            region, coverage = recent.popleft()
+            occluded[region] += coverage
+        region, blurred = _blur(layer, block, height, width)
+        blurred *= np.maximum(0, 1 - occluded[region])[..., None]
+        total[region] += blurred
+        recent.append((region, blurred[..., -1]))
+    return total[..., :-1] * (np.float32(weight) / np.maximum(total[..., -1:], _LEAST_COVERAGE))
+
+
+def _blur(
+    layer: _Layer, block: Mask, height: int, width: int
+) -> tuple[tuple[slice, slice], NDArray[np.float32]]:
+    """Blur a layer; return where in the frame the result belongs, and the result."""
+    # OpenCV correlates; turned by 180 degrees, the kernel convolves.
+    kernel = render_psf(block, layer.blur_size_px)[::-1, ::-1]
+    reach = len(kernel) // 2
+    rows, columns = layer.light.shape[:2]
+    bottom, right = layer.top + rows, layer.left + columns
+    top, left = max(0, layer.top - reach), max(0, layer.left - reach)
+    region = slice(top, min(height, bottom + reach)), slice(left, min(width, right + reach))
+    # Nothing around the layer, but beyond the frame's edges it goes on as at the edge.
+    margins = (layer.top - top, region[0].stop - bottom, layer.left - left, region[1].stop - right)
+    padded = cv2.copyMakeBorder(layer.light, *margins, cv2.BORDER_CONSTANT, value=0)
+    return region, _correlate(padded, kernel)
+
+
+def _correlate(light: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Correlate with a centred kernel, of which only the part that is not zero is computed."""
+    rows, columns = np.flatnonzero(kernel.any(axis=1)), np.flatnonzero(kernel.any(axis=0))
+    part = np.ascontiguousarray(kernel[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1])
+    reach = len(kernel) // 2
+    padded = cv2.copyMakeBorder(light, reach, reach, reach, reach, cv2.BORDER_REPLICATE)
+    # OpenCV refuses an anchor outside the kernel, so the shift is made by cutting out the result.
+    filtered = cv2.filter2D(padded, -1, part, anchor=(0, 0))
+    height, width = light.shape[:2]
+    return filtered[rows[0] : rows[0] + height, columns[0] : columns[0] + width]

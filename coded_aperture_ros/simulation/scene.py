@@ -1,0 +1,153 @@
+"""Scenes to put in front of the simulated camera."""
+
+import dataclasses
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.images import SRGB, linear_from_pixels
+from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.simulation.hidden import fill_unknown
+from coded_aperture_ros.simulation.render import render_coded_frame
+from coded_aperture_ros.simulation.sensor import SensorModel
+
+# Calibration of the Middlebury 2014 motorcycle pair in the size that scikit-image ships.
+_MOTORCYCLE_FOCAL_PX = 994.978
+_MOTORCYCLE_BASELINE_M = 0.193001
+_MOTORCYCLE_DISPARITY_OFFSET_PX = 31.086
+
+
+@dataclasses.dataclass(frozen=True)
+class Scene:
+    """A sharp picture with the depth of every pixel.
+
+    Attributes
+    ----------
+    image : ndarray of float32, shape [h, w, 3]
+        Linear light, RGB.
+    depth_m : ndarray of float32, shape [h, w]
+        Metres, all known.
+    focal_length_px : float
+        Of the camera that took the picture.
+    """
+
+    image: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+    focal_length_px: float
+
+
+def motorcycle_scene(scale: float = 1.2) -> Scene:
+    """Return the Middlebury motorcycle that scikit-image ships, 2.1 to 5.0 m away.
+
+    Parameters
+    ----------
+    scale : float
+        Of the 741 x 500 picture; by default enough for a window of 640 x 480 to move about in.
+
+    Raises
+    ------
+    InputError
+        If scikit-image is not installed.
+    """
+    try:
+        from skimage.data import stereo_motorcycle
+    except ImportError as error:
+        raise InputError("the demo scene needs scikit-image: pip install scikit-image") from error
+    left, _, disparity = stereo_motorcycle()
+    measured = np.isfinite(disparity) & (disparity > 0)
+    distance_px = np.where(measured, disparity, np.nan) + _MOTORCYCLE_DISPARITY_OFFSET_PX
+    depth_m = fill_unknown(_MOTORCYCLE_FOCAL_PX * _MOTORCYCLE_BASELINE_M / distance_px)
+    image = linear_from_pixels(left, SRGB)
+    height, width = depth_m.shape
+    size = round(width * scale), round(height * scale)
+    # Cubic interpolation overshoots at edges; depths must not be mixed across them.
+    image = np.clip(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC), 0.0, 1.0)
+    depth_m = cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST)
+    return Scene(image, depth_m, _MOTORCYCLE_FOCAL_PX * scale)
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """What the simulated camera records at one time, and the truth behind it.
+
+    Attributes
+    ----------
+    coded : ndarray of float32, shape [h, w, 3]
+        The coded frame, with noise.
+    sharp : ndarray of float32, shape [h, w, 3]
+        The same view without blur and noise.
+    depth_m : ndarray of float32, shape [h, w]
+        The true depth.
+    """
+
+    coded: NDArray[np.float32]
+    sharp: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+
+
+class PanningScene:
+    """A scene that moves back and forth in front of a simulated coded-aperture camera.
+
+    The whole scene is rendered once, at the start; a view is a window of it, displaced by whole
+    pixels, with fresh noise.
+
+    Parameters
+    ----------
+    scene : Scene
+        At least as large as the camera's image.
+    camera : Camera
+    sensor : SensorModel
+    period_s : float
+        Time for once to the right and back; up and down takes twice as long.
+    seed : int
+        Of the noise. The same time gives the same view.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        camera: Camera,
+        sensor: SensorModel | None = None,
+        period_s: float = 12.0,
+        seed: int = 0,
+    ) -> None:
+        height, width = scene.depth_m.shape
+        if width < camera.image_width or height < camera.image_height:
+            raise InputError(
+                f"the scene, {width} x {height} pixels, is smaller than the camera's image, "
+                f"{camera.image_width} x {camera.image_height}"
+            )
+        if not period_s > 0:
+            raise InputError(f"period: expected more than 0 s, got {period_s!r}")
+        self._scene = scene
+        self._camera = camera
+        self._sensor = sensor or SensorModel()
+        self._period_s = period_s
+        self._seed = seed
+        self._coded = render_coded_frame(scene.image, scene.depth_m, camera)
+
+    def view(self, time_s: float) -> View:
+        """Return what the camera sees at a time (zero or later)."""
+        window = self._window(time_s)
+        rng = np.random.default_rng([self._seed, round(abs(time_s) * 1e6)])
+        return View(
+            self._sensor.expose(self._coded[window], rng),
+            self._scene.image[window],
+            self._scene.depth_m[window],
+        )
+
+    def _window(self, time_s: float) -> tuple[slice, slice]:
+        scene_height, scene_width = self._scene.depth_m.shape
+        height, width = self._camera.image_height, self._camera.image_width
+        turns = time_s / self._period_s
+        top = _swing(turns / 2, scene_height - height)
+        left = _swing(turns, scene_width - width)
+        return slice(top, top + height), slice(left, left + width)
+
+
+def _swing(turns: float, reach: int) -> int:
+    """Return a position between 0 and `reach` that goes smoothly there and back in a turn."""
+    return round(reach * (1.0 - math.cos(2.0 * math.pi * turns)) / 2.0)
