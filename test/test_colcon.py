@@ -2,10 +2,13 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -50,17 +53,23 @@ def installation(request, checkout, tmp_path_factory):
     return build(tmp_path_factory.mktemp(request.param), checkout, *options)
 
 
-def run(installation: Path, program: str, *arguments: str, folder: Path):
-    """Run an installed program in a shell that has sourced the workspace."""
+def sourced(installation: Path, *command: str | Path) -> dict[str, Any]:
+    """Return the arguments for subprocess: a command in a shell that has sourced the workspace."""
     setup = installation.parent / "local_setup.sh"
+    return {
+        "args": ["/bin/sh", "-c", f'. "{setup}" && exec "$0" "$@"', *command],
+        "env": dict(os.environ, COLCON_CURRENT_PREFIX=str(installation.parent)),
+        "text": True,
+    }
+
+
+def run(installation: Path, program: str, *arguments: str, folder: Path):
+    """Run an installed program to its end."""
     executable = installation / "lib" / PACKAGE / program
-    environment = dict(os.environ, COLCON_CURRENT_PREFIX=str(installation.parent))
     return subprocess.run(
-        ["/bin/sh", "-c", f'. "{setup}" && exec "$0" "$@"', executable, *arguments],
+        **sourced(installation, executable, *arguments),
         cwd=folder,
-        env=environment,
         capture_output=True,
-        text=True,
         check=False,
         timeout=60,
     )
@@ -90,13 +99,10 @@ def test_the_installed_copy_is_what_runs(installation, tmp_path):
         "from coded_aperture_ros.share import share_directory; "
         "assert (share_directory() / 'config').is_dir(); print(share_directory())"
     )
-    setup = installation.parent / "local_setup.sh"
     where = subprocess.run(
-        ["/bin/sh", "-c", f'. "{setup}" && exec "$0" -c "$1"', sys.executable, python],
+        **sourced(installation, sys.executable, "-c", python),
         cwd=tmp_path,
-        env=dict(os.environ, COLCON_CURRENT_PREFIX=str(installation.parent)),
         capture_output=True,
-        text=True,
         check=True,
         timeout=60,
     ).stdout.strip()
@@ -105,7 +111,7 @@ def test_the_installed_copy_is_what_runs(installation, tmp_path):
 
 def test_a_node_that_lacks_its_bank_ends_with_one_line(installation, checkout, tmp_path):
     pytest.importorskip("rclpy")
-    camera = next((checkout / "config").glob("*camera*.yaml"))
+    camera = checkout / "config" / "example_camera.yaml"
     result = run(
         installation, "depth_node", "--ros-args",
         "-p", f"camera_file:={camera}", "-p", "bank:=missing.npz", folder=tmp_path,
@@ -113,3 +119,34 @@ def test_a_node_that_lacks_its_bank_ends_with_one_line(installation, checkout, t
     assert result.returncode == 1
     assert "missing.npz" in result.stderr
     assert len(result.stderr.splitlines()) == 1, result.stderr
+
+
+def test_a_node_starts_and_ends(installation, checkout, tmp_path):
+    rclpy = pytest.importorskip("rclpy")
+    camera = checkout / "config" / "example_camera.yaml"
+    executable = installation / "lib" / PACKAGE / "camera_driver_node"
+    arguments = ["--ros-args", "-r", "__ns:=/installed", "-p", f"camera_file:={camera}"]
+    process = subprocess.Popen(
+        **sourced(installation, executable, *arguments),
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("observer", context=context)
+    try:
+        deadline = time.monotonic() + 60
+        while not node.count_publishers("/installed/image_raw"):
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < deadline, "the node did not advertise its images"
+            time.sleep(0.1)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=30)
+    finally:
+        process.kill()
+        process.wait()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+    assert process.returncode == 0, errors
+    assert "Traceback" not in errors
