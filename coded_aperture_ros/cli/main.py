@@ -1,7 +1,7 @@
 """The program `coded_aperture`: one sub-command per module of this package.
 
-A sub-command module has `add_parser(subparsers)`, which sets the parser's default `run` to its
-function `run(args) -> int`. What is slow to import, it imports in there: `--help` must be quick.
+A sub-command module has `add_parser(subparsers)` and `run(args) -> int`. What is slow to import,
+it imports in `run`: `--help` must be quick.
 """
 
 import argparse
@@ -11,17 +11,18 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
+from typing import Any
 
 from coded_aperture_ros import __version__
 from coded_aperture_ros.blas import slow_blas_warning
 from coded_aperture_ros.errors import InputError
 
 PROGRAM = "coded_aperture"
-COMMANDS = tuple(
-    import_module(f"coded_aperture_ros.cli.{name}")
+COMMANDS: dict[str, Any] = {
+    name: import_module(f"coded_aperture_ros.cli.{name}")
     for name in ("demo", "learn", "depth", "deblur", "simulate")
     if find_spec(f"coded_aperture_ros.cli.{name}")
-)
+}
 
 FAILED = 1
 INTERRUPTED = 130  # what shells report for a program that Ctrl-C ended
@@ -46,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if warning := slow_blas_warning():
         logging.warning(warning)
     try:
-        status: int = options.run(options)
+        status: int = COMMANDS[options.command].run(options)
         sys.stdout.flush()
     except InputError as error:
         print(f"{PROGRAM}: error: {error}", file=sys.stderr)
@@ -69,7 +70,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for command in COMMANDS:
+    for command in COMMANDS.values():
         command.add_parser(subparsers)
     return parser
 

@@ -5,12 +5,6 @@ import json
 import time
 from typing import Any
 
-import numpy as np
-
-from coded_aperture_ros.images import gamma_from_text, read_depth, read_image, write_image
-from coded_aperture_ros.optics import load_camera
-from coded_aperture_ros.simulation import SensorModel, render_coded_frame
-
 _EPILOG = """example:
   coded_aperture simulate --camera config/example_camera.yaml --image sharp.png --gamma srgb \\
       --depth depth.png -o coded.png --noise 0.002 --bits 12
@@ -61,6 +55,12 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
+    import numpy as np
+
+    from coded_aperture_ros.images import gamma_from_text, read_depth, read_image, write_image
+    from coded_aperture_ros.optics import load_camera
+    from coded_aperture_ros.simulation import SensorModel, render_coded_frame
+
     camera = load_camera(args.camera)
     sensor = SensorModel(args.noise, args.bits)
     image = read_image(args.image, gamma_from_text(args.gamma))
