@@ -99,8 +99,9 @@ def test_the_environment_for_another_python(monkeypatch):
 
 def test_an_installed_ros_keeps_its_library_path(monkeypatch):
     monkeypatch.delenv("_ROS_WHEELS_BOOTSTRAP_COMPLETE", raising=False)
-    monkeypatch.setenv("LD_LIBRARY_PATH", "/opt/ros/jazzy/lib")
-    assert environment.clean_environment()["LD_LIBRARY_PATH"] == "/opt/ros/jazzy/lib"
+    path = f"/opt/ros/jazzy/lib:{sys.prefix}/lib"
+    monkeypatch.setenv("LD_LIBRARY_PATH", path)
+    assert environment.clean_environment()["LD_LIBRARY_PATH"] == path
 
 
 def test_the_wheels_start_with_the_clean_environment():
