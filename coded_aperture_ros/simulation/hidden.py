@@ -63,9 +63,10 @@ def hidden_surface(visible: Surface, gap_px: float, reach_px: int) -> Surface:
 
 
 def fill_unknown(depth_m: NDArray) -> NDArray[np.float32]:
-    """Give unknown depths that of the farthest neighbour that is known; holes grow inwards.
+    """Give unknown depths the farther of the nearest known depths to their left and right.
 
-    Holes in depth maps are mostly what one of two views could not see: the background.
+    Holes in depth maps are mostly what one of two views beside each other could not see: the
+    background. Rows without any known depth are filled from above and below.
 
     Raises
     ------
@@ -78,8 +79,16 @@ def fill_unknown(depth_m: NDArray) -> NDArray[np.float32]:
         raise InputError("depth: no pixel has a known depth")
     if depth[known].min() <= 0:
         raise InputError("depth: expected more than 0 m everywhere (NaN where unknown)")
-    depth[~known] = -np.inf
-    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    while (unknown := np.isneginf(depth)).any():
-        depth[unknown] = cv2.dilate(depth, cross)[unknown]
-    return depth
+    return _fill_rows(_fill_rows(depth).T).T.copy()
+
+
+def _fill_rows(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    from_left = _last_known(depth)
+    from_right = _last_known(depth[:, ::-1])[:, ::-1]
+    return np.where(np.isnan(depth), np.fmax(from_left, from_right), depth)
+
+
+def _last_known(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Repeat in each row the last known value; NaN before the first."""
+    columns = np.where(np.isnan(depth), 0, np.arange(depth.shape[1]))
+    return np.take_along_axis(depth, np.maximum.accumulate(columns, axis=1), axis=1)

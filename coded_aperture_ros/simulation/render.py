@@ -22,7 +22,7 @@ from coded_aperture_ros.simulation.hidden import Surface, fill_unknown, hidden_s
 
 # Layers closer than this in blur size belong to one surface and do not occlude one another. It
 # must exceed what a slanted surface changes within the reach of a PSF.
-_SURFACE_GAP_PX = 1.5
+_SURFACE_GAP_PX = 1.4
 _LEAST_COVERAGE = 1e-3
 
 
@@ -42,7 +42,7 @@ def render_coded_frame(
         The sharp scene, linear light.
     depth_m : ndarray, shape [h, w]
         Metres, in front of or behind the focal plane; unknown (NaN) depth is taken from the
-        farthest known neighbour.
+        farther known neighbour, left or right.
     camera : Camera
         Its focal length in pixels must be that of the image; its image size is not used.
     layer_spacing_px : float
@@ -71,16 +71,20 @@ def render_coded_frame(
     hidden = hidden_surface(visible, _SURFACE_GAP_PX, reach_px)
     layers = list(_layers(visible, hidden, layer_spacing_px))
     frame = np.zeros_like(colours)
-    lag = int(np.ceil(_SURFACE_GAP_PX / layer_spacing_px))
     for block in _blocks(camera.mask, aperture_blocks):
-        frame += _through_block(layers, block, camera.mask, colours.shape, lag)
+        frame += _through_block(layers, block, camera.mask, colours.shape)
     return frame.reshape(image.shape)
 
 
 @dataclasses.dataclass(frozen=True)
 class _Layer:
-    """A layer's premultiplied colours and its coverage, [rows, columns, channels + 1], cut out."""
+    """A layer's premultiplied colours and its coverage, [rows, columns, channels + 1], cut out.
 
+    Layers whose numbers differ by less than `surface_gap` belong to one surface.
+    """
+
+    number: int
+    surface_gap: int
     blur_size_px: float
     light: NDArray[np.float32]
     top: int
@@ -119,7 +123,8 @@ def _layers(visible: Surface, hidden: Surface, spacing_px: float) -> Iterator[_L
     first, last = float(visible.blur_size_px.min()), float(visible.blur_size_px.max())
     count = int(np.ceil((last - first) / spacing_px)) + 1
     step = (last - first) / max(count - 1, 1)
-    for size in np.linspace(first, last, count):
+    surface_gap = max(1, round(_SURFACE_GAP_PX / step)) if step else 1
+    for number, size in enumerate(np.linspace(first, last, count)):
         share = [_share(surface.blur_size_px, size, step) for surface in (visible, hidden)]
         covered = (share[0] > 0) | (share[1] > 0)
         rows, columns = np.flatnonzero(covered.any(axis=1)), np.flatnonzero(covered.any(axis=0))
@@ -130,7 +135,7 @@ def _layers(visible: Surface, hidden: Surface, spacing_px: float) -> Iterator[_L
         colours += share[1][box][..., None] * hidden.colours[box]
         coverage = (share[0] + share[1])[box][..., None]
         light = np.concatenate([colours, coverage], axis=2)
-        yield _Layer(float(size), light, int(rows[0]), int(columns[0]))
+        yield _Layer(number, surface_gap, float(size), light, int(rows[0]), int(columns[0]))
 
 
 def _share(blur_size_px: NDArray, size: float, step: float) -> NDArray[np.float32]:
@@ -153,24 +158,25 @@ def _blocks(mask: Mask, count: int) -> Iterator[Mask]:
 
 
 def _through_block(
-    layers: list[_Layer], block: Mask, mask: Mask, shape: tuple[int, ...], lag: int
+    layers: list[_Layer], block: Mask, mask: Mask, shape: tuple[int, ...]
 ) -> NDArray[np.float32]:
     """Compose the light that reaches the sensor through one block of the aperture."""
     height, width, channels = shape
-    weight = block.transmission.sum(dtype=np.float64) / mask.transmission.sum(dtype=np.float64)
+    weight = block.open_fraction / mask.open_fraction
     total = np.zeros((height, width, channels + 1), dtype=np.float32)
     # Coverage by the layers that are in front by more than the surface gap.
     occluded = np.zeros((height, width), dtype=np.float32)
-    recent: deque[tuple[tuple[slice, slice], NDArray[np.float32]]] = deque()
+    recent: deque[tuple[int, tuple[slice, slice], NDArray[np.float32]]] = deque()
     for layer in layers:
-        if len(recent) == lag:
-            region, coverage = recent.popleft()
+        while recent and recent[0][0] <= layer.number - layer.surface_gap:
+            _, region, coverage = recent.popleft()
             occluded[region] += coverage
         region, blurred = _blur(layer, block, height, width)
         blurred *= np.maximum(0, 1 - occluded[region])[..., None]
         total[region] += blurred
-        recent.append((region, blurred[..., -1]))
-    return total[..., :-1] * (np.float32(weight) / np.maximum(total[..., -1:], _LEAST_COVERAGE))
+        recent.append((layer.number, region, blurred[..., -1]))
+    lit: NDArray[np.float32] = np.maximum(total[..., -1:], _LEAST_COVERAGE)
+    return total[..., :-1] * (np.float32(weight) / lit)
 
 
 def _blur(

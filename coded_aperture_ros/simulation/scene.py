@@ -127,7 +127,8 @@ class PanningScene:
         self._sensor = sensor or SensorModel()
         self._period_s = period_s
         self._seed = seed
-        self._coded = render_coded_frame(scene.image, scene.depth_m, camera)
+        # Two blocks a side: the demo should not wait for the last tenth of the accuracy.
+        self._coded = render_coded_frame(scene.image, scene.depth_m, camera, aperture_blocks=2)
 
     def view(self, time_s: float) -> View:
         """Return what the camera sees at a time (zero or later)."""
