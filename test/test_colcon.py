@@ -10,6 +10,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
 pytestmark = pytest.mark.skipif(
@@ -123,11 +125,14 @@ def test_a_node_that_lacks_its_bank_ends_with_one_line(installation, checkout, t
 
 def test_a_node_starts_and_ends(installation, checkout, tmp_path):
     rclpy = pytest.importorskip("rclpy")
-    camera = checkout / "config" / "example_camera.yaml"
-    executable = installation / "lib" / PACKAGE / "camera_driver_node"
-    arguments = ["--ros-args", "-r", "__ns:=/installed", "-p", f"camera_file:={camera}"]
+    picture = tmp_path / "frame.png"
+    cv2.imwrite(str(picture), np.zeros((480, 640), np.uint8))
+    parameters = {"camera_file": checkout / "config" / "demo_camera.yaml", "source": picture}
+    arguments = ["--ros-args", "-r", "__ns:=/installed"]
+    for name, value in parameters.items():
+        arguments += ["-p", f"{name}:={value}"]
     process = subprocess.Popen(
-        **sourced(installation, executable, *arguments),
+        **sourced(installation, installation / "lib" / PACKAGE / "camera_driver_node", *arguments),
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
