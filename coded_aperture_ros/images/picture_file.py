@@ -17,6 +17,8 @@ PICTURE_SUFFIXES = (
 )
 _TIFF = (".tif", ".tiff")
 _MILLIMETRE = 1e-3
+# By default OpenCV 4.6 stores float colours in the lossy LogLuv form; 5 is LZW.
+_ENCODING = dict.fromkeys(_TIFF, (cv2.IMWRITE_TIFF_COMPRESSION, 5))
 _PNG_END = b"IEND\xaeB`\x82"
 
 
@@ -201,7 +203,7 @@ def _write_pixels(path: Path, pixels: NDArray) -> None:
         pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
     with atomic_output(path) as temporary:
         try:
-            written = cv2.imwrite(str(temporary), pixels)
+            written = cv2.imwrite(str(temporary), pixels, _ENCODING.get(path.suffix.lower(), ()))
         except cv2.error as error:
             raise InputError(f"cannot write {path}: {error.err}") from error
         if not written:
