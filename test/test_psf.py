@@ -145,7 +145,7 @@ def _save_single_array(path):
         (lambda path: None, "no such file"),
         (lambda path: path.write_bytes(b""), "truncated"),
         (lambda path: path.write_bytes(b"PK\x03\x04 cut off"), "truncated"),
-        (_save_single_array, "truncated, or not an .npz"),
+        (_save_single_array, "a single array"),
         (lambda path: _save(path, weights=np.ones(3)), "no array named psfs"),
         (lambda path: _save(path, psfs=np.array([{}], dtype=object)), "plain arrays"),
         (lambda path: _save(path, psfs=np.ones((2, 4, 4))), "odd width"),
@@ -154,8 +154,8 @@ def _save_single_array(path):
         (lambda path: _save(path, psfs=-np.ones((2, 3, 3))), "no positive sum"),
         (lambda path: _save(path, psfs=np.ones((2, 3, 3)), sizes_px=[1.0]), "2 finite numbers"),
         (lambda path: _save(path, psfs=np.ones((2, 3, 3)), depths_m=[1, np.inf]), "depths_m"),
-        (lambda path: _save(path, psfs=np.ones((2, 3, 3)), schema="bank"), "bank file"),
-        (lambda path: _save(path, psfs=np.ones((2, 3, 3)), schema_version=99), "newer version"),
+        (lambda path: _save(path, psfs=np.ones((2, 3, 3)), schema="bank"), "this is bank"),
+        (lambda path: _save(path, psfs=np.ones((2, 3, 3)), schema_version=99), "version 99.*upgrade"),
     ],
 )
 def test_unusable_stack_file_is_refused_by_name(tmp_path, write, reason):
@@ -169,7 +169,7 @@ def test_truncated_stack_is_refused(tmp_path):
     path = tmp_path / "stack.npz"
     render_psf_stack(Mask.named("disc"), [3.0, 9.0]).save(path)
     path.write_bytes(path.read_bytes()[:-200])
-    with pytest.raises(InputError, match=r"stack.npz: truncated"):
+    with pytest.raises(InputError, match=r"stack.npz.*truncated"):
         PsfStack.load(path)
 
 

@@ -1,0 +1,19 @@
+"""The filter bank: learned once for a mask, applied to every frame."""
+
+from coded_aperture_ros.bank.bank import FilterBank
+from coded_aperture_ros.bank.file import load_bank, save_bank
+from coded_aperture_ros.bank.fourier import PatchGrid, WindowedFourierBasis
+from coded_aperture_ros.bank.learn import LearnConfig, learn_bank
+from coded_aperture_ros.bank.prior import NaturalImagePrior, power_spectrum
+
+__all__ = [
+    "FilterBank",
+    "LearnConfig",
+    "NaturalImagePrior",
+    "PatchGrid",
+    "WindowedFourierBasis",
+    "learn_bank",
+    "load_bank",
+    "power_spectrum",
+    "save_bank",
+]

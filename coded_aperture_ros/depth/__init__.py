@@ -1,0 +1,7 @@
+"""Depth of every pixel from one coded frame and a filter bank."""
+
+from coded_aperture_ros.depth.config import DepthConfig
+from coded_aperture_ros.depth.estimate import DepthEstimate, DepthEstimator
+from coded_aperture_ros.depth.noise import estimate_noise
+
+__all__ = ["DepthConfig", "DepthEstimate", "DepthEstimator", "estimate_noise"]

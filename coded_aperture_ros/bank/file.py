@@ -1,0 +1,90 @@
+"""Filter banks on disk: one `.npz` of plain arrays."""
+
+import os
+
+import numpy as np
+
+from coded_aperture_ros.archive import read_archive, write_archive
+from coded_aperture_ros.bank.bank import FilterBank
+from coded_aperture_ros.bank.prior import NaturalImagePrior
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.optics import PsfStack
+
+SCHEMA = "coded-aperture filter bank"
+VERSION = 1
+
+
+def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
+    """Write a filter bank; the file appears whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written to.
+    """
+    arrays = {
+        "blur_sizes_px": bank.stack.blur_sizes_px,
+        "psfs": bank.stack.psfs,
+        "window_px": bank.window_px,
+        "prior_slopes": bank.prior.slopes,
+        "prior_contrasts": bank.prior.contrasts,
+        "prior_model_error": bank.prior.model_error,
+        "noise_range": bank.noise_range,
+        "ratios": bank.ratios,
+        "basis": bank.basis,
+        "coefficients": bank.coefficients,
+        "log_determinants": bank.log_determinants,
+        "truncation_error": bank.truncation_error,
+        "learned_from": bank.learned_from,
+    }
+    if bank.stack.depths_m is not None:
+        arrays["depths_m"] = bank.stack.depths_m
+    write_archive(path, SCHEMA, VERSION, arrays)
+
+
+def load_bank(path: str | os.PathLike[str]) -> FilterBank:
+    """Read a filter bank written by `save_bank`.
+
+    Raises
+    ------
+    InputError
+        Naming the file, if it is missing, truncated, of another kind, of a newer version, or
+        inconsistent in itself.
+    """
+    arrays = read_archive(path, SCHEMA, VERSION)
+    try:
+        bank = FilterBank(
+            stack=PsfStack(arrays["blur_sizes_px"], arrays["psfs"], arrays.get("depths_m")),
+            window_px=int(arrays["window_px"]),
+            prior=NaturalImagePrior(
+                slopes=tuple(arrays["prior_slopes"].tolist()),
+                contrasts=tuple(arrays["prior_contrasts"].tolist()),
+                model_error=float(arrays["prior_model_error"]),
+            ),
+            ratios=arrays["ratios"],
+            basis=arrays["basis"],
+            coefficients=arrays["coefficients"],
+            log_determinants=arrays["log_determinants"],
+            truncation_error=float(arrays["truncation_error"]),
+            learned_from=str(arrays["learned_from"]),
+        )
+        _check_shapes(bank)
+    except KeyError as error:
+        raise InputError(f"{path}: {SCHEMA} without {error.args[0]}: learn it again") from error
+    except (InputError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: damaged {SCHEMA}: {error}") from error
+    return bank
+
+
+def _check_shapes(bank: FilterBank) -> None:
+    rank = bank.basis.shape[-1]
+    hypotheses = (len(bank.ratios), len(bank.prior.slopes), bank.levels)
+    expected = {
+        "basis": (bank.fourier.size, rank),
+        "coefficients": (rank, *hypotheses),
+        "log_determinants": hypotheses,
+    }
+    for name, shape in expected.items():
+        array = getattr(bank, name)
+        if array.shape != shape or not np.isfinite(array).all():
+            raise InputError(f"{name}: expected finite values of shape {shape}, got {array.shape}")

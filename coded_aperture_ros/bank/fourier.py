@@ -1,0 +1,204 @@
+"""The windowed Fourier basis: in it, the covariance of a blurred patch is nearly diagonal.
+
+A patch is multiplied by a Hann window and transformed; what matters of it for blur
+identification is the power of each frequency. The transform is separable, and patches that
+overlap share the horizontal half of it.
+"""
+
+import dataclasses
+from functools import cached_property
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank.prior import power_spectrum
+from coded_aperture_ros.errors import InputError
+
+
+@dataclasses.dataclass(frozen=True)
+class PatchGrid:
+    """Where the windows of a frame lie.
+
+    Attributes
+    ----------
+    top, left : int
+        First row and column of the first window.
+    stride_px : int
+        Distance between windows.
+    rows, columns : int
+        Number of windows.
+    window_px : int
+        Side of a window.
+    """
+
+    top: int
+    left: int
+    stride_px: int
+    rows: int
+    columns: int
+    window_px: int
+
+    @classmethod
+    def covering(cls, shape: tuple[int, ...], window_px: int, stride_px: int) -> "PatchGrid":
+        """Centre as many windows as fit into a frame of `shape` (rows, columns, ...).
+
+        Raises
+        ------
+        InputError
+            If the frame is smaller than one window.
+        """
+        height, width = shape[:2]
+        if height < window_px or width < window_px:
+            raise InputError(
+                f"image of {width}x{height} px is smaller than the bank's {window_px} px window: "
+                "use a larger image, or learn a bank with a smaller window"
+            )
+        spare_rows, spare_columns = height - window_px, width - window_px
+        return cls(
+            top=spare_rows % stride_px // 2,
+            left=spare_columns % stride_px // 2,
+            stride_px=stride_px,
+            rows=spare_rows // stride_px + 1,
+            columns=spare_columns // stride_px + 1,
+            window_px=window_px,
+        )
+
+    @property
+    def row_centres(self) -> NDArray[np.intp]:
+        """Pixel row of the centre of each row of windows."""
+        return self.top + self.window_px // 2 + self.stride_px * np.arange(self.rows)
+
+    @property
+    def column_centres(self) -> NDArray[np.intp]:
+        """Pixel column of the centre of each column of windows."""
+        return self.left + self.window_px // 2 + self.stride_px * np.arange(self.columns)
+
+
+@dataclasses.dataclass(frozen=True)
+class WindowedFourierBasis:
+    """Power spectra of Hann-windowed patches.
+
+    Attributes
+    ----------
+    window_px : int
+        Side of the square window; even.
+    """
+
+    window_px: int
+
+    def __post_init__(self) -> None:
+        if self.window_px < 8 or self.window_px % 2:
+            raise InputError(
+                f"window: expected an even number of pixels, at least 8, got {self.window_px}"
+            )
+
+    @cached_property
+    def window(self) -> NDArray[np.float32]:
+        """One side of the separable Hann window [window_px], with unit energy.
+
+        With unit energy, white noise of variance s^2 has the expected power s^2 everywhere.
+        """
+        hann = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(self.window_px) / self.window_px)
+        return (hann / np.linalg.norm(hann)).astype(np.float32)
+
+    @cached_property
+    def _used(self) -> NDArray[np.bool_]:
+        # The mean of a patch says nothing about blur, and the Hann window spreads it over
+        # exactly the frequencies up to one cycle per window.
+        return np.maximum(*self._cycles) > 1
+
+    @cached_property
+    def _cycles(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        n = self.window_px
+        vertical = np.abs(np.fft.fftfreq(n) * n)[:, None]
+        horizontal = (np.fft.rfftfreq(n) * n)[None, :]
+        vertical, horizontal = np.broadcast_arrays(vertical, horizontal)
+        return vertical, horizontal
+
+    @cached_property
+    def multiplicity(self) -> NDArray[np.float32]:
+        """How many of the full transform's coefficients each used frequency stands for [K]."""
+        _, horizontal = self._cycles
+        once = (horizontal == 0) | (horizontal == self.window_px // 2)
+        return np.where(once, 1, 2)[self._used].astype(np.float32)
+
+    @cached_property
+    def frequency(self) -> NDArray[np.float32]:
+        """Radial frequency of each used coefficient [K], cycles per pixel."""
+        return (np.hypot(*self._cycles) / self.window_px)[self._used].astype(np.float32)
+
+    @property
+    def size(self) -> int:
+        """Number K of used frequencies."""
+        return int(self._used.sum())
+
+    def power(
+        self, image: NDArray[np.float32], stride_px: int
+    ) -> tuple[NDArray[np.float32], PatchGrid]:
+        """Return the power spectrum of every window.
+
+        Parameters
+        ----------
+        image : ndarray, float32 [rows, columns]
+            Grey image without NaN.
+        stride_px : int
+            Distance between windows, px.
+
+        Returns
+        -------
+        power : ndarray, float32 [grid rows, grid columns, K]
+        grid : PatchGrid
+
+        Raises
+        ------
+        InputError
+            If the image is smaller than the window.
+        """
+        n = self.window_px
+        grid = PatchGrid.covering(image.shape, n, stride_px)
+        image = image[grid.top :, grid.left :]
+        # Horizontal transforms once per pixel row: the windows above each other share them.
+        strips = np.lib.stride_tricks.sliding_window_view(image, n, axis=1)[:, ::stride_px]
+        strips = scipy.fft.rfft(strips * self.window, axis=-1)
+        power = np.empty((grid.rows, grid.columns, self.size), np.float32)
+        used = np.flatnonzero(self._used)
+        for row in range(grid.rows):
+            band = strips[row * stride_px : row * stride_px + n] * self.window[:, None, None]
+            band = scipy.fft.fft(band, axis=0, overwrite_x=True)
+            energy = band.real**2 + band.imag**2
+            energy = energy.transpose(1, 0, 2).reshape(grid.columns, -1)
+            np.take(energy, used, axis=1, out=power[row])
+        return power, grid
+
+    def expected_power(self, psf: NDArray[np.float32], slope: float) -> NDArray[np.float64]:
+        """Return the expected power of a window on a naturally textured, blurred plane.
+
+        This is exact for the windowed transform: the autocovariance of the blurred texture is
+        multiplied by the autocorrelation of the window before it is transformed. Sampling the
+        blurred spectrum itself would ignore the leakage between frequencies.
+
+        Parameters
+        ----------
+        psf : ndarray, float32 [k, k]
+            Point spread function.
+        slope : float
+            Fall-off of the texture's power spectrum; see `NaturalImagePrior`.
+
+        Returns
+        -------
+        ndarray, float64 [K]
+            For texture of unit variance before the blur.
+        """
+        n = self.window_px
+        # Four windows wide: no wrap-around, and texture with room for lower frequencies.
+        period = 4 * max(n, *psf.shape)
+        period += -period % n
+        torus = (period, period)
+        transfer = scipy.fft.rfft2(psf.astype(np.float64), torus)
+        blurred = power_spectrum(slope, torus) * np.abs(transfer) ** 2
+        autocovariance = scipy.fft.irfft2(blurred, torus)
+        overlap = scipy.fft.irfft(np.abs(scipy.fft.rfft(self.window, period)) ** 2, period)
+        expected = scipy.fft.rfft2(autocovariance * overlap[:, None] * overlap).real
+        sampled = expected[:: period // n, :: period // n]
+        return np.maximum(sampled, 0)[self._used]

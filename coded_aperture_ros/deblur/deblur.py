@@ -1,0 +1,161 @@
+"""The all-in-focus frame: every pixel filtered by the inverse of its own level's PSF."""
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank import FilterBank
+from coded_aperture_ros.deblur.config import DeblurConfig
+from coded_aperture_ros.deblur.fill import filled_blur_map
+from coded_aperture_ros.deblur.inverse import InverseBasis
+from coded_aperture_ros.depth import estimate_noise
+from coded_aperture_ros.errors import InputError
+
+# Model errors for which there are filters, and how finely maps are looked up between them.
+_MODEL_ERRORS = np.geomspace(0.07, 0.3, 4)
+_STEPS_PER_LEVEL = 8
+_STEPS_PER_ERROR = 4
+# The error that a change of blur size within reach of the filters makes, per pixel of its standard
+# deviation; from the best choice on ray-traced scenes.
+_ERROR_PER_PX = 0.03
+# How far the surroundings matter, px: about the reach of the filters.
+_SURROUNDINGS_PX = 65
+# Frames are mirrored over this margin before they are filtered.
+_MARGIN_PX = 48
+
+
+class Deblurrer:
+    """Space-varying deblurring in closed form.
+
+    The inverse filters of all levels share a basis of a few kernels. A frame is filtered by the
+    kernels, and every pixel takes the combination for its own blur size: the cost does not depend
+    on the number of levels or on the relief of the scene.
+
+    Parameters
+    ----------
+    bank : FilterBank
+    config : DeblurConfig, optional
+    """
+
+    def __init__(self, bank: FilterBank, config: DeblurConfig | None = None) -> None:
+        self.bank = bank
+        self.config = config or DeblurConfig()
+        self._order = np.argsort(bank.blur_sizes_px)
+        self._basis = lru_cache(maxsize=4)(self._learn_basis)
+        self._transforms = lru_cache(maxsize=4)(self._transform_basis)
+
+    def deblur(
+        self,
+        frame: NDArray[np.float32],
+        blur_size_px: NDArray[np.float32],
+        noise: float | None = None,
+    ) -> NDArray[np.float32]:
+        """Return the all-in-focus frame.
+
+        Parameters
+        ----------
+        frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
+            Coded frame in linear light; colour is filtered channel by channel.
+        blur_size_px : ndarray, float32 [map rows, map columns]
+            Signed blur sizes in pixels of the frame. The map covers the whole frame, may be
+            smaller, and is not finite where the depth is unknown.
+        noise : float, optional
+            Standard deviation of the noise of one channel. By default the configured one, and if
+            that is 0, an estimate.
+
+        Returns
+        -------
+        ndarray, float32, like `frame`
+            In [0, 1].
+
+        Raises
+        ------
+        InputError
+            If the frame or the map has a wrong shape, or no blur size is known.
+        """
+        channels = _channels(frame)
+        blur = filled_blur_map(blur_size_px, channels.shape[1:])
+        noise = noise or self.config.noise or self._estimated_noise(channels)
+        # Half decades: few enough different bases to keep them.
+        half_decade = round(2 * np.log10(noise**2 * self.config.smoothness))
+
+        basis = self._basis(half_decade)
+        lookup = self._lookup_table(basis)
+        index = self._lookup_index(blur)
+        weights = [np.take(column, index) for column in lookup]
+        sharp = np.stack([self._filter(channel, weights, half_decade) for channel in channels])
+        np.clip(sharp, 0, 1, out=sharp)
+        return sharp[0] if frame.ndim == 2 else np.ascontiguousarray(sharp.transpose(1, 2, 0))
+
+    def _filter(
+        self, channel: NDArray[np.float32], weights: list[NDArray[np.float32]], half_decade: int
+    ) -> NDArray[np.float32]:
+        height, width = channel.shape
+        # Mirrored borders: no dark rim, and nothing wraps around.
+        padded = cv2.copyMakeBorder(channel, *[_MARGIN_PX] * 4, borderType=cv2.BORDER_REFLECT)
+        shape = tuple(scipy.fft.next_fast_len(side, real=True) for side in padded.shape)
+        spectrum = scipy.fft.rfft2(padded, shape)
+        sharp = np.zeros_like(channel)
+        inside = slice(_MARGIN_PX, _MARGIN_PX + height), slice(_MARGIN_PX, _MARGIN_PX + width)
+        for transform, weight in zip(self._transforms(half_decade, shape), weights, strict=True):
+            sharp += weight * scipy.fft.irfft2(spectrum * transform, shape)[inside]
+        return sharp
+
+    def _learn_basis(self, half_decade: int) -> InverseBasis:
+        return InverseBasis.learn(
+            self.bank.stack, _MODEL_ERRORS, 10 ** (half_decade / 4), self.config.rank
+        )
+
+    def _transform_basis(self, half_decade: int, shape: tuple[int, int]) -> NDArray[np.complex64]:
+        return self._basis(half_decade).transforms(shape)
+
+    def _lookup_table(self, basis: InverseBasis) -> NDArray[np.float32]:
+        """Coefficients [R, steps of level * steps of model error], interpolated."""
+        table = basis.combinations[self._order]
+        for axis, steps in ((0, _STEPS_PER_LEVEL), (1, _STEPS_PER_ERROR)):
+            table = np.moveaxis(table, axis, 0)
+            position = np.arange(steps * (len(table) - 1) + 1) / steps
+            lower = np.minimum(position.astype(np.intp), len(table) - 2)
+            above = (position - lower).astype(np.float32)[:, None, None]
+            table = np.moveaxis(table[lower] * (1 - above) + table[lower + 1] * above, 0, axis)
+        return np.ascontiguousarray(table.reshape(-1, table.shape[-1]).T)
+
+    def _lookup_index(self, blur: NDArray[np.float32]) -> NDArray[np.intp]:
+        sizes = self.bank.blur_sizes_px[self._order]
+        level = np.interp(blur, sizes, np.arange(len(sizes)))
+        error = np.interp(
+            np.log(_model_error(blur)), np.log(_MODEL_ERRORS), np.arange(len(_MODEL_ERRORS))
+        )
+        columns = _STEPS_PER_ERROR * (len(_MODEL_ERRORS) - 1) + 1
+        row = np.rint(level * _STEPS_PER_LEVEL).astype(np.intp)
+        return row * columns + np.rint(error * _STEPS_PER_ERROR).astype(np.intp)
+
+    def _estimated_noise(self, channels: NDArray[np.float32]) -> float:
+        # Sparse windows tell enough about the noise of a whole frame.
+        channel = channels[len(channels) // 2]
+        power, _ = self.bank.fourier.power(channel, 2 * self.bank.window_px // 3)
+        return estimate_noise(power, self.bank.fourier)
+
+
+def _model_error(blur: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Model error of every pixel, from how much the blur size changes around it."""
+    side = (_SURROUNDINGS_PX, _SURROUNDINGS_PX)
+    # Variances of differences from the overall mean keep their digits in single precision.
+    centred = blur - blur.mean()
+    variance = cv2.blur(centred**2, side) - cv2.blur(centred, side) ** 2
+    return np.sqrt(_MODEL_ERRORS[0] ** 2 + _ERROR_PER_PX**2 * np.maximum(variance, 0))
+
+
+def _channels(frame: NDArray[np.float32]) -> NDArray[np.float32]:
+    if frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3) or frame.size == 0:
+        raise InputError(
+            f"frame: expected [rows, columns] or [rows, columns, 3], got {list(frame.shape)}"
+        )
+    channels = frame[None] if frame.ndim == 2 else frame.transpose(2, 0, 1)
+    channels = np.ascontiguousarray(channels, np.float32)
+    if not np.isfinite(channels).all():
+        channels = np.nan_to_num(channels, nan=0.0, posinf=1.0, neginf=0.0)
+    return channels

@@ -1,0 +1,50 @@
+"""Settings of the depth estimate."""
+
+import dataclasses
+
+from coded_aperture_ros.configuration import check_options, option
+
+
+@dataclasses.dataclass(frozen=True)
+class DepthConfig:
+    """How a frame is turned into depth."""
+
+    stride_px: int = option(
+        8,
+        "Distance between the patches whose depth is estimated.",
+        unit="px",
+        minimum=1,
+        maximum=64,
+    )
+    regularize: str = option(
+        "none",
+        "Spatial regularisation of the blur levels.",
+        choices=("none", "tv", "graphcut"),
+    )
+    smoothness: float = option(
+        1.0,
+        "Strength of the spatial regularisation, relative to its default.",
+        minimum=0.0,
+        maximum=100.0,
+    )
+    noise: float = option(
+        0.0,
+        "Standard deviation of the image noise in linear light; 0 estimates it in every frame.",
+        minimum=0.0,
+        maximum=0.5,
+    )
+    saturation: float = option(
+        0.995,
+        "Brightness from which a pixel counts as saturated and is left out.",
+        minimum=0.1,
+        maximum=1.0,
+    )
+    confidence_threshold: float = option(
+        0.5,
+        "Depth is unknown where the confidence is below this.",
+        minimum=0.0,
+        maximum=1.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)

@@ -1,0 +1,74 @@
+"""From a camera frame to the grey image that the filter bank sees."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.errors import InputError
+
+# A window with more than this share of unusable pixels gives no depth.
+_TOLERATED = 0.02
+
+
+def grey_image(
+    frame: NDArray[np.float32], saturation: float
+) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
+    """Return the mean of the channels, with unusable pixels filled in, and where those are.
+
+    Parameters
+    ----------
+    frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
+        Linear light in [0, 1]. NaN, infinite and saturated pixels are unusable.
+    saturation : float
+        Brightness from which a pixel of any channel counts as saturated.
+
+    Returns
+    -------
+    grey : ndarray, float32 [rows, columns]
+        Free of NaN; an unusable pixel has the mean of the usable ones around it.
+    unusable : ndarray, bool [rows, columns], or None if every pixel is usable
+
+    Raises
+    ------
+    InputError
+        If the frame has another shape or is not of a floating type.
+    """
+    if frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3) or frame.size == 0:
+        raise InputError(
+            f"frame: expected [rows, columns] or [rows, columns, 3], got {list(frame.shape)}"
+        )
+    if not np.issubdtype(frame.dtype, np.floating):
+        raise InputError(f"frame: expected floating values in [0, 1], got {frame.dtype}")
+    frame = np.ascontiguousarray(frame, np.float32)
+    if frame.ndim == 3:
+        grey = cv2.transform(frame, np.full((1, 3), 1 / 3, np.float32))
+        brightest = np.maximum(np.maximum(frame[..., 0], frame[..., 1]), frame[..., 2])
+    else:
+        grey = brightest = frame
+    # NaN compares as false, so this also finds the pixels that are not finite.
+    usable = brightest < saturation
+    usable &= grey > -np.inf
+    if usable.all():
+        return grey, None
+    return _fill(grey, usable), ~usable
+
+
+def _fill(grey: NDArray[np.float32], usable: NDArray[np.bool_]) -> NDArray[np.float32]:
+    weight = usable.astype(np.float32)
+    known = np.where(usable, grey, np.float32(0))
+    side = (15, 15)
+    total = cv2.boxFilter(known, -1, side, normalize=False)
+    count = cv2.boxFilter(weight, -1, side, normalize=False)
+    overall = known.sum() / max(weight.sum(), 1)
+    nearby = np.where(count > 0.5, total / np.maximum(count, 1), overall)
+    return np.where(usable, grey, nearby.astype(np.float32))
+
+
+def usable_windows(
+    unusable: NDArray[np.bool_], rows: NDArray[np.intp], columns: NDArray[np.intp], window_px: int
+) -> NDArray[np.bool_]:
+    """Return which windows, given by their centres, have few enough unusable pixels."""
+    # The Hann window's weight is within half its side around the centre, for the most part.
+    side = window_px // 2
+    share = cv2.boxFilter(unusable.astype(np.float32), -1, (side, side))
+    return share[np.ix_(rows, columns)] <= _TOLERATED
