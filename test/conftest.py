@@ -6,6 +6,12 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# No time limit for a single example: it would fail tests on a busy machine. Where CI is set,
+# Hypothesis itself makes its choices repeatable.
+settings.register_profile("patient", parent=settings.default, deadline=None)
+settings.load_profile("patient")
 
 # Before anything imports rclpy. Domains 1 to 100 keep clear of the ports that Linux hands out; the
 # process number keeps test runs on one machine apart, and all of them from a robot's domain 0.
