@@ -1,0 +1,45 @@
+"""From the text that names a source to the source."""
+
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.sources.device import DeviceSource
+from coded_aperture_ros.sources.sequence import SequenceSource
+from coded_aperture_ros.sources.simulator import SimulatorSource
+from coded_aperture_ros.sources.source import Source
+
+SIMULATOR = "simulator"
+
+
+def open_source(
+    text: str, camera: Camera, rate_hz: float, *, loop: bool = True, noise: float = 0.0
+) -> Source:
+    """Return the source that a text names.
+
+    Parameters
+    ----------
+    text : str
+        `simulator`; the index of a camera, a device (`/dev/video0`) or a URL (`rtsp://...`); or
+        the path of a picture, a folder of pictures or a video.
+    camera : Camera
+        To simulate, or whose image size to ask a device for.
+    rate_hz : float
+    loop : bool
+        Of files: begin again after the last frame.
+    noise : float
+        Of the simulator.
+
+    Raises
+    ------
+    InputError
+        If files are missing or unreadable. A device may be missing: it is opened by `read`.
+    """
+    if text == SIMULATOR:
+        return SimulatorSource(camera, rate_hz, noise)
+    if not text:
+        raise InputError("parameter source is empty: use simulator, a camera index or a path")
+    if text.isdecimal() or text.startswith("/dev/"):
+        address = int(text) if text.isdecimal() else text
+        return DeviceSource(address, camera.image_width, camera.image_height, rate_hz)
+    if "://" in text:
+        return DeviceSource(text)
+    return SequenceSource(text, loop)

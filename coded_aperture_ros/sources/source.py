@@ -1,0 +1,44 @@
+"""What a source of frames is."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Capture:
+    """One frame, and what a simulator knows about it.
+
+    Attributes
+    ----------
+    frame : uint8, uint16 or float32, [row, column] or [row, column, RGB]
+        Integers as the sensor counts them, floats in linear light [0, 1].
+    depth_m : float32, [row, column], optional
+        True depth, NaN where unknown.
+    sharp : float32, [row, column] or [row, column, RGB], optional
+        The same view all in focus and without noise.
+    """
+
+    frame: NDArray
+    depth_m: NDArray[np.float32] | None = None
+    sharp: NDArray[np.float32] | None = None
+
+
+class Source(Protocol):
+    """Where frames come from.
+
+    Attributes
+    ----------
+    live : bool
+        Frames come at the source's own rate and go stale if they are not taken.
+    """
+
+    live: bool
+
+    def read(self) -> Capture | None:
+        """Return the next frame; None at the end. An `InputError` if the source fails."""
+
+    def close(self) -> None:
+        """Let go of the device or file."""
