@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from coded_aperture_ros.nodes.diagnostics import Statistics, status_of
 from coded_aperture_ros.nodes.newest import NewestWorker
 from coded_aperture_ros.nodes.pairing import StampPairs
+from coded_aperture_ros.nodes.rate_limit import RateLimit
 from coded_aperture_ros.nodes.static_transform import optical_transform
 
 
@@ -52,6 +53,26 @@ def test_stop_waits_for_the_item_in_work_and_forgets_the_next():
     slow.worker.stop()
     assert slow.done == [0]
     slow.worker.stop()  # a second time does nothing
+
+
+def test_a_rate_limit_takes_frames_at_even_intervals():
+    now = [0.0]
+    limit = RateLimit(now=lambda: now[0])
+
+    def taken(times_s, rate_hz):
+        chosen = []
+        for now[0] in times_s:
+            if limit.takes(rate_hz):
+                chosen.append(round(now[0], 3))
+        return chosen
+
+    assert taken(np.arange(100, 110, 0.1), 0.0) == [round(t, 3) for t in np.arange(100, 110, 0.1)]
+    assert len(taken(np.arange(200, 210, 1 / 30), 10.0)) == pytest.approx(100, abs=1)
+    # Frames at 25 Hz that come a little late now and then still give the full 10 Hz.
+    jitter = np.random.default_rng(0).uniform(0, 0.015, 250)
+    assert len(taken(300 + np.arange(250) / 25 + jitter, 10.0)) == pytest.approx(100, abs=2)
+    # No burst after a pause.
+    assert len(taken(np.arange(400, 401, 0.01), 10.0)) <= 11
 
 
 class Pairs:

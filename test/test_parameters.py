@@ -1,6 +1,7 @@
 """ROS parameters made from configuration dataclasses."""
 
 import dataclasses
+from types import MappingProxyType
 
 import pytest
 from rcl_interfaces.msg import ParameterType
@@ -44,7 +45,7 @@ def ros():
 def make(ros, request):
     made = []
 
-    def make(*configs, fixed=(), **overrides):
+    def make(*configs, fixed=MappingProxyType({}), **overrides):
         given = [Parameter(name, value=value) for name, value in overrides.items()]
         node = Node("subject", context=ros.context, parameter_overrides=given)
         made.append(node)
@@ -127,11 +128,13 @@ def test_one_bad_value_of_several_refuses_all(make):
     assert parameters[Config] == Config()
 
 
-def test_fixed_configs_are_read_only(make):
-    node, parameters = make(Config(), Other(), fixed=(Other,))
-    assert "read-only" in change(node, rank=4).reason
+def test_fixed_configs_are_read_only_and_have_a_prefix(make):
+    fixed = {"learn.": Other()}
+    node, parameters = make(Config(), fixed=fixed, **{"learn.rank": 5})
+    assert parameters[Other] == Other(rank=5)
+    assert "read-only" in change(node, **{"learn.rank": 4}).reason
     assert change(node, size=9).successful
-    assert parameters[Other] == Other()
+    assert parameters[Other] == Other(rank=5)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Which camera a frame was taken with: the camera file, or what the driver says."""
 
-import numpy as np
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 
@@ -10,7 +9,7 @@ from coded_aperture_ros.nodes.messages import (
     camera_info_from_camera,
     scaled_camera_info,
 )
-from coded_aperture_ros.optics import Camera, PsfStack, load_camera, render_psf_stack
+from coded_aperture_ros.optics import Camera, load_camera
 
 
 def required_camera(path: str) -> Camera:
@@ -42,11 +41,6 @@ def fitted_camera(camera: Camera, width: int, height: int) -> Camera:
             f"{camera.image_width}x{camera.image_height} resized",
         )
     return camera.scaled(factor)
-
-
-def depth_range_stack(camera: Camera, near_m: float, far_m: float, levels: int) -> PsfStack:
-    """Return the PSFs of levels equally spaced in blur size over a depth range."""
-    return render_psf_stack(camera.mask, np.linspace(*camera.blur_range_px(near_m, far_m), levels))
 
 
 class CameraModel:

@@ -1,13 +1,15 @@
 """What every node that turns frames into other frames has in common."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, Generic, TypeVar
 
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
 from std_msgs.msg import Header
 
 from coded_aperture_ros.errors import InputError
@@ -35,14 +37,14 @@ class FrameNode(Node, Generic[Item]):
         Of the node.
     *configs : dataclass instances
         The defaults of the node's parameters; see `NodeParameters`.
-    fixed : tuple of types
-        Those of them that cannot change while the node runs.
+    fixed : dict
+        Further ones that cannot change while the node runs, by the prefix of their names.
     **node_options
         Those of `rclpy.node.Node`, such as `context` and `namespace`.
     """
 
     def __init__(
-        self, name: str, *configs: Any, fixed: tuple[type, ...] = (), **node_options: Any
+        self, name: str, *configs: Any, fixed: Mapping[str, Any], **node_options: Any
     ) -> None:
         super().__init__(name, **node_options)
         self.configs = NodeParameters(self, *configs, fixed=fixed)
@@ -56,26 +58,11 @@ class FrameNode(Node, Generic[Item]):
 
     def advertise(self, topic: str, message_type: type) -> None:
         """Create the publisher of an output."""
-        self._outputs[topic] = self.create_publisher(
-            message_type,
-            topic,
-            reliable(),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
+        self._outputs[topic] = overridable_publisher(self, message_type, topic)
 
     def listen(self, topic: str, message_type: type, callback: Callable[[Any], None]) -> None:
         """Subscribe to an input; under `lazy` only while some output has a subscriber."""
-
-        def subscribe() -> Any:
-            return self.create_subscription(
-                message_type,
-                topic,
-                callback,
-                newest_only(),
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-            )
-
-        self._inputs.append(subscribe)
+        self._inputs.append(lambda: overridable_subscription(self, message_type, topic, callback))
 
     def start(self) -> None:
         """Begin to work; the last thing that a constructor does."""
@@ -152,15 +139,46 @@ class FrameNode(Node, Generic[Item]):
             self._listening = []
 
 
-def reliable(depth: int = 5) -> QoSProfile:
-    """Return the QoS of outputs: a reliable publisher serves every kind of subscriber."""
-    return QoSProfile(
-        depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE
+def overridable_publisher(node: Node, message_type: type, topic: str) -> Any:
+    """Create a publisher of results whose QoS users can change by parameters.
+
+    Reliable, because such a publisher serves every kind of subscriber.
+    """
+    qos = QoSProfile(
+        depth=5, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE
     )
+    with _readable_qos_errors(topic):
+        return node.create_publisher(
+            message_type,
+            topic,
+            qos,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
 
 
-def newest_only() -> QoSProfile:
-    """Return the QoS of image inputs: sensor data, of which only the newest matters."""
-    return QoSProfile(
+def overridable_subscription(
+    node: Node, message_type: type, topic: str, callback: Callable[[Any], None]
+) -> Any:
+    """Create a subscription to frames whose QoS users can change by parameters.
+
+    For sensor data of which only the newest matters.
+    """
+    qos = QoSProfile(
         depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT
     )
+    with _readable_qos_errors(topic):
+        return node.create_subscription(
+            message_type,
+            topic,
+            callback,
+            qos,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+
+
+@contextmanager
+def _readable_qos_errors(topic: str) -> Iterator[None]:
+    try:
+        yield
+    except (RuntimeError, ParameterException, InvalidQosOverridesError) as error:
+        raise InputError(f"topic {topic}: {error}") from error

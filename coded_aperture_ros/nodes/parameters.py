@@ -2,6 +2,8 @@
 
 import dataclasses
 import sys
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
@@ -34,8 +36,9 @@ class NodeParameters:
     node : rclpy.node.Node
     *configs : dataclass instances
         The defaults, made with `configuration.option`; option names must differ.
-    fixed : tuple of types, optional
-        Configurations that cannot change while the node runs: all their parameters are read-only.
+    fixed : dict, optional
+        Further ones that cannot change while the node runs, by the prefix of their parameters'
+        names, such as ``{"learn.": LearnConfig()}``.
 
     Raises
     ------
@@ -43,23 +46,32 @@ class NodeParameters:
         Where the node was started with a value that is refused.
     """
 
-    def __init__(self, node: Node, *configs: Any, fixed: tuple[type, ...] = ()) -> None:
+    def __init__(
+        self, node: Node, *configs: Any, fixed: Mapping[str, Any] = MappingProxyType({})
+    ) -> None:
         self._configs: dict[type, Any] = {}
-        self._owner: dict[str, type] = {}
+        # Which configuration, and which option of it, a parameter belongs to.
+        self._owner: dict[str, tuple[type, str]] = {}
         for config in configs:
-            values = {}
-            for name, (field, described) in options_of(config).items():
-                if type(config) in fixed:
-                    described = dataclasses.replace(described, read_only=True)
-                values[name] = _declared(node, name, getattr(config, name), field, described)
-                self._owner[name] = type(config)
-            self._configs[type(config)] = dataclasses.replace(config, **values)
+            self._declare(node, config, "", read_only=False)
+        for prefix, config in fixed.items():
+            self._declare(node, config, prefix, read_only=True)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
 
     def __getitem__(self, config_type: type[Config]) -> Config:
         """Return the present configuration of this type."""
         return self._configs[config_type]
+
+    def _declare(self, node: Node, config: Any, prefix: str, read_only: bool) -> None:
+        values = {}
+        for name, (field, described) in options_of(config).items():
+            if read_only:
+                described = dataclasses.replace(described, read_only=True)
+            parameter = prefix + name
+            values[name] = _declared(node, parameter, getattr(config, name), field, described)
+            self._owner[parameter] = type(config), name
+        self._configs[type(config)] = dataclasses.replace(config, **values)
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
@@ -74,9 +86,9 @@ class NodeParameters:
     def _changed(self, parameters: list[Parameter]) -> dict[type, Any]:
         values: dict[type, dict[str, Any]] = {}
         for parameter in parameters:
-            owner = self._owner.get(parameter.name)
-            if owner is not None:
-                values.setdefault(owner, {})[parameter.name] = parameter.value
+            if parameter.name in self._owner:
+                owner, name = self._owner[parameter.name]
+                values.setdefault(owner, {})[name] = parameter.value
         return {
             owner: dataclasses.replace(self._configs[owner], **changes)
             for owner, changes in values.items()

@@ -41,7 +41,7 @@ def run_nodes(factories: Sequence[Callable[[], Any]], args: Sequence[str] | None
         signal.signal(number, stop.on_signal)
     nodes: list[Any] = []
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        _init(args)
         executor = SingleThreadedExecutor()
         for factory in factories:
             nodes.append(factory())
@@ -75,6 +75,13 @@ def publish(node: Node, publisher: Any, message: Any) -> None:
         # rclpy raises several kinds here, one of them private; only a shutdown excuses them.
         if node.context.ok():
             raise
+
+
+def _init(args: Sequence[str] | None) -> None:
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # the base of rclpy's own errors, which are private
+        raise InputError(f"cannot start ROS: {str(error).splitlines()[0]}") from error
 
 
 class _Stop:

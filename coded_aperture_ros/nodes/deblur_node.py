@@ -1,0 +1,141 @@
+"""The node that turns coded frames and their depth into all-in-focus frames."""
+
+import dataclasses
+import math
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from sensor_msgs.msg import CameraInfo, Image
+
+from coded_aperture_ros.bank import LearnConfig
+from coded_aperture_ros.configuration import check_options, option
+from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
+from coded_aperture_ros.nodes.camera_model import CameraModel
+from coded_aperture_ros.nodes.frame_model import FrameModel, ModelConfig
+from coded_aperture_ros.nodes.frame_node import FrameNode
+from coded_aperture_ros.nodes.messages import (
+    MessageError,
+    array_from_image,
+    frame_from_image,
+    image_from_array,
+    pixels_from_frame,
+    stamp_ns,
+)
+from coded_aperture_ros.nodes.pairing import StampPairs
+from coded_aperture_ros.nodes.rate_limit import RateLimit
+from coded_aperture_ros.nodes.running import run_nodes
+
+# Frames to keep while depth_node works on them: half a second at 30 Hz.
+_WAITING_FRAMES = 15
+
+
+@dataclasses.dataclass(frozen=True)
+class DeblurNodeConfig:
+    """What the node needs beside the model and the options of the deblurring."""
+
+    gamma: float = option(
+        1.0, "Gamma of 8-bit images; 1 for a linear sensor", minimum=0.2, maximum=5.0
+    )
+    max_rate_hz: float = option(
+        0.0, "Most frames to process per second; 0: no limit", unit="Hz", minimum=0, maximum=10_000
+    )
+    lazy: bool = option(True, "Work only while someone subscribes to an output")
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+class DeblurNode(FrameNode[tuple[Image, Image]]):
+    """Pairs each coded frame with its own depth image and publishes the frame all in focus."""
+
+    def __init__(self, **node_options: Any) -> None:
+        super().__init__(
+            "deblur_node",
+            ModelConfig(),
+            DeblurNodeConfig(),
+            DeblurConfig(),
+            fixed={"learn.": LearnConfig()},
+            **node_options,
+        )
+        self._range = self.configs[ModelConfig]
+        self._model = FrameModel(self, self._range, self.configs[LearnConfig])
+        self._deblurrer = self._new_deblurrer()
+        self._info = CameraModel()
+        self._rate_limit = RateLimit()
+        self._pairs: StampPairs[Image, Image] = StampPairs(
+            _WAITING_FRAMES, self.statistics.count_dropped
+        )
+        self.advertise("deblurred/image", Image)
+        self.advertise("deblurred/camera_info", CameraInfo)
+        self.listen("image_raw", Image, self._on_image)
+        self.listen("depth/image", Image, self._on_depth)
+        self.listen("camera_info", CameraInfo, self._info.receive)
+        self.start()
+
+    @property
+    def _config(self) -> DeblurNodeConfig:
+        return self.configs[DeblurNodeConfig]
+
+    @property
+    def lazy(self) -> bool:
+        """Whether to work only while someone subscribes to an output."""
+        return self._config.lazy
+
+    def _on_image(self, message: Image) -> None:
+        self.statistics.count_received()
+        self._offer_pair(self._pairs.add_first(stamp_ns(message.header), message))
+
+    def _on_depth(self, message: Image) -> None:
+        self._offer_pair(self._pairs.add_second(stamp_ns(message.header), message))
+
+    def _offer_pair(self, pair: tuple[Image, Image] | None) -> None:
+        if pair is None:
+            return
+        if self._rate_limit.takes(self._config.max_rate_hz):
+            self.offer(pair)
+        else:
+            self.statistics.count_dropped()
+
+    def process(self, item: tuple[Image, Image]) -> None:
+        """Deblur and publish one frame."""
+        image, depth = item
+        config, header = self._config, image.header
+        frame = frame_from_image(image, config.gamma)
+        if depth.encoding != "32FC1":
+            raise MessageError("depth", f"depth/image is {depth.encoding}, expected 32FC1")
+        # Beyond the range is deblurred as the end of the range; NaN stays unknown.
+        depth_m = np.clip(
+            array_from_image(depth), self._range.near_m, self._range.far_m or math.inf
+        )
+        self._model.fit(image.width, image.height)
+        camera = self._model.camera
+        blur_size_px = camera.blur_size_px(depth_m).astype(np.float32)
+        sharp = self._present_deblurrer().deblur(frame, blur_size_px)
+        if self.wants("deblurred/image"):
+            pixels = pixels_from_frame(sharp, image.encoding, config.gamma)
+            self.send("deblurred/image", image_from_array(pixels, image.encoding, header))
+        if self.wants("deblurred/camera_info"):
+            size = frame.shape[0], frame.shape[1]
+            self.send("deblurred/camera_info", self._info.info(camera, size, size, header))
+        self.sent(header)
+
+    def _present_deblurrer(self) -> Deblurrer:
+        """Return the deblurrer for the present bank and parameters."""
+        made = self._deblurrer
+        if made.bank is not self._model.bank or made.config is not self.configs[DeblurConfig]:
+            self._deblurrer = self._new_deblurrer()
+        return self._deblurrer
+
+    def _new_deblurrer(self) -> Deblurrer:
+        return Deblurrer(self._model.bank, self.configs[DeblurConfig])
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until it is told to stop; return the exit status."""
+    return run_nodes([DeblurNode], args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

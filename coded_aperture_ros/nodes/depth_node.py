@@ -1,0 +1,153 @@
+"""The node that turns coded frames into metric depth."""
+
+import dataclasses
+import math
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from sensor_msgs.msg import CameraInfo, Image
+
+from coded_aperture_ros.bank import LearnConfig
+from coded_aperture_ros.blas import slow_blas_warning
+from coded_aperture_ros.configuration import check_options, option
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.nodes.camera_model import CameraModel
+from coded_aperture_ros.nodes.frame_model import FrameModel, ModelConfig
+from coded_aperture_ros.nodes.frame_node import FrameNode
+from coded_aperture_ros.nodes.messages import (
+    frame_from_image,
+    image_from_array,
+    limit_depth,
+    millimetres_from_depth,
+)
+from coded_aperture_ros.nodes.rate_limit import RateLimit
+from coded_aperture_ros.nodes.running import run_nodes
+
+# Best-effort messages larger than these float images are lost with default DDS settings.
+_LARGEST_AUTO = (240, 320)
+_DIVISORS = {"full": 1, "half": 2, "quarter": 4}
+
+
+@dataclasses.dataclass(frozen=True)
+class DepthNodeConfig:
+    """What the node needs beside the model and the options of the estimator."""
+
+    output_size: str = option(
+        "auto",
+        "Size of the depth image relative to the frame; auto: largest whole fraction of the frame "
+        "that fits in 320x240",
+        choices=("auto", *_DIVISORS),
+    )
+    gamma: float = option(
+        1.0, "Gamma of 8-bit images; 1 for a linear sensor", minimum=0.2, maximum=5.0
+    )
+    max_rate_hz: float = option(
+        0.0, "Most frames to process per second; 0: no limit", unit="Hz", minimum=0, maximum=10_000
+    )
+    lazy: bool = option(True, "Work only while someone subscribes to an output")
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+class DepthNode(FrameNode[Image]):
+    """Subscribes to coded frames and publishes depth, confidence and the matching camera model."""
+
+    def __init__(self, **node_options: Any) -> None:
+        super().__init__(
+            "depth_node",
+            ModelConfig(),
+            DepthNodeConfig(),
+            DepthConfig(),
+            fixed={"learn.": LearnConfig()},
+            **node_options,
+        )
+        warning = slow_blas_warning()
+        if warning:
+            self.get_logger().warning(warning)
+        self._range = self.configs[ModelConfig]
+        self._model = FrameModel(self, self._range, self.configs[LearnConfig])
+        self._estimator = self._new_estimator()
+        self._info = CameraModel()
+        self._rate_limit = RateLimit()
+        self.advertise("depth/image", Image)
+        self.advertise("depth/image_raw", Image)
+        self.advertise("depth/confidence", Image)
+        self.advertise("depth/camera_info", CameraInfo)
+        self.listen("image_raw", Image, self._on_image)
+        self.listen("camera_info", CameraInfo, self._info.receive)
+        self.start()
+
+    @property
+    def _config(self) -> DepthNodeConfig:
+        return self.configs[DepthNodeConfig]
+
+    @property
+    def lazy(self) -> bool:
+        """Whether to work only while someone subscribes to an output."""
+        return self._config.lazy
+
+    def process(self, item: Image) -> None:
+        """Estimate and publish the depth of one frame."""
+        config, header = self._config, item.header
+        frame = frame_from_image(item, config.gamma)
+        frame_size = frame.shape[0], frame.shape[1]
+        size = output_size(frame_size, config.output_size)
+        self._model.fit(item.width, item.height)
+        estimate = self._present_estimator().estimate(frame, size)
+        if estimate.depth_m is None:
+            raise InputError("the bank and the camera file give no depth")
+        depth_m = limit_depth(estimate.depth_m, self._range.near_m, self._range.far_m or math.inf)
+        if self.wants("depth/image"):
+            self.send("depth/image", image_from_array(depth_m, "32FC1", header))
+        if self.wants("depth/image_raw"):
+            millimetres = millimetres_from_depth(depth_m)
+            self.send("depth/image_raw", image_from_array(millimetres, "16UC1", header))
+        if self.wants("depth/confidence"):
+            confidence = image_from_array(estimate.confidence, "32FC1", header)
+            self.send("depth/confidence", confidence)
+        if self.wants("depth/camera_info"):
+            info = self._info.info(self._model.camera, frame_size, size, header)
+            self.send("depth/camera_info", info)
+        self.sent(header)
+
+    def _on_image(self, message: Image) -> None:
+        self.statistics.count_received()
+        if self._rate_limit.takes(self._config.max_rate_hz):
+            self.offer(message)
+        else:
+            self.statistics.count_dropped()
+
+    def _present_estimator(self) -> DepthEstimator:
+        """Return the estimator for the present camera, bank and parameters."""
+        made, model = self._estimator, self._model
+        if (
+            made.bank is not model.bank
+            or made.camera is not model.camera
+            or made.config is not self.configs[DepthConfig]
+        ):
+            self._estimator = self._new_estimator()
+        return self._estimator
+
+    def _new_estimator(self) -> DepthEstimator:
+        return DepthEstimator(self._model.bank, self.configs[DepthConfig], self._model.camera)
+
+
+def output_size(frame_size: tuple[int, int], choice: str) -> tuple[int, int]:
+    """Return the size (height, width) of the depth image for a frame of size (height, width)."""
+    height, width = frame_size
+    divisor = _DIVISORS.get(choice)
+    if divisor is None:
+        divisor = math.ceil(max(height / _LARGEST_AUTO[0], width / _LARGEST_AUTO[1], 1))
+    return max(1, height // divisor), max(1, width // divisor)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until it is told to stop; return the exit status."""
+    return run_nodes([DepthNode], args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,111 @@
+"""The camera and the filter bank that frames are worked on with."""
+
+import dataclasses
+import time
+
+import numpy as np
+from rclpy.node import Node
+
+from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank, load_bank
+from coded_aperture_ros.configuration import check_options, option
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.nodes.camera_model import fitted_camera, required_camera
+from coded_aperture_ros.optics import render_psf_stack
+
+
+@dataclasses.dataclass(frozen=True)
+class ModelConfig:
+    """Camera, filter bank and depth range; nothing of it can change while a node runs."""
+
+    camera_file: str = option("", "Camera file (YAML)", read_only=True)
+    bank: str = option(
+        "", "Filter bank (.npz); empty: learn it at start from the camera file", read_only=True
+    )
+    near_m: float = option(
+        0.0,
+        "Nearest depth: learn from here, publish -Inf below; 0: no limit",
+        unit="m",
+        minimum=0,
+        read_only=True,
+    )
+    far_m: float = option(
+        0.0,
+        "Farthest depth: learn up to here, publish +Inf beyond; 0: no limit",
+        unit="m",
+        minimum=0,
+        read_only=True,
+    )
+    levels: int = option(
+        30, "Blur levels to learn, if no bank is given", minimum=2, maximum=500, read_only=True
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        if self.far_m and self.near_m >= self.far_m:
+            raise InputError(f"near_m {self.near_m:g} must be less than far_m {self.far_m:g}")
+
+
+class FrameModel:
+    """Camera and bank for the size of the frames that come.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        To log with.
+    config : ModelConfig
+    learn_config : LearnConfig
+        How to learn the bank if none is given.
+
+    Raises
+    ------
+    InputError
+        If a file does not load, or the bank can be neither loaded nor learned.
+    """
+
+    def __init__(self, node: Node, config: ModelConfig, learn_config: LearnConfig) -> None:
+        self._logger = node.get_logger()
+        self._config = config
+        self._learn_config = learn_config
+        self._file_camera = required_camera(config.camera_file)
+        self.camera = self._file_camera
+        self.bank = load_bank(config.bank) if config.bank else self._learned()
+
+    def fit(self, width: int, height: int) -> None:
+        """Make `camera` and `bank` those for frames of this size.
+
+        A bank that was learned here is learned again for another size. One from a file stays: its
+        blur sizes are in pixels, so they mean other depths then.
+
+        Raises
+        ------
+        MessageError
+            Of kind "size", where frames of this size cannot be the camera's.
+        """
+        camera = fitted_camera(self._file_camera, width, height)
+        if camera == self.camera:
+            return
+        self._logger.info(
+            f"frames are {width}x{height}, not {self._file_camera.image_width}x"
+            f"{self._file_camera.image_height} as in the camera file, which is scaled to them"
+        )
+        self.camera = camera
+        if not self._config.bank:
+            self.bank = self._learned()
+
+    def _learned(self) -> FilterBank:
+        config = self._config
+        if not config.far_m:
+            raise InputError(
+                "without a bank the depth range is needed: set the parameters near_m and far_m, "
+                "or bank to a file made by 'coded_aperture learn'"
+            )
+        range_px = self.camera.blur_range_px(config.near_m, config.far_m)
+        started_s = time.monotonic()
+        self._logger.info(
+            f"learning a bank of {config.levels} levels for {config.near_m:g} to "
+            f"{config.far_m:g} m from {config.camera_file}"
+        )
+        stack = render_psf_stack(self.camera.mask, np.linspace(*range_px, config.levels))
+        bank = learn_bank(stack, self._learn_config)
+        self._logger.info(f"learned the bank in {time.monotonic() - started_s:.1f} s")
+        return bank

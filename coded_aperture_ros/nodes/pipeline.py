@@ -1,0 +1,22 @@
+"""Camera driver, depth and deblurring in one process."""
+
+import sys
+from collections.abc import Sequence
+
+from coded_aperture_ros.nodes.camera_driver_node import CameraDriverNode
+from coded_aperture_ros.nodes.deblur_node import DeblurNode
+from coded_aperture_ros.nodes.depth_node import DepthNode
+from coded_aperture_ros.nodes.running import run_nodes
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the three nodes until told to stop; return the exit status.
+
+    A parameter given as `-p camera_file:=...` goes to all of them, `-p depth_node:levels:=...`
+    to one.
+    """
+    return run_nodes([CameraDriverNode, DepthNode, DeblurNode], args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

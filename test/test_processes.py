@@ -1,0 +1,150 @@
+"""The nodes as programs: start, signals, exit status, what they print."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from ros_helpers import Ros, wait_until
+from sensor_msgs.msg import Image
+from small_camera import CAMERA, FAR_M, HEIGHT, NEAR_M, WIDTH, coded_wall
+
+from coded_aperture_ros.optics import load_camera
+
+MODEL = {"near_m": NEAR_M, "far_m": FAR_M, "levels": 8, "learn.window_px": 32, "learn.rank": 48}
+
+
+@pytest.fixture(scope="module")
+def parameters(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("camera")
+    (folder / "camera.yaml").write_text(yaml.safe_dump(CAMERA))
+    (folder / "pictures").mkdir()
+    frame = coded_wall(load_camera(folder / "camera.yaml"))
+    cv2.imwrite(str(folder / "pictures" / "0.png"), np.rint(255 * frame).astype(np.uint8))
+    return {
+        "camera_file": str(folder / "camera.yaml"),
+        "source": str(folder / "pictures"),
+        "rate_hz": 30.0,
+        "lazy": False,
+        **MODEL,
+    }
+
+
+@pytest.fixture
+def ros():
+    ros = Ros()
+    yield ros
+    ros.close()
+
+
+@pytest.fixture
+def start(parameters):
+    """Return a function that starts a node as a program; what it leaves running is killed."""
+    started = []
+
+    def start(node, *arguments, **changes):
+        given = [
+            f"{name}:={yaml.safe_dump(value).splitlines()[0]}"
+            for name, value in {**parameters, **changes}.items()
+        ]
+        command = [sys.executable, "-m", f"coded_aperture_ros.nodes.{node}", "--ros-args"]
+        command += [text for parameter in given for text in ("-p", parameter)]
+        process = subprocess.Popen(
+            [*command, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def end(process, number):
+    process.send_signal(number)
+    out, err = process.communicate(timeout=20)
+    return process.returncode, out + err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_pipeline_runs_and_ends_cleanly_in_full_swing(ros, start, number):
+    deblurred = ros.subscribe("deblurred/image", Image)
+    process = start("pipeline")
+    assert wait_until(lambda: len(deblurred) > 3, 30), process.poll()
+    status, said = end(process, number)
+    assert status == 0, said
+    assert "Traceback" not in said and "RCLError" not in said
+
+
+@pytest.mark.parametrize(
+    ("node", "topic"),
+    [("camera_driver_node", "image_raw"), ("depth_node", "depth/image")],
+)
+def test_a_node_ends_cleanly_in_full_swing(ros, start, node, topic):
+    received = ros.subscribe(topic, Image)
+    images = ros.publisher("image_raw", Image)
+    process = start(node)
+    frame = Image(encoding="mono8", width=WIDTH, height=HEIGHT, step=WIDTH)
+    frame.data = bytes(WIDTH * HEIGHT)
+
+    def publish_until_received():
+        if node != "camera_driver_node":
+            images.publish(frame)
+        return received
+
+    assert wait_until(publish_until_received, 30)
+    status, said = end(process, signal.SIGTERM)
+    assert (status, "Traceback" in said) == (0, False), said
+
+
+def test_a_signal_while_learning_ends_at_once(start):
+    process = start("depth_node", levels=400, **{"learn.window_px": 128, "learn.rank": 512})
+    assert wait_until(lambda: process.stderr.readline(), 20)  # it says that it is learning
+    time.sleep(0.2)
+    began = time.monotonic()
+    status, said = end(process, signal.SIGINT)
+    assert (status, "Traceback" in said) == (0, False), said
+    assert time.monotonic() - began < 5
+
+
+@pytest.mark.parametrize("node", ["depth_node", "deblur_node", "pipeline"])
+def test_a_bank_that_does_not_load_ends_the_node_with_one_line(start, tmp_path, node):
+    (tmp_path / "bank.npz").write_bytes(b"PK\x03\x04 truncated")
+    process = start(node, bank=str(tmp_path / "bank.npz"))
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out) == (1, "")
+    assert len(err.splitlines()) == 1, err
+    assert node in err and "bank.npz" in err
+
+
+def test_a_wrong_parameter_ends_the_node_with_one_line(start):
+    process = start("depth_node", stride_px=0)
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out) == (1, "")
+    assert len(err.splitlines()) == 1 and "stride_px" in err, err
+
+
+def test_a_wrong_qos_override_ends_the_node_with_one_line(start):
+    name = "qos_overrides./image_raw.subscription.reliability"
+    process = start("depth_node", **{name: "certain"})
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out) == (1, "")
+    errors = [line for line in err.splitlines() if "[INFO]" not in line]
+    assert len(errors) == 1 and "certain" in errors[0], err
+
+
+def test_wrong_ros_arguments_end_the_node_with_one_line(start):
+    process = start("depth_node", "-r", "not a remapping")
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert "Traceback" not in err
