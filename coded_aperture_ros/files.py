@@ -44,7 +44,7 @@ def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield temporary
         _give_usual_permissions(temporary)
         try:
-            os.replace(temporary, target)
+            temporary.replace(target)
         except OSError as error:
             raise InputError(f"cannot write {target}: {error.strerror or error}") from error
     finally:

@@ -155,7 +155,10 @@ def _save_single_array(path):
         (lambda path: _save(path, psfs=np.ones((2, 3, 3)), sizes_px=[1.0]), "2 finite numbers"),
         (lambda path: _save(path, psfs=np.ones((2, 3, 3)), depths_m=[1, np.inf]), "depths_m"),
         (lambda path: _save(path, psfs=np.ones((2, 3, 3)), schema="bank"), "this is bank"),
-        (lambda path: _save(path, psfs=np.ones((2, 3, 3)), schema_version=99), "version 99.*upgrade"),
+        (
+            lambda path: _save(path, psfs=np.ones((2, 3, 3)), schema_version=99),
+            "version 99.*upgrade",
+        ),
     ],
 )
 def test_unusable_stack_file_is_refused_by_name(tmp_path, write, reason):

@@ -112,7 +112,7 @@ class WindowedFourierBasis:
     def _cycles(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         n = self.window_px
         vertical = np.abs(np.fft.fftfreq(n) * n)[:, None]
-        horizontal = (np.fft.rfftfreq(n) * n)[None, :]
+        horizontal = (np.fft.rfftfreq(n) * n).astype(np.float64)[None, :]
         vertical, horizontal = np.broadcast_arrays(vertical, horizontal)
         return vertical, horizontal
 

@@ -138,8 +138,8 @@ class DepthEstimator:
         depths = self.camera.depth_m(self.bank.blur_sizes_px)
         if not np.isfinite(depths).any():
             raise InputError(
-                f"camera: no point gives the bank's blur sizes of {self.bank.blur_sizes_px.min():g} "
-                f"to {self.bank.blur_sizes_px.max():g} px, its blur at infinity is "
-                f"{self.camera.blur_at_infinity_px:g} px: learn the bank for this camera"
+                "camera: no point gives the bank's blur sizes of "
+                f"{self.bank.blur_sizes_px.min():g} to {self.bank.blur_sizes_px.max():g} px, "
+                f"its blur at infinity is {self.camera.blur_at_infinity_px:g} px: learn the bank for this camera"
             )
         return depths

@@ -69,7 +69,7 @@ def upsample(
 def _neighbours(
     centres: NDArray[np.intp], frame_length: int, length: int
 ) -> tuple[tuple[NDArray[np.intp], ...], tuple[NDArray[np.float32], ...]]:
-    """Indices and linear weights of the two patches around every output pixel of one axis."""
+    """Give indices and linear weights of the two patches around every output pixel of an axis."""
     scale = frame_length / length
     positions = (np.arange(length) + 0.5) * scale - 0.5
     fractional = np.interp(positions, centres, np.arange(len(centres)))
