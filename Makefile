@@ -2,6 +2,7 @@
 # On a machine with ROS 2 installed, build with colcon instead: see README.md.
 
 SHELL := /bin/bash
+MAKEFLAGS += --no-builtin-rules
 PYTHON ?= python3
 # The first Python 3.12 found; needed by test-oldest only.
 PYTHON312 ?= $(firstword $(foreach python,$(PYTHON) python3.12 \
@@ -21,7 +22,7 @@ version_of = $(shell $(1) -c 'import sys; print("%d.%d" % sys.version_info[:2])'
 VENV := .venv
 VENV_OLDEST := .venv-oldest
 # Each exists once its environment is complete; the name tells a change of PYTHON.
-READY := $(VENV)/finished-with-$(call version_of,$(PYTHON))
+READY := $(VENV)/finished-with-$(or $(call version_of,$(PYTHON)),nothing)
 READY_OLDEST := $(VENV_OLDEST)/finished-with-3.12
 SETUP := setup.py setup.cfg pyproject.toml scripts/create_environment.sh
 

@@ -140,6 +140,7 @@ class DepthEstimator:
             raise InputError(
                 "camera: no point gives the bank's blur sizes of "
                 f"{self.bank.blur_sizes_px.min():g} to {self.bank.blur_sizes_px.max():g} px, "
-                f"its blur at infinity is {self.camera.blur_at_infinity_px:g} px: learn the bank for this camera"
+                f"its blur at infinity is {self.camera.blur_at_infinity_px:g} px: "
+                "learn the bank for this camera"
             )
         return depths
