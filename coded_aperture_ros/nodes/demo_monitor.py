@@ -69,8 +69,13 @@ class Snapshot:
 class DemoMonitor(Node):
     """Subscribes to everything, counts, and compares with the simulator's truth."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: Context, reliable: bool) -> None:
         super().__init__("demo_monitor", context=context)
+        self._qos = QoSProfile(
+            depth=5,
+            history=HistoryPolicy.KEEP_LAST,
+            reliability=(ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT),
+        )
         self._lock = threading.Lock()
         self._arrivals: dict[str, list[tuple[float, float]]] = {topic: [] for topic in _MEASURED}
         self._frames: dict[int, dict[str, Image]] = {}
@@ -153,10 +158,9 @@ class DemoMonitor(Node):
         )
 
     def _subscribe(self, topic: str) -> None:
-        qos = QoSProfile(
-            depth=5, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT
+        self.create_subscription(
+            Image, topic, lambda image: self._on_image(topic, image), self._qos
         )
-        self.create_subscription(Image, topic, lambda image: self._on_image(topic, image), qos)
 
     def _on_image(self, topic: str, image: Image) -> None:
         arrived_s = time.monotonic()
@@ -202,11 +206,17 @@ def resampled(depth_m: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[n
 
 
 @contextmanager
-def running_monitor() -> Iterator[DemoMonitor]:
-    """Run a monitor in a thread, in a context of its own."""
+def running_monitor(reliable: bool = False) -> Iterator[DemoMonitor]:
+    """Run a monitor in a thread, in a context of its own.
+
+    Parameters
+    ----------
+    reliable : bool
+        Ask for lost images again.
+    """
     context = Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-    monitor = DemoMonitor(context)
+    monitor = DemoMonitor(context, reliable)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(monitor)
     spinner = threading.Thread(target=_spin, args=(executor,), name="monitor", daemon=True)
