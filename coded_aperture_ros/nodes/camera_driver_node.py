@@ -13,7 +13,6 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from coded_aperture_ros.configuration import check_options, option
-from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.nodes.camera_model import fitted_camera, required_camera
 from coded_aperture_ros.nodes.frame_node import overridable_publisher
 from coded_aperture_ros.nodes.messages import (
@@ -142,25 +141,33 @@ class CameraDriverNode(Node):
                 due_s = time.monotonic()
                 continue
             try:
-                capture = self._source.read()
-            except InputError as error:
+                if not self._publish_next():
+                    self.get_logger().info(f"end of {self._config.source}")
+                    break
+            except Exception as error:
+                # A camera that is unplugged, or a driver that fails in its own way: the robot
+                # goes on, and so does this node as soon as there are frames again.
                 if retry_s == _RETRY_S[0]:
                     self.get_logger().error(f"{error}; trying again until it works")
                 self._stopping.wait(retry_s)
                 retry_s = min(2 * retry_s, _RETRY_S[1])
                 continue
-            if capture is None:
-                self.get_logger().info(f"end of {self._config.source}")
-                return
             if retry_s != _RETRY_S[0]:
                 retry_s = _RETRY_S[0]
                 self.get_logger().info("frames are coming again")
-            header = Header(frame_id=self._config.frame_id, stamp=self.get_clock().now().to_msg())
-            self._publish(capture, header)
             if not self._source.live:
                 due_s = max(due_s + 1.0 / self._config.rate_hz, time.monotonic())
                 self._stopping.wait(due_s - time.monotonic())
         self._source.close()
+
+    def _publish_next(self) -> bool:
+        """Acquire and publish a frame; False at the end of the source."""
+        capture = self._source.read()
+        if capture is None:
+            return False
+        stamp = self.get_clock().now().to_msg()
+        self._publish(capture, Header(frame_id=self._config.frame_id, stamp=stamp))
+        return True
 
     def _publish(self, capture: Capture, header: Header) -> None:
         encoding = self._config.encoding

@@ -112,6 +112,8 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         self._model.fit(image.width, image.height)
         camera = self._model.camera
         blur_size_px = camera.blur_size_px(depth_m).astype(np.float32)
+        if not np.isfinite(blur_size_px).any():
+            raise MessageError("depth", "no depth is known in the whole frame")
         sharp = self._present_deblurrer().deblur(frame, blur_size_px)
         if self.wants("deblurred/image"):
             pixels = pixels_from_frame(sharp, image.encoding, config.gamma)

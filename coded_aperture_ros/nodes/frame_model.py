@@ -10,6 +10,7 @@ from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank, load_ba
 from coded_aperture_ros.configuration import check_options, option
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.nodes.camera_model import fitted_camera, required_camera
+from coded_aperture_ros.nodes.messages import MessageError
 from coded_aperture_ros.optics import render_psf_stack
 
 
@@ -79,8 +80,14 @@ class FrameModel:
         Raises
         ------
         MessageError
-            Of kind "size", where frames of this size cannot be the camera's.
+            Of kind "size", where frames of this size cannot be the camera's, or are too small.
         """
+        window_px = self.bank.window_px
+        if min(width, height) < window_px:  # before a bank is learned for it in vain
+            raise MessageError(
+                "size",
+                f"the frame is {width}x{height}, the bank needs at least {window_px}x{window_px}",
+            )
         camera = fitted_camera(self._file_camera, width, height)
         if camera == self.camera:
             return
