@@ -3,7 +3,7 @@
 from coded_aperture_ros.bank.bank import FilterBank
 from coded_aperture_ros.bank.file import load_bank, save_bank
 from coded_aperture_ros.bank.fourier import PatchGrid, WindowedFourierBasis
-from coded_aperture_ros.bank.learn import LearnConfig, learn_bank
+from coded_aperture_ros.bank.learn import LearnConfig, learn_bank, learn_bank_for_camera
 from coded_aperture_ros.bank.prior import NaturalImagePrior, power_spectrum
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "PatchGrid",
     "WindowedFourierBasis",
     "learn_bank",
+    "learn_bank_for_camera",
     "load_bank",
     "power_spectrum",
     "save_bank",

@@ -48,6 +48,8 @@ class FilterBank:
         ``sum_k m_k log V_k``.
     truncation_error : float
         Relative root-mean-square error of the weights at this rank.
+    noise : float
+        Standard deviation of the camera's noise; 0 if it has to be estimated in every frame.
     learned_from : str
         How the bank came to be, for a person to read.
     """
@@ -60,6 +62,7 @@ class FilterBank:
     coefficients: NDArray[np.float32]
     log_determinants: NDArray[np.float32]
     truncation_error: float
+    noise: float
     learned_from: str
 
     @property

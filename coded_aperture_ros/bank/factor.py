@@ -29,8 +29,11 @@ def factor_weights(
     basis : ndarray, float32 [K, rank]
     coefficients : ndarray, float32 [rank, M]
     """
-    left, values, right = scipy.linalg.svd(weights * scale[:, None], full_matrices=False)
-    rank = min(rank, len(values))
-    basis = left[:, :rank] / scale[:, None]
-    coefficients = values[:rank, None] * right[:rank]
+    scaled = weights * scale[:, None]
+    # The leading left singular vectors, from the smaller problem of the Gram matrix.
+    size = len(scaled)
+    rank = min(rank, size)
+    _, leading = scipy.linalg.eigh(scaled @ scaled.T, subset_by_index=(size - rank, size - 1))
+    basis = leading / scale[:, None]
+    coefficients = leading.T @ scaled
     return basis.astype(np.float32), coefficients.astype(np.float32)

@@ -35,6 +35,7 @@ def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
         "coefficients": bank.coefficients,
         "log_determinants": bank.log_determinants,
         "truncation_error": bank.truncation_error,
+        "noise": bank.noise,
         "learned_from": bank.learned_from,
     }
     if bank.stack.depths_m is not None:
@@ -66,6 +67,7 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
             coefficients=arrays["coefficients"],
             log_determinants=arrays["log_determinants"],
             truncation_error=float(arrays["truncation_error"]),
+            noise=float(arrays["noise"]),
             learned_from=str(arrays["learned_from"]),
         )
         _check_shapes(bank)

@@ -12,7 +12,7 @@ from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.prior import NaturalImagePrior
 from coded_aperture_ros.configuration import check_options, option
 from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.optics import PsfStack
+from coded_aperture_ros.optics import Camera, PsfStack, render_psf_stack
 
 # Contrast over noise variance: contrasts of 1e-5 to 0.1 under noise of 0.0002 to 0.01.
 RATIOS = 10.0 ** (np.arange(-2, 14) / 2)
@@ -20,7 +20,7 @@ RATIOS = 10.0 ** (np.arange(-2, 14) / 2)
 
 @dataclasses.dataclass(frozen=True)
 class LearnConfig:
-    """Size and rank of a filter bank."""
+    """Size and rank of a filter bank, and what is known of the camera's noise."""
 
     window_px: int = option(
         48,
@@ -36,17 +36,58 @@ class LearnConfig:
         maximum=4096,
     )
 
+    noise: float = option(
+        0.0,
+        "Standard deviation of the camera's noise in linear light; 0 if it is not known.",
+        minimum=0.0,
+        maximum=0.5,
+    )
+
     def __post_init__(self) -> None:
         check_options(self)
         if self.window_px % 2:
             raise InputError(f"window_px: expected an even number, got {self.window_px}")
 
 
+def learn_bank_for_camera(
+    camera: Camera,
+    near_m: float,
+    far_m: float,
+    levels: int,
+    config: LearnConfig | None = None,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+) -> FilterBank:
+    """Learn the bank of a camera for a depth range, from its mask alone.
+
+    Parameters
+    ----------
+    camera : Camera
+    near_m, far_m : float
+        Depth range, metres.
+    levels : int
+        Number of levels, equally spaced in blur size; at least 2.
+    config, progress
+        See `learn_bank`.
+
+    Raises
+    ------
+    InputError
+        If the range does not lie on the camera's side of the focal plane, or a blur size does not
+        fit the window.
+    """
+    blur_sizes = np.linspace(*camera.blur_range_px(near_m, far_m), levels)
+    stack = dataclasses.replace(
+        render_psf_stack(camera.mask, blur_sizes), depths_m=camera.depth_m(blur_sizes)
+    )
+    learned_from = f"mask {camera.mask.name}, {near_m:g} to {far_m:g} m, natural-image prior"
+    return learn_bank(stack, config, learned_from=learned_from, progress=progress)
+
+
 def learn_bank(
     stack: PsfStack,
     config: LearnConfig | None = None,
     prior: NaturalImagePrior | None = None,
-    learned_from: str = "PSF stack and natural-image prior",
+    learned_from: str = "PSFs, natural-image prior",
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> FilterBank:
     """Learn the bank that identifies the blur levels of a PSF stack.
@@ -105,5 +146,6 @@ def learn_bank(
         coefficients=coefficients.reshape(len(coefficients), *variances.shape[:-1]),
         log_determinants=(log_variances @ multiplicity).astype(np.float32),
         truncation_error=float(np.linalg.norm(residual) / np.linalg.norm(weights * scale[:, None])),
+        noise=config.noise,
         learned_from=learned_from,
     )

@@ -10,18 +10,17 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from importlib.util import find_spec
 from typing import Any
 
 from coded_aperture_ros import __version__
 from coded_aperture_ros.blas import slow_blas_warning
+from coded_aperture_ros.cli.options import CommandParser
 from coded_aperture_ros.errors import InputError
 
 PROGRAM = "coded_aperture"
 COMMANDS: dict[str, Any] = {
     name: import_module(f"coded_aperture_ros.cli.{name}")
     for name in ("demo", "learn", "depth", "deblur", "simulate")
-    if find_spec(f"coded_aperture_ros.cli.{name}")
 }
 
 FAILED = 1
@@ -69,7 +68,9 @@ def make_parser() -> argparse.ArgumentParser:
         epilog=f"'{PROGRAM} COMMAND --help' shows a command's options and an example.",
     )
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
-    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    subparsers = parser.add_subparsers(
+        dest="command", metavar="COMMAND", required=True, parser_class=CommandParser
+    )
     for command in COMMANDS.values():
         command.add_parser(subparsers)
     return parser

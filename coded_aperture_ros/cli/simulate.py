@@ -19,7 +19,6 @@ def add_parser(subparsers: Any) -> None:
         description="Render what a coded-aperture camera records of a scene, given as a sharp "
         "picture and a depth map of the same size, with occlusion and sensor noise.",
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--camera", required=True, metavar="YAML", help="camera file")
     parser.add_argument("--image", required=True, metavar="FILE", help="sharp picture")

@@ -7,12 +7,13 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import FilterBank
+from coded_aperture_ros.bank import WindowedFourierBasis
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fill import filled_blur_map
 from coded_aperture_ros.deblur.inverse import InverseBasis
 from coded_aperture_ros.depth import estimate_noise
 from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.optics import PsfStack
 
 # Model errors for which there are filters, and how finely maps are looked up between them.
 _MODEL_ERRORS = np.geomspace(0.07, 0.3, 4)
@@ -20,11 +21,12 @@ _STEPS_PER_LEVEL = 8
 _STEPS_PER_ERROR = 4
 # The error that a change of blur size within reach of the filters makes, per pixel of its standard
 # deviation; from the best choice on ray-traced scenes.
-_ERROR_PER_PX = 0.03
+_ERROR_PER_PX = 0.025
 # How far the surroundings matter, px: about the reach of the filters.
-_SURROUNDINGS_PX = 65
-# Frames are mirrored over this margin before they are filtered.
+_SURROUNDINGS_PX = 55
+# Frames are extended by this margin before they are filtered.
 _MARGIN_PX = 48
+_NOISE_WINDOW_PX = 32
 
 
 class Deblurrer:
@@ -36,14 +38,15 @@ class Deblurrer:
 
     Parameters
     ----------
-    bank : FilterBank
+    stack : PsfStack
+        PSFs of the blur levels, as a filter bank has them.
     config : DeblurConfig, optional
     """
 
-    def __init__(self, bank: FilterBank, config: DeblurConfig | None = None) -> None:
-        self.bank = bank
+    def __init__(self, stack: PsfStack, config: DeblurConfig | None = None) -> None:
+        self.stack = stack
         self.config = config or DeblurConfig()
-        self._order = np.argsort(bank.blur_sizes_px)
+        self._order = np.argsort(stack.blur_sizes_px)
         self._basis = lru_cache(maxsize=4)(self._learn_basis)
         self._transforms = lru_cache(maxsize=4)(self._transform_basis)
 
@@ -79,38 +82,37 @@ class Deblurrer:
         channels = _channels(frame)
         blur = filled_blur_map(blur_size_px, channels.shape[1:])
         noise = noise or self.config.noise or self._estimated_noise(channels)
-        # Half decades: few enough different bases to keep them.
-        half_decade = round(2 * np.log10(noise**2 * self.config.smoothness))
+        # Whole decades of the variance: few enough different bases to keep them all.
+        decade = round(np.log10(noise**2 * self.config.smoothness))
 
-        basis = self._basis(half_decade)
+        basis = self._basis(decade)
         lookup = self._lookup_table(basis)
-        index = self._lookup_index(blur)
+        index = self._lookup_index(blur, _model_error(blur))
         weights = [np.take(column, index) for column in lookup]
-        sharp = np.stack([self._filter(channel, weights, half_decade) for channel in channels])
+        sharp = np.stack([self._filter(channel, weights, decade) for channel in channels])
         np.clip(sharp, 0, 1, out=sharp)
         return sharp[0] if frame.ndim == 2 else np.ascontiguousarray(sharp.transpose(1, 2, 0))
 
     def _filter(
-        self, channel: NDArray[np.float32], weights: list[NDArray[np.float32]], half_decade: int
+        self, channel: NDArray[np.float32], weights: list[NDArray[np.float32]], decade: int
     ) -> NDArray[np.float32]:
         height, width = channel.shape
-        # Mirrored borders: no dark rim, and nothing wraps around.
-        padded = cv2.copyMakeBorder(channel, *[_MARGIN_PX] * 4, borderType=cv2.BORDER_REFLECT)
+        # The last pixels go on: no dark rim, and nothing wraps around. Mirrored texture would not
+        # be blurred like the rest, and costs half of the gain near the border.
+        padded = cv2.copyMakeBorder(channel, *[_MARGIN_PX] * 4, borderType=cv2.BORDER_REPLICATE)
         shape = tuple(scipy.fft.next_fast_len(side, real=True) for side in padded.shape)
         spectrum = scipy.fft.rfft2(padded, shape)
         sharp = np.zeros_like(channel)
         inside = slice(_MARGIN_PX, _MARGIN_PX + height), slice(_MARGIN_PX, _MARGIN_PX + width)
-        for transform, weight in zip(self._transforms(half_decade, shape), weights, strict=True):
+        for transform, weight in zip(self._transforms(decade, shape), weights, strict=True):
             sharp += weight * scipy.fft.irfft2(spectrum * transform, shape)[inside]
         return sharp
 
-    def _learn_basis(self, half_decade: int) -> InverseBasis:
-        return InverseBasis.learn(
-            self.bank.stack, _MODEL_ERRORS, 10 ** (half_decade / 4), self.config.rank
-        )
+    def _learn_basis(self, decade: int) -> InverseBasis:
+        return InverseBasis.learn(self.stack, _MODEL_ERRORS, 10 ** (decade / 2), self.config.rank)
 
-    def _transform_basis(self, half_decade: int, shape: tuple[int, int]) -> NDArray[np.complex64]:
-        return self._basis(half_decade).transforms(shape)
+    def _transform_basis(self, decade: int, shape: tuple[int, int]) -> NDArray[np.complex64]:
+        return self._basis(decade).transforms(shape)
 
     def _lookup_table(self, basis: InverseBasis) -> NDArray[np.float32]:
         """Coefficients [R, steps of level * steps of model error], interpolated."""
@@ -123,21 +125,22 @@ class Deblurrer:
             table = np.moveaxis(table[lower] * (1 - above) + table[lower + 1] * above, 0, axis)
         return np.ascontiguousarray(table.reshape(-1, table.shape[-1]).T)
 
-    def _lookup_index(self, blur: NDArray[np.float32]) -> NDArray[np.intp]:
-        sizes = self.bank.blur_sizes_px[self._order]
+    def _lookup_index(
+        self, blur: NDArray[np.float32], model_error: NDArray[np.float32]
+    ) -> NDArray[np.intp]:
+        sizes = self.stack.blur_sizes_px[self._order]
         level = np.interp(blur, sizes, np.arange(len(sizes)))
-        error = np.interp(
-            np.log(_model_error(blur)), np.log(_MODEL_ERRORS), np.arange(len(_MODEL_ERRORS))
-        )
+        error = np.interp(np.log(model_error), np.log(_MODEL_ERRORS), np.arange(len(_MODEL_ERRORS)))
         columns = _STEPS_PER_ERROR * (len(_MODEL_ERRORS) - 1) + 1
         row = np.rint(level * _STEPS_PER_LEVEL).astype(np.intp)
         return row * columns + np.rint(error * _STEPS_PER_ERROR).astype(np.intp)
 
     def _estimated_noise(self, channels: NDArray[np.float32]) -> float:
-        # Sparse windows tell enough about the noise of a whole frame.
+        # Sparse windows of one channel tell enough about the noise of a whole frame.
         channel = channels[len(channels) // 2]
-        power, _ = self.bank.fourier.power(channel, 2 * self.bank.window_px // 3)
-        return estimate_noise(power, self.bank.fourier)
+        fourier = WindowedFourierBasis(min(_NOISE_WINDOW_PX, 2 * (min(channel.shape) // 2)))
+        power, _ = fourier.power(channel, _NOISE_WINDOW_PX)
+        return estimate_noise(power, fourier)
 
 
 def _model_error(blur: NDArray[np.float32]) -> NDArray[np.float32]:

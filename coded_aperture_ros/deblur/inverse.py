@@ -22,11 +22,16 @@ def transfer_function(psf: NDArray[np.float32], shape: tuple[int, int]) -> NDArr
     return scipy.fft.rfft2(np.roll(padded, (-(width // 2), -(width // 2)), axis=(0, 1)))
 
 
+def image_prior(shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Return the power spectrum of photographs of `shape`, as by ``scipy.fft.rfft2``."""
+    return (_CONTRAST * power_spectrum(_SLOPE, shape)).astype(np.float32)
+
+
 def wiener_filters(
-    psf: NDArray[np.float32],
+    transfer: NDArray[np.complex64],
+    prior: NDArray[np.float32],
     model_errors: NDArray[np.float64],
     noise: float,
-    shape: tuple[int, int],
 ) -> NDArray[np.complex64]:
     """Return the transforms of the inverse filters of one level.
 
@@ -38,22 +43,22 @@ def wiener_filters(
 
     Parameters
     ----------
-    psf : ndarray, float32 [k, k]
+    transfer : ndarray, complex64 [rows, columns]
+        Transform ``H`` of the level's PSF.
+    prior : ndarray, float32 [rows, columns]
+        ``S``, see `image_prior`.
     model_errors : ndarray, float64 [E]
     noise : float
         Standard deviation, > 0.
-    shape : (int, int)
-        Rows and columns of the images that the filters are for.
 
     Returns
     -------
-    ndarray, complex64 [E, rows, columns // 2 + 1]
+    ndarray, complex64 [E, rows, columns]
     """
-    transfer = transfer_function(psf, shape)
-    prior = (_CONTRAST * power_spectrum(_SLOPE, shape)).astype(np.float32)
     error = (model_errors**2).astype(np.float32)[:, None, None]
-    explained = (np.abs(transfer) ** 2 + error) * prior
-    return np.conj(transfer) * prior * (1 + error) / (explained + np.float32(noise**2))
+    passed = transfer.real**2 + transfer.imag**2
+    gain = prior * (1 + error) / ((passed + error) * prior + np.float32(noise**2))
+    return gain * np.conj(transfer)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -87,12 +92,11 @@ class InverseBasis:
         """
         # Which filters resemble each other shows at a coarse sampling of the frequencies already.
         side = scipy.fft.next_fast_len(max(96, 4 * stack.psfs.shape[-1]), real=True)
-        shape = (side, side)
-        filters = np.array([wiener_filters(psf, model_errors, noise, shape) for psf in stack.psfs])
-        passed = np.mean([np.abs(transfer_function(psf, shape)) ** 2 for psf in stack.psfs], axis=0)
-        prior = _CONTRAST * power_spectrum(_SLOPE, shape)
-        weight = np.sqrt(prior * passed + noise**2).astype(np.float32)
-        rows = (filters * weight).reshape(-1, weight.size).view(np.float32)
+        prior = image_prior((side, side))
+        transfers = np.array([transfer_function(psf, (side, side)) for psf in stack.psfs])
+        filters = np.array([wiener_filters(h, prior, model_errors, noise) for h in transfers])
+        weight = np.sqrt(prior * np.mean(np.abs(transfers) ** 2, axis=0) + noise**2)
+        rows = (filters * weight.astype(np.float32)).reshape(-1, weight.size).view(np.float32)
         # There are far fewer filters than frequencies: decompose the small Gram matrix.
         _, vectors = np.linalg.eigh(rows.astype(np.float64) @ rows.T)
         leading = vectors[:, ::-1][:, :rank].astype(np.float32)
@@ -107,7 +111,9 @@ class InverseBasis:
         """
         rank = self.combinations.shape[-1]
         basis = np.zeros((rank, shape[0] * (shape[1] // 2 + 1)), np.complex64)
+        prior = image_prior(shape)
         for psf, combination in zip(self.stack.psfs, self.combinations, strict=True):
-            filters = wiener_filters(psf, self.model_errors, self.noise, shape)
+            transfer = transfer_function(psf, shape)
+            filters = wiener_filters(transfer, prior, self.model_errors, self.noise)
             basis += combination.T @ filters.reshape(len(filters), -1)
         return basis.reshape(rank, shape[0], -1)

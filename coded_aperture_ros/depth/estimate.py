@@ -105,9 +105,9 @@ class DepthEstimator:
         config, fourier = self.config, self.bank.fourier
         grey, unusable = grey_image(frame, config.saturation)
         power, grid = fourier.power(grey, config.stride_px)
-        noise = max(config.noise, NOISE_FLOOR) if config.noise else estimate_noise(power, fourier)
+        noise = config.noise or self.bank.noise or estimate_noise(power, fourier)
 
-        energies = self.bank.energies(power, noise)
+        energies = self.bank.energies(power, max(noise, NOISE_FLOOR))
         probability = level_probability(energies, fourier)
         level = regularized_level(energies, probability, config)
         confidence = confidence_of(level, probability, self._agreement)
@@ -125,11 +125,10 @@ class DepthEstimator:
     ) -> DepthEstimate:
         index = np.arange(self.bank.levels)
         blur_size = np.interp(level, index, self.bank.blur_sizes_px).astype(np.float32)
-        depth = None
         if self.camera is not None:
             depth = self.camera.depth_m(blur_size).astype(np.float32)
-        elif self.bank.stack.depths_m is not None:
-            depth = np.interp(level, index, self.bank.stack.depths_m).astype(np.float32)
+        else:
+            depth = self.bank.stack.depth_at(level)
         return DepthEstimate(level, blur_size, depth, confidence, noise)
 
     def _level_depths_m(self) -> NDArray[np.float64] | None:

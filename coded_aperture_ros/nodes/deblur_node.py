@@ -126,12 +126,15 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
     def _present_deblurrer(self) -> Deblurrer:
         """Return the deblurrer for the present bank and parameters."""
         made = self._deblurrer
-        if made.bank is not self._model.bank or made.config is not self.configs[DeblurConfig]:
+        if (
+            made.stack is not self._model.bank.stack
+            or made.config is not self.configs[DeblurConfig]
+        ):
             self._deblurrer = self._new_deblurrer()
         return self._deblurrer
 
     def _new_deblurrer(self) -> Deblurrer:
-        return Deblurrer(self._model.bank, self.configs[DeblurConfig])
+        return Deblurrer(self._model.bank.stack, self.configs[DeblurConfig])
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -108,6 +108,28 @@ class PsfStack:
     def __len__(self) -> int:
         return len(self.psfs)
 
+    def depth_at(self, level: NDArray[np.floating]) -> NDArray[np.float32] | None:
+        """Depth in metres at fractional levels; None if the stack does not know depths.
+
+        Between levels the inverse depth is linear, as it is in the blur size of a thin lens.
+        """
+        if self.depths_m is None:
+            return None
+        inverse = np.interp(level, np.arange(len(self)), 1 / self.depths_m)
+        return (1 / inverse).astype(np.float32)
+
+    def blur_size_at(self, depth_m: NDArray[np.floating]) -> NDArray[np.float32] | None:
+        """Blur size in px at depths in metres (NaN stays); None if the stack knows no depths.
+
+        Depths beyond the first or last level get that level's blur size.
+        """
+        if self.depths_m is None:
+            return None
+        inverse = 1 / self.depths_m
+        order = np.argsort(inverse)
+        sizes = np.interp(1 / depth_m, inverse[order], self.blur_sizes_px[order])
+        return sizes.astype(np.float32)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the stack as `.npz`, without pickled objects."""
         arrays: dict[str, Any] = {"psfs": self.psfs, "sizes_px": self.blur_sizes_px}

@@ -1,0 +1,115 @@
+"""`coded_aperture depth`: depth maps from coded frames."""
+
+import argparse
+import json
+import time
+from typing import Any
+
+from coded_aperture_ros.cli.frames import add_input_options, named_frames
+from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, config_from
+from coded_aperture_ros.errors import InputError
+
+_EPILOG = """examples:
+  one frame, depth in metres and confidence as .npy, and a picture of both:
+    coded_aperture depth --bank bank.npz coded.png -o depth.npy --pictures
+  all frames of a folder:
+    coded_aperture depth --bank bank.npz --regularize graphcut frames/ -o depth/
+"""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the sub-command to the program's parser."""
+    parser = subparsers.add_parser(
+        "depth",
+        help="estimate depth from coded frames",
+        description="Estimate the depth of every pixel of coded frames. Each depth map gets a "
+        "confidence map beside it; where the confidence is low, the depth is unknown (NaN, or 0 "
+        "in a 16-bit PNG).",
+        epilog=_EPILOG,
+    )
+    add_input_options(
+        parser,
+        "depth map: .npy or .tiff in m, .png in mm; or a folder for one .npy per frame",
+    )
+    parser.add_argument("--bank", required=True, metavar="NPZ", help="filter bank, see learn")
+    parser.add_argument(
+        "--camera", metavar="YAML", help="camera file; only if the bank knows no depths"
+    )
+    parser.add_argument(
+        "--levels", action="store_true", help="write fractional level indices instead of metres"
+    )
+    parser.add_argument(
+        "--pictures", action="store_true", help="write colour pictures of depth and confidence too"
+    )
+    add_gamma_option(parser)
+    parser.add_argument("--json", action="store_true", help="print a summary as JSON")
+    parser.add_late_options = _add_config_options
+
+
+def _add_config_options(parser: argparse.ArgumentParser) -> None:
+    from coded_aperture_ros.depth import DepthConfig
+
+    add_config_options(parser, DepthConfig, "estimation")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the sub-command; return its exit status."""
+    import numpy as np
+
+    from coded_aperture_ros.bank import load_bank
+    from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+    from coded_aperture_ros.optics import load_camera
+
+    bank = load_bank(args.bank)
+    camera = load_camera(args.camera) if args.camera else None
+    if camera is None and bank.stack.depths_m is None and not args.levels:
+        raise InputError(
+            f"{args.bank}: the bank does not know how far its levels are: give --camera, or "
+            "--levels for level indices"
+        )
+    estimator = DepthEstimator(bank, config_from(args, DepthConfig), camera)
+    summaries: list[dict[str, Any]] = []
+    for path, frame in named_frames(args, ".npy"):
+        start = time.perf_counter()
+        estimate = estimator.estimate(frame)
+        seconds = time.perf_counter() - start
+        values = estimate.level if args.levels or estimate.depth_m is None else estimate.depth_m
+        _write(path, values, estimate.confidence, args)
+        known = np.isfinite(values)
+        summary: dict[str, Any] = {
+            "output": str(path),
+            "unit": "level" if args.levels else "m",
+            "known": round(float(known.mean()), 4),
+            "median": round(float(np.median(values[known])), 4) if known.any() else None,
+            "noise": round(estimate.noise, 6),
+            "seconds": round(seconds, 3),
+        }
+        summaries.append(summary)
+        if not args.json:
+            print(
+                f"{path}: depth at {100 * summary['known']:.0f} % of the pixels, median "
+                f"{summary['median']} {summary['unit']}, noise {estimate.noise:.4f}, "
+                f"{seconds:.2f} s"
+            )
+    if args.json:
+        print(json.dumps(summaries))
+    return 0
+
+
+def _write(path: Any, values: Any, confidence: Any, args: argparse.Namespace) -> None:
+    from coded_aperture_ros.images import (
+        confidence_picture,
+        depth_picture,
+        write_depth,
+        write_image,
+    )
+
+    if args.levels and path.suffix.lower() == ".png":
+        raise InputError(f"{path}: a PNG has depths in mm; write levels to .npy or .tiff")
+    write_depth(path, values)
+    # A PNG cannot hold floating values.
+    suffix = ".tiff" if path.suffix.lower() == ".png" else path.suffix
+    write_depth(path.with_suffix(f".confidence{suffix}"), confidence)
+    if args.pictures:
+        write_image(path.with_suffix(".picture.png"), depth_picture(values))
+        write_image(path.with_suffix(".confidence.picture.png"), confidence_picture(confidence))

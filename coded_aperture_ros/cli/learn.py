@@ -1,0 +1,151 @@
+"""`coded_aperture learn`: a filter bank from a mask or from measured PSFs."""
+
+import argparse
+import json
+import time
+from typing import Any
+
+from coded_aperture_ros.cli.progress import progress
+
+_EPILOG = """examples:
+  from a camera file:
+    coded_aperture learn --camera config/demo_camera.yaml --depth-range 2.1 5.1 --levels 30 \\
+        -o bank.npz
+  from a mask and blur sizes in px, without a camera:
+    coded_aperture learn --mask levin --blur-sizes 7 30 39 -o bank.npz
+  from measured PSFs (.npz with psfs [N, k, k]), optionally at known depths in m:
+    coded_aperture learn --psfs stack.npz --depths 1.0,1.5,2.0 -o bank.npz
+"""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the sub-command to the program's parser."""
+    parser = subparsers.add_parser(
+        "learn",
+        help="learn a filter bank from a camera file, a mask or measured PSFs",
+        description="Learn the filter bank that tells blur sizes apart. It is learned once for a "
+        "mask and a range of blur sizes, from the mask or measured PSFs and a model of natural "
+        "images; no training pictures are needed.",
+        epilog=_EPILOG,
+    )
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--camera", metavar="YAML", help="camera file; needs --depth-range")
+    source.add_argument(
+        "--blur-sizes",
+        nargs=3,
+        metavar=("MIN", "MAX", "N"),
+        help="N equally spaced blur sizes in px; needs --mask",
+    )
+    source.add_argument("--psfs", metavar="NPZ", help="measured PSFs")
+    parser.add_argument(
+        "--depth-range", nargs=2, type=float, metavar=("NEAR", "FAR"), help="in metres"
+    )
+    parser.add_argument(
+        "--levels", type=int, default=30, metavar="N", help="number of levels (default 30)"
+    )
+    parser.add_argument("--mask", metavar="NAME", help="name of a mask, or a PNG or .npy file")
+    parser.add_argument(
+        "--depths", metavar="Z1,Z2,...", help="depth in metres of each measured PSF"
+    )
+    parser.add_argument(
+        "--window", type=int, default=48, metavar="PX", help="side of the patches (default 48)"
+    )
+    parser.add_argument(
+        "--rank", type=int, default=128, metavar="R", help="size of the common basis (default 128)"
+    )
+    parser.add_argument(
+        "--noise",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="the camera's noise (standard deviation, linear light), kept in the bank; by default "
+        "it is estimated in every frame",
+    )
+    parser.add_argument("-o", "--output", required=True, metavar="FILE", help="bank (.npz)")
+    parser.add_argument("--json", action="store_true", help="print a summary as JSON")
+    parser.set_defaults(usage_error=parser.error)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the sub-command; return its exit status."""
+    from coded_aperture_ros.bank import save_bank
+
+    start = time.perf_counter()
+    bank = _learned(args)
+    save_bank(bank, args.output)
+    summary = {
+        "output": args.output,
+        "levels": bank.levels,
+        "blur_size_min_px": round(float(bank.blur_sizes_px.min()), 3),
+        "blur_size_max_px": round(float(bank.blur_sizes_px.max()), 3),
+        "window_px": bank.window_px,
+        "rank": bank.basis.shape[1],
+        "truncation_error": round(bank.truncation_error, 6),
+        "learned_from": bank.learned_from,
+        "seconds": round(time.perf_counter() - start, 3),
+    }
+    if args.json:
+        print(json.dumps(summary))
+    else:
+        print(
+            f"{args.output}: {bank.levels} levels, {summary['blur_size_min_px']:g} to "
+            f"{summary['blur_size_max_px']:g} px, from {bank.learned_from}; "
+            f"{summary['seconds']:.1f} s"
+        )
+    return 0
+
+
+def _learned(args: argparse.Namespace) -> Any:
+    from coded_aperture_ros.bank import LearnConfig, learn_bank, learn_bank_for_camera
+    from coded_aperture_ros.optics import load_camera
+
+    config = LearnConfig(window_px=args.window, rank=args.rank, noise=args.noise)
+    if args.camera:
+        if args.depth_range is None:
+            args.usage_error("--camera needs --depth-range NEAR FAR")
+        if args.levels < 2:
+            args.usage_error(f"--levels: at least 2 are needed, got {args.levels}")
+        return learn_bank_for_camera(
+            load_camera(args.camera), *args.depth_range, args.levels, config, progress
+        )
+    if args.psfs:
+        stack, learned_from = _measured(args), f"measured PSFs {args.psfs}"
+    else:
+        stack, learned_from = _rendered(args), f"mask {args.mask}"
+    return learn_bank(
+        stack, config, learned_from=f"{learned_from}, natural-image prior", progress=progress
+    )
+
+
+def _rendered(args: argparse.Namespace) -> Any:
+    import numpy as np
+
+    from coded_aperture_ros.optics import MASK_NAMES, Mask, render_psf_stack
+
+    if args.mask is None:
+        args.usage_error(f"--blur-sizes needs --mask: a file, or one of {', '.join(MASK_NAMES)}")
+    try:
+        smallest, largest, levels = *map(float, args.blur_sizes[:2]), int(args.blur_sizes[2])
+    except ValueError:
+        args.usage_error("--blur-sizes: expected two sizes in px and a whole number of levels")
+    if not smallest < largest or levels < 2:
+        args.usage_error("--blur-sizes: expected MIN less than MAX and at least 2 levels")
+    mask = Mask.named(args.mask) if args.mask in MASK_NAMES else Mask.from_file(args.mask)
+    return render_psf_stack(mask, np.linspace(smallest, largest, levels))
+
+
+def _measured(args: argparse.Namespace) -> Any:
+    import dataclasses
+
+    import numpy as np
+
+    from coded_aperture_ros.optics import PsfStack
+
+    stack = PsfStack.load(args.psfs)
+    if args.depths is None:
+        return stack
+    try:
+        depths = np.array([float(text) for text in args.depths.split(",")])
+    except ValueError:
+        args.usage_error(f"--depths: expected numbers with commas between, got {args.depths!r}")
+    return dataclasses.replace(stack, depths_m=depths)

@@ -1,0 +1,67 @@
+"""Command-line options that several sub-commands share."""
+
+import argparse
+import textwrap
+from collections.abc import Callable
+from typing import Any
+
+from coded_aperture_ros.configuration import options_of
+
+
+class CommandParser(argparse.ArgumentParser):
+    """Parser of a sub-command, whose help ends with examples.
+
+    It can add options once it is the command that was chosen: options made from the
+    library's settings need the library, whose import takes a while, and the program's own `--help`
+    should not wait for it.
+    """
+
+    add_late_options: Callable[[argparse.ArgumentParser], None] | None = None
+
+    def __init__(self, *, description: str = "", **others: Any) -> None:
+        super().__init__(
+            description=textwrap.fill(description, 79),
+            formatter_class=argparse.RawDescriptionHelpFormatter,  # examples keep their lines
+            **others,
+        )
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:  # type: ignore[override]
+        """Add the late options, then parse; see `argparse.ArgumentParser`."""
+        if self.add_late_options is not None:
+            late, self.add_late_options = self.add_late_options, None
+            late(self)
+        return super().parse_known_args(args, namespace)
+
+
+def add_config_options(parser: argparse.ArgumentParser, config: type, title: str) -> None:
+    """Add an option for every setting of a configuration dataclass.
+
+    A setting `confidence_threshold` becomes `--confidence-threshold`, with the dataclass's
+    default, help and range.
+    """
+    group = parser.add_argument_group(title)
+    for name, (field, described) in options_of(config).items():
+        allowed = f"{described.allowed}; " if described.allowed and not described.choices else ""
+        group.add_argument(
+            f"--{name.replace('_', '-')}",
+            type=type(field.default),
+            choices=described.choices,
+            default=field.default,
+            metavar=None if described.choices else type(field.default).__name__.upper(),
+            help=f"{described.description} ({allowed}default {field.default})",
+        )
+
+
+def config_from(args: argparse.Namespace, config: type) -> Any:
+    """Return the configuration dataclass with the values of the command line."""
+    return config(**{name: getattr(args, name) for name in options_of(config)})
+
+
+def add_gamma_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--gamma`, which says how 8-bit input is encoded."""
+    parser.add_argument(
+        "--gamma",
+        default="1",
+        metavar="G",
+        help="how 8-bit input is encoded: an exponent or srgb (default 1: linear light)",
+    )
