@@ -70,9 +70,13 @@ def render_coded_frame(
     reach_px = int(np.ceil(np.ptp(blur_size_px) / 2)) + 1
     hidden = hidden_surface(visible, _SURFACE_GAP_PX, reach_px)
     layers = list(_layers(visible, hidden, layer_spacing_px))
-    frame = np.zeros_like(colours)
+    total = np.zeros((*depth_m.shape, colours.shape[2] + 1), dtype=np.float32)
     for block in _blocks(camera.mask, aperture_blocks):
-        frame += _through_block(layers, block, camera.mask, colours.shape)
+        total += _through_block(layers, block, camera.mask, depth_m.shape)
+    # Where no light comes through a block, the others make up for it; where none comes at all,
+    # the sharp scene is the best guess.
+    found = total[..., -1:]
+    frame = np.divide(total[..., :-1], found, out=colours.copy(), where=found > _LEAST_COVERAGE)
     return frame.reshape(image.shape)
 
 
@@ -160,10 +164,16 @@ def _blocks(mask: Mask, count: int) -> Iterator[Mask]:
 def _through_block(
     layers: list[_Layer], block: Mask, mask: Mask, shape: tuple[int, ...]
 ) -> NDArray[np.float32]:
-    """Compose the light that reaches the sensor through one block of the aperture."""
-    height, width, channels = shape
+    """Compose the light that reaches the sensor through one block of the aperture.
+
+    Returns premultiplied colours and a weight, [rows, columns, channels + 1]. The weight is the
+    block's share of the aperture; it falls to zero where no surface is known that light comes
+    from: next to steep steps a block may look past the visible surface and what is continued
+    behind it.
+    """
+    height, width = shape
     weight = block.open_fraction / mask.open_fraction
-    total = np.zeros((height, width, channels + 1), dtype=np.float32)
+    total = np.zeros((height, width, layers[0].light.shape[2]), dtype=np.float32)
     # Coverage by the layers that are in front by more than the surface gap.
     occluded = np.zeros((height, width), dtype=np.float32)
     recent: deque[tuple[int, tuple[slice, slice], NDArray[np.float32]]] = deque()
@@ -176,7 +186,7 @@ def _through_block(
         total[region] += blurred
         recent.append((layer.number, region, blurred[..., -1]))
     lit: NDArray[np.float32] = np.maximum(total[..., -1:], _LEAST_COVERAGE)
-    return total[..., :-1] * (np.float32(weight) / lit)
+    return total * (np.float32(weight) / lit)
 
 
 def _blur(
