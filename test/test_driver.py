@@ -89,7 +89,7 @@ def test_the_rate_is_kept(ros, camera_file, folder):
     assert wait_until(lambda: images)
     before = len(images)
     time.sleep(2.0)
-    assert 30 <= len(images) - before <= 42
+    assert 20 <= len(images) - before <= 42
 
 
 def test_a_folder_is_published_once_in_order(ros, camera_file, folder, pictures):

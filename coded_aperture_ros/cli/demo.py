@@ -123,15 +123,12 @@ def run(options: argparse.Namespace) -> int:
 
 def learned_model(camera_file: Path, bank_file: Path, say: "_Speaker") -> dict[str, Any]:
     """Learn the bank, and return the parameters of the nodes that use it."""
-    import numpy as np
+    from coded_aperture_ros.bank import learn_bank_for_camera, save_bank
+    from coded_aperture_ros.optics import load_camera
 
-    from coded_aperture_ros.bank import learn_bank, save_bank
-    from coded_aperture_ros.optics import load_camera, render_psf_stack
-
-    camera = load_camera(camera_file)
     started_s = time.monotonic()
-    sizes_px = np.linspace(*camera.blur_range_px(NEAR_M, FAR_M), LEVELS)
-    save_bank(learn_bank(render_psf_stack(camera.mask, sizes_px)), bank_file)
+    bank = learn_bank_for_camera(load_camera(camera_file), NEAR_M, FAR_M, LEVELS)
+    save_bank(bank, bank_file)
     say.line(f"learned a bank of {LEVELS} levels in {time.monotonic() - started_s:.1f} s")
     return {
         "camera_file": str(camera_file),
@@ -296,10 +293,8 @@ def _wait_for_results(monitor: "DemoMonitor", children: Children, say: _Speaker)
     while not all(monitor.received(t) for t in (demo_monitor.DEPTH, demo_monitor.DEBLURRED)):
         children.check()
         if time.monotonic() > deadline:
-            raise InputError(
-                f"no depth and no all-in-focus frames after {_START_TIMEOUT_S:g} s; depth_node "
-                f"said:{children.said('depth_node')}"
-            )
+            said = "".join(f"\n  {node} said:{children.said(node)}" for node in NODES)
+            raise InputError(f"no depth and all-in-focus frames in {_START_TIMEOUT_S:g} s{said}")
         time.sleep(0.1)
 
 

@@ -3,6 +3,7 @@
 Importing any of the modules here needs rclpy, so its environment is prepared first.
 """
 
-from coded_aperture_ros.nodes.environment import prepare_ros_environment
+from coded_aperture_ros.nodes.environment import limit_threads, prepare_ros_environment
 
+limit_threads()
 prepare_ros_environment()

@@ -3,15 +3,13 @@
 import dataclasses
 import time
 
-import numpy as np
 from rclpy.node import Node
 
-from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank, load_bank
+from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank_for_camera, load_bank
 from coded_aperture_ros.configuration import check_options, option
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.nodes.camera_model import fitted_camera, required_camera
 from coded_aperture_ros.nodes.messages import MessageError
-from coded_aperture_ros.optics import render_psf_stack
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,13 +104,15 @@ class FrameModel:
                 "without a bank the depth range is needed: set the parameters near_m and far_m, "
                 "or bank to a file made by 'coded_aperture learn'"
             )
-        range_px = self.camera.blur_range_px(config.near_m, config.far_m)
+        # A range that does not suit the camera is told before it is said to be learned.
+        self.camera.blur_range_px(config.near_m, config.far_m)
         started_s = time.monotonic()
         self._logger.info(
             f"learning a bank of {config.levels} levels for {config.near_m:g} to "
             f"{config.far_m:g} m from {config.camera_file}"
         )
-        stack = render_psf_stack(self.camera.mask, np.linspace(*range_px, config.levels))
-        bank = learn_bank(stack, self._learn_config)
+        bank = learn_bank_for_camera(
+            self.camera, config.near_m, config.far_m, config.levels, self._learn_config
+        )
         self._logger.info(f"learned the bank in {time.monotonic() - started_s:.1f} s")
         return bank
