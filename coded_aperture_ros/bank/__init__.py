@@ -1,6 +1,6 @@
 """The filter bank: learned once for a mask, applied to every frame."""
 
-from coded_aperture_ros.bank.bank import FilterBank
+from coded_aperture_ros.bank.bank import FilterBank, ProjectedFrame
 from coded_aperture_ros.bank.file import load_bank, save_bank
 from coded_aperture_ros.bank.fourier import PatchGrid, WindowedFourierBasis
 from coded_aperture_ros.bank.learn import LearnConfig, learn_bank, learn_bank_for_camera
@@ -11,6 +11,7 @@ __all__ = [
     "LearnConfig",
     "NaturalImagePrior",
     "PatchGrid",
+    "ProjectedFrame",
     "WindowedFourierBasis",
     "learn_bank",
     "learn_bank_for_camera",

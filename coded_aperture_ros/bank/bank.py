@@ -6,9 +6,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank.fourier import WindowedFourierBasis
+from coded_aperture_ros.bank.fourier import PatchGrid, WindowedFourierBasis
 from coded_aperture_ros.bank.prior import NaturalImagePrior
 from coded_aperture_ros.optics import PsfStack
+
+_PATCHES_AT_A_TIME = 128
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,13 +91,35 @@ class FilterBank:
             float(np.sqrt(min(contrasts) / self.ratios[0])),
         )
 
-    def energies(self, power: NDArray[np.float32], noise: float) -> NDArray[np.float32]:
+    @cached_property
+    def _filters(self) -> NDArray[np.float32]:
+        fourier = self.fourier
+        return np.column_stack([self.basis, fourier.multiplicity, fourier.noise_weights])
+
+    def project(self, grey: NDArray[np.float32], stride_px: int) -> "ProjectedFrame":
+        """Project every patch of a frame onto the common basis.
+
+        Parameters
+        ----------
+        grey : ndarray, float32 [rows, columns]
+            Linear light, without NaN.
+        stride_px : int
+            Distance between patches, px.
+
+        Raises
+        ------
+        InputError
+            If the frame is smaller than a patch.
+        """
+        projected, grid = self.fourier.project(grey, stride_px, self._filters)
+        return ProjectedFrame(projected[..., :-2], projected[..., -2], projected[..., -1], grid)
+
+    def energies(self, frame: "ProjectedFrame", noise: float) -> NDArray[np.float32]:
         """Return the energy of every level for every patch.
 
         Parameters
         ----------
-        power : ndarray, float32 [rows, columns, K]
-            Power spectra, from ``bank.fourier.power``.
+        frame : ProjectedFrame
         noise : float
             Standard deviation of the frame's noise, linear light, > 0.
 
@@ -105,19 +129,21 @@ class FilterBank:
             Lower is likelier. A patch that is better explained by noise alone than by any
             texture has the same energy at every level.
         """
+        rank = self.basis.shape[1]
         plausible = self._plausible_ratios(noise)
-        coefficients = self.coefficients[:, plausible].reshape(self.basis.shape[1], -1)
+        precision = np.float32(1 / noise**2)
+        coefficients = precision * self.coefficients[:, plausible].reshape(rank, -1)
         log_determinants = self.log_determinants[plausible].reshape(-1)
-        spread = (-1, self.levels)
-        energies = np.empty((*power.shape[:2], self.levels), np.float32)
-        # A row of patches at a time keeps the hypotheses in the processor's cache.
-        for row, spectra in enumerate(power):
-            spectra = spectra / np.float32(noise**2)
-            hypotheses = (spectra @ self.basis) @ coefficients + log_determinants
-            textured = hypotheses.reshape(len(spectra), *spread).min(axis=1)
-            textureless = spectra @ self.fourier.multiplicity
-            np.minimum(textured, textureless[:, None], out=energies[row])
-        return energies
+        projections = frame.projections.reshape(-1, rank)
+        textureless = precision * frame.power.reshape(-1, 1)
+        energies = np.empty((len(projections), self.levels), np.float32)
+        # Some patches at a time keep their hypotheses in the processor's cache.
+        for start in range(0, len(projections), _PATCHES_AT_A_TIME):
+            some = slice(start, start + _PATCHES_AT_A_TIME)
+            hypotheses = projections[some] @ coefficients + log_determinants
+            textured = hypotheses.reshape(len(hypotheses), -1, self.levels).min(axis=1)
+            np.minimum(textured, textureless[some], out=energies[some])
+        return energies.reshape(*frame.power.shape, self.levels)
 
     def _plausible_ratios(self, noise: float) -> slice:
         count = len(self.prior.contrasts)
@@ -125,3 +151,25 @@ class FilterBank:
         first = int(np.argmin(np.abs(np.log(self.ratios / wanted))))
         first = min(first, len(self.ratios) - count)
         return slice(first, first + count)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ProjectedFrame:
+    """What the bank sees of a frame: its patches in the common basis.
+
+    Attributes
+    ----------
+    projections : ndarray, float32 [rows, columns, R]
+        Coefficients of every patch in the bank's basis.
+    power : ndarray, float32 [rows, columns]
+        Sum of the whole spectrum of every patch, without the mean.
+    high_power : ndarray, float32 [rows, columns]
+        Mean power of the highest frequencies of every patch.
+    grid : PatchGrid
+        Where the patches lie.
+    """
+
+    projections: NDArray[np.float32]
+    power: NDArray[np.float32]
+    high_power: NDArray[np.float32]
+    grid: PatchGrid

@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from coded_aperture_ros.bank.prior import power_spectrum
 from coded_aperture_ros.errors import InputError
 
+# Blur has removed most of the texture above this frequency, cycles per pixel.
+_HIGH_FREQUENCY = 0.42
+
 
 @dataclasses.dataclass(frozen=True)
 class PatchGrid:
@@ -79,6 +82,8 @@ class PatchGrid:
 class WindowedFourierBasis:
     """Power spectra of Hann-windowed patches.
 
+    A spectrum has K values: the frequencies of ``scipy.fft.rfft2`` in order.
+
     Attributes
     ----------
     window_px : int
@@ -103,40 +108,41 @@ class WindowedFourierBasis:
         return (hann / np.linalg.norm(hann)).astype(np.float32)
 
     @cached_property
-    def _used(self) -> NDArray[np.bool_]:
-        # The mean of a patch says nothing about blur, and the Hann window spreads it over
-        # exactly the frequencies up to one cycle per window.
-        return np.maximum(*self._cycles) > 1
+    def multiplicity(self) -> NDArray[np.float32]:
+        """How many coefficients of the full transform each frequency stands for [K].
+
+        0 for those that do not count: the mean of a patch says nothing about blur, and the Hann
+        window spreads it over exactly the frequencies up to one cycle per window.
+        """
+        vertical, horizontal = self._cycles
+        once = (horizontal == 0) | (horizontal == self.window_px // 2)
+        counts = np.maximum(vertical, horizontal) > 1
+        return (np.where(once, 1, 2) * counts).ravel().astype(np.float32)
 
     @cached_property
+    def noise_weights(self) -> NDArray[np.float32]:
+        """Weights of the mean power of the highest frequencies [K]; blur leaves noise there."""
+        frequency = np.hypot(*self._cycles).ravel() / self.window_px
+        weights = self.multiplicity * (frequency > _HIGH_FREQUENCY)
+        return weights / weights.sum()
+
+    @property
     def _cycles(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         n = self.window_px
         vertical = np.abs(np.fft.fftfreq(n) * n)[:, None]
-        horizontal = (np.fft.rfftfreq(n) * n).astype(np.float64)[None, :]
-        vertical, horizontal = np.broadcast_arrays(vertical, horizontal)
-        return vertical, horizontal
-
-    @cached_property
-    def multiplicity(self) -> NDArray[np.float32]:
-        """How many of the full transform's coefficients each used frequency stands for [K]."""
-        _, horizontal = self._cycles
-        once = (horizontal == 0) | (horizontal == self.window_px // 2)
-        return np.where(once, 1, 2)[self._used].astype(np.float32)
-
-    @cached_property
-    def frequency(self) -> NDArray[np.float32]:
-        """Radial frequency of each used coefficient [K], cycles per pixel."""
-        return (np.hypot(*self._cycles) / self.window_px)[self._used].astype(np.float32)
+        horizontal = np.fft.rfftfreq(n) * n
+        shape = (n, len(horizontal))
+        return np.broadcast_to(vertical, shape), np.broadcast_to(horizontal, shape)
 
     @property
     def size(self) -> int:
-        """Number K of used frequencies."""
-        return int(self._used.sum())
+        """Number K of frequencies."""
+        return self.window_px * (self.window_px // 2 + 1)
 
-    def power(
-        self, image: NDArray[np.float32], stride_px: int
+    def project(
+        self, image: NDArray[np.float32], stride_px: int, filters: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], PatchGrid]:
-        """Return the power spectrum of every window.
+        """Return linear functions of the power spectrum of every window.
 
         Parameters
         ----------
@@ -144,10 +150,12 @@ class WindowedFourierBasis:
             Grey image without NaN.
         stride_px : int
             Distance between windows, px.
+        filters : ndarray, float32 [K, F]
+            One column for every function.
 
         Returns
         -------
-        power : ndarray, float32 [grid rows, grid columns, K]
+        projected : ndarray, float32 [grid rows, grid columns, F]
         grid : PatchGrid
 
         Raises
@@ -161,15 +169,15 @@ class WindowedFourierBasis:
         # Horizontal transforms once per pixel row: the windows above each other share them.
         strips = np.lib.stride_tricks.sliding_window_view(image, n, axis=1)[:, ::stride_px]
         strips = scipy.fft.rfft(strips * self.window, axis=-1)
-        power = np.empty((grid.rows, grid.columns, self.size), np.float32)
-        used = np.flatnonzero(self._used)
+        projected = np.empty((grid.rows, grid.columns, filters.shape[1]), np.float32)
+        window = self.window[:, None, None]
         for row in range(grid.rows):
-            band = strips[row * stride_px : row * stride_px + n] * self.window[:, None, None]
+            band = strips[row * stride_px : row * stride_px + n] * window
             band = scipy.fft.fft(band, axis=0, overwrite_x=True)
-            energy = band.real**2 + band.imag**2
-            energy = energy.transpose(1, 0, 2).reshape(grid.columns, -1)
-            np.take(energy, used, axis=1, out=power[row])
-        return power, grid
+            power = band.real**2 + band.imag**2
+            power = power.transpose(1, 0, 2).reshape(grid.columns, -1)
+            np.matmul(power, filters, out=projected[row])
+        return projected, grid
 
     def expected_power(self, psf: NDArray[np.float32], slope: float) -> NDArray[np.float64]:
         """Return the expected power of a window on a naturally textured, blurred plane.
@@ -201,4 +209,4 @@ class WindowedFourierBasis:
         overlap = scipy.fft.irfft(np.abs(scipy.fft.rfft(self.window, period)) ** 2, period)
         expected = scipy.fft.rfft2(autocovariance * overlap[:, None] * overlap).real
         sampled = expected[:: period // n, :: period // n]
-        return np.maximum(sampled, 0)[self._used]
+        return np.maximum(sampled, 0).ravel()

@@ -135,6 +135,7 @@ def learn_bank(
     multiplicity = fourier.multiplicity.astype(np.float64)
     weights = (multiplicity / variances).reshape(-1, fourier.size).T
     scale = np.exp(log_variances.mean(axis=(0, 1, 2)))
+    scale[multiplicity == 0] = 1  # these have no weight at any level
     basis, coefficients = factor_weights(weights, scale, config.rank)
     residual = (basis @ coefficients - weights) * scale[:, None]
     return FilterBank(

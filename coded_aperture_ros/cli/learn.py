@@ -105,8 +105,9 @@ def _learned(args: argparse.Namespace) -> Any:
             args.usage_error("--camera needs --depth-range NEAR FAR")
         if args.levels < 2:
             args.usage_error(f"--levels: at least 2 are needed, got {args.levels}")
+        near_m, far_m = args.depth_range
         return learn_bank_for_camera(
-            load_camera(args.camera), *args.depth_range, args.levels, config, progress
+            load_camera(args.camera), near_m, far_m, args.levels, config, progress
         )
     if args.psfs:
         stack, learned_from = _measured(args), f"measured PSFs {args.psfs}"

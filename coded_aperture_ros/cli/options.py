@@ -25,7 +25,7 @@ class CommandParser(argparse.ArgumentParser):
             **others,
         )
 
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:  # type: ignore[override]
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Add the late options, then parse; see `argparse.ArgumentParser`."""
         if self.add_late_options is not None:
             late, self.add_late_options = self.add_late_options, None

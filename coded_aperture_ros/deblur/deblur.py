@@ -139,8 +139,8 @@ class Deblurrer:
         # Sparse windows of one channel tell enough about the noise of a whole frame.
         channel = channels[len(channels) // 2]
         fourier = WindowedFourierBasis(min(_NOISE_WINDOW_PX, 2 * (min(channel.shape) // 2)))
-        power, _ = fourier.power(channel, _NOISE_WINDOW_PX)
-        return estimate_noise(power, fourier)
+        high_power, _ = fourier.project(channel, _NOISE_WINDOW_PX, fourier.noise_weights[:, None])
+        return estimate_noise(high_power)
 
 
 def _model_error(blur: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -102,20 +102,21 @@ class DepthEstimator:
         InputError
             If the frame has a wrong shape or type, or is smaller than the bank's window.
         """
-        config, fourier = self.config, self.bank.fourier
+        config, bank = self.config, self.bank
         grey, unusable = grey_image(frame, config.saturation)
-        power, grid = fourier.power(grey, config.stride_px)
-        noise = config.noise or self.bank.noise or estimate_noise(power, fourier)
+        projected = bank.project(grey, config.stride_px)
+        noise = config.noise or bank.noise or estimate_noise(projected.high_power)
 
-        energies = self.bank.energies(power, max(noise, NOISE_FLOOR))
-        probability = level_probability(energies, fourier)
+        energies = bank.energies(projected, max(noise, NOISE_FLOOR))
+        probability = level_probability(energies, bank.fourier)
         level = regularized_level(energies, probability, config)
         confidence = confidence_of(level, probability, self._agreement)
 
         if unusable is not None:
-            usable = usable_windows(unusable, grid.row_centres, grid.column_centres, grid.window_px)
-            confidence[~usable] = 0
-        level, confidence = upsample(level, confidence, grid, grey.shape, size or grey.shape)
+            confidence[~usable_windows(unusable, projected.grid)] = 0
+        level, confidence = upsample(
+            level, confidence, projected.grid, grey.shape, size or grey.shape
+        )
         return self._in_metres(level, confidence, noise).where_confident(
             config.confidence_threshold
         )
@@ -125,10 +126,10 @@ class DepthEstimator:
     ) -> DepthEstimate:
         index = np.arange(self.bank.levels)
         blur_size = np.interp(level, index, self.bank.blur_sizes_px).astype(np.float32)
-        if self.camera is not None:
-            depth = self.camera.depth_m(blur_size).astype(np.float32)
-        else:
+        if self.camera is None:
             depth = self.bank.stack.depth_at(level)
+        else:
+            depth = self.camera.depth_m(blur_size).astype(np.float32)
         return DepthEstimate(level, blur_size, depth, confidence, noise)
 
     def _level_depths_m(self) -> NDArray[np.float64] | None:

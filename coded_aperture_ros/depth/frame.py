@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.bank import PatchGrid
 from coded_aperture_ros.errors import InputError
 
 # A window with more than this share of unusable pixels gives no depth.
@@ -64,11 +65,9 @@ def _fill(grey: NDArray[np.float32], usable: NDArray[np.bool_]) -> NDArray[np.fl
     return np.where(usable, grey, nearby.astype(np.float32))
 
 
-def usable_windows(
-    unusable: NDArray[np.bool_], rows: NDArray[np.intp], columns: NDArray[np.intp], window_px: int
-) -> NDArray[np.bool_]:
-    """Return which windows, given by their centres, have few enough unusable pixels."""
+def usable_windows(unusable: NDArray[np.bool_], grid: PatchGrid) -> NDArray[np.bool_]:
+    """Return which windows of a grid have few enough unusable pixels [rows, columns]."""
     # The Hann window's weight is within half its side around the centre, for the most part.
-    side = window_px // 2
+    side = grid.window_px // 2
     share = cv2.boxFilter(unusable.astype(np.float32), -1, (side, side))
-    return share[np.ix_(rows, columns)] <= _TOLERATED
+    return share[np.ix_(grid.row_centres, grid.column_centres)] <= _TOLERATED

@@ -3,10 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import WindowedFourierBasis
-
-# Blur has removed most of the texture above this frequency, cycles per pixel.
-_HIGH_FREQUENCY = 0.42
 # The least textured windows tell the noise best; the very least are there by chance.
 _QUANTILE = 0.05
 # Noise that is taken too low is fatal for the estimate, too high only costs a little.
@@ -15,21 +11,18 @@ _MARGIN = 1.15
 NOISE_FLOOR = 2e-4
 
 
-def estimate_noise(power: NDArray[np.float32], fourier: WindowedFourierBasis) -> float:
+def estimate_noise(high_power: NDArray[np.float32]) -> float:
     """Estimate the standard deviation of white noise, erring upward.
 
     Parameters
     ----------
-    power : ndarray, float32 [..., K]
-        Power spectra of a frame's windows.
-    fourier : WindowedFourierBasis
-        The basis that they were computed in.
+    high_power : ndarray, float32
+        Mean power of the highest frequencies of each of a frame's windows; see
+        `WindowedFourierBasis.noise_weights`.
 
     Returns
     -------
     float
         At least `NOISE_FLOOR`.
     """
-    weight = fourier.multiplicity * (fourier.frequency > _HIGH_FREQUENCY)
-    variance = power.reshape(-1, power.shape[-1]) @ (weight / weight.sum())
-    return max(_MARGIN * float(np.sqrt(np.quantile(variance, _QUANTILE))), NOISE_FLOOR)
+    return max(_MARGIN * float(np.sqrt(np.quantile(high_power, _QUANTILE))), NOISE_FLOOR)
