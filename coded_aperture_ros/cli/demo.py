@@ -37,11 +37,6 @@ _SNAPSHOT_TIMEOUT_S = 15.0
 _REDRAW_S = 0.5
 _LINE_S = 5.0
 _LAST_LINES = 15
-# Each process works in one thread: three processes share the machine's cores, and threads that
-# wait for each other there cost more than they bring.
-_ONE_THREAD = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"), "1"
-)
 # Niceness counts only within a session (Linux autogroups), so the nodes stay in this one; Ctrl-C
 # then reaches them too, which they take as it is meant.
 _NICENESS = {"deblur_node": 10}
@@ -176,7 +171,6 @@ class Children:
                     "--ros-args",
                     *arguments,
                 ],
-                env={**os.environ, **_ONE_THREAD},
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
