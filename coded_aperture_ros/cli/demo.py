@@ -109,6 +109,10 @@ def run(options: argparse.Namespace) -> int:
             summary = summarise(monitor, options.seconds)
             snapshot = _take_snapshot(monitor, children)
     summary.update(_of_snapshot(snapshot))
+    say.line(
+        f"PSNR against the sharp scene: {summary['psnr_coded_db']} dB coded, "
+        f"{summary['psnr_all_in_focus_db']} dB all in focus"
+    )
     write_results(options.output, snapshot, summary)
     say.line(f"results are in {options.output}/")
     if options.json:
