@@ -14,53 +14,26 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.images import read_depth, read_image
-from coded_aperture_ros.optics import Camera, Mask
+from coded_aperture_ros.evaluation import RayTracedScene
 from coded_aperture_ros.simulation import render_coded_frame
 
 SCENES = ("desk", "corridor")
 MASKS = ("levin", "four_hole", "disk")
-# The pictures store 65520 for 1.0, depth is in tenths of a millimetre.
-FULL_SCALE = 65535 / 65520
-DEPTH_UNIT_M = 1e-4
-EDGE_JUMP_PX = 1.0
 EDGE_REACH_PX = 16
 
 
-def load(folder: Path, mask_name: str) -> tuple[NDArray, NDArray, NDArray, Camera]:
-    """Return the all-in-focus picture, the depth in metres, the coded picture and the camera."""
-    meta = json.loads((folder / "meta.json").read_text())
-    camera = Camera(
-        focal_length_px=meta["fx"],
-        focus_distance_m=meta["focus_distance_m"],
-        image_width=meta["width"],
-        image_height=meta["height"],
-        mask=Mask.from_rows(meta["masks"][mask_name], mask_name),
-        mask_extent_mm=meta["aperture_width_m"] * 1e3,
-    )
-    return (
-        read_image(folder / "aif_linear.png") * np.float32(FULL_SCALE),
-        read_depth(folder / "depth_0.1mm.png", DEPTH_UNIT_M),
-        read_image(folder / f"coded_{mask_name}_linear.png") * np.float32(FULL_SCALE),
-        camera,
-    )
-
-
-def regions(depth_m: NDArray, camera: Camera) -> dict[str, NDArray[np.bool_]]:
+def regions(scene: RayTracedScene) -> dict[str, NDArray[np.bool_]]:
     """Split the image into what is away from depth edges, near them, and at the border.
 
     The ray-traced pictures know what lies beyond the border, the simulator does not.
     """
-    size = camera.blur_size_px(depth_m)
-    jump = ndimage.maximum_filter(size, 3) - ndimage.minimum_filter(size, 3) > EDGE_JUMP_PX
-    near = ndimage.distance_transform_edt(~jump) <= EDGE_REACH_PX
-    inside = np.zeros(size.shape, dtype=bool)
+    near = scene.edge_distance_px() <= EDGE_REACH_PX
+    inside = np.zeros(near.shape, dtype=bool)
     inside[EDGE_REACH_PX:-EDGE_REACH_PX, EDGE_REACH_PX:-EDGE_REACH_PX] = True
     return {
-        "all": np.ones(size.shape, dtype=bool),
+        "all": np.ones(near.shape, dtype=bool),
         "away": inside & ~near,
         "near_edges": inside & near,
         "border": ~inside,
@@ -74,18 +47,16 @@ def rmse(one: NDArray, other: NDArray, where: NDArray[np.bool_]) -> float:
 
 def measure(folder: Path, mask_name: str, blocks: int) -> dict[str, Any]:
     """Measure one scene with one mask."""
-    sharp, depth_m, coded, camera = load(folder, mask_name)
+    scene = RayTracedScene.load(folder, mask_name)
     start = time.perf_counter()
-    rendered = render_coded_frame(sharp, depth_m, camera, aperture_blocks=blocks)
+    rendered = render_coded_frame(scene.sharp, scene.depth_m, scene.camera, aperture_blocks=blocks)
     seconds = time.perf_counter() - start
-    errors = {
-        name: rmse(rendered, coded, where) for name, where in regions(depth_m, camera).items()
-    }
+    errors = {name: rmse(rendered, scene.coded, where) for name, where in regions(scene).items()}
     return {
         "scene": folder.name,
         "mask": mask_name,
         **{name: round(value, 5) for name, value in errors.items()},
-        "sharp": round(rmse(sharp, coded, np.ones(depth_m.shape, dtype=bool)), 5),
+        "sharp": round(rmse(scene.sharp, scene.coded, np.ones(scene.depth_m.shape, dtype=bool)), 5),
         "seconds": round(seconds, 2),
     }
 

@@ -16,14 +16,14 @@ from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import PsfStack
 
 # Model errors for which there are filters, and how finely maps are looked up between them.
-_MODEL_ERRORS = np.geomspace(0.07, 0.3, 4)
+_MODEL_ERRORS = np.geomspace(0.06, 0.3, 4)
 _STEPS_PER_LEVEL = 8
 _STEPS_PER_ERROR = 4
 # The error that a change of blur size within reach of the filters makes, per pixel of its standard
 # deviation; from the best choice on ray-traced scenes.
-_ERROR_PER_PX = 0.025
-# How far the surroundings matter, px: about the reach of the filters.
-_SURROUNDINGS_PX = 55
+_ERROR_PER_PX = 0.03
+# How far the surroundings matter, px: about twice the largest blur, where filters reach strongest.
+_SURROUNDINGS_PX = 41
 # Frames are extended by this margin before they are filtered.
 _MARGIN_PX = 48
 _NOISE_WINDOW_PX = 32
@@ -97,11 +97,14 @@ class Deblurrer:
         self, channel: NDArray[np.float32], weights: list[NDArray[np.float32]], decade: int
     ) -> NDArray[np.float32]:
         height, width = channel.shape
+        shape = tuple(scipy.fft.next_fast_len(n + 2 * _MARGIN_PX, real=True) for n in channel.shape)
         # The last pixels go on: no dark rim, and nothing wraps around. Mirrored texture would not
         # be blurred like the rest, and costs half of the gain near the border.
-        padded = cv2.copyMakeBorder(channel, *[_MARGIN_PX] * 4, borderType=cv2.BORDER_REPLICATE)
-        shape = tuple(scipy.fft.next_fast_len(side, real=True) for side in padded.shape)
-        spectrum = scipy.fft.rfft2(padded, shape)
+        below, right = shape[0] - height - _MARGIN_PX, shape[1] - width - _MARGIN_PX
+        padded = cv2.copyMakeBorder(
+            channel, _MARGIN_PX, below, _MARGIN_PX, right, borderType=cv2.BORDER_REPLICATE
+        )
+        spectrum = scipy.fft.rfft2(padded)
         sharp = np.zeros_like(channel)
         inside = slice(_MARGIN_PX, _MARGIN_PX + height), slice(_MARGIN_PX, _MARGIN_PX + width)
         for transform, weight in zip(self._transforms(decade, shape), weights, strict=True):
@@ -117,6 +120,8 @@ class Deblurrer:
     def _lookup_table(self, basis: InverseBasis) -> NDArray[np.float32]:
         """Coefficients [R, steps of level * steps of model error], interpolated."""
         table = basis.combinations[self._order]
+        # Every inverse filter passes flat areas unchanged, and so must what stands for it.
+        table = table / (table @ table.sum(axis=(0, 1)))[..., None]
         for axis, steps in ((0, _STEPS_PER_LEVEL), (1, _STEPS_PER_ERROR)):
             table = np.moveaxis(table, axis, 0)
             position = np.arange(steps * (len(table) - 1) + 1) / steps

@@ -13,7 +13,13 @@ from coded_aperture_ros.errors import InputError
 _ENOUGH_EVIDENCE = 6.0
 # A step of more levels than this is a depth edge: how large it is no longer matters.
 _EDGE_LEVELS = 4
-_TV_ITERATIONS = 120
+# Weights of the smoothness beside natural-logarithm evidence.
+_CUT_BETA = 1.2
+_TV_BETA = 0.3
+# The coupling of total variation's two variables, and the iterations that take it there.
+_TV_THETA = (10.0, 0.1)
+_TV_ITERATIONS = 30
+_TV_STEPS = 4
 
 
 def regularized_level(
@@ -59,41 +65,42 @@ def _graph_cut(
         ) from error
     index = np.arange(energies.shape[-1])
     step = np.minimum(np.abs(index[:, None] - index), _EDGE_LEVELS)
-    labels = aexpansion_grid(_evidence(probability), 0.4 * smoothness * step.astype(np.float64))
+    labels = aexpansion_grid(
+        _evidence(probability), _CUT_BETA * smoothness * step.astype(np.float64)
+    )
     return refine_level(energies, labels)
 
 
 def _total_variation(
     energies: NDArray[np.float32], probability: NDArray[np.float32], smoothness: float
 ) -> NDArray[np.float32]:
-    """Minimise ``sum (d - mean)^2 / (2 variance) + beta |grad d|`` by a primal-dual method.
+    """Minimise ``sum -log p(v) + (u - v)^2 / (2 theta) + beta |grad u|`` with theta shrinking.
 
-    The energies enter through the mean and the variance of the level, which makes the problem
-    convex; the algorithm is that of Chambolle and Pock (2011) with unit steps scaled by the norm
-    of the gradient.
+    The evidence is not convex in the level, total variation is: they get a variable each, which
+    the coupling draws together. ``v`` is found by trying all levels, ``u`` by the primal-dual
+    steps of Chambolle and Pock (2011).
     """
     index = np.arange(energies.shape[-1], dtype=np.float32)
-    mean = probability @ index
-    variance = probability @ index**2 - mean**2 + np.float32(0.1)
-    precision = 1 / variance
-    level = relaxed = mean
-    dual_rows = np.zeros_like(mean)
-    dual_columns = np.zeros_like(mean)
-    step = np.float32(1 / np.sqrt(8))
-    beta = np.float32(smoothness)
-    for _ in range(_TV_ITERATIONS):
-        dual_rows[:-1] += step * np.diff(relaxed, axis=0)
-        dual_columns[:, :-1] += step * np.diff(relaxed, axis=1)
-        length = np.maximum(1, np.hypot(dual_rows, dual_columns) / max(beta, np.float32(1e-6)))
-        dual_rows /= length
-        dual_columns /= length
-        divergence = np.diff(dual_rows, axis=0, prepend=0) + np.diff(
-            dual_columns, axis=1, prepend=0
-        )
-        previous = level
-        level = (level + step * (divergence + precision * mean)) / (1 + step * precision)
-        relaxed = 2 * level - previous
-    return level
+    evidence = _evidence(probability).astype(np.float32)
+    beta = np.float32(max(_TV_BETA * smoothness, 1e-6))
+    step = np.float32(1 / np.sqrt(8))  # the norm of the gradient is at most the root of 8
+    smooth = relaxed = probability.argmax(axis=-1).astype(np.float32)
+    dual_rows, dual_columns = np.zeros_like(smooth), np.zeros_like(smooth)
+    for theta in np.geomspace(*_TV_THETA, _TV_ITERATIONS, dtype=np.float32):
+        coupled = evidence + (index - smooth[..., None]) ** 2 / (2 * theta)
+        found = refine_level(coupled, coupled.argmin(axis=-1))
+        for _ in range(_TV_STEPS):
+            dual_rows[:-1] += step * np.diff(relaxed, axis=0)
+            dual_columns[:, :-1] += step * np.diff(relaxed, axis=1)
+            excess = np.maximum(1, np.hypot(dual_rows, dual_columns) / beta)
+            dual_rows /= excess
+            dual_columns /= excess
+            divergence = np.diff(dual_rows, axis=0, prepend=np.float32(0))
+            divergence += np.diff(dual_columns, axis=1, prepend=np.float32(0))
+            previous = smooth
+            smooth = (smooth + step * (divergence + found / theta)) / (1 + step / theta)
+            relaxed = 2 * smooth - previous
+    return smooth
 
 
 def _evidence(probability: NDArray[np.float32]) -> NDArray[np.float64]:

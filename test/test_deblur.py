@@ -1,0 +1,151 @@
+"""Deblurring of frames whose sharp original is known."""
+
+import numpy as np
+import pytest
+from scipy import ndimage, signal
+
+from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
+from coded_aperture_ros.deblur.fill import filled_blur_map
+from coded_aperture_ros.deblur.inverse import (
+    InverseBasis,
+    image_prior,
+    transfer_function,
+    wiener_filters,
+)
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.evaluation import psnr_db
+from coded_aperture_ros.optics import Mask, render_psf, render_psf_stack
+
+SIZES = np.linspace(1.0, 11.0, 11)
+NOISE = 0.002
+
+
+@pytest.fixture(scope="module")
+def stack():
+    return render_psf_stack(Mask.named("levin"), SIZES)
+
+
+@pytest.fixture(scope="module")
+def sharp():
+    """Smooth shading, edges and fine texture."""
+    random = np.random.default_rng(0)
+    cells = random.random((14, 18))
+    image = np.kron(cells, np.ones((16, 16)))[:208, :272]
+    image = 0.5 * image + 0.2 * ndimage.gaussian_filter(random.random(image.shape), 1.5)
+    return image.astype(np.float32)
+
+
+def blurred(image, size, noise=NOISE):
+    psf = render_psf(Mask.named("levin"), size)
+    margin = len(psf) // 2
+    padded = np.pad(image, margin, mode="edge")
+    coded = signal.fftconvolve(padded, psf, mode="valid")
+    return (coded + np.random.default_rng(1).normal(0, noise, image.shape)).astype(np.float32)
+
+
+@pytest.mark.parametrize("size", [3.0, 6.5, 10.0])
+def test_plane_becomes_sharper(stack, sharp, size):
+    coded = blurred(sharp, size)
+    result = Deblurrer(stack).deblur(coded, np.full(sharp.shape, size, np.float32))
+    assert result.dtype == np.float32
+    assert psnr_db(result, sharp) > psnr_db(coded, sharp) + 3
+    wrong = Deblurrer(stack).deblur(coded, np.full(sharp.shape, size + 1, np.float32))
+    assert psnr_db(result, sharp) > psnr_db(wrong, sharp) + 1
+
+
+def test_each_half_is_deblurred_by_its_own_depth(stack, sharp):
+    left, right = blurred(sharp, 4.0), blurred(sharp, 9.0)
+    middle = sharp.shape[1] // 2
+    coded = left.copy()
+    coded[:, middle:] = right[:, middle:]
+    blur = np.full(sharp.shape, 4.0, np.float32)
+    blur[:, middle:] = 9.0
+    result = Deblurrer(stack).deblur(coded, blur)
+    for part in (np.s_[:, : middle - 24], np.s_[:, middle + 24 :]):
+        assert psnr_db(result[part], sharp[part]) > psnr_db(coded[part], sharp[part]) + 2
+
+
+def test_colour_is_filtered_channel_by_channel(stack, sharp):
+    coded = np.stack([blurred(sharp, 5.0), blurred(sharp[::-1], 5.0), 0 * sharp], axis=2)
+    blur = np.full(sharp.shape, 5.0, np.float32)
+    deblurrer = Deblurrer(stack, DeblurConfig(noise=NOISE))
+    result = deblurrer.deblur(coded, blur)
+    assert result.shape == coded.shape
+    for channel in range(3):
+        alone = deblurrer.deblur(np.ascontiguousarray(coded[..., channel]), blur)
+        assert result[..., channel] == pytest.approx(alone, abs=1e-6)
+
+
+@pytest.mark.parametrize("value", [0.0, 0.3, 0.9])
+def test_flat_frame_stays_flat_up_to_its_border(stack, value):
+    frame = np.full((120, 150), value, np.float32)
+    blur = np.tile(np.linspace(1, 11, 150, dtype=np.float32), (120, 1))
+    assert Deblurrer(stack).deblur(frame, blur) == pytest.approx(frame, abs=2e-3)
+
+
+def test_smoothness_trades_noise_for_sharpness(stack):
+    noise = np.random.default_rng(2).normal(0.5, 0.01, (128, 128)).astype(np.float32)
+    blur = np.full(noise.shape, 6.0, np.float32)
+    spread = [
+        Deblurrer(stack, DeblurConfig(smoothness=smoothness)).deblur(noise, blur).std()
+        for smoothness in (0.01, 1.0, 100.0)
+    ]
+    assert spread[0] > 1.3 * spread[1] > 1.3 * spread[2]
+
+
+def test_basis_gives_back_every_inverse_filter(stack):
+    errors, shape = np.array([0.06, 0.2]), (96, 108)
+    prior = image_prior(shape)
+    transfers = [transfer_function(psf, shape) for psf in stack.psfs]
+    # What is seen of a filter on blurred photographs.
+    weight = np.sqrt(prior * np.mean(np.abs(transfers) ** 2, axis=0) + NOISE**2)
+    for rank, tolerance in ((22, 1e-3), (8, 0.15)):
+        basis = InverseBasis.learn(stack, errors, NOISE, rank)
+        kernels = basis.transforms(shape)
+        for level in (0, 5, 10):
+            wanted = wiener_filters(transfers[level], prior, errors, NOISE)
+            difference = np.tensordot(basis.combinations[level], kernels, 1) - wanted
+            assert np.linalg.norm(weight * difference) < tolerance * np.linalg.norm(weight * wanted)
+
+
+def test_inverse_filter_is_the_least_squares_solution_of_one_plane():
+    """Eq. 6.27 for one plane: the gradient of its cost vanishes at the filtered image."""
+    shape = (32, 32)
+    psf = render_psf(Mask.named("levin"), 5.0)
+    transfer = transfer_function(psf, shape).astype(np.complex128)
+    prior = image_prior(shape).astype(np.float64)
+    observed = np.fft.rfft2(np.random.default_rng(3).random(shape))
+    error = np.array([0.0])
+    estimate = wiener_filters(transfer, prior, error, NOISE)[0] * observed
+    gradient = np.conj(transfer) * (transfer * estimate - observed) + NOISE**2 / prior * estimate
+    assert np.abs(gradient).max() < 1e-4 * np.abs(np.conj(transfer) * observed).max()
+
+
+def test_gaps_of_the_depth_map_are_filled_from_the_nearest():
+    blur = np.array([[1, np.nan, np.nan, 5], [1, np.nan, np.inf, 5]], np.float32)
+    assert filled_blur_map(blur, (2, 4)).tolist() == [[1, 1, 5, 5], [1, 1, 5, 5]]
+    larger = filled_blur_map(blur, (4, 8))
+    assert larger.shape == (4, 8)
+    assert (larger.min(), larger.max()) == (1, 5)
+
+
+def test_unknown_depth_and_pixels_that_are_not_numbers_are_survived(stack, sharp):
+    coded = blurred(sharp, 6.0)
+    coded[50:52, 60:64] = np.nan
+    blur = np.full((104, 136), 6.0, np.float32)
+    blur[20:60, 40:70] = np.nan
+    result = Deblurrer(stack).deblur(coded, blur)
+    assert np.isfinite(result).all()
+    far = np.s_[120:, 150:]
+    assert psnr_db(result[far], sharp[far]) > psnr_db(coded[far], sharp[far]) + 3
+
+
+def test_wrong_input_is_refused(stack):
+    deblurrer = Deblurrer(stack)
+    frame = np.zeros((64, 64), np.float32)
+    with pytest.raises(InputError, match="no pixel has a known depth"):
+        deblurrer.deblur(frame, np.full((64, 64), np.nan, np.float32))
+    with pytest.raises(InputError, match="blur map: expected"):
+        deblurrer.deblur(frame, np.zeros(64, np.float32))
+    with pytest.raises(InputError, match=r"got \[64, 64, 2\]"):
+        deblurrer.deblur(np.zeros((64, 64, 2), np.float32), frame)

@@ -1,0 +1,252 @@
+"""Depth from simulated frames whose truth is known, and from frames that cannot be used."""
+
+import numpy as np
+import pytest
+
+from coded_aperture_ros.bank import LearnConfig, PatchGrid, learn_bank_for_camera
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_noise
+from coded_aperture_ros.depth.frame import grey_image, usable_windows
+from coded_aperture_ros.depth.levels import refine_level
+from coded_aperture_ros.depth.upsample import upsample
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.optics import Camera, Mask
+from coded_aperture_ros.simulation import render_coded_frame
+
+NEAR_M, FAR_M = 1.0, 2.2
+NOISE = 0.002
+
+
+@pytest.fixture(scope="module")
+def camera():
+    return Camera(800.0, 0.9, 192, 160, Mask.named("levin"), 20.0)
+
+
+@pytest.fixture(scope="module")
+def bank(camera):
+    return learn_bank_for_camera(camera, NEAR_M, FAR_M, 20, LearnConfig(window_px=32))
+
+
+def natural_texture(shape, seed=0, contrast=0.01):
+    random = np.random.default_rng(seed)
+    rows, columns = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])
+    frequency = np.hypot(rows, columns)
+    frequency[0, 0] = np.inf
+    texture = np.fft.irfft2(np.fft.rfft2(random.normal(size=shape)) * frequency**-1.2, shape)
+    return (0.4 + texture * np.sqrt(contrast) / texture.std()).astype(np.float32)
+
+
+def with_noise(frame, noise=NOISE, seed=1):
+    return (frame + np.random.default_rng(seed).normal(0, noise, frame.shape)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def plane(camera):
+    """A plane at 1.5 m: frame and depth."""
+    depth = np.full((160, 192), 1.5, np.float32)
+    return with_noise(render_coded_frame(natural_texture(depth.shape), depth, camera)), depth
+
+
+@pytest.fixture(scope="module")
+def stairs(camera):
+    """Left half at 1.2 m, right half at 2 m."""
+    depth = np.full((160, 256), 2.0, np.float32)
+    depth[:, :128] = 1.2
+    return with_noise(render_coded_frame(natural_texture(depth.shape), depth, camera)), depth
+
+
+def test_plane_is_found_in_metres(bank, camera, plane):
+    frame, depth = plane
+    estimate = DepthEstimator(bank, DepthConfig(confidence_threshold=0), camera).estimate(frame)
+    assert estimate.depth_m.shape == frame.shape
+    assert estimate.depth_m.dtype == estimate.confidence.dtype == np.float32
+    assert np.median(np.abs(estimate.depth_m / depth - 1)) < 0.015
+    assert np.mean(np.abs(estimate.depth_m / depth - 1) < 0.05) > 0.95
+    blur = camera.blur_size_px(1.5)
+    assert np.median(estimate.blur_size_px) == pytest.approx(blur, abs=0.15)
+    # The bank knows its depths itself; the camera only confirms them.
+    without = DepthEstimator(bank, DepthConfig(confidence_threshold=0)).estimate(frame)
+    assert without.depth_m == pytest.approx(estimate.depth_m, rel=1e-4)
+
+
+def test_estimate_between_levels_is_finer_than_the_levels(bank, camera):
+    refined, rounded = [], []
+    for position in (7.25, 9.5, 10.75, 12.5):
+        size = np.interp(position, np.arange(bank.levels), bank.blur_sizes_px)
+        depth = np.full((160, 192), camera.depth_m(size), np.float32)
+        frame = with_noise(render_coded_frame(natural_texture(depth.shape), depth, camera), 5e-4)
+        config = DepthConfig(confidence_threshold=0, noise=6e-4)
+        level = DepthEstimator(bank, config).estimate(frame).level
+        refined.append(np.abs(level - position).mean())
+        rounded.append(np.abs(np.rint(level) - position).mean())
+    assert np.mean(refined) < 0.75 * np.mean(rounded)
+
+
+def test_two_surfaces_keep_their_depths_apart(bank, stairs):
+    frame, depth = stairs
+    estimate = DepthEstimator(bank, DepthConfig(confidence_threshold=0)).estimate(frame)
+    error = np.abs(estimate.depth_m / depth - 1)
+    away = np.abs(np.arange(256) - 127.5) > 24
+    assert np.mean(error[:, away] < 0.05) > 0.93
+    # At most a few columns of in-between depths: no ramp across the edge.
+    between = (estimate.depth_m > 1.35) & (estimate.depth_m < 1.75)
+    assert between.mean() < 0.08
+
+
+def test_brightness_and_colour_do_not_change_the_level(bank, plane):
+    frame, _ = plane
+    estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0))
+    level = estimator.estimate(frame).level
+    darker = estimator.estimate(0.5 * frame).level
+    assert np.mean(np.abs(darker - level) < 0.5) > 0.95
+    coloured = estimator.estimate(np.repeat(frame[..., None], 3, axis=2)).level
+    assert coloured == pytest.approx(level, abs=1e-3)
+
+
+@pytest.mark.parametrize("regularize", ["tv", "graphcut"])
+def test_regularisation_helps_against_noise(bank, stairs, regularize):
+    frame, depth = stairs
+    noisy = with_noise(frame, 0.01)
+
+    def outliers(method):
+        config = DepthConfig(confidence_threshold=0, regularize=method)
+        level = DepthEstimator(bank, config).estimate(noisy).depth_m
+        return np.mean(np.abs(level / depth - 1) > 0.1)
+
+    assert outliers(regularize) < 0.8 * outliers("none")
+
+
+def test_regularisation_of_no_strength_changes_nothing(bank, plane):
+    frame, _ = plane
+    free = DepthEstimator(bank, DepthConfig()).estimate(frame)
+    cut = DepthEstimator(bank, DepthConfig(regularize="graphcut", smoothness=0)).estimate(frame)
+    known = np.isfinite(free.level)
+    assert cut.level[known] == pytest.approx(free.level[known], abs=1e-4)
+
+
+def test_missing_maxflow_is_one_clear_line(bank, plane, monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "maxflow.fastmin", None)
+    with pytest.raises(InputError, match="needs PyMaxflow"):
+        DepthEstimator(bank, DepthConfig(regularize="graphcut")).estimate(plane[0])
+
+
+def test_confidence_tells_right_from_wrong(bank, camera):
+    """Texture on the left, almost nothing but noise on the right."""
+    depth = np.full((160, 256), 1.5, np.float32)
+    texture = natural_texture(depth.shape)
+    texture[:, 128:] = 0.4 + 0.002 * (texture[:, 128:] - 0.4)
+    frame = with_noise(render_coded_frame(texture, depth, camera))
+    estimate = DepthEstimator(bank, DepthConfig(confidence_threshold=0)).estimate(frame)
+    confidence = estimate.confidence
+    assert (confidence.min() >= 0) and (confidence.max() <= 1)
+    assert np.median(confidence[:, :96]) > 0.8
+    assert np.median(confidence[:, 176:]) < 0.3
+    thresholded = estimate.where_confident(0.5)
+    assert np.isfinite(thresholded.depth_m[:, :96]).mean() > 0.9
+    assert np.isfinite(thresholded.depth_m[:, 176:]).mean() < 0.1
+    assert np.array_equal(np.isnan(thresholded.depth_m), np.isnan(thresholded.level))
+
+
+@pytest.mark.parametrize(("true", "at_most"), [(0.0, np.inf), (0.003, 1.6), (0.01, 1.3)])
+def test_noise_is_estimated_and_errs_upward(bank, camera, true, at_most):
+    """The more noise, the less of it can be texture; without any, texture counts as noise."""
+    depth = np.full((160, 192), 1.8, np.float32)
+    frame = render_coded_frame(natural_texture(depth.shape), depth, camera)
+    noise = estimate_noise(bank.project(with_noise(frame, true), 8).high_power)
+    assert true < noise
+    assert noise <= at_most * true or np.isinf(at_most)
+
+
+def test_given_noise_is_used(bank, plane):
+    assert DepthEstimator(bank, DepthConfig(noise=0.02)).estimate(plane[0]).noise == 0.02
+    import dataclasses
+
+    of_bank = dataclasses.replace(bank, noise=0.03)
+    assert DepthEstimator(of_bank).estimate(plane[0]).noise == 0.03
+
+
+@pytest.mark.parametrize("value", [0.0, 0.5, 1.0, np.nan, np.inf])
+def test_frame_of_one_value_has_no_depth(bank, value):
+    estimate = DepthEstimator(bank).estimate(np.full((96, 96, 3), value, np.float32))
+    assert np.isnan(estimate.depth_m).all()
+    assert np.isnan(estimate.level).all()
+    assert not estimate.confidence.any()
+
+
+@pytest.mark.parametrize("bad", [np.nan, 1.0, -np.inf])
+def test_unusable_pixels_spoil_only_their_surroundings(bank, plane, bad):
+    frame, depth = plane[0].copy(), plane[1]
+    frame[60:100, 80:120] = bad
+    frame[20, 20] = bad
+    estimate = DepthEstimator(bank).estimate(frame)
+    assert np.isnan(estimate.depth_m[70:90, 90:110]).all()
+    assert not estimate.confidence[70:90, 90:110].any()
+    known = np.isfinite(estimate.depth_m)
+    assert known[:, :48].mean() > 0.9
+    assert np.median(np.abs(estimate.depth_m[known] / depth[known] - 1)) < 0.02
+
+
+def test_filled_pixels_have_the_mean_of_their_surroundings():
+    frame = np.full((40, 40), 0.25, np.float32)
+    frame[10:13, 10:13] = np.nan
+    grey, unusable = grey_image(frame, 0.995)
+    assert grey == pytest.approx(np.full((40, 40), 0.25))
+    assert unusable.sum() == 9
+    assert grey_image(np.full((4, 4), 0.3, np.float32), 0.995)[1] is None
+    windows = usable_windows(unusable, PatchGrid.covering((40, 40), 16, 8))
+    assert windows.tolist() == [
+        [False, False, True, True],
+        [False, True, True, True],  # the lower right one has a single bad pixel of 64
+        [True] * 4,
+        [True] * 4,
+    ]
+
+
+def test_smaller_maps_cover_the_whole_frame(bank, stairs):
+    frame, _ = stairs
+    estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0))
+    full, half = estimator.estimate(frame), estimator.estimate(frame, (80, 128))
+    assert half.depth_m.shape == (80, 128)
+    assert np.mean(np.abs(full.level[::2, ::2] - half.level) < 0.3) > 0.9
+
+
+def test_upsampling_interpolates_on_a_surface_and_not_across_an_edge():
+    grid = PatchGrid(top=0, left=0, stride_px=8, rows=1, columns=4, window_px=8)
+    level = np.array([[0.0, 1.0, 9.0, np.nan]], np.float32)
+    confidence = np.array([[1.0, 1.0, 1.0, 0.0]], np.float32)
+    upsampled, confident = upsample(level, confidence, grid, (8, 40), (8, 40))
+    row = upsampled[4]
+    centres = grid.column_centres
+    assert row[centres[:3]] == pytest.approx([0, 1, 9])
+    assert row[centres[0] : centres[1] + 1] == pytest.approx(np.linspace(0, 1, 9), abs=1e-5)
+    assert set(np.unique(row[centres[1] : centres[2] + 1])) == {1.0, 9.0}
+    assert np.isnan(row[centres[3] :]).all()
+    assert not confident[4, centres[3] :].any()
+
+
+def test_parabola_finds_the_vertex_and_keeps_to_the_range():
+    levels = np.arange(7.0)
+    for vertex in (2.0, 2.3, 3.49):
+        energies = (3 * (levels - vertex) ** 2)[None, None].astype(np.float32)
+        assert refine_level(energies, energies.argmin(-1)) == pytest.approx(vertex, abs=1e-5)
+    for vertex, end in ((-2.0, 0.0), (9.0, 6.0)):
+        energies = ((levels - vertex) ** 2)[None, None].astype(np.float32)
+        assert refine_level(energies, energies.argmin(-1)) == pytest.approx(end)
+
+
+def test_wrong_input_is_refused(bank, camera):
+    estimator = DepthEstimator(bank)
+    with pytest.raises(InputError, match="smaller than the bank's 32 px window"):
+        estimator.estimate(np.zeros((31, 64), np.float32))
+    with pytest.raises(InputError, match=r"\[rows, columns, 3\], got \[64, 64, 4\]"):
+        estimator.estimate(np.zeros((64, 64, 4), np.float32))
+    with pytest.raises(InputError, match="floating values"):
+        estimator.estimate(np.zeros((64, 64), np.uint8))
+    with pytest.raises(InputError, match="stride_px"):
+        DepthConfig(stride_px=0)
+    with pytest.raises(InputError, match="one of none, tv, graphcut"):
+        DepthConfig(regularize="magic")
+    weak = Camera(800.0, 0.9, 192, 160, camera.mask, 1.0)
+    with pytest.raises(InputError, match="learn the bank for this camera"):
+        DepthEstimator(bank, camera=weak)
