@@ -13,6 +13,12 @@ from numpy.typing import NDArray
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.files import atomic_output
 
+# zipfile raises a RuntimeError where damage looks like encryption, or like another compression.
+_DAMAGE = (
+    *(OSError, ValueError, EOFError, KeyError, RuntimeError),
+    *(zipfile.BadZipFile, zlib.error),
+)
+
 
 def write_archive(
     path: str | os.PathLike[str], schema: str, version: int, arrays: Mapping[str, Any]
@@ -57,7 +63,9 @@ def read_archive(
         raise
     except FileNotFoundError:
         raise InputError(f"{path}: no such file (a {schema} was expected)") from None
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+    except _DAMAGE as error:
+        if isinstance(error, OSError) and error.errno:
+            raise InputError(f"cannot read {path}: {error.strerror}") from error
         raise InputError(
             f"{path}: cannot be read as a {schema}: truncated, or not an .npz of plain arrays"
         ) from error

@@ -28,7 +28,7 @@ def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises
     ------
     InputError
-        If the folder cannot be created or written to.
+        If the folder cannot be created or written to, or the disk is full.
     """
     target = Path(path)
     try:
@@ -43,10 +43,9 @@ def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         yield temporary
         _give_usual_permissions(temporary)
-        try:
-            temporary.replace(target)
-        except OSError as error:
-            raise InputError(f"cannot write {target}: {error.strerror or error}") from error
+        temporary.replace(target)
+    except OSError as error:
+        raise InputError(f"cannot write {target}: {error.strerror or error}") from error
     finally:
         temporary.unlink(missing_ok=True)
 

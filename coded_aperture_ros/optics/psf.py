@@ -95,6 +95,8 @@ class PsfStack:
         object.__setattr__(self, "blur_sizes_px", self._one_each("sizes_px", self.blur_sizes_px))
         if self.depths_m is not None:
             object.__setattr__(self, "depths_m", self._one_each("depths_m", self.depths_m))
+            if not (self.depths_m > 0).all():
+                raise InputError("depths_m: all depths must be more than 0 m")
 
     def _one_each(self, name: str, values: ArrayLike) -> NDArray[np.float64]:
         array = np.asarray(values, dtype=np.float64)
