@@ -5,6 +5,7 @@ import json
 import time
 from typing import Any
 
+from coded_aperture_ros.cli.checks import naming
 from coded_aperture_ros.cli.frames import add_input_options, named_frames
 from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, config_from
 from coded_aperture_ros.errors import InputError
@@ -22,8 +23,9 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "deblur",
         help="make all-in-focus frames from coded frames and depth",
-        description="Remove the blur of every pixel according to its depth. Pictures "
-        "are written like the input: 16-bit linear, or 8-bit with the given --gamma.",
+        description="Remove the blur of every pixel according to its depth. PNG "
+        "pictures are written with 16 bits in linear light, which look dark in most viewers; with "
+        "--gamma they are written, like the input, with 8 bits in that encoding.",
         epilog=_EPILOG,
     )
     add_input_options(parser, "all-in-focus picture, or a folder for one .png per frame")
@@ -55,22 +57,22 @@ def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     from coded_aperture_ros.bank import load_bank
     from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
-    from coded_aperture_ros.images import gamma_from_text, write_image
+    from coded_aperture_ros.images import PICTURE_SUFFIXES, write_image
 
     bank = load_bank(args.bank)
     blur_sizes = _blur_sizes(args, bank)
     deblurrer = Deblurrer(bank.stack, config_from(args, DeblurConfig))
-    gamma = gamma_from_text(args.gamma)
-    encoding: dict[str, Any] = {} if gamma == 1 else {"bits": 8, "gamma": gamma}
+    encoding: dict[str, Any] = {} if args.gamma == 1 else {"bits": 8, "gamma": args.gamma}
     summaries = []
-    for path, frame in named_frames(args, ".png"):
+    for frame in named_frames(args, ".png", PICTURE_SUFFIXES):
         start = time.perf_counter()
-        sharp = deblurrer.deblur(frame, blur_sizes(frame))
+        with naming(frame.source):
+            sharp = deblurrer.deblur(frame.image, blur_sizes(frame.image))
         seconds = time.perf_counter() - start
-        write_image(path, sharp, **encoding)
-        summaries.append({"output": str(path), "seconds": round(seconds, 3)})
+        write_image(frame.output, sharp, **encoding)
+        summaries.append({"output": str(frame.output), "seconds": round(seconds, 3)})
         if not args.json:
-            print(f"{path}: deblurred in {seconds:.2f} s")
+            print(f"{frame.output}: deblurred in {seconds:.2f} s")
     if args.json:
         print(json.dumps(summaries))
     return 0
@@ -78,6 +80,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _blur_sizes(args: argparse.Namespace, bank: Any) -> Any:
     """Return a function from a frame to its map of blur sizes."""
+    import numpy as np
+
     from coded_aperture_ros.depth import DepthConfig, DepthEstimator
     from coded_aperture_ros.images import read_depth
     from coded_aperture_ros.optics import load_camera
@@ -91,5 +95,25 @@ def _blur_sizes(args: argparse.Namespace, bank: Any) -> Any:
     else:
         blur_size_px = bank.stack.blur_size_at(depth_m)
     if blur_size_px is None:
-        raise InputError(f"{args.bank}: the bank does not know how far its levels are: --camera?")
-    return lambda frame: blur_size_px
+        raise InputError(
+            f"{args.bank}: the bank does not know how far its levels are: give --camera, or "
+            "--depth auto"
+        )
+    if not np.isfinite(blur_size_px).any():
+        raise InputError(f"{args.depth}: no pixel has a known depth")
+
+    def of_frame(frame: Any) -> Any:
+        _check_shape(args.depth, depth_m.shape, frame.shape)
+        return blur_size_px
+
+    return of_frame
+
+
+def _check_shape(path: str, of_map: tuple[int, ...], of_frame: tuple[int, ...]) -> None:
+    """Check that a depth map, which may be smaller, covers what the frame covers."""
+    # A map that was made smaller has sides that were rounded.
+    if abs(of_map[0] * of_frame[1] - of_map[1] * of_frame[0]) > max(of_frame[:2]):
+        raise InputError(
+            f"the depth map {path} has {of_map[1]} x {of_map[0]} pixels, this frame "
+            f"{of_frame[1]} x {of_frame[0]}: it must be of this size, or of this shape and smaller"
+        )

@@ -3,12 +3,15 @@
 import argparse
 import json
 import time
+from pathlib import Path
 from typing import Any
 
+from coded_aperture_ros.cli.checks import naming
 from coded_aperture_ros.cli.frames import add_input_options, named_frames
 from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, config_from
 from coded_aperture_ros.errors import InputError
 
+_SUFFIXES = (".npy", ".tif", ".tiff", ".png")
 _EPILOG = """examples:
   one frame, depth in metres and confidence as .npy, and a picture of both:
     coded_aperture depth --bank bank.npz coded.png -o depth.npy --pictures
@@ -60,6 +63,8 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.depth import DepthConfig, DepthEstimator
     from coded_aperture_ros.optics import load_camera
 
+    if args.levels and args.output.lower().endswith(".png"):
+        raise InputError(f"{args.output}: a PNG has depths in mm, write levels to .npy or .tiff")
     bank = load_bank(args.bank)
     camera = load_camera(args.camera) if args.camera else None
     if camera is None and bank.stack.depths_m is None and not args.levels:
@@ -67,17 +72,20 @@ def run(args: argparse.Namespace) -> int:
             f"{args.bank}: the bank does not know how far its levels are: give --camera, or "
             "--levels for level indices"
         )
-    estimator = DepthEstimator(bank, config_from(args, DepthConfig), camera)
+    with naming(args.camera or args.bank):
+        estimator = DepthEstimator(bank, config_from(args, DepthConfig), camera)
     summaries: list[dict[str, Any]] = []
-    for path, frame in named_frames(args, ".npy"):
+    frames = named_frames(args, ".npy", _SUFFIXES, lambda path: _outputs(path, args.pictures))
+    for frame in frames:
         start = time.perf_counter()
-        estimate = estimator.estimate(frame)
+        with naming(frame.source):
+            estimate = estimator.estimate(frame.image)
         seconds = time.perf_counter() - start
         values = estimate.level if args.levels or estimate.depth_m is None else estimate.depth_m
-        _write(path, values, estimate.confidence, args)
+        _write(frame.output, values, estimate.confidence, args)
         known = np.isfinite(values)
         summary: dict[str, Any] = {
-            "output": str(path),
+            "output": str(frame.output),
             "unit": "level" if args.levels else "m",
             "known": round(float(known.mean()), 4),
             "median": round(float(np.median(values[known])), 4) if known.any() else None,
@@ -86,17 +94,32 @@ def run(args: argparse.Namespace) -> int:
         }
         summaries.append(summary)
         if not args.json:
-            print(
-                f"{path}: depth at {100 * summary['known']:.0f} % of the pixels, median "
-                f"{summary['median']} {summary['unit']}, noise {estimate.noise:.4f}, "
-                f"{seconds:.2f} s"
-            )
+            print(f"{frame.output}: {_in_words(summary)}")
     if args.json:
         print(json.dumps(summaries))
     return 0
 
 
-def _write(path: Any, values: Any, confidence: Any, args: argparse.Namespace) -> None:
+def _in_words(summary: dict[str, Any]) -> str:
+    if summary["median"] is None:
+        found = "depth unknown everywhere (too dark, saturated, or without texture)"
+    else:
+        median = f"{summary['median']:.4g} {summary['unit']}"
+        found = f"depth at {100 * summary['known']:.0f} % of the pixels, median {median}"
+    return f"{found}; noise {summary['noise']:.4f}, {summary['seconds']:.2f} s"
+
+
+def _outputs(path: Path, pictures: bool) -> list[Path]:
+    """Return the files of depth and confidence, and of their pictures if wanted."""
+    # A PNG cannot hold floating values.
+    suffix = ".tiff" if path.suffix.lower() == ".png" else path.suffix
+    paths = [path, path.with_suffix(f".confidence{suffix}")]
+    if pictures:
+        paths += [path.with_suffix(".picture.png"), path.with_suffix(".confidence.picture.png")]
+    return paths
+
+
+def _write(path: Path, values: Any, confidence: Any, args: argparse.Namespace) -> None:
     from coded_aperture_ros.images import (
         confidence_picture,
         depth_picture,
@@ -104,12 +127,9 @@ def _write(path: Any, values: Any, confidence: Any, args: argparse.Namespace) ->
         write_image,
     )
 
-    if args.levels and path.suffix.lower() == ".png":
-        raise InputError(f"{path}: a PNG has depths in mm; write levels to .npy or .tiff")
-    write_depth(path, values)
-    # A PNG cannot hold floating values.
-    suffix = ".tiff" if path.suffix.lower() == ".png" else path.suffix
-    write_depth(path.with_suffix(f".confidence{suffix}"), confidence)
-    if args.pictures:
-        write_image(path.with_suffix(".picture.png"), depth_picture(values))
-        write_image(path.with_suffix(".confidence.picture.png"), confidence_picture(confidence))
+    depth_path, confidence_path, *pictures = _outputs(path, args.pictures)
+    write_depth(depth_path, values)
+    write_depth(confidence_path, confidence)
+    if pictures:
+        write_image(pictures[0], depth_picture(values, unit="" if args.levels else "m"))
+        write_image(pictures[1], confidence_picture(confidence))

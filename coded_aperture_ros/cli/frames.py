@@ -1,14 +1,24 @@
 """Input frames and output names that `depth` and `deblur` share."""
 
 import argparse
-from collections.abc import Iterator
+import dataclasses
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.errors import InputError
 
-_FILE_SUFFIXES = (".npy", ".png", ".tif", ".tiff")
+
+@dataclasses.dataclass(frozen=True)
+class NamedFrame:
+    """A frame, what to call it in messages, and where its result goes."""
+
+    source: str
+    output: Path
+    image: Any
 
 
 def add_input_options(parser: argparse.ArgumentParser, output_help: str) -> None:
@@ -19,35 +29,77 @@ def add_input_options(parser: argparse.ArgumentParser, output_help: str) -> None
     parser.add_argument("-o", "--output", required=True, metavar="OUT", help=output_help)
 
 
-def named_frames(args: argparse.Namespace, suffix: str) -> Iterator[tuple[Path, Any]]:
-    """Yield `(output path, frame)` for every frame of every input.
+def named_frames(
+    args: argparse.Namespace,
+    suffix: str,
+    suffixes: Sequence[str],
+    outputs: Callable[[Path], Iterable[Path]] = lambda output: (output,),
+) -> Iterator[NamedFrame]:
+    """Go through every frame of every input.
 
     A single frame goes to the output itself where that names a file; otherwise the output is a
-    folder that gets one file per frame, named like the frame and ending in `suffix`.
+    folder that gets one file per frame, named like the frame.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        With `inputs`, `output` and `gamma`.
+    suffix : str
+        Of the files in a folder.
+    suffixes : sequence of str
+        What a file may end in.
+    outputs : callable, optional
+        Gives all the files that belong to an output. That they can be written is checked before
+        a frame is handed out.
 
     Raises
     ------
     InputError
-        If several frames would go to one file.
+        If several frames would go to one file, an input cannot be read, or an output cannot be
+        written or would overwrite an input.
     """
-    from coded_aperture_ros.images import gamma_from_text, open_sequence
+    from coded_aperture_ros.images import open_sequence
 
-    gamma = gamma_from_text(args.gamma)
-    sequences = [open_sequence(path, gamma) for path in args.inputs]
-    lengths = [sequence.length for sequence in sequences]
+    sequences = [(given, open_sequence(given, args.gamma)) for given in args.inputs]
+    lengths = [sequence.length for _, sequence in sequences]
     total = None if None in lengths else sum(length or 0 for length in lengths)
     output = Path(args.output)
-    to_file = output.suffix.lower() in _FILE_SUFFIXES and not output.is_dir()
+    to_file = _is_file_name(args.output)
+    if to_file and output.suffix.lower() not in suffixes:
+        raise InputError(
+            f"{output}: unknown format, use {', '.join(suffixes)}, or end a folder's name with /"
+        )
     if to_file and total != 1:
         raise InputError(
             f"{output}: {'several' if total is None else total} frames do not fit into one file, "
             "name a folder"
         )
-    frames = (frame for sequence in sequences for frame in sequence)
-    taken: set[str] = set()
-    for name, frame in progress(frames, total, "frame"):
-        stem = Path(name).stem
-        if stem in taken:
-            raise InputError(f"{output}: two inputs are named {stem}, use a folder for each")
-        taken.add(stem)
-        yield (output if to_file else output / f"{stem}{suffix}"), frame
+    pictures = [file for _, sequence in sequences for file in sequence.pictures]
+    videos = [sequence.video for _, sequence in sequences if sequence.video]
+    _check_names(output, [file.stem for file in pictures])
+
+    def frames() -> Iterator[tuple[str, str, Any]]:
+        for given, sequence in sequences:
+            alone = sequence.pictures == (Path(given),)
+            for name, image in sequence:
+                yield given if alone else f"{given}, frame {name}", name, image
+
+    for source, name, image in progress(frames(), total, "frame"):
+        target = output if to_file else output / f"{name}{suffix}"
+        for path in outputs(target):
+            check_output(path, pictures + videos)
+        yield NamedFrame(source, target, image)
+
+
+def _is_file_name(output: str) -> bool:
+    """Whether an output names a file: it has a suffix, and neither is nor ends like a folder."""
+    return bool(Path(output).suffix) and not output.endswith("/") and not Path(output).is_dir()
+
+
+def _check_names(output: Path, names: Sequence[str]) -> None:
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise InputError(
+            f"{output}: several inputs are named {twice[0]}, and so would their results be: "
+            "use a folder for each"
+        )

@@ -2,16 +2,20 @@
 
 import argparse
 import json
+import math
 import time
+from pathlib import Path
 from typing import Any
 
+from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
 from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.errors import InputError
 
 _EPILOG = """examples:
   from a camera file:
     coded_aperture learn --camera config/demo_camera.yaml --depth-range 2.1 5.1 --levels 30 \\
         -o bank.npz
-  from a mask and blur sizes in px, without a camera:
+  from a mask and a range of blur sizes in px, without a camera:
     coded_aperture learn --mask levin --blur-sizes 7 30 39 -o bank.npz
   from measured PSFs (.npz with psfs [N, k, k]), optionally at known depths in m:
     coded_aperture learn --psfs stack.npz --depths 1.0,1.5,2.0 -o bank.npz
@@ -25,11 +29,17 @@ def add_parser(subparsers: Any) -> None:
         help="learn a filter bank from a camera file, a mask or measured PSFs",
         description="Learn the filter bank that tells blur sizes apart. It is learned once for a "
         "mask and a range of blur sizes, from the mask or measured PSFs and a model of natural "
-        "images; no training pictures are needed.",
+        "images; no training pictures are needed. Masks with names: levin, two_hole, three_hole, "
+        "four_hole, annulus, veeraraghavan, zhou, mura, disc.",
         epilog=_EPILOG,
     )
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--camera", metavar="YAML", help="camera file; needs --depth-range")
+    source.add_argument(
+        "--camera",
+        metavar="YAML",
+        help="camera file, as config/example_camera.yaml, which explains every entry; needs "
+        "--depth-range",
+    )
     source.add_argument(
         "--blur-sizes",
         nargs=3,
@@ -38,12 +48,12 @@ def add_parser(subparsers: Any) -> None:
     )
     source.add_argument("--psfs", metavar="NPZ", help="measured PSFs")
     parser.add_argument(
-        "--depth-range", nargs=2, type=float, metavar=("NEAR", "FAR"), help="in metres"
+        "--depth-range", nargs=2, type=float, metavar=("NEAR", "FAR"), help="with --camera, in m"
     )
     parser.add_argument(
-        "--levels", type=int, default=30, metavar="N", help="number of levels (default 30)"
+        "--levels", type=int, metavar="N", help="number of levels, with --camera (default 30)"
     )
-    parser.add_argument("--mask", metavar="NAME", help="name of a mask, or a PNG or .npy file")
+    parser.add_argument("--mask", metavar="NAME", help="name or file (PNG, .npy) of a mask")
     parser.add_argument(
         "--depths", metavar="Z1,Z2,...", help="depth in metres of each measured PSF"
     )
@@ -63,13 +73,15 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("-o", "--output", required=True, metavar="FILE", help="bank (.npz)")
     parser.add_argument("--json", action="store_true", help="print a summary as JSON")
-    parser.set_defaults(usage_error=parser.error)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     from coded_aperture_ros.bank import save_bank
 
+    _check_usage(args)
+    check_suffix(args.output, [".npz"])
+    check_output(args.output, [Path(name) for name in (args.camera, args.psfs) if name])
     start = time.perf_counter()
     bank = _learned(args)
     save_bank(bank, args.output)
@@ -95,27 +107,48 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _check_usage(args: argparse.Namespace) -> None:
+    """Refuse options that do not go together, rather than ignore one of them."""
+    for name, source in (
+        ("depth_range", "camera"),
+        ("levels", "camera"),
+        ("mask", "blur_sizes"),
+        ("depths", "psfs"),
+    ):
+        if getattr(args, name) is not None and getattr(args, source) is None:
+            args.usage_error(f"{_option(name)} only goes with {_option(source)}")
+    if args.camera and args.depth_range is None:
+        args.usage_error("--camera needs --depth-range NEAR FAR")
+    if args.levels is not None and args.levels < 2:
+        args.usage_error(f"--levels: at least 2 are needed, got {args.levels}")
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
 def _learned(args: argparse.Namespace) -> Any:
     from coded_aperture_ros.bank import LearnConfig, learn_bank, learn_bank_for_camera
     from coded_aperture_ros.optics import load_camera
 
-    config = LearnConfig(window_px=args.window, rank=args.rank, noise=args.noise)
+    try:
+        config = LearnConfig(window_px=args.window, rank=args.rank, noise=args.noise)
+    except InputError as error:
+        args.usage_error(f"--{error}".replace("window_px", "window"))
     if args.camera:
-        if args.depth_range is None:
-            args.usage_error("--camera needs --depth-range NEAR FAR")
-        if args.levels < 2:
-            args.usage_error(f"--levels: at least 2 are needed, got {args.levels}")
+        camera = load_camera(args.camera)
         near_m, far_m = args.depth_range
-        return learn_bank_for_camera(
-            load_camera(args.camera), near_m, far_m, args.levels, config, progress
-        )
+        levels = 30 if args.levels is None else args.levels
+        with naming(args.camera):
+            return learn_bank_for_camera(camera, near_m, far_m, levels, config, progress)
     if args.psfs:
         stack, learned_from = _measured(args), f"measured PSFs {args.psfs}"
     else:
         stack, learned_from = _rendered(args), f"mask {args.mask}"
-    return learn_bank(
-        stack, config, learned_from=f"{learned_from}, natural-image prior", progress=progress
-    )
+    with naming(args.psfs or f"mask {args.mask}"):
+        return learn_bank(
+            stack, config, learned_from=f"{learned_from}, natural-image prior", progress=progress
+        )
 
 
 def _rendered(args: argparse.Namespace) -> Any:
@@ -129,7 +162,7 @@ def _rendered(args: argparse.Namespace) -> Any:
         smallest, largest, levels = *map(float, args.blur_sizes[:2]), int(args.blur_sizes[2])
     except ValueError:
         args.usage_error("--blur-sizes: expected two sizes in px and a whole number of levels")
-    if not smallest < largest or levels < 2:
+    if not -math.inf < smallest < largest < math.inf or levels < 2:
         args.usage_error("--blur-sizes: expected MIN less than MAX and at least 2 levels")
     mask = Mask.named(args.mask) if args.mask in MASK_NAMES else Mask.from_file(args.mask)
     return render_psf_stack(mask, np.linspace(smallest, largest, levels))
@@ -149,4 +182,5 @@ def _measured(args: argparse.Namespace) -> Any:
         depths = np.array([float(text) for text in args.depths.split(",")])
     except ValueError:
         args.usage_error(f"--depths: expected numbers with commas between, got {args.depths!r}")
-    return dataclasses.replace(stack, depths_m=depths)
+    with naming("--depths"):
+        return dataclasses.replace(stack, depths_m=depths)

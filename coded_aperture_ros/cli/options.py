@@ -5,7 +5,8 @@ import textwrap
 from collections.abc import Callable
 from typing import Any
 
-from coded_aperture_ros.configuration import options_of
+from coded_aperture_ros.configuration import Option, check_option, options_of
+from coded_aperture_ros.errors import InputError
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -24,6 +25,8 @@ class CommandParser(argparse.ArgumentParser):
             formatter_class=argparse.RawDescriptionHelpFormatter,  # examples keep their lines
             **others,
         )
+        # For what only the values of several options together can tell.
+        self.set_defaults(usage_error=self.error)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Add the late options, then parse; see `argparse.ArgumentParser`."""
@@ -44,12 +47,25 @@ def add_config_options(parser: argparse.ArgumentParser, config: type, title: str
         allowed = f"{described.allowed}; " if described.allowed and not described.choices else ""
         group.add_argument(
             f"--{name.replace('_', '-')}",
-            type=type(field.default),
+            type=_parser_of(type(field.default), described),
             choices=described.choices,
             default=field.default,
             metavar=None if described.choices else type(field.default).__name__.upper(),
             help=f"{described.description} ({allowed}default {field.default})",
         )
+
+
+def _parser_of(kind: type, described: Option) -> Callable[[str], Any]:
+    def parse(text: str) -> Any:
+        value = kind(text)
+        try:
+            check_option("", value, kind, described)
+        except InputError as error:
+            raise argparse.ArgumentTypeError(str(error).removeprefix(": ")) from error
+        return value
+
+    parse.__name__ = kind.__name__  # argparse says "invalid int value"
+    return parse
 
 
 def config_from(args: argparse.Namespace, config: type) -> Any:
@@ -61,7 +77,18 @@ def add_gamma_option(parser: argparse.ArgumentParser) -> None:
     """Add `--gamma`, which says how 8-bit input is encoded."""
     parser.add_argument(
         "--gamma",
+        type=_gamma,
         default="1",
         metavar="G",
-        help="how 8-bit input is encoded: an exponent or srgb (default 1: linear light)",
+        help="how 8-bit input is encoded: an exponent such as 2.2, or srgb as in most pictures "
+        "(default 1: linear light, as from a camera's raw values)",
     )
+
+
+def _gamma(text: str) -> Any:
+    from coded_aperture_ros.images import gamma_from_text
+
+    try:
+        return gamma_from_text(text)
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error).removeprefix("gamma: ")) from error

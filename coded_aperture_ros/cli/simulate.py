@@ -2,11 +2,18 @@
 
 import argparse
 import json
+import logging
+import math
 import time
+from pathlib import Path
 from typing import Any
 
-_EPILOG = """example:
-  coded_aperture simulate --camera config/example_camera.yaml --image sharp.png --gamma srgb \\
+from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
+from coded_aperture_ros.cli.options import add_gamma_option
+from coded_aperture_ros.errors import InputError
+
+_EPILOG = """example, for a scene that is 2.1 to 5.1 m away:
+  coded_aperture simulate --camera config/demo_camera.yaml --image sharp.png --gamma srgb \\
       --depth depth.png -o coded.png --noise 0.002 --bits 12
 """
 
@@ -20,7 +27,9 @@ def add_parser(subparsers: Any) -> None:
         "picture and a depth map of the same size, with occlusion and sensor noise.",
         epilog=_EPILOG,
     )
-    parser.add_argument("--camera", required=True, metavar="YAML", help="camera file")
+    parser.add_argument(
+        "--camera", required=True, metavar="YAML", help="camera file, as config/demo_camera.yaml"
+    )
     parser.add_argument("--image", required=True, metavar="FILE", help="sharp picture")
     parser.add_argument(
         "--depth",
@@ -40,12 +49,7 @@ def add_parser(subparsers: Any) -> None:
         help="quantise to that many bits (default 0: do not)",
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the noise")
-    parser.add_argument(
-        "--gamma",
-        default="1",
-        metavar="G",
-        help="how an 8-bit picture is encoded: an exponent or srgb (default 1: linear light)",
-    )
+    add_gamma_option(parser)
     parser.add_argument(
         "--depth-scale", type=float, metavar="M", help="metres per unit of the depth map"
     )
@@ -56,16 +60,33 @@ def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     import numpy as np
 
-    from coded_aperture_ros.images import gamma_from_text, read_depth, read_image, write_image
+    from coded_aperture_ros.images import PICTURE_SUFFIXES, read_depth, read_image, write_image
     from coded_aperture_ros.optics import load_camera
     from coded_aperture_ros.simulation import SensorModel, render_coded_frame
 
+    try:
+        sensor = SensorModel(args.noise, args.bits)
+    except InputError as error:
+        args.usage_error(f"--{error}")
+    if args.seed < 0:
+        args.usage_error(f"--seed: expected 0 or more, got {args.seed}")
+    if args.depth_scale is not None and not 0 < args.depth_scale < math.inf:
+        args.usage_error(f"--depth-scale: expected more than 0 m, got {args.depth_scale}")
+    check_suffix(args.output, PICTURE_SUFFIXES)
+    check_output(args.output, [Path(args.image), Path(args.depth)])
     camera = load_camera(args.camera)
-    sensor = SensorModel(args.noise, args.bits)
-    image = read_image(args.image, gamma_from_text(args.gamma))
+    image = read_image(args.image, args.gamma)
     depth_m = read_depth(args.depth, args.depth_scale)
+    if image.shape[:2] != (camera.image_height, camera.image_width):
+        logging.warning(
+            "%s has %d x %d pixels, not the %d x %d of the camera file: taken as a part of its "
+            "image, with pixels of the same size",
+            *(args.image, image.shape[1], image.shape[0]),
+            *(camera.image_width, camera.image_height),
+        )
     start = time.perf_counter()
-    coded = render_coded_frame(image, depth_m, camera)
+    with naming(f"{args.image} with {args.depth}"):
+        coded = render_coded_frame(image, depth_m, camera)
     seconds = time.perf_counter() - start
     write_image(args.output, sensor.expose(coded, np.random.default_rng(args.seed)))
     blur = camera.blur_size_px(depth_m[np.isfinite(depth_m)])

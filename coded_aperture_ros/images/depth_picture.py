@@ -14,7 +14,10 @@ _FONT, _FONT_SCALE, _STROKE = cv2.FONT_HERSHEY_SIMPLEX, 0.4, 1
 
 
 def depth_picture(
-    depth_m: NDArray, near_m: float | None = None, far_m: float | None = None
+    depth_m: NDArray,
+    near_m: float | None = None,
+    far_m: float | None = None,
+    unit: str = "m",
 ) -> NDArray[np.uint8]:
     """Colour a depth map, near in red and far in blue, above a scale bar in metres.
 
@@ -24,6 +27,8 @@ def depth_picture(
         Metres; NaN, drawn in grey, is unknown.
     near_m, far_m : float, optional
         Ends of the scale; by default those of the finite depths, less 1 % outliers on each side.
+    unit : str, optional
+        What the scale's numbers are followed by, where the map does not hold metres.
 
     Returns
     -------
@@ -36,7 +41,7 @@ def depth_picture(
     nearness = (far_m - np.nan_to_num(depth_m, nan=far_m, posinf=far_m)) / (far_m - near_m)
     picture = _turbo(nearness)
     picture[np.isnan(depth_m)] = UNKNOWN_RGB
-    return np.vstack([picture, _scale_strip(depth_m.shape[1], near_m, far_m)])
+    return np.vstack([picture, _scale_strip(depth_m.shape[1], near_m, far_m, unit)])
 
 
 def confidence_picture(confidence: NDArray) -> NDArray[np.uint8]:
@@ -58,7 +63,7 @@ def _turbo(values: NDArray) -> NDArray[np.uint8]:
     return cv2.cvtColor(cv2.applyColorMap(levels, cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
 
 
-def _scale_strip(width: int, near_m: float, far_m: float) -> NDArray[np.uint8]:
+def _scale_strip(width: int, near_m: float, far_m: float, unit: str) -> NDArray[np.uint8]:
     strip = np.full((_STRIP_HEIGHT, width, 3), 255, dtype=np.uint8)
     length = width - 2 * _MARGIN
     if length < 40:
@@ -69,7 +74,7 @@ def _scale_strip(width: int, near_m: float, far_m: float) -> NDArray[np.uint8]:
     for tick_m in _ticks(near_m, far_m, max(2, length // 70)):
         column = _MARGIN + round((tick_m - near_m) / (far_m - near_m) * (length - 1))
         cv2.line(strip, (column, 4 + _BAR_HEIGHT), (column, 8 + _BAR_HEIGHT), (0, 0, 0))
-        label = f"{tick_m:.4g} m"
+        label = f"{tick_m:.4g} {unit}".strip()
         (text_width, text_height), _ = cv2.getTextSize(label, _FONT, _FONT_SCALE, _STROKE)
         left = int(np.clip(column - text_width // 2, 0, width - text_width))
         origin = (left, 12 + _BAR_HEIGHT + text_height)

@@ -1,0 +1,60 @@
+"""What can be checked before anything is computed, and errors that name what they are about."""
+
+import os
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from coded_aperture_ros.errors import InputError
+
+
+@contextmanager
+def naming(what: object) -> Iterator[None]:
+    """Put `what`, say a file's name, before the message of an `InputError` in the block."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{what}: {error}") from error
+
+
+def check_suffix(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:
+    """Check that an output's name ends in one of the formats that can be written.
+
+    Raises
+    ------
+    InputError
+        Naming the file and the formats.
+    """
+    if Path(path).suffix.lower() not in suffixes:
+        raise InputError(f"{path}: unknown format, use a name that ends in {' or '.join(suffixes)}")
+
+
+def check_output(path: str | os.PathLike[str], inputs: Iterable[Path] = ()) -> None:
+    """Check that a file can be written, without writing it.
+
+    Parameters
+    ----------
+    path : path-like
+        The output.
+    inputs : iterable of pathlib.Path, optional
+        Existing files that must not be overwritten.
+
+    Raises
+    ------
+    InputError
+        Naming the file, and what to do instead.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(f"cannot write {path}: it is a folder")
+    if path.exists() and any(path.samefile(other) for other in inputs if other.exists()):
+        raise InputError(f"{path}: this is an input, and would be overwritten: use another name")
+    folder = next(parent for parent in path.parents if parent.exists() or parent == parent.parent)
+    if not folder.is_dir():
+        raise InputError(f"cannot write {path}: {folder} is not a folder")
+    try:
+        # Permissions alone do not tell: a file system may be read-only.
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {folder}: {error.strerror or error}") from error
