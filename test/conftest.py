@@ -22,6 +22,9 @@ os.environ["ROS_LOG_DIR"] = _LOGS.name
 for name in ("ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", "ROS_NAMESPACE", "ROS_DISCOVERY_SERVER"):
     os.environ.pop(name, None)
 
+# Before anything imports NumPy: on a busy machine BLAS is much slower with threads than without.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 if find_spec("rclpy"):
     import coded_aperture_ros.nodes  # noqa: F401  prepares the environment of the wheels
 
@@ -43,3 +46,11 @@ def data_dir() -> Path:
 def checkout() -> Path:
     """Folder of the project's sources."""
     return Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def scene(tmp_path_factory):
+    """Two planes, their coded frame and a bank, made by the command line."""
+    from cli_scene import make_scene
+
+    return make_scene(tmp_path_factory.mktemp("scene"))

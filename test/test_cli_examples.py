@@ -1,0 +1,61 @@
+"""The examples that the commands' `--help` shows, typed as they stand."""
+
+import shlex
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+from cli_scene import call, texture
+from test_cli_learn import measured_file
+
+from coded_aperture_ros.images import read_depth
+
+DEPTH_M = 4.0
+
+
+def examples(capsys, command):
+    """Return the command lines in a command's help, as lists of arguments."""
+    text = call(capsys, command, "--help").out.replace("\\\n", " ")
+    lines = [line.strip() for line in text.splitlines()]
+    return [
+        shlex.split(line)[1:] for line in lines if line.startswith(f"coded_aperture {command} ")
+    ]
+
+
+def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checkout):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "config").symlink_to(checkout / "config")
+    sharp = texture(200, 250)
+    cv2.imwrite("sharp.png", np.rint(255 * sharp ** (1 / 2.2)).astype(np.uint8))
+    cv2.imwrite("depth.png", np.full(sharp.shape, 1000 * DEPTH_M, np.uint16))
+    measured_file("stack.npz")
+
+    def type_in(arguments):
+        result = call(capsys, *arguments)
+        assert (result.status, result.err) == (0, ""), arguments
+        return result.out
+
+    (simulate,) = examples(capsys, "simulate")
+    type_in(simulate)
+    (tmp_path / "frames").mkdir()
+    shutil.copy("coded.png", "frames/first.png")
+
+    learn = examples(capsys, "learn")
+    assert len(learn) == 3
+    for arguments in reversed(learn):  # the first one's bank fits the simulated camera
+        type_in(arguments)
+
+    depth = examples(capsys, "depth")
+    assert len(depth) == 2
+    for arguments in depth:
+        type_in(arguments)
+    assert np.nanmedian(read_depth("depth.npy")) == pytest.approx(DEPTH_M, rel=0.05)
+    assert (tmp_path / "depth" / "first.npy").is_file()
+
+    deblur = examples(capsys, "deblur")
+    assert len(deblur) == 2
+    for arguments in deblur:
+        (tmp_path / "sharp.png").unlink()
+        type_in(arguments)
+        assert (tmp_path / "sharp.png").is_file()
