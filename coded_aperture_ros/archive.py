@@ -1,5 +1,6 @@
 """Versioned `.npz` files of plain arrays: what is not ours, or newer, or cut off, is named."""
 
+import io
 import os
 import zipfile
 import zlib
@@ -24,8 +25,11 @@ def write_archive(
     path: str | os.PathLike[str], schema: str, version: int, arrays: Mapping[str, Any]
 ) -> None:
     """Write arrays to a compressed `.npz` that states its schema; whole or not at all."""
-    with atomic_output(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, schema=schema, schema_version=version, **arrays)
+    # In memory first: zipfile complains, besides raising, if a disk is full.
+    content = io.BytesIO()
+    np.savez_compressed(content, schema=schema, schema_version=version, **arrays)
+    with atomic_output(path) as temporary:
+        temporary.write_bytes(content.getvalue())
 
 
 def read_archive(
