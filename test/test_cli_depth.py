@@ -9,7 +9,7 @@ import sys
 import cv2
 import numpy as np
 import pytest
-from cli_scene import HEIGHT, WIDTH, call, camera_file, everything
+from cli_scene import HEIGHT, WIDTH, Result, call, camera_file, everything
 from test_cli_learn import refused, wrong_usage
 
 from coded_aperture_ros.images import read_depth, read_image
@@ -285,13 +285,30 @@ def write_frames(folder):
         ("objects.npy", "truncated, or not a .npy array"),
     ],
 )
-def test_unusable_frames(scene, tmp_path, capfd, name, phrase):
+def test_unusable_frames(scene, tmp_path, capsys, name, phrase):
     write_frames(tmp_path)
     before = everything(tmp_path)
     output = tmp_path / "depth" / "d.npy"
-    result = call(capfd, "depth", "--bank", scene.bank, tmp_path / name, "-o", output)
+    result = call(capsys, "depth", "--bank", scene.bank, tmp_path / name, "-o", output)
     refused(result, tmp_path / name, phrase)
     assert everything(tmp_path) == before
+
+
+@pytest.mark.parametrize("name", ["video.avi", "cut.png", "cut.tiff"])
+def test_opencv_adds_nothing_to_the_message(scene, tmp_path, name):
+    write_frames(tmp_path)
+    (tmp_path / "cut.tiff").write_bytes(b"II*\0\x08\0\0\0\x01")
+    result = subprocess.run(
+        [
+            *(sys.executable, "-m", "coded_aperture_ros.cli.main", "depth"),
+            *("--bank", scene.bank, tmp_path / name, "-o", tmp_path / "d.npy"),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    refused(Result(result.returncode, result.stdout, result.stderr), tmp_path / name)
 
 
 def test_a_bad_frame_in_a_folder_is_named(scene, tmp_path, capsys):

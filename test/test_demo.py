@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from cli_scene import call
 from ros_helpers import wait_until
 
 from coded_aperture_ros.cli import demo
@@ -47,6 +48,17 @@ def nodes_of(process):
 
 def alive(pids):
     return [pid for pid in pids if Path(f"/proc/{pid}").exists()]
+
+
+def test_an_impossible_output_is_refused_before_anything_starts(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(demo, "Children", None)
+    (tmp_path / "file").write_text("")
+    result = call(capsys, "demo", "--output", tmp_path / "file")
+    assert (result.status, result.out) == (1, "")
+    assert result.err == (
+        f"coded_aperture: error: cannot write {tmp_path}/file/coded.png: "
+        f"{tmp_path}/file is not a folder\n"
+    )
 
 
 def test_a_short_demo(tmp_path):

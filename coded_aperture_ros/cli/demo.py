@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.share import share_directory
 
@@ -30,6 +31,7 @@ RATE_HZ = 12.0
 STRIDE_PX = 12
 # A robot steers by depth; all-in-focus frames are for people, who need fewer of them.
 DEBLUR_RATE_HZ = 2.0
+RESULTS = ("coded.png", "depth.png", "all_in_focus.png", "summary.json")
 NODES = ("camera_driver_node", "depth_node", "deblur_node")
 
 _START_TIMEOUT_S = 60.0
@@ -83,6 +85,8 @@ def add_parser(subparsers: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the demo."""
     say = _Speaker(sys.stderr if options.json else sys.stdout)
+    for name in RESULTS:
+        check_output(options.output / name)
     shared_memory = _shared_memory_suffices()
     os.environ.update(_private_network(shared_memory))
     # Without it large best-effort messages are lost; asked for again, they take longer.

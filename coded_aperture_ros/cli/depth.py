@@ -25,9 +25,9 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "depth",
         help="estimate depth from coded frames",
-        description="Estimate the depth of every pixel of coded frames. Each depth map gets a "
-        "confidence map beside it; where the confidence is low, the depth is unknown (NaN, or 0 "
-        "in a 16-bit PNG).",
+        description="Estimate the depth of every pixel of coded frames. Beside each depth "
+        "map x.npy its confidence, 0 to 1, is written to x.confidence.npy; where that is low, the "
+        "depth is unknown (NaN, or 0 in a 16-bit PNG).",
         epilog=_EPILOG,
     )
     add_input_options(

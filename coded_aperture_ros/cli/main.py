@@ -41,11 +41,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 done, 1 failed (one line on stderr says why), 130 interrupted. Wrong usage raises
         `SystemExit` with status 2, after argparse has said what is wrong.
     """
+    _set_up_libraries()
     options = make_parser().parse_args(arguments)
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format=f"{PROGRAM}: %(message)s")
-    # Its threads wait for each other actively: beside other work on the machine, learning a bank
-    # takes ten times longer with them. NumPy is imported only after this.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if warning := slow_blas_warning():
         logging.warning(warning)
     try:
@@ -61,6 +59,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     return status
+
+
+def _set_up_libraries() -> None:
+    """Choose what NumPy and OpenCV read when they are imported, unless the user has chosen."""
+    # Its threads wait for each other actively: beside other work on the machine, learning a bank
+    # takes ten times longer with them.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # What cannot be read we say ourselves, in one line.
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
 
 
 def make_parser() -> argparse.ArgumentParser:
