@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from coded_aperture_ros.bank import WindowedFourierBasis
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fill import filled_blur_map
-from coded_aperture_ros.deblur.inverse import InverseBasis
+from coded_aperture_ros.deblur.inverse import MODEL_ERRORS, InverseBasis
 from coded_aperture_ros.depth import estimate_noise
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import PsfStack
 
 # Model errors for which there are filters, and how finely maps are looked up between them.
-_MODEL_ERRORS = np.geomspace(0.06, 0.3, 4)
+_MODEL_ERRORS = np.geomspace(MODEL_ERRORS[0], MODEL_ERRORS[-1], 4)
 _STEPS_PER_LEVEL = 8
 _STEPS_PER_ERROR = 4
 # The error that a change of blur size within reach of the filters makes, per pixel of its standard
@@ -27,6 +27,8 @@ _SURROUNDINGS_PX = 41
 # Frames are extended by this margin before they are filtered.
 _MARGIN_PX = 48
 _NOISE_WINDOW_PX = 32
+# There is a basis for each of these noises; the nearest one is used.
+_NOISES = (0.001, 0.003, 0.01)
 
 
 class Deblurrer:
@@ -47,8 +49,14 @@ class Deblurrer:
         self.stack = stack
         self.config = config or DeblurConfig()
         self._order = np.argsort(stack.blur_sizes_px)
-        self._basis = lru_cache(maxsize=4)(self._learn_basis)
-        self._transforms = lru_cache(maxsize=4)(self._transform_basis)
+        self._basis = lru_cache(maxsize=len(_NOISES))(self._new_basis)
+        self._transforms = lru_cache(maxsize=len(_NOISES))(self._new_transforms)
+        self._lookup_table = lru_cache(maxsize=32)(self._new_lookup_table)
+
+    def prepare(self, shape: tuple[int, int]) -> None:
+        """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
+        for noise in _NOISES:
+            self._transforms(noise, _padded_shape(shape))
 
     def deblur(
         self,
@@ -82,22 +90,25 @@ class Deblurrer:
         channels = _channels(frame)
         blur = filled_blur_map(blur_size_px, channels.shape[1:])
         noise = noise or self.config.noise or self._estimated_noise(channels)
-        # Whole decades of the variance: few enough different bases to keep them all.
-        decade = round(np.log10(noise**2 * self.config.smoothness))
-
-        basis = self._basis(decade)
-        lookup = self._lookup_table(basis)
+        noise *= np.sqrt(self.config.smoothness)
+        basis_noise = min(_NOISES, key=lambda known: abs(np.log(known / noise)))
+        transforms = self._transforms(basis_noise, _padded_shape(blur.shape))
+        # Steps of a tenth of a decade: there are few different tables.
+        lookup = self._lookup_table(basis_noise, round(10 * np.log10(noise)))
         index = self._lookup_index(blur, _model_error(blur))
         weights = [np.take(column, index) for column in lookup]
-        sharp = np.stack([self._filter(channel, weights, decade) for channel in channels])
+        sharp = np.stack([self._filter(channel, transforms, weights) for channel in channels])
         np.clip(sharp, 0, 1, out=sharp)
         return sharp[0] if frame.ndim == 2 else np.ascontiguousarray(sharp.transpose(1, 2, 0))
 
     def _filter(
-        self, channel: NDArray[np.float32], weights: list[NDArray[np.float32]], decade: int
+        self,
+        channel: NDArray[np.float32],
+        transforms: NDArray[np.complex64],
+        weights: list[NDArray[np.float32]],
     ) -> NDArray[np.float32]:
         height, width = channel.shape
-        shape = tuple(scipy.fft.next_fast_len(n + 2 * _MARGIN_PX, real=True) for n in channel.shape)
+        shape = _padded_shape(channel.shape)
         # The last pixels go on: no dark rim, and nothing wraps around. Mirrored texture would not
         # be blurred like the rest, and costs half of the gain near the border.
         below, right = shape[0] - height - _MARGIN_PX, shape[1] - width - _MARGIN_PX
@@ -107,21 +118,20 @@ class Deblurrer:
         spectrum = scipy.fft.rfft2(padded)
         sharp = np.zeros_like(channel)
         inside = slice(_MARGIN_PX, _MARGIN_PX + height), slice(_MARGIN_PX, _MARGIN_PX + width)
-        for transform, weight in zip(self._transforms(decade, shape), weights, strict=True):
+        for transform, weight in zip(transforms, weights, strict=True):
             sharp += weight * scipy.fft.irfft2(spectrum * transform, shape)[inside]
         return sharp
 
-    def _learn_basis(self, decade: int) -> InverseBasis:
-        return InverseBasis.learn(self.stack, _MODEL_ERRORS, 10 ** (decade / 2), self.config.rank)
+    def _new_basis(self, noise: float) -> InverseBasis:
+        return InverseBasis.learn(self.stack, noise, self.config.rank)
 
-    def _transform_basis(self, decade: int, shape: tuple[int, int]) -> NDArray[np.complex64]:
-        return self._basis(decade).transforms(shape)
+    def _new_transforms(self, noise: float, shape: tuple[int, int]) -> NDArray[np.complex64]:
+        return self._basis(noise).transforms(shape)
 
-    def _lookup_table(self, basis: InverseBasis) -> NDArray[np.float32]:
+    def _new_lookup_table(self, basis_noise: float, tenths: int) -> NDArray[np.float32]:
         """Coefficients [R, steps of level * steps of model error], interpolated."""
-        table = basis.combinations[self._order]
-        # Every inverse filter passes flat areas unchanged, and so must what stands for it.
-        table = table / (table @ table.sum(axis=(0, 1)))[..., None]
+        table = self._basis(basis_noise).coefficients(_MODEL_ERRORS, 10 ** (tenths / 10))
+        table = table[self._order]
         for axis, steps in ((0, _STEPS_PER_LEVEL), (1, _STEPS_PER_ERROR)):
             table = np.moveaxis(table, axis, 0)
             position = np.arange(steps * (len(table) - 1) + 1) / steps
@@ -146,6 +156,11 @@ class Deblurrer:
         fourier = WindowedFourierBasis(min(_NOISE_WINDOW_PX, 2 * (min(channel.shape) // 2)))
         high_power, _ = fourier.project(channel, _NOISE_WINDOW_PX, fourier.noise_weights[:, None])
         return estimate_noise(high_power)
+
+
+def _padded_shape(shape: tuple[int, ...]) -> tuple[int, int]:
+    height, width = (scipy.fft.next_fast_len(n + 2 * _MARGIN_PX, real=True) for n in shape)
+    return height, width
 
 
 def _model_error(blur: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -12,6 +12,9 @@ from coded_aperture_ros.optics import PsfStack
 # Power spectrum of photographs in linear light: fall-off and contrast (variance).
 _SLOPE = 2.4
 _CONTRAST = 0.02
+# Model errors whose inverse filters span those of all in between.
+MODEL_ERRORS = (0.06, 0.1, 0.3)
+_ROWS_AT_A_TIME = 16
 
 
 def transfer_function(psf: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.complex64]:
@@ -33,7 +36,7 @@ def wiener_filters(
     model_errors: NDArray[np.float64],
     noise: float,
 ) -> NDArray[np.complex64]:
-    """Return the transforms of the inverse filters of one level.
+    """Return the transforms of the inverse filters of one or more PSFs.
 
     ``K = conj(H) S / ((|H|^2 + e^2) S + s^2)``, scaled by ``1 + e^2`` so that flat areas keep
     their brightness. It minimises thesis eq. 6.27 for one plane, with the power spectrum ``S`` of
@@ -43,8 +46,8 @@ def wiener_filters(
 
     Parameters
     ----------
-    transfer : ndarray, complex64 [rows, columns]
-        Transform ``H`` of the level's PSF.
+    transfer : ndarray, complex64 [..., rows, columns]
+        Transform ``H`` of every PSF.
     prior : ndarray, float32 [rows, columns]
         ``S``, see `image_prior`.
     model_errors : ndarray, float64 [E]
@@ -53,8 +56,9 @@ def wiener_filters(
 
     Returns
     -------
-    ndarray, complex64 [E, rows, columns]
+    ndarray, complex64 [..., E, rows, columns]
     """
+    transfer = transfer[..., None, :, :]
     error = (model_errors**2).astype(np.float32)[:, None, None]
     passed = transfer.real**2 + transfer.imag**2
     gain = prior * (1 + error) / ((passed + error) * prior + np.float32(noise**2))
@@ -69,38 +73,43 @@ class InverseBasis:
     ----------
     stack : PsfStack
         L levels.
-    model_errors : ndarray, float64 [E]
+    generators : ndarray, float32 [L, G, R]
+        Basis filter r is the sum, with these weights, of the inverse filters of all levels for
+        each of the G `MODEL_ERRORS`.
     noise : float
-    combinations : ndarray, float32 [L, E, R]
-        Orthonormal over levels and model errors: basis filter r is the sum of all inverse filters
-        with these weights, and an inverse filter is the sum of all basis filters with the same.
+        Noise that the basis is best for.
+    coarse : ndarray, complex64 [R, n]
+        The basis filters at a coarse sampling of the frequencies, times `coarse_weight`.
+        Orthogonal.
+    coarse_weight : ndarray, float32 [n]
+        How much of each frequency there is in blurred photographs.
     """
 
     stack: PsfStack
-    model_errors: NDArray[np.float64]
+    generators: NDArray[np.float32]
     noise: float
-    combinations: NDArray[np.float32]
+    coarse: NDArray[np.complex64]
+    coarse_weight: NDArray[np.float32]
 
     @classmethod
-    def learn(
-        cls, stack: PsfStack, model_errors: NDArray[np.float64], noise: float, rank: int
-    ) -> "InverseBasis":
+    def learn(cls, stack: PsfStack, noise: float, rank: int) -> "InverseBasis":
         """Factor the inverse filters of a PSF stack at a given rank.
 
-        The factorisation is best for blurred natural images: each frequency counts as much as
-        there is of it in them.
+        The factorisation is best for blurred photographs: each frequency counts as much as there
+        is of it in them.
         """
-        # Which filters resemble each other shows at a coarse sampling of the frequencies already.
-        side = scipy.fft.next_fast_len(max(96, 4 * stack.psfs.shape[-1]), real=True)
-        prior = image_prior((side, side))
-        transfers = np.array([transfer_function(psf, (side, side)) for psf in stack.psfs])
-        filters = np.array([wiener_filters(h, prior, model_errors, noise) for h in transfers])
+        prior, transfers = _coarse_model(stack)
         weight = np.sqrt(prior * np.mean(np.abs(transfers) ** 2, axis=0) + noise**2)
-        rows = (filters * weight.astype(np.float32)).reshape(-1, weight.size).view(np.float32)
+        weight = weight.ravel().astype(np.float32)
+        errors = np.array(MODEL_ERRORS)
+        filters = wiener_filters(transfers, prior, errors, noise)
+        filters = filters.reshape(-1, weight.size) * weight
         # There are far fewer filters than frequencies: decompose the small Gram matrix.
+        rows = filters.view(np.float32)
         _, vectors = np.linalg.eigh(rows.astype(np.float64) @ rows.T)
         leading = vectors[:, ::-1][:, :rank].astype(np.float32)
-        return cls(stack, model_errors, noise, leading.reshape(*filters.shape[:2], -1))
+        generators = leading.reshape(len(stack), len(errors), -1)
+        return cls(stack, generators, noise, leading.T @ filters, weight)
 
     def transforms(self, shape: tuple[int, int]) -> NDArray[np.complex64]:
         """Return the transforms of the basis filters for images of `shape`.
@@ -109,11 +118,43 @@ class InverseBasis:
         -------
         ndarray, complex64 [R, rows, columns // 2 + 1]
         """
-        rank = self.combinations.shape[-1]
-        basis = np.zeros((rank, shape[0] * (shape[1] // 2 + 1)), np.complex64)
-        prior = image_prior(shape)
-        for psf, combination in zip(self.stack.psfs, self.combinations, strict=True):
-            transfer = transfer_function(psf, shape)
-            filters = wiener_filters(transfer, prior, self.model_errors, self.noise)
-            basis += combination.T @ filters.reshape(len(filters), -1)
-        return basis.reshape(rank, shape[0], -1)
+        prior, errors = image_prior(shape), np.array(MODEL_ERRORS)
+        transfers = np.array([transfer_function(psf, shape) for psf in self.stack.psfs])
+        weights = self.generators.reshape(-1, self.generators.shape[-1]).T
+        basis = np.empty((len(weights), *prior.shape), np.complex64)
+        # Some rows at a time: the inverse filters of all levels would fill the memory.
+        for start in range(0, shape[0], _ROWS_AT_A_TIME):
+            rows = slice(start, start + _ROWS_AT_A_TIME)
+            filters = wiener_filters(transfers[:, rows], prior[rows], errors, self.noise)
+            flat = filters.reshape(weights.shape[1], -1).view(np.float32)
+            basis[:, rows] = (weights @ flat).view(np.complex64).reshape(basis[:, rows].shape)
+        return basis
+
+    def coefficients(self, model_errors: NDArray[np.float64], noise: float) -> NDArray[np.float32]:
+        """Return the combinations that come nearest to the inverse filters.
+
+        Parameters
+        ----------
+        model_errors : ndarray, float64 [E]
+        noise : float
+            Standard deviation, > 0.
+
+        Returns
+        -------
+        ndarray, float32 [L, E, R]
+            Scaled so that flat areas keep their brightness exactly.
+        """
+        prior, transfers = _coarse_model(self.stack)
+        wanted = wiener_filters(transfers, prior, model_errors, noise)
+        wanted = wanted.reshape(*wanted.shape[:2], -1) * self.coarse_weight
+        power = np.sum(np.abs(self.coarse) ** 2, axis=1)
+        coefficients = (wanted @ self.coarse.conj().T).real / power
+        flat = coefficients @ (self.coarse[:, 0].real / self.coarse_weight[0])
+        return (coefficients / flat[..., None]).astype(np.float32)
+
+
+def _coarse_model(stack: PsfStack) -> tuple[NDArray[np.float32], NDArray[np.complex64]]:
+    # Which filters resemble each other shows at a coarse sampling of the frequencies already.
+    side = scipy.fft.next_fast_len(max(96, 4 * stack.psfs.shape[-1]), real=True)
+    transfers = [transfer_function(psf, (side, side)) for psf in stack.psfs]
+    return image_prior((side, side)), np.array(transfers)
