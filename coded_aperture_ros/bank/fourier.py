@@ -169,15 +169,39 @@ class WindowedFourierBasis:
         # Horizontal transforms once per pixel row: the windows above each other share them.
         strips = np.lib.stride_tricks.sliding_window_view(image, n, axis=1)[:, ::stride_px]
         strips = scipy.fft.rfft(strips * self.window, axis=-1)
+        strips = np.stack([strips.real, strips.imag], axis=1)
         projected = np.empty((grid.rows, grid.columns, filters.shape[1]), np.float32)
-        window = self.window[:, None, None]
         for row in range(grid.rows):
-            band = strips[row * stride_px : row * stride_px + n] * window
-            band = scipy.fft.fft(band, axis=0, overwrite_x=True)
-            power = band.real**2 + band.imag**2
+            power = self._vertical_power(strips[row * stride_px : row * stride_px + n])
             power = power.transpose(1, 0, 2).reshape(grid.columns, -1)
             np.matmul(power, filters, out=projected[row])
         return projected, grid
+
+    @cached_property
+    def _cosines_and_sines(self) -> NDArray[np.float32]:
+        """Windowed vertical transform [N, N]: cosines of 0 to N/2 cycles, sines of the others."""
+        n = self.window_px
+        angle = 2 * np.pi / n * np.outer(np.arange(n // 2 + 1), np.arange(n))
+        transform = np.vstack([np.cos(angle), np.sin(angle[1:-1])])
+        return (transform * self.window).astype(np.float32)
+
+    def _vertical_power(self, strips: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the power of windows from their horizontal transforms.
+
+        Takes [N, real or imaginary, windows, N/2 + 1], gives [N, windows, N/2 + 1]. At these
+        sizes a product with the cosines and sines is a fifth faster than an FFT: positive and
+        negative frequencies share it.
+        """
+        n, half = self.window_px, self.window_px // 2
+        parts = (self._cosines_and_sines @ strips.reshape(n, -1)).reshape(strips.shape)
+        cosines, sines = parts[: half + 1], parts[half + 1 :]
+        power = np.empty_like(parts[:, 0])
+        for unpaired in (0, half):  # without sine
+            power[unpaired] = np.sum(cosines[unpaired] ** 2, axis=0)
+        real, imaginary = cosines[1:half, 0], cosines[1:half, 1]
+        power[1:half] = (real + sines[:, 1]) ** 2 + (imaginary - sines[:, 0]) ** 2
+        power[:half:-1] = (real - sines[:, 1]) ** 2 + (imaginary + sines[:, 0]) ** 2
+        return power
 
     def expected_power(self, psf: NDArray[np.float32], slope: float) -> NDArray[np.float64]:
         """Return the expected power of a window on a naturally textured, blurred plane.

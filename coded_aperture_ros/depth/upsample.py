@@ -36,34 +36,23 @@ def upsample(
     -------
     level, confidence : ndarray, float32 of shape `size`
     """
-    row, row_weight = _neighbours(grid.row_centres, frame_shape[0], size[0])
-    column, column_weight = _neighbours(grid.column_centres, frame_shape[1], size[1])
+    rows, row_weights = _neighbours(grid.row_centres, frame_shape[0], size[0])
+    columns, column_weights = _neighbours(grid.column_centres, frame_shape[1], size[1])
     known = np.nan_to_num(level)
-    corners = [
-        (np.ix_(row[i], column[j]), row_weight[i][:, None] * column_weight[j])
-        for i in (0, 1)
-        for j in (0, 1)
-    ]
-    best = np.full(size, -1, np.float32)
-    chosen = np.zeros(size, np.float32)
-    upsampled_confidence = np.zeros(size, np.float32)
-    for index, bilinear in corners:
-        trust = bilinear * (confidence[index] + np.float32(1e-6))
-        better = trust > best
-        chosen[better] = known[index][better]
-        best = np.maximum(best, trust)
-        upsampled_confidence += bilinear * confidence[index]
-    total = np.zeros(size, np.float32)
-    weight = np.zeros(size, np.float32)
-    for index, bilinear in corners:
-        value = known[index]
-        trust = bilinear * (confidence[index] + np.float32(1e-6))
-        trust *= np.abs(value - chosen) <= _SAME_SURFACE
-        total += trust * value
-        weight += trust
-    # The chosen patch itself always contributes, so the weight is positive.
-    upsampled = total / weight
-    return np.where(upsampled_confidence > 0, upsampled, np.float32(np.nan)), upsampled_confidence
+
+    def corners(patches: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.array([patches.take(i, 0).take(j, 1) for i in rows for j in columns])
+
+    bilinear = np.array([i[:, None] * j for i in row_weights for j in column_weights])
+    trusted = bilinear * corners(confidence)
+    upsampled_confidence = trusted.sum(axis=0)
+    trusted += np.float32(1e-6) * bilinear  # so that there is a patch with the most trust
+    values = corners(known)
+    chosen = np.take_along_axis(values, trusted.argmax(axis=0)[None], axis=0)
+    trusted *= np.abs(values - chosen) <= _SAME_SURFACE
+    upsampled = (trusted * values).sum(axis=0) / trusted.sum(axis=0)
+    upsampled[upsampled_confidence <= 0] = np.nan
+    return upsampled, upsampled_confidence
 
 
 def _neighbours(

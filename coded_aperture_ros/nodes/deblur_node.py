@@ -134,7 +134,10 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         return self._deblurrer
 
     def _new_deblurrer(self) -> Deblurrer:
-        return Deblurrer(self._model.bank.stack, self.configs[DeblurConfig])
+        deblurrer = Deblurrer(self._model.bank.stack, self.configs[DeblurConfig])
+        camera = self._model.camera
+        deblurrer.prepare((camera.image_height, camera.image_width))
+        return deblurrer
 
 
 def main(args: Sequence[str] | None = None) -> int:
