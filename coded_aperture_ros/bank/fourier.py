@@ -17,6 +17,7 @@ from coded_aperture_ros.errors import InputError
 
 # Blur has removed most of the texture above this frequency, cycles per pixel.
 _HIGH_FREQUENCY = 0.42
+_ROWS_AT_A_TIME = 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,10 +172,15 @@ class WindowedFourierBasis:
         strips = scipy.fft.rfft(strips * self.window, axis=-1)
         strips = np.stack([strips.real, strips.imag], axis=1)
         projected = np.empty((grid.rows, grid.columns, filters.shape[1]), np.float32)
-        for row in range(grid.rows):
-            power = self._vertical_power(strips[row * stride_px : row * stride_px + n])
-            power = power.transpose(1, 0, 2).reshape(grid.columns, -1)
-            np.matmul(power, filters, out=projected[row])
+        # Some rows of windows at a time: few large products, but no more than the cache holds.
+        for start in range(0, grid.rows, _ROWS_AT_A_TIME):
+            rows = range(start, min(start + _ROWS_AT_A_TIME, grid.rows))
+            power = np.empty((len(rows), grid.columns, n, n // 2 + 1), np.float32)
+            for windows, row in zip(power, rows, strict=True):
+                vertical = self._vertical_power(strips[row * stride_px : row * stride_px + n])
+                windows[:] = vertical.transpose(1, 0, 2)
+            flat = power.reshape(-1, self.size) @ filters
+            projected[start : rows.stop] = flat.reshape(len(rows), grid.columns, -1)
         return projected, grid
 
     @cached_property

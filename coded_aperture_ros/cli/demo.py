@@ -31,6 +31,7 @@ RATE_HZ = 12.0
 STRIDE_PX = 12
 # A robot steers by depth; all-in-focus frames are for people, who need fewer of them.
 DEBLUR_RATE_HZ = 2.0
+DEBLUR_RANK = 12
 RESULTS = ("coded.png", "depth.png", "all_in_focus.png", "summary.json")
 NODES = ("camera_driver_node", "depth_node", "deblur_node")
 
@@ -106,7 +107,10 @@ def run(options: argparse.Namespace) -> int:
         children.start("camera_driver_node", camera)  # renders its scene meanwhile
         model = learned_model(camera_file, Path(folder) / "bank.npz", say)
         children.start("depth_node", {**model, **reliability, "stride_px": STRIDE_PX})
-        children.start("deblur_node", {**model, **reliability, "max_rate_hz": DEBLUR_RATE_HZ})
+        children.start(
+            "deblur_node",
+            {**model, **reliability, "max_rate_hz": DEBLUR_RATE_HZ, "rank": DEBLUR_RANK},
+        )
         with running_monitor(reliable=not shared_memory) as monitor:
             _wait_for_results(monitor, children, say)
             _measure(monitor, children, say, options.seconds)

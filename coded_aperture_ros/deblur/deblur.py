@@ -25,7 +25,7 @@ _ERROR_PER_PX = 0.03
 # How far the surroundings matter, px: about twice the largest blur, where filters reach strongest.
 _SURROUNDINGS_PX = 41
 # Frames are extended by this margin before they are filtered.
-_MARGIN_PX = 48
+_MARGIN_PX = 40
 _NOISE_WINDOW_PX = 32
 # There is a basis for each of these noises; the nearest one is used.
 _NOISES = (0.001, 0.003, 0.01)

@@ -9,6 +9,8 @@ from coded_aperture_ros.errors import InputError
 
 # A window with more than this share of unusable pixels gives no depth.
 _TOLERATED = 0.02
+# An unusable pixel is filled from a square of this size around it.
+_FILL_FROM = (15, 15)
 
 
 def grey_image(
@@ -56,13 +58,18 @@ def grey_image(
 
 def _fill(grey: NDArray[np.float32], usable: NDArray[np.bool_]) -> NDArray[np.float32]:
     weight = usable.astype(np.float32)
-    known = np.where(usable, grey, np.float32(0))
-    side = (15, 15)
-    total = cv2.boxFilter(known, -1, side, normalize=False)
-    count = cv2.boxFilter(weight, -1, side, normalize=False)
-    overall = known.sum() / max(weight.sum(), 1)
-    nearby = np.where(count > 0.5, total / np.maximum(count, 1), overall)
-    return np.where(usable, grey, nearby.astype(np.float32))
+    filled = grey.copy()
+    filled[~usable] = 0
+    overall = filled.sum() / max(weight.sum(), 1)
+    # Borders of zero weight: pixels beyond the frame are unusable too.
+    total, count = (
+        cv2.boxFilter(values, -1, _FILL_FROM, normalize=False, borderType=cv2.BORDER_CONSTANT)
+        for values in (filled, weight)
+    )
+    holes = np.nonzero(~usable)
+    total, count = total[holes], count[holes]
+    filled[holes] = np.where(count > 0.5, total / np.maximum(count, 1), overall)
+    return filled
 
 
 def usable_windows(unusable: NDArray[np.bool_], grid: PatchGrid) -> NDArray[np.bool_]:
