@@ -28,7 +28,7 @@ NEAR_M, FAR_M = 2.05, 5.1
 LEVELS = 30
 RATE_HZ = 12.0
 # With the default of 8 px the depth node alone would need more than one core at this rate.
-STRIDE_PX = 12
+STRIDE_PX = 16
 # A robot steers by depth; all-in-focus frames are for people, who need fewer of them.
 DEBLUR_RATE_HZ = 2.0
 DEBLUR_RANK = 12
