@@ -27,8 +27,8 @@ CAMERA_FILE = "demo_camera.yaml"
 NEAR_M, FAR_M = 2.05, 5.1
 LEVELS = 30
 RATE_HZ = 12.0
-# With the default of 8 px the depth node alone would need more than one core at this rate.
-STRIDE_PX = 16
+# With the default stride of 8 px the depth node alone would need more than one core at this rate.
+DEPTH = {"stride_px": 16, "regularize": "tv", "smoothness": 1.5}
 # A robot steers by depth; all-in-focus frames are for people, who need fewer of them.
 DEBLUR_RATE_HZ = 2.0
 DEBLUR_RANK = 12
@@ -106,7 +106,7 @@ def run(options: argparse.Namespace) -> int:
         camera = {"camera_file": str(camera_file), "source": "simulator", "rate_hz": RATE_HZ}
         children.start("camera_driver_node", camera)  # renders its scene meanwhile
         model = learned_model(camera_file, Path(folder) / "bank.npz", say)
-        children.start("depth_node", {**model, **reliability, "stride_px": STRIDE_PX})
+        children.start("depth_node", {**model, **reliability, **DEPTH})
         children.start(
             "deblur_node",
             {**model, **reliability, "max_rate_hz": DEBLUR_RATE_HZ, "rank": DEBLUR_RANK},

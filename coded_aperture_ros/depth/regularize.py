@@ -15,10 +15,10 @@ _ENOUGH_EVIDENCE = 6.0
 _EDGE_LEVELS = 4
 # Weights of the smoothness beside natural-logarithm evidence.
 _CUT_BETA = 1.2
-_TV_BETA = 0.3
+_TV_BETA = 0.6
 # The coupling of total variation's two variables, and the iterations that take it there.
 _TV_THETA = (10.0, 0.1)
-_TV_ITERATIONS = 30
+_TV_ITERATIONS = 10
 _TV_STEPS = 4
 
 
