@@ -132,6 +132,7 @@ def rewritten(path, **changes):
         (lambda path: rewritten(path, schema_version=99), "version 99.*upgrade"),
         (lambda path: rewritten(path, basis=None), "without basis: learn it again"),
         (lambda path: rewritten(path, basis=np.zeros((3, 3))), "damaged.*basis"),
+        (lambda path: rewritten(path, basis=1.0), "damaged.*basis"),
         (lambda path: rewritten(path, log_determinants=np.full((16, 3, 9), np.nan)), "damaged"),
         (lambda path: rewritten(path, window_px=33), "damaged.*even"),
     ],
@@ -162,6 +163,15 @@ def test_bank_of_a_camera_has_equally_spaced_sizes_and_knows_depths():
     assert halfway == pytest.approx([float(camera.depth_m(middle))], rel=1e-6)
     assert bank.stack.blur_size_at(halfway) == pytest.approx([middle], rel=1e-6)
     assert "levin" in bank.learned_from
+
+
+def test_unusable_levels_of_a_camera_are_refused():
+    camera = Camera(800.0, 0.9, 640, 480, Mask.named("levin"), 25.4)
+    for levels in (-1, 0, 1):
+        with pytest.raises(InputError, match=f"at least 2 levels, got {levels}"):
+            learn_bank_for_camera(camera, 1.0, 2.5, levels)
+    with pytest.raises(InputError, match="1 to inf m: a bank needs finite depths"):
+        learn_bank_for_camera(camera, 1.0, np.inf, 7)
 
 
 def test_unusable_levels_are_refused():

@@ -79,7 +79,7 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
 
 
 def _check_shapes(bank: FilterBank) -> None:
-    rank = bank.basis.shape[-1]
+    rank = bank.basis.shape[-1] if bank.basis.ndim else 0
     hypotheses = (len(bank.ratios), len(bank.prior.slopes), bank.levels)
     expected = {
         "basis": (bank.fourier.size, rank),

@@ -35,7 +35,6 @@ class LearnConfig:
         minimum=1,
         maximum=4096,
     )
-
     noise: float = option(
         0.0,
         "Standard deviation of the camera's noise in linear light; 0 if it is not known.",
@@ -72,13 +71,18 @@ def learn_bank_for_camera(
     Raises
     ------
     InputError
-        If the range does not lie on the camera's side of the focal plane, or a blur size does not
-        fit the window.
+        If the range does not lie on the camera's side of the focal plane or ends at infinity,
+        there are fewer than two levels, or a blur size does not fit the window.
     """
+    _check_levels(levels)
     blur_sizes = np.linspace(*camera.blur_range_px(near_m, far_m), levels)
-    stack = dataclasses.replace(
-        render_psf_stack(camera.mask, blur_sizes), depths_m=camera.depth_m(blur_sizes)
-    )
+    depths_m = camera.depth_m(blur_sizes)
+    if not np.isfinite(depths_m).all():
+        raise InputError(
+            f"depth range {near_m:g} to {far_m:g} m: a bank needs finite depths; far away they "
+            "differ little in blur, 100 times the distance of the focus is enough"
+        )
+    stack = dataclasses.replace(render_psf_stack(camera.mask, blur_sizes), depths_m=depths_m)
     learned_from = f"mask {camera.mask.name}, {near_m:g} to {far_m:g} m, natural-image prior"
     return learn_bank(stack, config, learned_from=learned_from, progress=progress)
 
@@ -114,8 +118,7 @@ def learn_bank(
     """
     config = config or LearnConfig()
     prior = prior or NaturalImagePrior()
-    if len(stack.psfs) < 2:
-        raise InputError(f"a bank needs at least 2 levels, got {len(stack.psfs)}")
+    _check_levels(len(stack))
     widest = stack.psfs.shape[-1]
     if widest > config.window_px:
         raise InputError(
@@ -150,3 +153,8 @@ def learn_bank(
         noise=config.noise,
         learned_from=learned_from,
     )
+
+
+def _check_levels(count: int) -> None:
+    if count < 2:
+        raise InputError(f"a bank needs at least 2 levels, got {count}")
