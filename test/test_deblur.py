@@ -141,6 +141,35 @@ def test_unknown_depth_and_pixels_that_are_not_numbers_are_survived(stack, sharp
     assert psnr_db(result[far], sharp[far]) > psnr_db(coded[far], sharp[far]) + 3
 
 
+@pytest.mark.parametrize("bad", [1e30, -1e30, np.inf, -np.inf])
+def test_a_pixel_out_of_all_bounds_spoils_only_its_surroundings(stack, sharp, bad):
+    coded = blurred(sharp, 6.0)
+    blur = np.full(sharp.shape, 6.0, np.float32)
+    clean = Deblurrer(stack).deblur(coded, blur, NOISE)
+    coded[50, 60] = bad
+    spoilt = Deblurrer(stack).deblur(coded, blur, NOISE)
+    assert spoilt[120:, 150:] == pytest.approx(clean[120:, 150:], abs=0.01)
+
+
+@pytest.mark.parametrize("sizes", [[0.1, 0.9], [3.0, 3.0], [5.0, 9.0], [4.0]])
+def test_few_or_equal_levels_are_deblurred_like_many(sharp, sizes):
+    """The inverse filters of such stacks span less than the rank that is asked for."""
+    coded = blurred(sharp, sizes[-1])
+    blur = np.full(sharp.shape, sizes[-1], np.float32)
+    few = Deblurrer(render_psf_stack(Mask.named("levin"), sizes)).deblur(coded, blur, NOISE)
+    around = np.linspace(sizes[-1] - 0.05, sizes[-1] + 0.05, 9)
+    many = Deblurrer(render_psf_stack(Mask.named("levin"), around)).deblur(coded, blur, NOISE)
+    assert psnr_db(few, many) > 40
+
+
+def test_psf_that_is_wider_than_the_frame(sharp):
+    wide = render_psf_stack(Mask.named("levin"), [90.0, 150.0])
+    frame = sharp[:64, :72]
+    result = Deblurrer(wide).deblur(frame, np.full(frame.shape, 120.0, np.float32))
+    assert result.shape == frame.shape
+    assert np.isfinite(result).all()
+
+
 def test_wrong_input_is_refused(stack):
     deblurrer = Deblurrer(stack)
     frame = np.zeros((64, 64), np.float32)
@@ -148,5 +177,9 @@ def test_wrong_input_is_refused(stack):
         deblurrer.deblur(frame, np.full((64, 64), np.nan, np.float32))
     with pytest.raises(InputError, match="blur map: expected"):
         deblurrer.deblur(frame, np.zeros(64, np.float32))
+    with pytest.raises(InputError, match="floating values"):
+        deblurrer.deblur(np.zeros((64, 64), np.uint8), frame)
+    with pytest.raises(InputError, match="5x7 px is too small to estimate its noise"):
+        deblurrer.deblur(np.zeros((7, 5), np.float32), frame)
     with pytest.raises(InputError, match=r"got \[64, 64, 2\]"):
         deblurrer.deblur(np.zeros((64, 64, 2), np.float32), frame)

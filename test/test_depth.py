@@ -7,6 +7,7 @@ from coded_aperture_ros.bank import LearnConfig, PatchGrid, learn_bank_for_camer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_noise
 from coded_aperture_ros.depth.frame import grey_image, usable_windows
 from coded_aperture_ros.depth.levels import refine_level
+from coded_aperture_ros.depth.regularize import regularized_level
 from coded_aperture_ros.depth.upsample import upsample
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import Camera, Mask
@@ -123,6 +124,40 @@ def test_regularisation_of_no_strength_changes_nothing(bank, plane):
     assert cut.level[known] == pytest.approx(free.level[known], abs=1e-4)
 
 
+@pytest.mark.parametrize("smoothness", [1.0, 5.0, 20.0])
+def test_total_variation_stays_in_the_range_of_levels(smoothness):
+    random, levels = np.random.default_rng(0), 12
+    for _ in range(10):
+        true = random.integers(0, 2, (9, 14, 1)) * (levels - 1)
+        energies = (10 * np.abs(np.arange(levels) - true)).astype(np.float32)
+        probability = np.exp(-energies / 2)
+        probability /= probability.sum(axis=-1, keepdims=True)
+        config = DepthConfig(regularize="tv", smoothness=smoothness)
+        level = regularized_level(energies, probability, config)
+        assert level.dtype == np.float32
+        assert level.min() >= 0
+        assert level.max() <= levels - 1
+
+
+@pytest.mark.parametrize("mask_mm", [0.0, 20.0])
+def test_scene_in_front_of_the_focal_plane(mask_mm):
+    """Negative blur sizes, the mask turned by 180 degrees; also with the mask off the lens."""
+    others = {"lens_mask_distance_mm": mask_mm, "side": "near"}
+    camera = Camera(800.0, 3.0, 192, 160, Mask.named("zhou"), 20.0, **others)
+    near_side = learn_bank_for_camera(camera, NEAR_M, FAR_M, 20, LearnConfig(window_px=32))
+    assert (near_side.blur_sizes_px < 0).all()
+    depth = np.full((160, 256), 2.0, np.float32)
+    depth[:, :128] = 1.2
+    frame = with_noise(render_coded_frame(natural_texture(depth.shape), depth, camera))
+    for given in (camera, None):
+        config = DepthConfig(confidence_threshold=0)
+        estimate = DepthEstimator(near_side, config, given).estimate(frame)
+        error = np.abs(estimate.depth_m / depth - 1)
+        away = np.abs(np.arange(256) - 127.5) > 24
+        assert np.mean(error[:, away] < 0.05) > 0.9
+        assert (estimate.blur_size_px < 0).all()
+
+
 def test_missing_maxflow_is_one_clear_line(bank, plane, monkeypatch):
     import sys
 
@@ -174,7 +209,7 @@ def test_frame_of_one_value_has_no_depth(bank, value):
     assert not estimate.confidence.any()
 
 
-@pytest.mark.parametrize("bad", [np.nan, 1.0, -np.inf])
+@pytest.mark.parametrize("bad", [np.nan, 1.0, -np.inf, -1e30])
 def test_unusable_pixels_spoil_only_their_surroundings(bank, plane, bad):
     frame, depth = plane[0].copy(), plane[1]
     frame[60:100, 80:120] = bad

@@ -11,7 +11,7 @@ from coded_aperture_ros.bank import WindowedFourierBasis
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fill import filled_blur_map
 from coded_aperture_ros.deblur.inverse import MODEL_ERRORS, InverseBasis
-from coded_aperture_ros.depth import estimate_noise
+from coded_aperture_ros.depth import check_frame, estimate_noise
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import PsfStack
 
@@ -24,9 +24,12 @@ _STEPS_PER_ERROR = 4
 _ERROR_PER_PX = 0.03
 # How far the surroundings matter, px: about twice the largest blur, where filters reach strongest.
 _SURROUNDINGS_PX = 41
-# Frames are extended by this margin before they are filtered.
+# Frames are extended by this margin, or by the width of the PSFs, before they are filtered.
 _MARGIN_PX = 40
 _NOISE_WINDOW_PX = 32
+_LEAST_SIDE_PX = 8
+# One bad pixel beyond these bounds would spoil the whole frame through its Fourier transform.
+_DARKEST, _BRIGHTEST = -1.0, 2.0
 # There is a basis for each of these noises; the nearest one is used.
 _NOISES = (0.001, 0.003, 0.01)
 
@@ -48,6 +51,7 @@ class Deblurrer:
     def __init__(self, stack: PsfStack, config: DeblurConfig | None = None) -> None:
         self.stack = stack
         self.config = config or DeblurConfig()
+        self._margin_px = max(_MARGIN_PX, stack.psfs.shape[-1])
         self._order = np.argsort(stack.blur_sizes_px)
         self._basis = lru_cache(maxsize=len(_NOISES))(self._new_basis)
         self._transforms = lru_cache(maxsize=len(_NOISES))(self._new_transforms)
@@ -56,7 +60,7 @@ class Deblurrer:
     def prepare(self, shape: tuple[int, int]) -> None:
         """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
         for noise in _NOISES:
-            self._transforms(noise, _padded_shape(shape))
+            self._transforms(noise, self._padded_shape(shape))
 
     def deblur(
         self,
@@ -85,14 +89,15 @@ class Deblurrer:
         Raises
         ------
         InputError
-            If the frame or the map has a wrong shape, or no blur size is known.
+            If the frame or the map has a wrong shape or type, no blur size is known, or the frame
+            is too small for its noise to be estimated.
         """
         channels = _channels(frame)
         blur = filled_blur_map(blur_size_px, channels.shape[1:])
         noise = noise or self.config.noise or self._estimated_noise(channels)
         noise *= np.sqrt(self.config.smoothness)
         basis_noise = min(_NOISES, key=lambda known: abs(np.log(known / noise)))
-        transforms = self._transforms(basis_noise, _padded_shape(blur.shape))
+        transforms = self._transforms(basis_noise, self._padded_shape(blur.shape))
         # Steps of a tenth of a decade: there are few different tables.
         lookup = self._lookup_table(basis_noise, round(10 * np.log10(noise)))
         index = self._lookup_index(blur, _model_error(blur))
@@ -108,19 +113,24 @@ class Deblurrer:
         weights: list[NDArray[np.float32]],
     ) -> NDArray[np.float32]:
         height, width = channel.shape
-        shape = _padded_shape(channel.shape)
+        shape, margin = self._padded_shape(channel.shape), self._margin_px
         # The last pixels go on: no dark rim, and nothing wraps around. Mirrored texture would not
         # be blurred like the rest, and costs half of the gain near the border.
-        below, right = shape[0] - height - _MARGIN_PX, shape[1] - width - _MARGIN_PX
+        below, right = shape[0] - height - margin, shape[1] - width - margin
         padded = cv2.copyMakeBorder(
-            channel, _MARGIN_PX, below, _MARGIN_PX, right, borderType=cv2.BORDER_REPLICATE
+            channel, margin, below, margin, right, borderType=cv2.BORDER_REPLICATE
         )
         spectrum = scipy.fft.rfft2(padded)
         sharp = np.zeros_like(channel)
-        inside = slice(_MARGIN_PX, _MARGIN_PX + height), slice(_MARGIN_PX, _MARGIN_PX + width)
+        inside = slice(margin, margin + height), slice(margin, margin + width)
         for transform, weight in zip(transforms, weights, strict=True):
             sharp += weight * scipy.fft.irfft2(spectrum * transform, shape)[inside]
         return sharp
+
+    def _padded_shape(self, shape: tuple[int, ...]) -> tuple[int, int]:
+        margins = 2 * self._margin_px
+        height, width = (scipy.fft.next_fast_len(n + margins, real=True) for n in shape)
+        return height, width
 
     def _new_basis(self, noise: float) -> InverseBasis:
         return InverseBasis.learn(self.stack, noise, self.config.rank)
@@ -153,14 +163,14 @@ class Deblurrer:
     def _estimated_noise(self, channels: NDArray[np.float32]) -> float:
         # Sparse windows of one channel tell enough about the noise of a whole frame.
         channel = channels[len(channels) // 2]
+        height, width = channel.shape
+        if min(height, width) < _LEAST_SIDE_PX:
+            raise InputError(
+                f"frame of {width}x{height} px is too small to estimate its noise, give the noise"
+            )
         fourier = WindowedFourierBasis(min(_NOISE_WINDOW_PX, 2 * (min(channel.shape) // 2)))
         high_power, _ = fourier.project(channel, _NOISE_WINDOW_PX, fourier.noise_weights[:, None])
         return estimate_noise(high_power)
-
-
-def _padded_shape(shape: tuple[int, ...]) -> tuple[int, int]:
-    height, width = (scipy.fft.next_fast_len(n + 2 * _MARGIN_PX, real=True) for n in shape)
-    return height, width
 
 
 def _model_error(blur: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -173,12 +183,10 @@ def _model_error(blur: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _channels(frame: NDArray[np.float32]) -> NDArray[np.float32]:
-    if frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3) or frame.size == 0:
-        raise InputError(
-            f"frame: expected [rows, columns] or [rows, columns, 3], got {list(frame.shape)}"
-        )
+    check_frame(frame)
     channels = frame[None] if frame.ndim == 2 else frame.transpose(2, 0, 1)
     channels = np.ascontiguousarray(channels, np.float32)
-    if not np.isfinite(channels).all():
-        channels = np.nan_to_num(channels, nan=0.0, posinf=1.0, neginf=0.0)
+    # A NaN makes both comparisons false.
+    if not (channels.min() >= _DARKEST and channels.max() <= _BRIGHTEST):
+        channels = np.clip(np.nan_to_num(channels, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
     return channels

@@ -15,6 +15,8 @@ _CONTRAST = 0.02
 # Model errors whose inverse filters span those of all in between.
 MODEL_ERRORS = (0.06, 0.1, 0.3)
 _ROWS_AT_A_TIME = 16
+# A basis filter with less than this share of the power of the strongest one is rounding error.
+_LEAST_POWER = 1e-8
 
 
 def transfer_function(psf: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.complex64]:
@@ -96,7 +98,7 @@ class InverseBasis:
         """Factor the inverse filters of a PSF stack at a given rank.
 
         The factorisation is best for blurred photographs: each frequency counts as much as there
-        is of it in them.
+        is of it in them. Filters that resemble each other need, and get, a smaller rank.
         """
         prior, transfers = _coarse_model(stack)
         weight = np.sqrt(prior * np.mean(np.abs(transfers) ** 2, axis=0) + noise**2)
@@ -106,7 +108,8 @@ class InverseBasis:
         filters = filters.reshape(-1, weight.size) * weight
         # There are far fewer filters than frequencies: decompose the small Gram matrix.
         rows = filters.view(np.float32)
-        _, vectors = np.linalg.eigh(rows.astype(np.float64) @ rows.T)
+        powers, vectors = np.linalg.eigh(rows.astype(np.float64) @ rows.T)
+        rank = min(rank, int(np.sum(powers > _LEAST_POWER * powers[-1])))
         leading = vectors[:, ::-1][:, :rank].astype(np.float32)
         generators = leading.reshape(len(stack), len(errors), -1)
         return cls(stack, generators, noise, leading.T @ filters, weight)

@@ -2,6 +2,7 @@
 
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.estimate import DepthEstimate, DepthEstimator
+from coded_aperture_ros.depth.frame import check_frame
 from coded_aperture_ros.depth.noise import estimate_noise
 
-__all__ = ["DepthConfig", "DepthEstimate", "DepthEstimator", "estimate_noise"]
+__all__ = ["DepthConfig", "DepthEstimate", "DepthEstimator", "check_frame", "estimate_noise"]

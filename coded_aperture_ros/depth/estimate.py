@@ -31,8 +31,9 @@ class DepthEstimate:
     blur_size_px : ndarray
         Signed blur size in pixels of the frame; NaN where unknown.
     depth_m : ndarray or None
-        Depth along the optical axis in metres; NaN where unknown. None if neither a camera nor
-        the bank says how far the levels are.
+        Depth along the optical axis in metres; NaN where unknown, +inf for a level at or beyond
+        the camera's blur size of infinity. None if neither a camera nor the bank says how far the
+        levels are.
     confidence : ndarray
         Probability, in [0, 1], that the depth is right to 5 % (or, without depths, that the level
         is right to one level).

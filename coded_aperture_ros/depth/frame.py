@@ -7,10 +7,28 @@ from numpy.typing import NDArray
 from coded_aperture_ros.bank import PatchGrid
 from coded_aperture_ros.errors import InputError
 
+# Black is near 0, but for noise; what is as dark as this is no measurement.
+_DARKEST = -1.0
 # A window with more than this share of unusable pixels gives no depth.
 _TOLERATED = 0.02
 # An unusable pixel is filled from a square of this size around it.
 _FILL_FROM = (15, 15)
+
+
+def check_frame(frame: NDArray[np.floating]) -> None:
+    """Check that an array can be a frame.
+
+    Raises
+    ------
+    InputError
+        If it is not [rows, columns] or [rows, columns, 3], or not of a floating type.
+    """
+    if frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3) or frame.size == 0:
+        raise InputError(
+            f"frame: expected [rows, columns] or [rows, columns, 3], got {list(frame.shape)}"
+        )
+    if not np.issubdtype(frame.dtype, np.floating):
+        raise InputError(f"frame: expected floating values in [0, 1], got {frame.dtype}")
 
 
 def grey_image(
@@ -21,7 +39,7 @@ def grey_image(
     Parameters
     ----------
     frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
-        Linear light in [0, 1]. NaN, infinite and saturated pixels are unusable.
+        Linear light in [0, 1]. NaN, infinite, saturated and far too dark pixels are unusable.
     saturation : float
         Brightness from which a pixel of any channel counts as saturated.
 
@@ -36,12 +54,7 @@ def grey_image(
     InputError
         If the frame has another shape or is not of a floating type.
     """
-    if frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3) or frame.size == 0:
-        raise InputError(
-            f"frame: expected [rows, columns] or [rows, columns, 3], got {list(frame.shape)}"
-        )
-    if not np.issubdtype(frame.dtype, np.floating):
-        raise InputError(f"frame: expected floating values in [0, 1], got {frame.dtype}")
+    check_frame(frame)
     frame = np.ascontiguousarray(frame, np.float32)
     if frame.ndim == 3:
         grey = cv2.transform(frame, np.full((1, 3), 1 / 3, np.float32))
@@ -50,7 +63,7 @@ def grey_image(
         grey = brightest = frame
     # NaN compares as false, so this also finds the pixels that are not finite.
     usable = brightest < saturation
-    usable &= grey > -np.inf
+    usable &= grey > _DARKEST
     if usable.all():
         return grey, None
     return _fill(grey, usable), ~usable

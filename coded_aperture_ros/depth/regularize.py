@@ -100,7 +100,8 @@ def _total_variation(
             previous = smooth
             smooth = (smooth + step * (divergence + found / theta)) / (1 + step / theta)
             relaxed = 2 * smooth - previous
-    return smooth
+    # The primal-dual steps may overshoot the ends of the range.
+    return np.clip(smooth, 0, index[-1])
 
 
 def _evidence(probability: NDArray[np.float32]) -> NDArray[np.float64]:
