@@ -86,6 +86,18 @@ def test_nan_is_kept_in_float_files(tmp_path):
     assert np.isnan(read_image(tmp_path / "a.tif")).tolist() == [[True, False]]
 
 
+def test_exif_does_not_turn_the_picture_against_the_mask(tmp_path):
+    path = tmp_path / "upright.jpg"
+    cv2.imwrite(str(path), np.zeros((24, 40, 3), np.uint8))
+    entry = b"\x01\x12\x00\x03\x00\x00\x00\x01\x00\x06\x00\x00"  # orientation: turned by 90 degrees
+    exif = b"Exif\0\0MM\x00\x2a\x00\x00\x00\x08\x00\x01" + entry + bytes(4)
+    stored = path.read_bytes()
+    segment = b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif
+    path.write_bytes(stored[:2] + segment + stored[2:])
+    assert cv2.imread(str(path)).shape == (40, 24, 3)  # OpenCV does, if it is not told otherwise
+    assert read_image(path).shape == (24, 40, 3)
+
+
 def test_alpha_is_dropped(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.full((3, 4, 4), [0, 0, 255, 128], np.uint8))
     assert read_image(tmp_path / "a.png").tolist() == np.full((3, 4, 3), [1, 0, 0]).tolist()

@@ -35,7 +35,8 @@ def read_image(path: str | os.PathLike[str], gamma: Gamma = 1.0) -> NDArray[np.f
     Returns
     -------
     ndarray of float32, shape [h, w] or [h, w, 3]
-        Linear light, RGB. Integer files give 0 to 1; float files keep their values and NaN.
+        Linear light, RGB, as the sensor's rows and columns were stored: EXIF orientation is
+        ignored. Integer files give 0 to 1; float files keep their values and NaN.
 
     Raises
     ------
@@ -176,7 +177,8 @@ def _read_pixels(path: Path) -> NDArray:
 
 def _decode(data: bytes) -> NDArray | None:
     try:
-        flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
+        # Turned upright as EXIF asks, a picture would no longer suit the mask.
+        flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
         return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
         return None
