@@ -38,26 +38,31 @@ def blurred_texture(psf, contrast=0.02, slope=2.4, size=128, noise=NOISE, seed=0
 
 
 def direct_energies(bank, image, noise):
-    """The energies as their definition says, patch by patch, without basis or ratios' grid."""
+    """The energies as their definition says, patch by patch, trying many noises."""
     fourier, prior = bank.fourier, bank.prior
     power, _ = fourier.project(image, 16, np.eye(fourier.size, dtype=np.float32))
     counts = fourier.multiplicity.astype(float)
     energies = np.full((*power.shape[:2], bank.levels), np.inf)
-    for level, psf in enumerate(bank.stack.psfs):
+    variances = noise**2 * np.geomspace(1, 3000, 250)[:, None, None, None]
+    # For each ratio of contrast to noise that is plausible at the least noise.
+    for ratio in np.array(prior.contrasts) / noise**2:
         for slope in prior.slopes:
-            expected = fourier.expected_power(psf, slope) + prior.model_error**2
-            for contrast in prior.contrasts:
-                variance = contrast * expected + noise**2
-                energy = (power / variance + np.log(variance / noise**2)) @ counts
+            for level, psf in enumerate(bank.stack.psfs):
+                expected = fourier.expected_power(psf, slope) + prior.model_error**2
+                total = variances * (ratio * expected + 1)
+                energy = ((power / total + np.log(total / noise**2)) @ counts).min(axis=0)
                 energies[..., level] = np.minimum(energies[..., level], energy)
-    return np.minimum(energies, (power / noise**2 @ counts)[..., None])
+    alone = ((power / variances + np.log(variances / noise**2)) @ counts).min(axis=0)
+    return np.minimum(energies, alone[..., None])
 
 
 def test_energies_are_those_of_the_definition(bank):
     # With this noise the contrasts of the prior fall onto the bank's ratios.
     noise = float(np.sqrt(bank.prior.contrasts[0] / bank.ratios[5]))
-    full = learn_bank(bank.stack, LearnConfig(window_px=32, rank=4096))
-    image = blurred_texture(bank.stack.psfs[4], noise=noise)
+    few = PsfStack(bank.blur_sizes_px[1:4], bank.stack.psfs[1:4])
+    full = learn_bank(few, LearnConfig(window_px=16, rank=4096))
+    # Twice the noise that is told, so that the best noise is not the least.
+    image = blurred_texture(few.psfs[1], noise=2 * noise, size=64)
     energies = full.energies(full.project(image, 16), noise)
     assert energies == pytest.approx(direct_energies(full, image, noise), rel=2e-3)
 

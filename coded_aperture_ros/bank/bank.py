@@ -17,18 +17,21 @@ _PATCHES_AT_A_TIME = 128
 class FilterBank:
     """Everything that depth estimation needs to know about a mask and its blur sizes.
 
-    For a patch with power spectrum ``P`` and noise of standard deviation ``s`` the energy of
-    blur level ``d`` is twice the negative log-likelihood of a Gaussian texture seen through
-    that level's PSF, minimised over the texture's contrast ``a`` and slope::
+    For a patch with power spectrum ``P`` the energy of blur level ``d`` is twice the negative
+    log-likelihood of a Gaussian texture seen through that level's PSF, minimised over the
+    texture's contrast ``a`` and slope, and over the noise ``s``, which is at least the frame's,
+    ``s_0``::
 
-        E_d = min_a,slope  sum_k m_k [ (P_k / s^2) / V_k + log V_k ]
+        E_d = min over a, slope, s >= s_0 of  sum_k m_k [ P_k / (s^2 V_k) + log(s^2 V_k / s_0^2) ]
         V_k = (a / s^2) (C_k + e^2) + 1
 
     with the expected power ``C_k`` of unit-contrast texture at level ``d``, the multiplicity
     ``m_k`` and the model error ``e``. This is the noise-aware form of the distance to the
-    subspace of thesis eq. 6.22, to which it tends without noise. Only the ratio
-    ``a / s^2`` enters the weights, so one bank serves every noise level: the noise scales the
-    spectrum, and selects which ratios are plausible.
+    subspace of thesis eq. 6.22, to which it tends without noise. The noise of a patch may exceed
+    the frame's because slants, edges and shading in it act like noise.
+
+    Only the ratio ``a / s^2`` enters the weights, so one bank serves every noise level; for a
+    given ratio the best noise follows in closed form.
 
     The weights ``m / V`` of all hypotheses share one basis (thesis 8.3.1).
 
@@ -121,7 +124,7 @@ class FilterBank:
         ----------
         frame : ProjectedFrame
         noise : float
-            Standard deviation of the frame's noise, linear light, > 0.
+            Standard deviation ``s_0`` of the frame's noise, linear light, > 0.
 
         Returns
         -------
@@ -132,15 +135,16 @@ class FilterBank:
         rank = self.basis.shape[1]
         plausible = self._plausible_ratios(noise)
         precision = np.float32(1 / noise**2)
-        coefficients = precision * self.coefficients[:, plausible].reshape(rank, -1)
+        count = self.fourier.multiplicity.sum()
+        coefficients = self.coefficients[:, plausible].reshape(rank, -1) * (precision / count)
         log_determinants = self.log_determinants[plausible].reshape(-1)
         projections = frame.projections.reshape(-1, rank)
-        textureless = precision * frame.power.reshape(-1, 1)
+        textureless = _profiled(frame.power.reshape(-1, 1) * (precision / count), count)
         energies = np.empty((len(projections), self.levels), np.float32)
         # Some patches at a time keep their hypotheses in the processor's cache.
         for start in range(0, len(projections), _PATCHES_AT_A_TIME):
             some = slice(start, start + _PATCHES_AT_A_TIME)
-            hypotheses = projections[some] @ coefficients + log_determinants
+            hypotheses = _profiled(projections[some] @ coefficients, count) + log_determinants
             textured = hypotheses.reshape(len(hypotheses), -1, self.levels).min(axis=1)
             np.minimum(textured, textureless[some], out=energies[some])
         return energies.reshape(*frame.power.shape, self.levels)
@@ -151,6 +155,13 @@ class FilterBank:
         first = int(np.argmin(np.abs(np.log(self.ratios / wanted))))
         first = min(first, len(self.ratios) - count)
         return slice(first, first + count)
+
+
+def _profiled(excess: NDArray[np.float32], count: np.float32) -> NDArray[np.float32]:
+    """Return ``count * min over t >= 1 of (log t + excess / t)``: the best noise ``t s_0^2``."""
+    factor = np.maximum(excess, np.float32(1))
+    profiled: NDArray[np.float32] = count * (np.log(factor) + excess / factor)
+    return profiled
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

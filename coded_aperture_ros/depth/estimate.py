@@ -13,7 +13,7 @@ from coded_aperture_ros.depth.levels import (
     confidence_of,
     level_probability,
 )
-from coded_aperture_ros.depth.noise import NOISE_FLOOR, estimate_noise
+from coded_aperture_ros.depth.noise import estimate_noise
 from coded_aperture_ros.depth.regularize import regularized_level
 from coded_aperture_ros.depth.upsample import upsample
 from coded_aperture_ros.errors import InputError
@@ -108,7 +108,7 @@ class DepthEstimator:
         projected = bank.project(grey, config.stride_px)
         noise = config.noise or bank.noise or estimate_noise(projected.high_power)
 
-        energies = bank.energies(projected, max(noise, NOISE_FLOOR))
+        energies = bank.energies(projected, noise)
         probability = level_probability(energies, bank.fourier)
         level = regularized_level(energies, probability, config)
         confidence = confidence_of(level, probability, self._agreement)
