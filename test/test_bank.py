@@ -190,3 +190,14 @@ def test_unusable_levels_are_refused():
     with pytest.raises(InputError, match="prior slopes"):
         NaturalImagePrior(slopes=())
     assert PsfStack(np.arange(2.0), stack.psfs.repeat(2, axis=0)).depth_at(np.zeros(1)) is None
+
+
+def test_levels_out_of_order_are_refused():
+    stack = render_psf_stack(Mask.named("disc"), [3.0, 7.0, 5.0])
+    with pytest.raises(InputError, match="blur sizes: levels must be in order"):
+        learn_bank(stack)
+    ordered = render_psf_stack(Mask.named("disc"), [7.0, 5.0, 3.0])
+    learn_bank(ordered, LearnConfig(window_px=16))
+    depths = PsfStack(np.arange(3.0), ordered.psfs, np.array([1.0, 3.0, 2.0]))
+    with pytest.raises(InputError, match="depths: levels must be in order"):
+        learn_bank(depths)

@@ -193,6 +193,25 @@ def test_noise_is_estimated_and_errs_upward(bank, camera, true, at_most):
     assert noise <= at_most * true or np.isinf(at_most)
 
 
+def test_noise_is_that_of_one_channel(bank, plane):
+    """Three channels with noise of their own are seen as their mean, with less noise."""
+    frame, _ = plane
+    random = np.random.default_rng(5)
+    colour = frame[..., None] + random.normal(0, 0.01, (*frame.shape, 3)).astype(np.float32)
+    estimated = DepthEstimator(bank).estimate(colour)
+    given = DepthEstimator(bank, DepthConfig(noise=estimated.noise)).estimate(colour)
+    assert 0.01 < estimated.noise < 0.015
+    assert given.confidence == pytest.approx(estimated.confidence, abs=0.01)
+
+
+def test_bank_of_another_mask_is_refused(bank, camera):
+    import dataclasses
+
+    other = dataclasses.replace(camera, mask=Mask.named("zhou"))
+    with pytest.raises(InputError, match=r"mask zhou is not the one .*mask levin"):
+        DepthEstimator(bank, camera=other)
+
+
 def test_given_noise_is_used(bank, plane):
     assert DepthEstimator(bank, DepthConfig(noise=0.02)).estimate(plane[0]).noise == 0.02
     import dataclasses
@@ -276,6 +295,8 @@ def test_wrong_input_is_refused(bank, camera):
         estimator.estimate(np.zeros((31, 64), np.float32))
     with pytest.raises(InputError, match=r"\[rows, columns, 3\], got \[64, 64, 4\]"):
         estimator.estimate(np.zeros((64, 64, 4), np.float32))
+    with pytest.raises(InputError, match="expected at least 1x1"):
+        estimator.estimate(np.zeros((64, 64), np.float32), (0, 8))
     with pytest.raises(InputError, match="floating values"):
         estimator.estimate(np.zeros((64, 64), np.uint8))
     with pytest.raises(InputError, match="stride_px"):

@@ -54,7 +54,10 @@ class FilterBank:
     truncation_error : float
         Relative root-mean-square error of the weights at this rank.
     noise : float
-        Standard deviation of the camera's noise; 0 if it has to be estimated in every frame.
+        Standard deviation of the noise of one channel of the camera; 0 if it has to be estimated
+        in every frame.
+    mask_digest : str
+        Digest of the mask's pattern; empty for measured PSFs.
     learned_from : str
         How the bank came to be, for a person to read.
     """
@@ -68,6 +71,7 @@ class FilterBank:
     log_determinants: NDArray[np.float32]
     truncation_error: float
     noise: float
+    mask_digest: str
     learned_from: str
 
     @property
@@ -160,8 +164,7 @@ class FilterBank:
 def _profiled(excess: NDArray[np.float32], count: np.float32) -> NDArray[np.float32]:
     """Return ``count * min over t >= 1 of (log t + excess / t)``: the best noise ``t s_0^2``."""
     factor = np.maximum(excess, np.float32(1))
-    profiled: NDArray[np.float32] = count * (np.log(factor) + excess / factor)
-    return profiled
+    return np.asarray(count * (np.log(factor) + excess / factor), np.float32)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

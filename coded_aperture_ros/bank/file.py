@@ -36,6 +36,7 @@ def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
         "log_determinants": bank.log_determinants,
         "truncation_error": bank.truncation_error,
         "noise": bank.noise,
+        "mask_digest": bank.mask_digest,
         "learned_from": bank.learned_from,
     }
     if bank.stack.depths_m is not None:
@@ -68,6 +69,7 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
             log_determinants=arrays["log_determinants"],
             truncation_error=float(arrays["truncation_error"]),
             noise=float(arrays["noise"]),
+            mask_digest=str(arrays["mask_digest"]),
             learned_from=str(arrays["learned_from"]),
         )
         _check_shapes(bank)
@@ -79,6 +81,10 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
 
 
 def _check_shapes(bank: FilterBank) -> None:
+    if bank.ratios.ndim != 1 or len(bank.ratios) < len(bank.prior.contrasts):
+        raise InputError(f"ratios: expected at least {len(bank.prior.contrasts)} in a row")
+    if not (np.all(bank.ratios > 0) and 0 <= bank.noise < np.inf):
+        raise InputError("ratios and noise: expected positive numbers")
     rank = bank.basis.shape[-1] if bank.basis.ndim else 0
     hypotheses = (len(bank.ratios), len(bank.prior.slopes), bank.levels)
     expected = {

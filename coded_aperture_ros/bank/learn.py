@@ -12,7 +12,7 @@ from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.prior import NaturalImagePrior
 from coded_aperture_ros.configuration import check_options, option
 from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.optics import Camera, PsfStack, render_psf_stack
+from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
 
 # Contrast over noise variance: contrasts of 1e-5 to 0.1 under noise of 0.0002 to 0.01.
 RATIOS = 10.0 ** (np.arange(-2, 14) / 2)
@@ -84,7 +84,7 @@ def learn_bank_for_camera(
         )
     stack = dataclasses.replace(render_psf_stack(camera.mask, blur_sizes), depths_m=depths_m)
     learned_from = f"mask {camera.mask.name}, {near_m:g} to {far_m:g} m, natural-image prior"
-    return learn_bank(stack, config, learned_from=learned_from, progress=progress)
+    return learn_bank(stack, config, learned_from=learned_from, mask=camera.mask, progress=progress)
 
 
 def learn_bank(
@@ -92,6 +92,7 @@ def learn_bank(
     config: LearnConfig | None = None,
     prior: NaturalImagePrior | None = None,
     learned_from: str = "PSFs, natural-image prior",
+    mask: Mask | None = None,
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> FilterBank:
     """Learn the bank that identifies the blur levels of a PSF stack.
@@ -104,6 +105,8 @@ def learn_bank(
     prior : NaturalImagePrior, optional
     learned_from : str, optional
         Kept in the bank for a person to read.
+    mask : Mask, optional
+        What the PSFs were rendered from, so that the bank is not used with another mask.
     progress : callable, optional
         Wraps the iteration over levels, as ``tqdm.tqdm`` does.
 
@@ -114,11 +117,18 @@ def learn_bank(
     Raises
     ------
     InputError
-        If there are fewer than two levels, or a PSF is larger than the window.
+        If there are fewer than two levels, they are not in order, or a PSF is larger than the
+        window.
     """
     config = config or LearnConfig()
     prior = prior or NaturalImagePrior()
     _check_levels(len(stack))
+    for name, values in (("blur sizes", stack.blur_sizes_px), ("depths", stack.depths_m)):
+        steps = np.diff(values if values is not None else stack.blur_sizes_px)
+        if not (np.all(steps > 0) or np.all(steps < 0)):
+            raise InputError(
+                f"{name}: levels must be in order, all increasing or all decreasing: sort the PSFs"
+            )
     widest = stack.psfs.shape[-1]
     if widest > config.window_px:
         raise InputError(
@@ -151,6 +161,7 @@ def learn_bank(
         log_determinants=(log_variances @ multiplicity).astype(np.float32),
         truncation_error=float(np.linalg.norm(residual) / np.linalg.norm(weights * scale[:, None])),
         noise=config.noise,
+        mask_digest=mask.digest if mask else "",
         learned_from=learned_from,
     )
 

@@ -142,12 +142,16 @@ def _learned(args: argparse.Namespace) -> Any:
         with naming(args.camera):
             return learn_bank_for_camera(camera, near_m, far_m, levels, config, progress)
     if args.psfs:
-        stack, learned_from = _measured(args), f"measured PSFs {args.psfs}"
+        stack, mask, learned_from = _measured(args), None, f"measured PSFs {args.psfs}"
     else:
-        stack, learned_from = _rendered(args), f"mask {args.mask}"
+        (stack, mask), learned_from = _rendered(args), f"mask {args.mask}"
     with naming(args.psfs or f"mask {args.mask}"):
         return learn_bank(
-            stack, config, learned_from=f"{learned_from}, natural-image prior", progress=progress
+            stack,
+            config,
+            learned_from=f"{learned_from}, natural-image prior",
+            mask=mask,
+            progress=progress,
         )
 
 
@@ -165,7 +169,7 @@ def _rendered(args: argparse.Namespace) -> Any:
     if not -math.inf < smallest < largest < math.inf or levels < 2:
         args.usage_error("--blur-sizes: expected MIN less than MAX and at least 2 levels")
     mask = Mask.named(args.mask) if args.mask in MASK_NAMES else Mask.from_file(args.mask)
-    return render_psf_stack(mask, np.linspace(smallest, largest, levels))
+    return render_psf_stack(mask, np.linspace(smallest, largest, levels)), mask
 
 
 def _measured(args: argparse.Namespace) -> Any:

@@ -29,7 +29,7 @@ class DepthConfig:
     )
     noise: float = option(
         0.0,
-        "Standard deviation of the image noise in linear light; 0 estimates it in every frame.",
+        "Standard deviation of one channel's noise, linear light; 0: estimated in each frame.",
         minimum=0.0,
         maximum=0.5,
     )

@@ -38,7 +38,7 @@ class DepthEstimate:
         Probability, in [0, 1], that the depth is right to 5 % (or, without depths, that the level
         is right to one level).
     noise : float
-        Standard deviation of the frame's noise, as estimated or given.
+        Standard deviation of the noise of one channel, as estimated or given.
     """
 
     level: NDArray[np.float32]
@@ -101,12 +101,19 @@ class DepthEstimator:
         Raises
         ------
         InputError
-            If the frame has a wrong shape or type, or is smaller than the bank's window.
+            If the frame has a wrong shape or type, or is smaller than the bank's window, or `size`
+            is not that of a map.
         """
         config, bank = self.config, self.bank
         grey, unusable = grey_image(frame, config.saturation)
+        size = size or (grey.shape[0], grey.shape[1])
+        if min(size) < 1:
+            raise InputError(f"size of the depth map: expected at least 1x1, got {size}")
         projected = bank.project(grey, config.stride_px)
-        noise = config.noise or bank.noise or estimate_noise(projected.high_power)
+        # The mean of the channels has less noise than each of them.
+        averaging = np.sqrt(1 if frame.ndim == 2 else frame.shape[2])
+        given = (config.noise or bank.noise) / averaging
+        noise = given or estimate_noise(projected.high_power)
 
         energies = bank.energies(projected, noise)
         probability = level_probability(energies, bank.fourier)
@@ -115,12 +122,9 @@ class DepthEstimator:
 
         if unusable is not None:
             confidence[~usable_windows(unusable, projected.grid)] = 0
-        level, confidence = upsample(
-            level, confidence, projected.grid, grey.shape, size or grey.shape
-        )
-        return self._in_metres(level, confidence, noise).where_confident(
-            config.confidence_threshold
-        )
+        level, confidence = upsample(level, confidence, projected.grid, grey.shape, size)
+        estimate = self._in_metres(level, confidence, float(noise * averaging))
+        return estimate.where_confident(config.confidence_threshold)
 
     def _in_metres(
         self, level: NDArray[np.float32], confidence: NDArray[np.float32], noise: float
@@ -136,6 +140,11 @@ class DepthEstimator:
     def _level_depths_m(self) -> NDArray[np.float64] | None:
         if self.camera is None:
             return self.bank.stack.depths_m
+        if self.bank.mask_digest not in ("", self.camera.mask.digest):
+            raise InputError(
+                f"camera: its mask {self.camera.mask.name} is not the one that the bank was "
+                f"learned for ({self.bank.learned_from}): learn the bank for this camera"
+            )
         depths = self.camera.depth_m(self.bank.blur_sizes_px)
         if not np.isfinite(depths).any():
             raise InputError(
