@@ -185,3 +185,10 @@ def test_wrong_input_is_refused(stack):
         deblurrer.deblur(np.zeros((7, 5), np.float32), frame)
     with pytest.raises(InputError, match=r"got \[64, 64, 2\]"):
         deblurrer.deblur(np.zeros((64, 64, 2), np.float32), frame)
+
+
+def test_missing_pixels_are_filled_from_their_surroundings(stack):
+    frame = np.full((96, 96, 3), 0.6, np.float32)
+    frame[40:43, 40:43, 1] = np.nan
+    result = Deblurrer(stack).deblur(frame, np.full((96, 96), 6.0, np.float32))
+    assert result == pytest.approx(np.full((96, 96, 3), 0.6), abs=5e-3)

@@ -11,7 +11,7 @@ from coded_aperture_ros.bank import WindowedFourierBasis
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fill import filled_blur_map
 from coded_aperture_ros.deblur.inverse import MODEL_ERRORS, InverseBasis
-from coded_aperture_ros.depth import check_frame, estimate_noise
+from coded_aperture_ros.depth import check_frame, estimate_noise, filled
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import PsfStack
 
@@ -193,6 +193,7 @@ def _channels(frame: NDArray[np.float32]) -> NDArray[np.float32]:
     channels = frame[None] if frame.ndim == 2 else frame.transpose(2, 0, 1)
     channels = np.ascontiguousarray(channels, np.float32)
     # A NaN makes both comparisons false.
-    if not (channels.min() >= _DARKEST and channels.max() <= _BRIGHTEST):
-        channels = np.clip(np.nan_to_num(channels, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
-    return channels
+    usable = (channels > _DARKEST) & (channels < _BRIGHTEST)
+    if usable.all():
+        return channels
+    return np.stack([filled(*pair) for pair in zip(channels, usable, strict=True)])

@@ -2,7 +2,14 @@
 
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.estimate import DepthEstimate, DepthEstimator
-from coded_aperture_ros.depth.frame import check_frame
+from coded_aperture_ros.depth.frame import check_frame, filled
 from coded_aperture_ros.depth.noise import estimate_noise
 
-__all__ = ["DepthConfig", "DepthEstimate", "DepthEstimator", "check_frame", "estimate_noise"]
+__all__ = [
+    "DepthConfig",
+    "DepthEstimate",
+    "DepthEstimator",
+    "check_frame",
+    "estimate_noise",
+    "filled",
+]

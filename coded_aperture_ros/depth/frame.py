@@ -66,23 +66,24 @@ def grey_image(
     usable &= grey > _DARKEST
     if usable.all():
         return grey, None
-    return _fill(grey, usable), ~usable
+    return filled(grey, usable), ~usable
 
 
-def _fill(grey: NDArray[np.float32], usable: NDArray[np.bool_]) -> NDArray[np.float32]:
+def filled(image: NDArray[np.float32], usable: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return a grey image whose unusable pixels have the mean of the usable ones around them."""
+    known = image.copy()
+    known[~usable] = 0
     weight = usable.astype(np.float32)
-    filled = grey.copy()
-    filled[~usable] = 0
-    overall = filled.sum() / max(weight.sum(), 1)
+    overall = known.sum() / max(weight.sum(), 1)
     # Borders of zero weight: pixels beyond the frame are unusable too.
     total, count = (
         cv2.boxFilter(values, -1, _FILL_FROM, normalize=False, borderType=cv2.BORDER_CONSTANT)
-        for values in (filled, weight)
+        for values in (known, weight)
     )
     holes = np.nonzero(~usable)
     total, count = total[holes], count[holes]
-    filled[holes] = np.where(count > 0.5, total / np.maximum(count, 1), overall)
-    return filled
+    known[holes] = np.where(count > 0.5, total / np.maximum(count, 1), overall)
+    return known
 
 
 def usable_windows(unusable: NDArray[np.bool_], grid: PatchGrid) -> NDArray[np.bool_]:
