@@ -110,6 +110,16 @@ def test_the_buffer_is_bounded():
     assert made.dropped == 97
 
 
+def test_the_buffer_is_bounded_in_bytes():
+    made = Pairs(capacity=50)
+    made.pairs = StampPairs(50, made.drop, 10, len)
+    for stamp in range(5):
+        made.pairs.add_first(stamp, "1234")
+    assert (len(made.pairs), made.dropped) == (2, 3)
+    assert made.pairs.add_first(5, "larger than ten") is None
+    assert made.pairs.add_second(5, "") == ("larger than ten", "")
+
+
 def test_statistics_count_and_measure():
     clock = iter(np.arange(0, 100, 0.1))
     statistics = Statistics(now=lambda: float(next(clock)))

@@ -27,8 +27,10 @@ from coded_aperture_ros.nodes.pairing import StampPairs
 from coded_aperture_ros.nodes.rate_limit import RateLimit
 from coded_aperture_ros.nodes.running import run_nodes
 
-# Frames to keep while depth_node works on them: half a second at 30 Hz.
-_WAITING_FRAMES = 15
+# Frames to keep while depth_node works on them. Those that come meanwhile must not push out the one
+# in work, however fast they come: there would never be a pair. Two seconds at 100 Hz.
+_WAITING_FRAMES = 200
+_WAITING_BYTES = 256 * 2**20
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,7 +67,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         self._info = CameraModel()
         self._rate_limit = RateLimit()
         self._pairs: StampPairs[Image, Image] = StampPairs(
-            _WAITING_FRAMES, self.statistics.count_dropped
+            _WAITING_FRAMES, self.statistics.count_dropped, _WAITING_BYTES, _size_bytes
         )
         self.advertise("deblurred/image", Image)
         self.advertise("deblurred/camera_info", CameraInfo)
@@ -138,6 +140,10 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         camera = self._model.camera
         deblurrer.prepare((camera.image_height, camera.image_width))
         return deblurrer
+
+
+def _size_bytes(message: Image) -> int:
+    return len(message.data)
 
 
 def main(args: Sequence[str] | None = None) -> int:

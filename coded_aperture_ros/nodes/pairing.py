@@ -1,5 +1,6 @@
 """Pairs of messages that come from the same frame."""
 
+import math
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
@@ -17,13 +18,25 @@ class StampPairs(Generic[First, Second]):
     ----------
     capacity : int
         Messages of each topic to keep while they wait for their partner.
+    capacity_bytes : int, optional
+        Bytes of each topic's messages to keep, beside the newest message. Unlimited by default.
+    size_bytes : callable, optional
+        Returns the bytes of a message.
     dropped : callable
         Called for every message of the first topic that is given up without a partner.
     """
 
-    def __init__(self, capacity: int, dropped: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        capacity: int,
+        dropped: Callable[[], None],
+        capacity_bytes: float = math.inf,
+        size_bytes: Callable[[First | Second], int] = lambda _: 0,
+    ) -> None:
         self._capacity = capacity
         self._dropped = dropped
+        self._capacity_bytes = capacity_bytes
+        self._size_bytes = size_bytes
         self._first: dict[int, First] = {}
         self._second: dict[int, Second] = {}
 
@@ -43,7 +56,9 @@ class StampPairs(Generic[First, Second]):
 
     def _keep(self, waiting: dict, stamp_ns: int, message: First | Second) -> None:
         waiting[stamp_ns] = message
-        if len(waiting) > self._capacity:
+        while len(waiting) > self._capacity or (
+            len(waiting) > 1 and sum(map(self._size_bytes, waiting.values())) > self._capacity_bytes
+        ):
             self._forget(waiting, next(iter(waiting)))  # the one that came first
 
     def _pair(self, stamp_ns: int) -> tuple[First, Second] | None:
