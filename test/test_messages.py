@@ -174,6 +174,12 @@ def test_depth_outside_the_range_is_marked():
     assert depth[0, 0] == 0.5  # the argument is left alone
 
 
+def test_rounding_does_not_put_the_end_of_the_range_out_of_range():
+    ends = np.float32([[1.3, 4.0]])
+    for rounded in (np.nextafter(ends, np.float32(0)), np.nextafter(ends, np.float32(9))):
+        assert np.isfinite(messages.limit_depth(rounded, 1.3, 4.0)).all()
+
+
 def camera(width=640, height=480):
     return Camera(800.0, 0.9, width, height, Mask.named("levin"), 5.0)
 

@@ -18,6 +18,7 @@ from coded_aperture_ros.bank import LearnConfig, learn_bank, save_bank
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.nodes.deblur_node import DeblurNode
 from coded_aperture_ros.nodes.depth_node import DepthNode, output_size
+from coded_aperture_ros.nodes.frame_model import ModelConfig, guarded_range
 from coded_aperture_ros.nodes.messages import (
     array_from_image,
     image_from_array,
@@ -394,6 +395,43 @@ def test_a_bank_is_learned_at_start(ros, model, coded):
     assert abs(np.nanmedian(depth) - DEPTH_M) < 0.06 * DEPTH_M
 
 
+@pytest.mark.parametrize(
+    ("near_m", "far_m", "is_what_it_is_called"),
+    [(1.3, 1.7, np.isposinf), (1.15, 1.7, np.isposinf), (2.4, 4.0, np.isneginf)],
+)
+def test_a_learned_bank_knows_what_is_out_of_range(
+    ros, model, coded, near_m, far_m, is_what_it_is_called
+):
+    """And does not take it for something at the end of the range, with full confidence."""
+    learned = {**model, "bank": "", "levels": 8, "learn.window_px": 32, "learn.rank": 48}
+    learned.update(near_m=near_m, far_m=far_m)
+    chain = Chain(ros, learned, subscribe=("depth/image",))
+    depth = array_from_image(chain.result(mono8(coded)))
+    assert not np.isfinite(depth).any()
+    assert is_what_it_is_called(depth).mean() > 0.5
+
+
+@pytest.mark.parametrize(
+    ("changes", "near_m", "far_m"),
+    [
+        ({}, 1.3, 4.0),
+        ({}, 1.05, 100.0),
+        ({"focus_distance_m": 5.0, "side": "near"}, 1.3, 4.0),
+        ({"focus_distance_m": 5.0, "side": "near"}, 1.3, 4.99),
+    ],
+)
+def test_a_level_is_learned_on_either_side_of_the_range(tmp_path, changes, near_m, far_m):
+    (tmp_path / "camera.yaml").write_text(yaml.safe_dump({**CAMERA, **changes}))
+    camera = load_camera(tmp_path / "camera.yaml")
+    nearer_m, farther_m, levels = guarded_range(
+        camera, ModelConfig(near_m=near_m, far_m=far_m, levels=8)
+    )
+    assert nearer_m < near_m < far_m < farther_m
+    assert levels == 10
+    blur = camera.blur_range_px(nearer_m, farther_m)  # is a valid range of this camera
+    assert np.all(np.abs(blur) > 0) and blur[1] <= camera.blur_at_infinity_px
+
+
 class DeblurChain:
     def __init__(self, ros, model, **parameters):
         self.node = ros.make(DeblurNode, {**model, **parameters})
@@ -441,6 +479,17 @@ def test_only_the_frames_own_depth_is_used(ros, model, coded):
     assert wait_until(lambda: chain.received)
     assert chain.received[0].header == late.header
     assert chain.node.statistics.summary().dropped == 1
+
+
+def test_frames_that_come_fast_do_not_push_out_the_one_whose_depth_is_in_work(ros, model, coded):
+    """100 frames a second, and a second for the depth of one."""
+    chain = DeblurChain(ros, model)
+    first = mono8(coded)
+    for count, frame in enumerate([first, *(mono8(coded) for _ in range(99))], 1):
+        chain.images.publish(frame)
+        assert wait_until(lambda n=count: chain.node.statistics.summary().received == n)
+    chain.depths.publish(wall(first.header))
+    assert wait_until(lambda: chain.received)
 
 
 def test_unusable_pairs_are_counted_and_survived(ros, model, coded):

@@ -3,6 +3,7 @@
 import dataclasses
 import time
 
+import numpy as np
 from rclpy.node import Node
 
 from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank_for_camera, load_bank
@@ -10,6 +11,7 @@ from coded_aperture_ros.configuration import check_options, option
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.nodes.camera_model import fitted_camera, required_camera
 from coded_aperture_ros.nodes.messages import MessageError
+from coded_aperture_ros.optics import Camera
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,9 +91,10 @@ class FrameModel:
         camera = fitted_camera(self._file_camera, width, height)
         if camera == self.camera:
             return
+        scaled = "" if camera == self._file_camera else ": the camera file is scaled to them"
         self._logger.info(
-            f"frames are {width}x{height}, not {self._file_camera.image_width}x"
-            f"{self._file_camera.image_height} as in the camera file, which is scaled to them"
+            f"frames are {width}x{height} now, not {self.camera.image_width}x"
+            f"{self.camera.image_height}{scaled}"
         )
         self.camera = camera
         if not self._config.bank:
@@ -111,8 +114,30 @@ class FrameModel:
             f"learning a bank of {config.levels} levels for {config.near_m:g} to "
             f"{config.far_m:g} m from {config.camera_file}"
         )
-        bank = learn_bank_for_camera(
-            self.camera, config.near_m, config.far_m, config.levels, self._learn_config
-        )
+        try:
+            bank = self._learned_for(*guarded_range(self.camera, config))
+        except InputError:  # a level beyond the range that does not fit the window, say
+            bank = self._learned_for(config.near_m, config.far_m, config.levels)
         self._logger.info(f"learned the bank in {time.monotonic() - started_s:.1f} s")
         return bank
+
+    def _learned_for(self, near_m: float, far_m: float, levels: int) -> FilterBank:
+        return learn_bank_for_camera(self.camera, near_m, far_m, levels, self._learn_config)
+
+
+def guarded_range(camera: Camera, config: ModelConfig) -> tuple[float, float, int]:
+    """Return a range with one more level on either side, and its number of levels.
+
+    What is too near or beyond the range is the most like one of these levels. Without them it
+    would be taken, with full confidence, for something at the end of the range.
+    """
+    ends = np.array(camera.blur_range_px(config.near_m, config.far_m))
+    step = (ends[1] - ends[0]) / (config.levels - 1)
+    beyond = np.array([ends[0] - step, ends[1] + step])
+    # At most half of the way to the plane in focus or to infinity.
+    focus_end = np.argmin(np.abs(ends))
+    if abs(beyond[focus_end]) < abs(ends[focus_end]) / 2 or beyond[focus_end] * ends[0] < 0:
+        beyond[focus_end] = ends[focus_end] / 2
+    beyond[1] = min(beyond[1], (ends[1] + camera.blur_at_infinity_px) / 2)
+    near_m, far_m = camera.depth_m(beyond)
+    return float(near_m), float(far_m), config.levels + 2

@@ -18,6 +18,8 @@ from coded_aperture_ros.optics import Camera
 
 # Weights of linear red, green and blue in luminance (ITU-R BT.709).
 _LUMINANCE = np.array([[0.2126, 0.7152, 0.0722]], np.float32)
+# Relative error of a depth computed from a blur size in single precision, generously.
+_DEPTH_ROUNDING = 1e-4
 
 
 class MessageError(InputError):
@@ -226,8 +228,9 @@ def limit_depth(
         depth is unknown: what is unknown is never called far.
     """
     depth_m = depth_m.astype(np.float32, copy=True)
-    depth_m[depth_m < near_m] = -np.inf
-    depth_m[depth_m > far_m] = np.inf
+    # The outermost levels of a bank are the ends of the range but for rounding.
+    depth_m[depth_m < near_m * (1 - _DEPTH_ROUNDING)] = -np.inf
+    depth_m[depth_m > far_m * (1 + _DEPTH_ROUNDING)] = np.inf
     return depth_m
 
 
