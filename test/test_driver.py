@@ -103,6 +103,17 @@ def test_a_folder_is_published_once_in_order(ros, camera_file, folder, pictures)
     assert node.context.ok()
 
 
+def test_a_broken_picture_does_not_hide_those_after_it(ros, camera_file, tmp_path):
+    for value in (10, 20, 30):
+        cv2.imwrite(str(tmp_path / f"{value}.png"), np.full((HEIGHT, WIDTH), value, np.uint8))
+    (tmp_path / "20.png").write_bytes(b"not a picture")
+    images = ros.subscribe("image_raw", Image)
+    parameters = {"camera_file": str(camera_file), "encoding": "mono8", "loop": False}
+    ros.make(CameraDriverNode, {**parameters, "source": str(tmp_path), "rate_hz": 50.0})
+    assert wait_until(lambda: len(images) == 2)
+    assert [image.data[0] for image in images] == [10, 30]
+
+
 def test_nothing_is_read_before_someone_subscribes(ros, camera_file, folder, pictures):
     drive(ros, camera_file, folder, loop=False, rate_hz=100.0)
     time.sleep(0.5)

@@ -133,6 +133,10 @@ class CameraDriverNode(Node):
             return False
         return not any(self._wants(topic) for topic in self._outputs)
 
+    @property
+    def _going_on(self) -> str:
+        return "trying again until it works" if self._source.live else "going on with what follows"
+
     def _run(self) -> None:
         retry_s, due_s = _RETRY_S[0], time.monotonic()
         while not self._stopping.is_set():
@@ -148,7 +152,7 @@ class CameraDriverNode(Node):
                 # A camera that is unplugged, or a driver that fails in its own way: the robot
                 # goes on, and so does this node as soon as there are frames again.
                 if retry_s == _RETRY_S[0]:
-                    self.get_logger().error(f"{error}; trying again until it works")
+                    self.get_logger().error(f"{error}; {self._going_on}")
                 self._stopping.wait(retry_s)
                 retry_s = min(2 * retry_s, _RETRY_S[1])
                 continue
