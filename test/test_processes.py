@@ -107,6 +107,19 @@ def test_a_node_ends_cleanly_in_full_swing(ros, start, node, topic):
     assert (status, "Traceback" in said) == (0, False), said
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_impatience_does_not_make_the_end_a_crash(ros, start, number):
+    received = ros.subscribe("depth/image", Image)
+    process = start("pipeline")
+    assert wait_until(lambda: received, 30)
+    while process.poll() is None:
+        process.send_signal(number)
+        time.sleep(0.005)
+    _, err = process.communicate(timeout=20)
+    assert process.returncode == 0, err
+    assert "Traceback" not in err
+
+
 def test_a_signal_while_learning_ends_at_once(start):
     process = start("depth_node", levels=400, **{"learn.window_px": 128, "learn.rank": 512})
     assert wait_until(lambda: process.stderr.readline(), 20)  # it says that it is learning

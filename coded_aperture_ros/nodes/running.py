@@ -64,6 +64,10 @@ def run_nodes(factories: Sequence[Callable[[], Any]], args: Sequence[str] | None
             node.close()
             node.destroy_node()
         rclpy.try_shutdown()
+        # Python takes its handlers away before it has ended; a second Ctrl-C would then end it with
+        # the status of a crash.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
     return stop.status
 
 
@@ -95,6 +99,7 @@ class _Stop:
     def on_signal(self, *_: Any) -> None:
         self.event.set()
         if self.starting:  # learning a bank takes seconds that nobody wants to wait for
+            self.starting = False  # a second signal does not disturb the end
             raise SystemExit(0)
 
 
