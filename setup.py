@@ -57,6 +57,8 @@ setup(
         "eval": ["rosbags>=0.10", "matplotlib>=3.8", "scikit-image>=0.22", "tqdm>=4.66"],
         "gpu": ["torch>=2.2"],
         "graphcut": [GRAPH_CUTS],
+        # What `colcon test` looks at to find out that the tests are pytest's.
+        "test": ["pytest>=7.4", "pytest-timeout>=2.2", "hypothesis>=6.98"],
         "dev": [
             "pytest>=8",
             "pytest-timeout>=2.3",
