@@ -320,6 +320,13 @@ def test_diagnostics(ros, model, coded):
     assert reports[-1].status[0].name == "depth_node: frames"
 
 
+def test_a_stamp_of_zero_has_no_latency(ros, model, coded):
+    chain = Chain(ros, model, use_sim_time=True)  # that has not begun
+    chain.send(mono8(coded, Header(frame_id="front_optical_frame")))
+    summary = chain.node.statistics.summary()
+    assert (summary.processed, summary.latency_s) == (1, None)
+
+
 def test_subscribers_of_both_kinds_are_served(ros, model, coded):
     chain = Chain(ros, model, subscribe=("depth/image",))
     best_effort = ros.subscribe("depth/image", Image, qos_profile_sensor_data)
@@ -490,6 +497,18 @@ def test_frames_that_come_fast_do_not_push_out_the_one_whose_depth_is_in_work(ro
         assert wait_until(lambda n=count: chain.node.statistics.summary().received == n)
     chain.depths.publish(wall(first.header))
     assert wait_until(lambda: chain.received)
+
+
+def test_a_node_that_waits_for_depth_in_vain_says_so(ros, model, coded):
+    chain = DeblurChain(ros, model)
+    diagnostics = ros.subscribe("/diagnostics", DiagnosticArray)
+
+    def warned():
+        chain.images.publish(mono8(coded))
+        statuses = [status for message in diagnostics for status in message.status]
+        return [s for s in statuses if s.level == s.WARN and "no results" in s.message]
+
+    assert wait_until(warned, 6)
 
 
 def test_unusable_pairs_are_counted_and_survived(ros, model, coded):

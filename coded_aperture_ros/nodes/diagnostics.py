@@ -115,7 +115,9 @@ def percentiles(values: list[float]) -> tuple[float, float, float] | None:
     return float(median), float(high), float(max(values))
 
 
-def status_of(name: str, summary: Summary, newly_rejected: int, stalled: bool) -> DiagnosticStatus:
+def status_of(
+    name: str, summary: Summary, newly_rejected: int, stalled: bool, fruitless: bool = False
+) -> DiagnosticStatus:
     """Return the diagnostic status of a node's work.
 
     Parameters
@@ -127,11 +129,15 @@ def status_of(name: str, summary: Summary, newly_rejected: int, stalled: bool) -
         Messages that could not be used since the last status.
     stalled : bool
         Frames are waited for and none has come since the last status.
+    fruitless : bool
+        Frames have come since the last status and before, and nothing has been made of them.
     """
     status = DiagnosticStatus(name=f"{name.lstrip('/')}: frames", level=DiagnosticStatus.OK)
     status.message = f"{summary.rate_hz:.1f} frames/s"
     if stalled:
         status.level, status.message = DiagnosticStatus.WARN, "waiting for frames"
+    if fruitless:
+        status.level, status.message = DiagnosticStatus.WARN, "frames come in, no results go out"
     if newly_rejected:
         status.level = DiagnosticStatus.WARN
         status.message = f"{newly_rejected} unusable message(s) in the last second"
@@ -177,6 +183,7 @@ class DiagnosticsPublisher:
             summary,
             summary.rejected_total - self._last.rejected_total,
             self._expecting() and summary.received == self._last.received,
+            summary.rate_hz == 0 and summary.received > self._last.received > 0,
         )
         self._last = summary
         message = DiagnosticArray(status=[status])

@@ -101,7 +101,10 @@ class FrameNode(Node, Generic[Item]):
 
     def sent(self, header: Header) -> None:
         """Count a frame as done: `header` is that of the frame that the outputs came from."""
-        latency_s = (self.get_clock().now().nanoseconds - stamp_ns(header)) * 1e-9
+        stamp = stamp_ns(header)
+        # A stamp of zero is no time at all: simulated time had not begun, or nobody set it.
+        now = self.get_clock().now().nanoseconds
+        latency_s = (now - stamp) * 1e-9 if stamp else None
         self.statistics.count_processed(latency_s, time.monotonic() - self._taken_up_s)
 
     def reject(self, kind: str, reason: str) -> None:
