@@ -499,6 +499,18 @@ def test_frames_that_come_fast_do_not_push_out_the_one_whose_depth_is_in_work(ro
     assert wait_until(lambda: chain.received)
 
 
+def test_frames_do_not_wait_while_nobody_listens(ros, model, coded):
+    chain = DeblurChain(ros, model)
+    for _ in range(3):
+        chain.images.publish(mono8(coded))
+    assert wait_until(lambda: chain.node.statistics.summary().received > 0)
+    for subscription in list(ros.probe.subscriptions):
+        ros.probe.destroy_subscription(subscription)
+    assert wait_until(lambda: chain.images.get_subscription_count() == 0)
+    summary = chain.node.statistics.summary()
+    assert summary.dropped == summary.received
+
+
 def test_a_node_that_waits_for_depth_in_vain_says_so(ros, model, coded):
     chain = DeblurChain(ros, model)
     diagnostics = ros.subscribe("/diagnostics", DiagnosticArray)

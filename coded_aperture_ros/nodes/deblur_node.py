@@ -85,6 +85,10 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         """Whether to work only while someone subscribes to an output."""
         return self._config.lazy
 
+    def rest(self) -> None:
+        """Let go of the frames that wait for their depth."""
+        self._pairs.clear()
+
     def _on_image(self, message: Image) -> None:
         self.statistics.count_received()
         self._offer_pair(self._pairs.add_first(stamp_ns(message.header), message))

@@ -81,6 +81,9 @@ class FrameNode(Node, Generic[Item]):
         """Do the work on one item, in the worker's thread."""
         raise NotImplementedError
 
+    def rest(self) -> None:
+        """Let go of what waits for more input; called when nobody listens any more."""
+
     @property
     def lazy(self) -> bool:
         """Whether to work only while someone subscribes to an output."""
@@ -140,6 +143,7 @@ class FrameNode(Node, Generic[Item]):
             for subscription in self._listening:
                 self.destroy_subscription(subscription)
             self._listening = []
+            self.rest()
 
 
 def overridable_publisher(node: Node, message_type: type, topic: str) -> Any:

@@ -50,6 +50,12 @@ class StampPairs(Generic[First, Second]):
         self._keep(self._second, stamp_ns, message)
         return self._pair(stamp_ns)
 
+    def clear(self) -> None:
+        """Give up everything that waits."""
+        for waiting in (self._first, self._second):
+            for stamp in list(waiting):
+                self._forget(waiting, stamp)
+
     def __len__(self) -> int:
         """Return how many messages wait for their partner."""
         return len(self._first) + len(self._second)
