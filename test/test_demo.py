@@ -74,8 +74,8 @@ def test_a_short_demo(tmp_path):
         entry = summary[name]
         assert entry["frames"] > 0, name
         assert 0 < entry["latency_median_s"] <= entry["latency_p99_s"] <= entry["latency_max_s"]
-        assert len(entry["rates_per_second_hz"]) == 4
-        assert sum(entry["rates_per_second_hz"]) <= entry["frames"]
+        assert len(entry["frames_in_each_second"]) == 4
+        assert sum(entry["frames_in_each_second"]) <= entry["frames"]
     assert summary["depth"]["rejected"] == summary["deblur"]["rejected"] == 0
     assert summary["depth"]["median_relative_error"] < 0.05
     assert summary["depth"]["coverage"] > 0.5

@@ -212,6 +212,14 @@ def test_bank_of_another_mask_is_refused(bank, camera):
         DepthEstimator(bank, camera=other)
 
 
+def test_bank_of_the_other_side_is_refused(bank, camera):
+    import dataclasses
+
+    other = dataclasses.replace(camera, focus_distance_m=3.0, side="near")
+    with pytest.raises(InputError, match="side is near, but the bank"):
+        DepthEstimator(bank, camera=other)
+
+
 def test_given_noise_is_used(bank, plane):
     assert DepthEstimator(bank, DepthConfig(noise=0.02)).estimate(plane[0]).noise == 0.02
     import dataclasses

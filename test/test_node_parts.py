@@ -6,8 +6,11 @@ import threading
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from std_msgs.msg import Header
 
+from coded_aperture_ros.nodes.deblur_node import depth_of_frame
 from coded_aperture_ros.nodes.diagnostics import Statistics, status_of
+from coded_aperture_ros.nodes.messages import MessageError, image_from_array
 from coded_aperture_ros.nodes.newest import NewestWorker
 from coded_aperture_ros.nodes.pairing import StampPairs
 from coded_aperture_ros.nodes.rate_limit import RateLimit
@@ -185,3 +188,33 @@ def test_a_positive_pitch_looks_down():
     transform = optical_transform("base_link", "optical", (0, 0, 0), math.radians(30))
     forward = rotated(transform, [0, 0, 1])
     np.testing.assert_allclose(forward, [math.cos(math.pi / 6), 0, -0.5], atol=1e-12)
+
+
+def messages_of_one_frame(depth, size=(48, 64), stamp=5):
+    header = Header(frame_id="camera")
+    header.stamp.sec = stamp
+    image = image_from_array(np.zeros(size, np.uint8), "mono8", header)
+    return image_from_array(depth, "32FC1", header), image
+
+
+def test_depth_of_a_frame_may_be_decimated_and_have_gaps():
+    depth = np.full((16, 21), 2.0, np.float32)  # a third of 48x64, rounded
+    depth[0, :5] = 0, -1, np.nan, -np.inf, np.inf
+    seen = depth_of_frame(*messages_of_one_frame(depth))
+    assert np.isnan(seen[0, :3]).all()
+    assert seen[0, 3:5].tolist() == [-np.inf, np.inf]
+    assert (seen[1:] == 2).all()
+
+
+@pytest.mark.parametrize(
+    ("shape", "stamp", "kind"),
+    [((64, 48), 5, "depth"), ((1, 1), 5, None), ((1, 9), 5, "depth"), ((24, 32), 0, "stamp")],
+)
+def test_depth_that_is_not_of_the_frame_is_refused(shape, stamp, kind):
+    messages = messages_of_one_frame(np.ones(shape, np.float32), stamp=stamp)
+    if kind is None:
+        assert depth_of_frame(*messages).shape == shape
+        return
+    with pytest.raises(MessageError) as refusal:
+        depth_of_frame(*messages)
+    assert refusal.value.kind == kind

@@ -145,6 +145,12 @@ class DepthEstimator:
                 f"camera: its mask {self.camera.mask.name} is not the one that the bank was "
                 f"learned for ({self.bank.learned_from}): learn the bank for this camera"
             )
+        wrong_side = self.bank.blur_sizes_px * (1 if self.camera.side == "far" else -1) < 0
+        if wrong_side.any():
+            raise InputError(
+                f"camera: its side is {self.camera.side}, but the bank has blur sizes of the other "
+                "side of the focal plane: learn the bank for this camera"
+            )
         depths = self.camera.depth_m(self.bank.blur_sizes_px)
         if not np.isfinite(depths).any():
             raise InputError(

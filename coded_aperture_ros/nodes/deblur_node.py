@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image
 
 from coded_aperture_ros.bank import LearnConfig
@@ -109,12 +110,9 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         image, depth = item
         config, header = self._config, image.header
         frame = frame_from_image(image, config.gamma)
-        if depth.encoding != "32FC1":
-            raise MessageError("depth", f"depth/image is {depth.encoding}, expected 32FC1")
+        depth_m = depth_of_frame(depth, image)
         # Beyond the range is deblurred as the end of the range; NaN stays unknown.
-        depth_m = np.clip(
-            array_from_image(depth), self._range.near_m, self._range.far_m or math.inf
-        )
+        depth_m = np.clip(depth_m, self._range.near_m, self._range.far_m or math.inf)
         self._model.fit(image.width, image.height)
         camera = self._model.camera
         blur_size_px = camera.blur_size_px(depth_m).astype(np.float32)
@@ -144,6 +142,32 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         camera = self._model.camera
         deblurrer.prepare((camera.image_height, camera.image_width))
         return deblurrer
+
+
+def depth_of_frame(depth: Image, image: Image) -> NDArray[np.float32]:
+    """Return the depth image of a frame in metres, NaN where it says nothing.
+
+    Raises
+    ------
+    MessageError
+        If it cannot be the depth of that frame.
+    """
+    if stamp_ns(image.header) == 0:
+        raise MessageError("stamp", "the frame has no stamp, so its depth cannot be told apart")
+    if depth.encoding != "32FC1":
+        raise MessageError("depth", f"depth/image is {depth.encoding}, expected 32FC1")
+    # As many pixels high as wide, relative to the frame, up to the rounding of decimation.
+    if abs(depth.width * image.height - depth.height * image.width) > max(
+        image.width, image.height
+    ):
+        raise MessageError(
+            "depth",
+            f"depth/image of {depth.width}x{depth.height} does not have the proportions of the "
+            f"{image.width}x{image.height} frame",
+        )
+    depth_m = array_from_image(depth)
+    # Some drivers say 0 where depth is unknown; -Inf is too near.
+    return np.where((depth_m > 0) | (depth_m == -np.inf), depth_m, np.float32(np.nan))
 
 
 def _size_bytes(message: Image) -> int:

@@ -69,7 +69,7 @@ class FrameModel:
         self._learn_config = learn_config
         self._file_camera = required_camera(config.camera_file)
         self.camera = self._file_camera
-        self.bank = load_bank(config.bank) if config.bank else self._learned()
+        self.bank = self._loaded() if config.bank else self._learned()
 
     def fit(self, width: int, height: int) -> None:
         """Make `camera` and `bank` those for frames of this size.
@@ -99,6 +99,22 @@ class FrameModel:
         self.camera = camera
         if not self._config.bank:
             self.bank = self._learned()
+
+    def _loaded(self) -> FilterBank:
+        bank = load_bank(self._config.bank)
+        depths_m = self.camera.depth_m(bank.blur_sizes_px)
+        near_m, far_m = self._config.near_m, self._config.far_m
+        if near_m and depths_m.min() >= near_m:
+            self._warn_of_end(depths_m.min(), "nearer")
+        if far_m and depths_m.max() <= far_m:
+            self._warn_of_end(depths_m.max(), "farther")
+        return bank
+
+    def _warn_of_end(self, end_m: float, beyond: str) -> None:
+        self._logger.warning(
+            f"the bank ends at {end_m:.2f} m, and what is {beyond} will be taken for that: "
+            "learn it for a little more than near_m to far_m"
+        )
 
     def _learned(self) -> FilterBank:
         config = self._config

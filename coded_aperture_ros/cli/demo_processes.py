@@ -1,0 +1,120 @@
+"""The demo's processes, and the network that they have to themselves."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.share import share_directory
+
+_LAST_LINES = 15
+# Niceness counts only within a session (Linux autogroups), so the nodes stay in this one; Ctrl-C
+# then reaches them too, which they take as it is meant.
+_NICENESS = {"deblur_node": 10}
+# Four processes with a segment of 32 MB each.
+SHARED_MEMORY_MB = 140
+
+
+class Children:
+    """The nodes' processes; none of them outlives the `with` block."""
+
+    def __init__(self, log_folder: Path) -> None:
+        self._log_folder = log_folder
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+
+    def __enter__(self) -> "Children":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self._processes.values():
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+        deadline = time.monotonic() + 5.0
+        for process in self._processes.values():
+            try:
+                process.wait(max(0.1, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def start(self, node: str, parameters: dict[str, Any]) -> None:
+        """Start a node in a process of its own."""
+        arguments = [
+            text
+            for name, value in parameters.items()
+            for text in ("-p", f"{name}:={json.dumps(value)}")
+        ]
+        with self._log(node).open("wb") as log:
+            process = subprocess.Popen(
+                [
+                    sys.executable,
+                    "-m",
+                    f"coded_aperture_ros.nodes.{node}",
+                    "--ros-args",
+                    *arguments,
+                ],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+            )
+        self._processes[node] = process
+        os.setpriority(os.PRIO_PROCESS, process.pid, _NICENESS.get(node, 0))
+
+    def check(self) -> None:
+        """Raise an `InputError` with the last lines of a node that has ended."""
+        for node, process in self._processes.items():
+            if process.poll() is not None:
+                raise InputError(f"{node} ended with status {process.returncode}:{self.said(node)}")
+
+    def said(self, node: str) -> str:
+        """Return the last lines that a node has written."""
+        lines = self._log(node).read_text(errors="replace").splitlines()[-_LAST_LINES:]
+        return "".join(f"\n    {line}" for line in lines)
+
+    def _log(self, node: str) -> Path:
+        return self._log_folder / f"{node}.log"
+
+
+def private_network(shared_memory: bool) -> dict[str, str]:
+    """Return the environment that keeps the demo's topics apart from any robot's."""
+    for name in ("ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", "ROS_NAMESPACE", "ROS_DISCOVERY_SERVER"):
+        os.environ.pop(name, None)
+    environment = {
+        # 1 to 100 keep clear of the ports that Linux hands out by itself; 0 is the default.
+        "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
+    if shared_memory:
+        profiles = share_directory() / "config" / "fastdds_shared_memory.xml"
+        environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profiles)
+    return environment
+
+
+def shared_memory_suffices(folder: str = "/dev/shm") -> bool:
+    """Return whether there is room for the segments; containers often have 64 MB only."""
+    try:
+        status = os.statvfs(folder)
+    except OSError:
+        return False
+    return status.f_bavail * status.f_frsize >= SHARED_MEMORY_MB * 2**20
+
+
+@contextlib.contextmanager
+def sigterm_like_ctrl_c() -> Iterator[None]:
+    """Let SIGTERM end the block as Ctrl-C does, so that it cleans up."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
