@@ -19,6 +19,15 @@ _LOGS = tempfile.TemporaryDirectory(prefix="coded_aperture_ros-logs-")
 os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_LOG_DIR"] = _LOGS.name
+# Tests make many participants in one process, one after the other and some side by side. Fast DDS
+# would hand their messages over directly, and then now and then never get to the end of removing a
+# participant that another one is just sending to.
+_PROFILES = Path(_LOGS.name) / "fastdds.xml"
+_PROFILES.write_text(
+    '<dds xmlns="http://www.eprosima.com">'
+    "<library_settings><intraprocess_delivery>OFF</intraprocess_delivery></library_settings></dds>"
+)
+os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(_PROFILES)
 for name in ("ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", "ROS_NAMESPACE", "ROS_DISCOVERY_SERVER"):
     os.environ.pop(name, None)
 

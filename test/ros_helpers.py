@@ -1,6 +1,7 @@
 """What the tests of the nodes share: a context and an executor of their own."""
 
 import contextlib
+import gc
 import threading
 import time
 import warnings
@@ -66,6 +67,11 @@ class Ros:
         for node in self.nodes:
             node.destroy_node()
         self.context.try_shutdown()
+        # Removes the participant now, and not when the garbage is collected some time.
+        self.nodes.clear()
+        del self.probe, self.executor
+        self.context.destroy()
+        gc.collect()
 
     def _spin(self):
         with contextlib.suppress(ExternalShutdownException):
