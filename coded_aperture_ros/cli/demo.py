@@ -65,7 +65,7 @@ def add_parser(subparsers: Any) -> None:
             "deblurring node as three processes over DDS; show rate, latency and accuracy; leave "
             "coded.png, depth.png, all_in_focus.png and summary.json."
         ),
-        epilog="example: coded_aperture demo --output /tmp/demo --seconds 10",
+        epilog="example: coded_aperture demo --output results --seconds 10",
     )
     parser.add_argument(
         "--output",

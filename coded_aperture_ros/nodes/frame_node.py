@@ -1,6 +1,7 @@
 """What every node that turns frames into other frames has in common."""
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Generic, TypeVar
@@ -25,7 +26,7 @@ _LAZY_PERIOD_S = 0.2
 _LOG_PERIOD_S = 10.0
 
 
-class FrameNode(Node, Generic[Item]):
+class FrameNode(ABC, Node, Generic[Item]):
     """A node that works on the newest frame, in a thread of its own, while someone listens.
 
     A node that derives from this one calls `advertise` for each output and `listen` for each
@@ -77,9 +78,9 @@ class FrameNode(Node, Generic[Item]):
         )
         DiagnosticsPublisher(self, self.statistics, lambda: bool(self._listening))
 
+    @abstractmethod
     def process(self, item: Item) -> None:
         """Do the work on one item, in the worker's thread."""
-        raise NotImplementedError
 
     def rest(self) -> None:
         """Let go of what waits for more input; called when nobody listens any more."""
