@@ -39,7 +39,7 @@ RATE_HZ = 12.0
 # With the default stride of 8 px the depth node alone would need more than one core at this rate.
 DEPTH = {"stride_px": 16, "regularize": "tv", "smoothness": 1.5}
 # A robot steers by depth; all-in-focus frames are for people, who need fewer of them.
-DEBLUR_RATE_HZ = 2.0
+DEBLUR_RATE_HZ = 1.0
 DEBLUR_RANK = 12
 NODES = ("camera_driver_node", "depth_node", "deblur_node")
 
