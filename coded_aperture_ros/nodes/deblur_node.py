@@ -1,6 +1,5 @@
 """The node that turns coded frames and their depth into all-in-focus frames."""
 
-import dataclasses
 import math
 import sys
 from collections.abc import Sequence
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image
 
 from coded_aperture_ros.bank import LearnConfig
-from coded_aperture_ros.configuration import check_options, option
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.nodes.camera_model import CameraModel
 from coded_aperture_ros.nodes.frame_model import FrameModel, ModelConfig
@@ -25,29 +23,12 @@ from coded_aperture_ros.nodes.messages import (
     stamp_ns,
 )
 from coded_aperture_ros.nodes.pairing import StampPairs
-from coded_aperture_ros.nodes.rate_limit import RateLimit
 from coded_aperture_ros.nodes.running import run_nodes
 
 # Frames to keep while depth_node works on them. Those that come meanwhile must not push out the one
 # in work, however fast they come: there would never be a pair. Two seconds at 100 Hz.
 _WAITING_FRAMES = 200
 _WAITING_BYTES = 256 * 2**20
-
-
-@dataclasses.dataclass(frozen=True)
-class DeblurNodeConfig:
-    """What the node needs beside the model and the options of the deblurring."""
-
-    gamma: float = option(
-        1.0, "Gamma of 8-bit images; 1 for a linear sensor", minimum=0.2, maximum=5.0
-    )
-    max_rate_hz: float = option(
-        0.0, "Most frames to process per second; 0: no limit", unit="Hz", minimum=0, maximum=10_000
-    )
-    lazy: bool = option(True, "Work only while someone subscribes to an output")
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 class DeblurNode(FrameNode[tuple[Image, Image]]):
@@ -57,7 +38,6 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         super().__init__(
             "deblur_node",
             ModelConfig(),
-            DeblurNodeConfig(),
             DeblurConfig(),
             fixed={"learn.": LearnConfig()},
             **node_options,
@@ -66,7 +46,6 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         self._model = FrameModel(self, self._range, self.configs[LearnConfig])
         self._deblurrer = self._new_deblurrer()
         self._info = CameraModel()
-        self._rate_limit = RateLimit()
         self._pairs: StampPairs[Image, Image] = StampPairs(
             _WAITING_FRAMES, self.statistics.count_dropped, _WAITING_BYTES, _size_bytes
         )
@@ -76,15 +55,6 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         self.listen("depth/image", Image, self._on_depth)
         self.listen("camera_info", CameraInfo, self._info.receive)
         self.start()
-
-    @property
-    def _config(self) -> DeblurNodeConfig:
-        return self.configs[DeblurNodeConfig]
-
-    @property
-    def lazy(self) -> bool:
-        """Whether to work only while someone subscribes to an output."""
-        return self._config.lazy
 
     def rest(self) -> None:
         """Let go of the frames that wait for their depth."""
@@ -98,18 +68,14 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         self._offer_pair(self._pairs.add_second(stamp_ns(message.header), message))
 
     def _offer_pair(self, pair: tuple[Image, Image] | None) -> None:
-        if pair is None:
-            return
-        if self._rate_limit.takes(self._config.max_rate_hz):
+        if pair is not None:
             self.offer(pair)
-        else:
-            self.statistics.count_dropped()
 
     def process(self, item: tuple[Image, Image]) -> None:
         """Deblur and publish one frame."""
         image, depth = item
-        config, header = self._config, image.header
-        frame = frame_from_image(image, config.gamma)
+        header, gamma = image.header, self.frame_config.gamma
+        frame = frame_from_image(image, gamma)
         depth_m = depth_of_frame(depth, image)
         # Beyond the range is deblurred as the end of the range; NaN stays unknown.
         depth_m = np.clip(depth_m, self._range.near_m, self._range.far_m or math.inf)
@@ -120,7 +86,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
             raise MessageError("depth", "no depth is known in the whole frame")
         sharp = self._present_deblurrer().deblur(frame, blur_size_px)
         if self.wants("deblurred/image"):
-            pixels = pixels_from_frame(sharp, image.encoding, config.gamma)
+            pixels = pixels_from_frame(sharp, image.encoding, gamma)
             self.send("deblurred/image", image_from_array(pixels, image.encoding, header))
         if self.wants("deblurred/camera_info"):
             size = frame.shape[0], frame.shape[1]

@@ -22,7 +22,6 @@ from coded_aperture_ros.nodes.messages import (
     limit_depth,
     millimetres_from_depth,
 )
-from coded_aperture_ros.nodes.rate_limit import RateLimit
 from coded_aperture_ros.nodes.running import run_nodes
 
 # Best-effort messages larger than these float images are lost with default DDS settings.
@@ -40,13 +39,6 @@ class DepthNodeConfig:
         "that fits in 320x240",
         choices=("auto", *_DIVISORS),
     )
-    gamma: float = option(
-        1.0, "Gamma of 8-bit images; 1 for a linear sensor", minimum=0.2, maximum=5.0
-    )
-    max_rate_hz: float = option(
-        0.0, "Most frames to process per second; 0: no limit", unit="Hz", minimum=0, maximum=10_000
-    )
-    lazy: bool = option(True, "Work only while someone subscribes to an output")
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -71,7 +63,6 @@ class DepthNode(FrameNode[Image]):
         self._model = FrameModel(self, self._range, self.configs[LearnConfig])
         self._estimator = self._new_estimator()
         self._info = CameraModel()
-        self._rate_limit = RateLimit()
         self.advertise("depth/image", Image)
         self.advertise("depth/image_raw", Image)
         self.advertise("depth/confidence", Image)
@@ -80,21 +71,12 @@ class DepthNode(FrameNode[Image]):
         self.listen("camera_info", CameraInfo, self._info.receive)
         self.start()
 
-    @property
-    def _config(self) -> DepthNodeConfig:
-        return self.configs[DepthNodeConfig]
-
-    @property
-    def lazy(self) -> bool:
-        """Whether to work only while someone subscribes to an output."""
-        return self._config.lazy
-
     def process(self, item: Image) -> None:
         """Estimate and publish the depth of one frame."""
-        config, header = self._config, item.header
-        frame = frame_from_image(item, config.gamma)
+        header = item.header
+        frame = frame_from_image(item, self.frame_config.gamma)
         frame_size = frame.shape[0], frame.shape[1]
-        size = output_size(frame_size, config.output_size)
+        size = output_size(frame_size, self.configs[DepthNodeConfig].output_size)
         self._model.fit(item.width, item.height)
         estimate = self._present_estimator().estimate(frame, size)
         if estimate.depth_m is None:
@@ -115,10 +97,7 @@ class DepthNode(FrameNode[Image]):
 
     def _on_image(self, message: Image) -> None:
         self.statistics.count_received()
-        if self._rate_limit.takes(self._config.max_rate_hz):
-            self.offer(message)
-        else:
-            self.statistics.count_dropped()
+        self.offer(message)
 
     def _present_estimator(self) -> DepthEstimator:
         """Return the estimator for the present camera, bank and parameters."""

@@ -1,5 +1,6 @@
 """What every node that turns frames into other frames has in common."""
 
+import dataclasses
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
@@ -13,17 +14,35 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
 from std_msgs.msg import Header
 
+from coded_aperture_ros.configuration import check_options, option
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.nodes.diagnostics import DiagnosticsPublisher, Statistics
 from coded_aperture_ros.nodes.messages import MessageError, stamp_ns
 from coded_aperture_ros.nodes.newest import NewestWorker
 from coded_aperture_ros.nodes.parameters import NodeParameters
+from coded_aperture_ros.nodes.rate_limit import RateLimit
 from coded_aperture_ros.nodes.running import publish
 
 Item = TypeVar("Item")
 
 _LAZY_PERIOD_S = 0.2
 _LOG_PERIOD_S = 10.0
+
+
+@dataclasses.dataclass(frozen=True)
+class FrameNodeConfig:
+    """What every such node can be told about the frames that come."""
+
+    gamma: float = option(
+        1.0, "Gamma of 8-bit images; 1 for a linear sensor", minimum=0.2, maximum=5.0
+    )
+    max_rate_hz: float = option(
+        0.0, "Most frames to process per second; 0: no limit", unit="Hz", minimum=0, maximum=10_000
+    )
+    lazy: bool = option(True, "Work only while someone subscribes to an output")
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
 
 class FrameNode(ABC, Node, Generic[Item]):
@@ -48,13 +67,14 @@ class FrameNode(ABC, Node, Generic[Item]):
         self, name: str, *configs: Any, fixed: Mapping[str, Any], **node_options: Any
     ) -> None:
         super().__init__(name, **node_options)
-        self.configs = NodeParameters(self, *configs, fixed=fixed)
+        self.configs = NodeParameters(self, FrameNodeConfig(), *configs, fixed=fixed)
         self.statistics = Statistics()
         self._outputs: dict[str, Any] = {}
         self._inputs: list[Callable[[], Any]] = []
         self._listening: list[Any] = []
         self._logged_s: dict[str, float] = {}
         self._taken_up_s = 0.0
+        self._rate_limit = RateLimit()
         self._worker: NewestWorker[Item] | None = None
 
     def advertise(self, topic: str, message_type: type) -> None:
@@ -86,18 +106,22 @@ class FrameNode(ABC, Node, Generic[Item]):
         """Let go of what waits for more input; called when nobody listens any more."""
 
     @property
-    def lazy(self) -> bool:
-        """Whether to work only while someone subscribes to an output."""
-        return True
+    def frame_config(self) -> FrameNodeConfig:
+        """The present parameters about frames."""
+        return self.configs[FrameNodeConfig]
 
     def offer(self, item: Item) -> None:
-        """Hand an item to the worker; what still waits there is dropped."""
-        if self._worker is not None:
+        """Hand an item to the worker, unless the rate is limited; what still waits is dropped."""
+        if self._worker is None:
+            return
+        if self._rate_limit.takes(self.frame_config.max_rate_hz):
             self._worker.offer(item)
+        else:
+            self.statistics.count_dropped()
 
     def wants(self, topic: str) -> bool:
         """Return whether an output has to be made."""
-        return not self.lazy or self._outputs[topic].get_subscription_count() > 0
+        return not self.frame_config.lazy or self._outputs[topic].get_subscription_count() > 0
 
     def send(self, topic: str, message: Any) -> None:
         """Publish an output."""
