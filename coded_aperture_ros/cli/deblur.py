@@ -111,8 +111,9 @@ def _blur_sizes(args: argparse.Namespace, bank: Any) -> Any:
 
 def _check_shape(path: str, of_map: tuple[int, ...], of_frame: tuple[int, ...]) -> None:
     """Check that a depth map, which may be smaller, covers what the frame covers."""
-    # A map that was made smaller has sides that were rounded.
-    if abs(of_map[0] * of_frame[1] - of_map[1] * of_frame[0]) > max(of_frame[:2]):
+    from coded_aperture_ros.deblur import covers_frame
+
+    if not covers_frame(of_map, of_frame):
         raise InputError(
             f"the depth map {path} has {of_map[1]} x {of_map[0]} pixels, this frame "
             f"{of_frame[1]} x {of_frame[0]}: it must be of this size, or of this shape and smaller"

@@ -8,6 +8,15 @@ from scipy import ndimage
 from coded_aperture_ros.errors import InputError
 
 
+def covers_frame(map_shape: tuple[int, ...], frame_shape: tuple[int, ...]) -> bool:
+    """Return whether a map has the proportions of a frame, so that it can cover the same view.
+
+    A map that was made smaller has sides that were rounded.
+    """
+    excess = map_shape[0] * frame_shape[1] - map_shape[1] * frame_shape[0]
+    return abs(excess) <= max(frame_shape[:2])
+
+
 def filled_blur_map(
     blur_size_px: NDArray[np.float32], shape: tuple[int, int]
 ) -> NDArray[np.float32]:

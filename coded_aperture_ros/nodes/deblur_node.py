@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image
 
 from coded_aperture_ros.bank import LearnConfig
-from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
+from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, covers_frame
 from coded_aperture_ros.nodes.camera_model import CameraModel
 from coded_aperture_ros.nodes.frame_model import FrameModel, ModelConfig
 from coded_aperture_ros.nodes.frame_node import FrameNode
@@ -95,12 +95,10 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
 
     def _present_deblurrer(self) -> Deblurrer:
         """Return the deblurrer for the present bank and parameters."""
-        made = self._deblurrer
-        if (
-            made.stack is not self._model.bank.stack
-            or made.config is not self.configs[DeblurConfig]
-        ):
+        if self._deblurrer.stack is not self._model.bank.stack:
             self._deblurrer = self._new_deblurrer()
+        # What was prepared depends on the rank only, which cannot change while the node runs.
+        self._deblurrer.config = self.configs[DeblurConfig]
         return self._deblurrer
 
     def _new_deblurrer(self) -> Deblurrer:
@@ -122,10 +120,7 @@ def depth_of_frame(depth: Image, image: Image) -> NDArray[np.float32]:
         raise MessageError("stamp", "the frame has no stamp, so its depth cannot be told apart")
     if depth.encoding != "32FC1":
         raise MessageError("depth", f"depth/image is {depth.encoding}, expected 32FC1")
-    # As many pixels high as wide, relative to the frame, up to the rounding of decimation.
-    if abs(depth.width * image.height - depth.height * image.width) > max(
-        image.width, image.height
-    ):
+    if not covers_frame((depth.height, depth.width), (image.height, image.width)):
         raise MessageError(
             "depth",
             f"depth/image of {depth.width}x{depth.height} does not have the proportions of the "
