@@ -88,14 +88,31 @@ def test_common_basis_loses_little_and_says_how_much(bank):
     assert np.mean(np.abs(found(bank) - found(full))) < 0.05
 
 
-def test_factorisation_is_the_best_one_for_its_scale():
+@pytest.mark.parametrize("filters", [20, 40])
+def test_factorisation_is_the_best_one_for_its_scale(filters):
     random = np.random.default_rng(0)
-    weights, scale = random.random((30, 40)), random.uniform(0.1, 10, 30)
-    singular = np.linalg.svd(weights * scale[:, None], compute_uv=False)
+    weights, scale = random.random((filters, 30)), random.uniform(0.1, 10, 30)
+    singular = np.linalg.svd(weights * scale, compute_uv=False)
     for rank in (1, 7, 30, 99):
-        basis, coefficients = factor_weights(weights, scale, rank)
-        residual = np.linalg.norm((basis @ coefficients - weights) * scale[:, None])
+        basis, coefficients = factor_weights(weights[None], scale[None], rank)
+        residual = np.linalg.norm(((basis @ coefficients[:, 0]).T - weights) * scale)
         assert residual == pytest.approx(np.linalg.norm(singular[rank:]), abs=1e-3)
+
+
+def test_every_ratio_is_factored_in_its_own_scale():
+    """Spectra without noise span decades; their filters are not sacrificed to the others."""
+    random = np.random.default_rng(0)
+    scales = np.stack([np.ones(30), np.geomspace(1, 1e5, 30)])
+    weights = random.random((2, 40, 30)) / scales[:, None]
+    basis, coefficients = factor_weights(weights, scales, 12)
+    fitted = coefficients[:, 1].T @ basis.T
+    common = np.sqrt(scales.prod(axis=0))
+    in_common = np.linalg.lstsq(basis * common[:, None], (weights[1] * common).T, rcond=None)[0]
+
+    def error(filters):
+        return np.linalg.norm((filters - weights[1]) * scales[1])
+
+    assert error(fitted) < 0.9 * error((basis @ in_common).T)
 
 
 def test_patch_without_texture_has_no_preference(bank):

@@ -12,7 +12,7 @@ from cli_scene import CAMERA, call, camera_file, everything
 from coded_aperture_ros.bank import load_bank
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 
-SMALL = ("--window", 16, "--rank", 8)
+SMALL = ("--window-px", 16, "--rank", 8)
 
 
 def refused(result, *phrases):
@@ -130,10 +130,13 @@ CAMERA_RANGE = ("--camera", "camera.yaml", "--depth-range", 1.5, 3)
         ((*CAMERA_RANGE, "--levels", 1), "at least 2 are needed"),
         ((*CAMERA_RANGE, "--mask", "levin"), "--mask only goes with --blur-sizes"),
         ((*CAMERA_RANGE, "--depths", "1,2"), "--depths only goes with --psfs"),
-        (("--psfs", "a.npz", "--levels", 5), "--levels only goes with --camera"),
+        (("--psfs", "a.npz", "--levels", 5), "--levels only goes with --camera or --planes"),
         ((*CAMERA_RANGE, "--psfs", "a.npz"), "not allowed with"),
-        ((*CAMERA_RANGE, "--window", 8), "--window: 8 is out of range (16 to 256 px)"),
-        ((*CAMERA_RANGE, "--window", 33), "--window: expected an even number"),
+        (("--planes", "folder", "--psfs", "a.npz"), "not allowed with"),
+        (("--planes", "folder", "--depths", "1,2"), "--depths only goes with --psfs"),
+        (("--planes", "folder", "--images", "other"), "--images does not go with --planes"),
+        ((*CAMERA_RANGE, "--window-px", 8), "--window-px: 8 is out of range (16 to 256 px)"),
+        ((*CAMERA_RANGE, "--window-px", 33), "--window-px: expected an even number"),
         ((*CAMERA_RANGE, "--rank", 0), "--rank: 0 is out of range"),
         ((*CAMERA_RANGE, "--noise", -1), "--noise: -1.0 is out of range"),
         ((*CAMERA_RANGE, "--noise", "loud"), "invalid float value: 'loud'"),
@@ -224,6 +227,7 @@ def test_a_camera_file_that_cannot_be_read(tmp_path, capsys, name):
         ({"psfs": np.ones((3, 4, 4))}, (), ["odd width"]),
         ({"psfs": np.full((3, 5, 5), np.nan)}, (), ["finite"]),
         ({"psfs": np.zeros((3, 5, 5))}, (), ["PSF 0 has no positive sum"]),
+        ({"psfs": np.ones((3, 5, 5)) - [[[0]], [[0]], [[2]]]}, (), ["PSF 2 has no positive sum"]),
         ({"psfs": np.ones((3, 5, 5)), "sizes_px": np.ones(2)}, (), ["sizes_px: expected 3"]),
         ({"psfs": np.ones((3, 5, 5)), "depths_m": [0, 1, 2]}, (), ["more than 0 m"]),
         ({"psfs": np.ones((1, 5, 5))}, (), ["at least 2 levels, got 1"]),

@@ -90,6 +90,17 @@ class FilterBank:
         return WindowedFourierBasis(self.window_px)
 
     @property
+    def basis_vectors(self) -> int:
+        """How many vectors the common basis has."""
+        return int(self.basis.shape[1])
+
+    @property
+    def evidence_repetition(self) -> float:
+        """How many windowed frequencies tell one thing: a window spreads each over several."""
+        window = self.fourier.window.astype(np.float64)
+        return float((len(window) * np.sum(window**4)) ** 2)
+
+    @property
     def noise_range(self) -> tuple[float, float]:
         """Noise (standard deviation) for which every contrast hypothesis is in the bank."""
         contrasts = self.prior.contrasts
@@ -121,14 +132,17 @@ class FilterBank:
         projected, grid = self.fourier.project(grey, stride_px, self._filters)
         return ProjectedFrame(projected[..., :-2], projected[..., -2], projected[..., -1], grid)
 
-    def energies(self, frame: "ProjectedFrame", noise: float) -> NDArray[np.float32]:
+    def energies(
+        self, frame: "ProjectedFrame", noise: float | NDArray[np.float32]
+    ) -> NDArray[np.float32]:
         """Return the energy of every level for every patch.
 
         Parameters
         ----------
         frame : ProjectedFrame
-        noise : float
-            Standard deviation ``s_0`` of the frame's noise, linear light, > 0.
+        noise : float, or ndarray, float32 [rows, columns]
+            Standard deviation ``s_0`` of the noise, linear light, > 0: the frame's, or each
+            patch's.
 
         Returns
         -------
@@ -137,13 +151,14 @@ class FilterBank:
             texture has the same energy at every level.
         """
         rank = self.basis.shape[1]
-        plausible = self._plausible_ratios(noise)
-        precision = np.float32(1 / noise**2)
+        plausible = self._plausible_ratios(float(np.median(noise)))
         count = self.fourier.multiplicity.sum()
-        coefficients = self.coefficients[:, plausible].reshape(rank, -1) * (precision / count)
+        precision = np.empty((*frame.power.shape, 1), np.float32)
+        precision[..., 0] = 1 / (count * np.square(noise))
+        coefficients = self.coefficients[:, plausible].reshape(rank, -1)
         log_determinants = self.log_determinants[plausible].reshape(-1)
-        projections = frame.projections.reshape(-1, rank)
-        textureless = _profiled(frame.power.reshape(-1, 1) * (precision / count), count)
+        projections = (frame.projections * precision).reshape(-1, rank)
+        textureless = _profiled((frame.power[..., None] * precision).reshape(-1, 1), count)
         energies = np.empty((len(projections), self.levels), np.float32)
         # Some patches at a time keep their hypotheses in the processor's cache.
         for start in range(0, len(projections), _PATCHES_AT_A_TIME):

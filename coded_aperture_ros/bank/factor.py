@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 
 def factor_weights(
-    weights: NDArray[np.float64], scale: NDArray[np.float64], rank: int
+    weights: NDArray[np.float64], scales: NDArray[np.float64], rank: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Factor ``weights ~ basis @ coefficients`` at a given rank.
 
@@ -15,25 +15,39 @@ def factor_weights(
 
     Parameters
     ----------
-    weights : ndarray, float64 [K, M]
-        One column for every hypothesis.
-    scale : ndarray, float64 [K]
-        Typical power of every frequency. The approximation is best in the least-squares sense
-        for spectra of this shape; without it the strongest low frequencies, whose weights are
-        smallest, would be approximated worst.
+    weights : ndarray, float64 [S, M, K]
+        A filter for every one of M hypotheses under each of S ratios of contrast to noise.
+    scales : ndarray, float64 [S, K]
+        Typical power of every frequency under each ratio. The approximation is best in the
+        least-squares sense for spectra of this shape; without it the strongest low frequencies,
+        whose weights are smallest, would be approximated worst.
     rank : int
-        Number of basis vectors; limited to what the matrix has.
+        Number of basis vectors; limited to what the filters need.
 
     Returns
     -------
     basis : ndarray, float32 [K, rank]
-    coefficients : ndarray, float32 [rank, M]
+    coefficients : ndarray, float32 [rank, S, M]
     """
-    scaled = weights * scale[:, None]
-    # The leading left singular vectors, from the smaller problem of the Gram matrix.
-    size = len(scaled)
-    rank = min(rank, size)
-    _, leading = scipy.linalg.eigh(scaled @ scaled.T, subset_by_index=(size - rank, size - 1))
-    basis = leading / scale[:, None]
-    coefficients = leading.T @ scaled
-    return basis.astype(np.float32), coefficients.astype(np.float32)
+    common = np.exp(np.log(scales).mean(axis=0))
+    leading = _leading_vectors(weights.reshape(-1, len(common)).T * common[:, None], rank)
+    basis = leading / common[:, None]
+    # One basis serves all ratios, but each fits its coefficients to its own spectra: without
+    # noise the power of the frequencies spans many decades more than with it.
+    coefficients = [
+        scipy.linalg.lstsq(basis * scale[:, None], (filters * scale).T, cond=1e-9)[0]
+        for filters, scale in zip(weights, scales, strict=True)
+    ]
+    return basis.astype(np.float32), np.stack(coefficients, axis=1).astype(np.float32)
+
+
+def _leading_vectors(matrix: NDArray[np.float64], rank: int) -> NDArray[np.float64]:
+    """Return the leading left singular vectors, from the smaller of the two Gram matrices."""
+    tall = matrix.shape[0] > matrix.shape[1]
+    gram = matrix.T @ matrix if tall else matrix @ matrix.T
+    rank = min(rank, len(gram))
+    _, vectors = scipy.linalg.eigh(gram, subset_by_index=(len(gram) - rank, len(gram) - 1))
+    if not tall:
+        return vectors
+    # The smallest of them are inexact this way; what counts is the space that they span.
+    return np.linalg.qr(matrix @ vectors[:, ::-1])[0]

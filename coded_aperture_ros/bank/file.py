@@ -1,11 +1,14 @@
 """Filter banks on disk: one `.npz` of plain arrays."""
 
 import os
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coded_aperture_ros.archive import read_archive, write_archive
 from coded_aperture_ros.bank.bank import FilterBank
+from coded_aperture_ros.bank.empirical import EmpiricalPrior
 from coded_aperture_ros.bank.prior import NaturalImagePrior
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import PsfStack
@@ -41,6 +44,8 @@ def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
     }
     if bank.stack.depths_m is not None:
         arrays["depths_m"] = bank.stack.depths_m
+    if isinstance(bank.prior, EmpiricalPrior):
+        arrays["prior_deviations"] = bank.prior.deviations
     write_archive(path, SCHEMA, VERSION, arrays)
 
 
@@ -58,11 +63,7 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
         bank = FilterBank(
             stack=PsfStack(arrays["blur_sizes_px"], arrays["psfs"], arrays.get("depths_m")),
             window_px=int(arrays["window_px"]),
-            prior=NaturalImagePrior(
-                slopes=tuple(arrays["prior_slopes"].tolist()),
-                contrasts=tuple(arrays["prior_contrasts"].tolist()),
-                model_error=float(arrays["prior_model_error"]),
-            ),
+            prior=_prior(arrays),
             ratios=arrays["ratios"],
             basis=arrays["basis"],
             coefficients=arrays["coefficients"],
@@ -78,6 +79,16 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
     except (InputError, TypeError, ValueError) as error:
         raise InputError(f"{path}: damaged {SCHEMA}: {error}") from error
     return bank
+
+
+def _prior(arrays: dict[str, NDArray[Any]]) -> NaturalImagePrior:
+    slopes = tuple(arrays["prior_slopes"].tolist())
+    contrasts = tuple(arrays["prior_contrasts"].tolist())
+    model_error = float(arrays["prior_model_error"])
+    if "prior_deviations" not in arrays:
+        return NaturalImagePrior(slopes, contrasts, model_error)
+    deviations = tuple(tuple(row) for row in arrays["prior_deviations"].tolist())
+    return EmpiricalPrior(slopes, contrasts, model_error, deviations)
 
 
 def _check_shapes(bank: FilterBank) -> None:

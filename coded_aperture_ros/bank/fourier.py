@@ -6,6 +6,7 @@ overlap share the horizontal half of it.
 """
 
 import dataclasses
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -209,7 +210,11 @@ class WindowedFourierBasis:
         power[:half:-1] = (real - sines[:, 1]) ** 2 + (imaginary + sines[:, 0]) ** 2
         return power
 
-    def expected_power(self, psf: NDArray[np.float32], slope: float) -> NDArray[np.float64]:
+    def expected_power(
+        self,
+        psf: NDArray[np.float32],
+        spectrum: float | Callable[[tuple[int, int]], NDArray[np.float64]],
+    ) -> NDArray[np.float64]:
         """Return the expected power of a window on a naturally textured, blurred plane.
 
         This is exact for the windowed transform: the autocovariance of the blurred texture is
@@ -220,8 +225,9 @@ class WindowedFourierBasis:
         ----------
         psf : ndarray, float32 [k, k]
             Point spread function.
-        slope : float
-            Fall-off of the texture's power spectrum; see `NaturalImagePrior`.
+        spectrum : float or callable
+            Fall-off of the texture's power spectrum, see `NaturalImagePrior`; or the spectrum as a
+            function of the shape of an image, with the layout and scale of `power_spectrum`.
 
         Returns
         -------
@@ -234,7 +240,8 @@ class WindowedFourierBasis:
         period += -period % n
         torus = (period, period)
         transfer = scipy.fft.rfft2(psf.astype(np.float64), torus)
-        blurred = power_spectrum(slope, torus) * np.abs(transfer) ** 2
+        texture = spectrum(torus) if callable(spectrum) else power_spectrum(spectrum, torus)
+        blurred = texture * np.abs(transfer) ** 2
         autocovariance = scipy.fft.irfft2(blurred, torus)
         overlap = scipy.fft.irfft(np.abs(scipy.fft.rfft(self.window, period)) ** 2, period)
         expected = scipy.fft.rfft2(autocovariance * overlap[:, None] * overlap).real

@@ -5,8 +5,10 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.bank import FilterBank
+from coded_aperture_ros.bank.empirical import EmpiricalPrior
 from coded_aperture_ros.bank.factor import factor_weights
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.prior import NaturalImagePrior
@@ -55,6 +57,7 @@ def learn_bank_for_camera(
     levels: int,
     config: LearnConfig | None = None,
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    prior: NaturalImagePrior | None = None,
 ) -> FilterBank:
     """Learn the bank of a camera for a depth range, from its mask alone.
 
@@ -65,7 +68,7 @@ def learn_bank_for_camera(
         Depth range, metres.
     levels : int
         Number of levels, equally spaced in blur size; at least 2.
-    config, progress
+    config, progress, prior
         See `learn_bank`.
 
     Raises
@@ -74,7 +77,7 @@ def learn_bank_for_camera(
         If the range does not lie on the camera's side of the focal plane or ends at infinity,
         there are fewer than two levels, or a blur size does not fit the window.
     """
-    _check_levels(levels)
+    check_levels(levels)
     blur_sizes = np.linspace(*camera.blur_range_px(near_m, far_m), levels)
     depths_m = camera.depth_m(blur_sizes)
     if not np.isfinite(depths_m).all():
@@ -83,8 +86,8 @@ def learn_bank_for_camera(
             "differ little in blur, 100 times the distance of the focus is enough"
         )
     stack = dataclasses.replace(render_psf_stack(camera.mask, blur_sizes), depths_m=depths_m)
-    learned_from = f"mask {camera.mask.name}, {near_m:g} to {far_m:g} m, natural-image prior"
-    return learn_bank(stack, config, learned_from=learned_from, mask=camera.mask, progress=progress)
+    learned_from = f"mask {camera.mask.name}, {near_m:g} to {far_m:g} m, {textures_of(prior)}"
+    return learn_bank(stack, config, prior, learned_from, camera.mask, progress)
 
 
 def learn_bank(
@@ -94,6 +97,7 @@ def learn_bank(
     learned_from: str = "PSFs, natural-image prior",
     mask: Mask | None = None,
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    components: NDArray[np.float32] | None = None,
 ) -> FilterBank:
     """Learn the bank that identifies the blur levels of a PSF stack.
 
@@ -103,12 +107,16 @@ def learn_bank(
         One PSF for every level; at least two.
     config : LearnConfig, optional
     prior : NaturalImagePrior, optional
+        Hypotheses for the texture; an `EmpiricalPrior` has learned them from sharp images.
     learned_from : str, optional
         Kept in the bank for a person to read.
     mask : Mask, optional
         What the PSFs were rendered from, so that the bank is not used with another mask.
     progress : callable, optional
         Wraps the iteration over levels, as ``tqdm.tqdm`` does.
+    components : ndarray, float32 [R, L, k, k], optional
+        Instead of the PSFs: their autocorrelation is the sum of those of R components. The bank
+        needs no more than that; see `learn_bank_from_planes`.
 
     Returns
     -------
@@ -122,7 +130,7 @@ def learn_bank(
     """
     config = config or LearnConfig()
     prior = prior or NaturalImagePrior()
-    _check_levels(len(stack))
+    check_levels(len(stack))
     for name, values in (("blur sizes", stack.blur_sizes_px), ("depths", stack.depths_m)):
         steps = np.diff(values if values is not None else stack.blur_sizes_px)
         if not (np.all(steps > 0) or np.all(steps < 0)):
@@ -136,21 +144,25 @@ def learn_bank(
             "use a larger window, or fewer or smaller blur sizes"
         )
     fourier = WindowedFourierBasis(config.window_px)
+    of_levels = stack.psfs[:, None] if components is None else components.swapaxes(0, 1)
+    textures = prior.spectra if isinstance(prior, EmpiricalPrior) else prior.slopes
     expected = np.array(
         [
-            [fourier.expected_power(psf, slope) for slope in prior.slopes]
-            for psf in progress(stack.psfs)
+            [sum(fourier.expected_power(psf, texture) for psf in psfs) for texture in textures]
+            for psfs in progress(of_levels)
         ]
     )  # [L, slopes, K]
     expected = expected.transpose(1, 0, 2) + prior.model_error**2
     variances = RATIOS[:, None, None, None] * expected + 1  # [S, slopes, L, K]
     log_variances = np.log(variances)
     multiplicity = fourier.multiplicity.astype(np.float64)
-    weights = (multiplicity / variances).reshape(-1, fourier.size).T
-    scale = np.exp(log_variances.mean(axis=(0, 1, 2)))
-    scale[multiplicity == 0] = 1  # these have no weight at any level
-    basis, coefficients = factor_weights(weights, scale, config.rank)
-    residual = (basis @ coefficients - weights) * scale[:, None]
+    hypotheses = (len(RATIOS), -1, fourier.size)
+    weights = (multiplicity / variances).reshape(hypotheses)  # [S, slopes * L, K]
+    scales = np.exp(log_variances.reshape(hypotheses).mean(axis=1))
+    scales[:, multiplicity == 0] = 1  # these have no weight at any level
+    basis, coefficients = factor_weights(weights, scales, config.rank)
+    scaled = weights * scales[:, None]
+    factored = (coefficients.transpose(1, 2, 0) @ basis.T) * scales[:, None]
     return FilterBank(
         stack=stack,
         window_px=config.window_px,
@@ -159,13 +171,21 @@ def learn_bank(
         basis=basis,
         coefficients=coefficients.reshape(len(coefficients), *variances.shape[:-1]),
         log_determinants=(log_variances @ multiplicity).astype(np.float32),
-        truncation_error=float(np.linalg.norm(residual) / np.linalg.norm(weights * scale[:, None])),
+        truncation_error=float(np.linalg.norm(factored - scaled) / np.linalg.norm(scaled)),
         noise=config.noise,
         mask_digest=mask.digest if mask else "",
         learned_from=learned_from,
     )
 
 
-def _check_levels(count: int) -> None:
+def textures_of(prior: NaturalImagePrior | None) -> str:
+    """Say in a few words where a prior's textures come from."""
+    if isinstance(prior, EmpiricalPrior):
+        return f"{len(prior.slopes)} kinds of texture from sharp images"
+    return "natural-image prior"
+
+
+def check_levels(count: int) -> None:
+    """Refuse fewer than two levels."""
     if count < 2:
         raise InputError(f"a bank needs at least 2 levels, got {count}")

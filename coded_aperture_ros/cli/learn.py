@@ -1,4 +1,4 @@
-"""`coded_aperture learn`: a filter bank from a mask or from measured PSFs."""
+"""`coded_aperture learn`: a filter bank from a mask, measured PSFs or pictures of planes."""
 
 import argparse
 import json
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
+from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, config_from
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.errors import InputError
 
@@ -19,17 +20,27 @@ _EPILOG = """examples:
     coded_aperture learn --mask levin --blur-sizes 7 30 39 -o bank.npz
   from measured PSFs (.npz with psfs [N, k, k]), optionally at known depths in m:
     coded_aperture learn --psfs stack.npz --depths 1.0,1.5,2.0 -o bank.npz
+
+without knowing the mask:
+  --planes DIR learns from linear pictures of textured planes (printed pages, say) parallel to the
+  sensor, all on one side of the focus, ten or more, equally spaced in inverse depth. DIR holds
+  the pictures and planes.json:
+    [{"file": "a.png", "depth_m": 1.5}, {"file": "b.png", "depth_m": 1.8}, ...]
+  It takes a minute or two. The window has to be twice as wide as the largest blur.
 """
+
+_LEVELS = 30
 
 
 def add_parser(subparsers: Any) -> None:
     """Add the sub-command to the program's parser."""
     parser = subparsers.add_parser(
         "learn",
-        help="learn a filter bank from a camera file, a mask or measured PSFs",
+        help="learn a filter bank from a camera file, a mask, measured PSFs or planes",
         description="Learn the filter bank that tells blur sizes apart. It is learned once for a "
-        "mask and a range of blur sizes, from the mask or measured PSFs and a model of natural "
-        "images; no training pictures are needed. Masks with names: levin, two_hole, three_hole, "
+        "mask and a range of blur sizes, from a model of natural images and the mask or measured "
+        "PSFs, or, where these are not known, from pictures of textured planes at known depths "
+        "parallel to the sensor. Masks with names: levin, two_hole, three_hole, "
         "four_hole, annulus, veeraraghavan, zhou, mura, disc.",
         epilog=_EPILOG,
     )
@@ -47,32 +58,38 @@ def add_parser(subparsers: Any) -> None:
         help="N equally spaced blur sizes in px; needs --mask",
     )
     source.add_argument("--psfs", metavar="NPZ", help="measured PSFs")
+    source.add_argument(
+        "--planes", metavar="DIR", help="pictures of planes (16-bit linear) and planes.json"
+    )
     parser.add_argument(
         "--depth-range", nargs=2, type=float, metavar=("NEAR", "FAR"), help="with --camera, in m"
     )
     parser.add_argument(
-        "--levels", type=int, metavar="N", help="number of levels, with --camera (default 30)"
+        "--levels",
+        type=int,
+        metavar="N",
+        help=f"number of levels, with --camera or --planes (default {_LEVELS})",
     )
     parser.add_argument("--mask", metavar="NAME", help="name or file (PNG, .npy) of a mask")
     parser.add_argument(
         "--depths", metavar="Z1,Z2,...", help="depth in metres of each measured PSF"
     )
     parser.add_argument(
-        "--window", type=int, default=48, metavar="PX", help="side of the patches (default 48)"
+        "--images",
+        metavar="DIR",
+        help="sharp pictures of the kind of scene that the camera sees: what textures look like is "
+        "learned from them; not with --planes",
     )
-    parser.add_argument(
-        "--rank", type=int, default=128, metavar="R", help="size of the common basis (default 128)"
-    )
-    parser.add_argument(
-        "--noise",
-        type=float,
-        default=0.0,
-        metavar="S",
-        help="the camera's noise (standard deviation, linear light), kept in the bank; by default "
-        "it is estimated in every frame",
-    )
+    add_gamma_option(parser)
     parser.add_argument("-o", "--output", required=True, metavar="FILE", help="bank (.npz)")
     parser.add_argument("--json", action="store_true", help="print a summary as JSON")
+    parser.add_late_options = _add_config_options
+
+
+def _add_config_options(parser: argparse.ArgumentParser) -> None:
+    from coded_aperture_ros.bank import LearnConfig
+
+    add_config_options(parser, LearnConfig, "filters")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -109,16 +126,19 @@ def run(args: argparse.Namespace) -> int:
 
 def _check_usage(args: argparse.Namespace) -> None:
     """Refuse options that do not go together, rather than ignore one of them."""
-    for name, source in (
-        ("depth_range", "camera"),
-        ("levels", "camera"),
-        ("mask", "blur_sizes"),
-        ("depths", "psfs"),
+    for name, sources in (
+        ("depth_range", ("camera",)),
+        ("levels", ("camera", "planes")),
+        ("mask", ("blur_sizes",)),
+        ("depths", ("psfs",)),
     ):
-        if getattr(args, name) is not None and getattr(args, source) is None:
-            args.usage_error(f"{_option(name)} only goes with {_option(source)}")
+        given = any(getattr(args, source) is not None for source in sources)
+        if getattr(args, name) is not None and not given:
+            args.usage_error(f"{_option(name)} only goes with {' or '.join(map(_option, sources))}")
     if args.camera and args.depth_range is None:
         args.usage_error("--camera needs --depth-range NEAR FAR")
+    if args.planes and args.images:
+        args.usage_error("--images does not go with --planes, whose textures are their own")
     if args.levels is not None and args.levels < 2:
         args.usage_error(f"--levels: at least 2 are needed, got {args.levels}")
 
@@ -128,19 +148,32 @@ def _option(name: str) -> str:
 
 
 def _learned(args: argparse.Namespace) -> Any:
-    from coded_aperture_ros.bank import LearnConfig, learn_bank, learn_bank_for_camera
+    from coded_aperture_ros.bank import (
+        LearnConfig,
+        Planes,
+        learn_bank,
+        learn_bank_for_camera,
+        learn_bank_from_planes,
+        textures_of,
+    )
     from coded_aperture_ros.optics import load_camera
 
     try:
-        config = LearnConfig(window_px=args.window, rank=args.rank, noise=args.noise)
+        config = config_from(args, LearnConfig)
     except InputError as error:
-        args.usage_error(f"--{error}".replace("window_px", "window"))
+        args.usage_error(f"--{error}".replace("window_px", "window-px"))
+    levels = _LEVELS if args.levels is None else args.levels
+    if args.planes is not None:
+        planes = Planes.load(args.planes, args.gamma)
+        return learn_bank_from_planes(planes, levels, config, progress=progress)
+    prior = _prior(args)
     if args.camera:
         camera = load_camera(args.camera)
         near_m, far_m = args.depth_range
-        levels = 30 if args.levels is None else args.levels
         with naming(args.camera):
-            return learn_bank_for_camera(camera, near_m, far_m, levels, config, progress)
+            return learn_bank_for_camera(
+                camera, near_m, far_m, levels, config, progress, prior=prior
+            )
     if args.psfs:
         stack, mask, learned_from = _measured(args), None, f"measured PSFs {args.psfs}"
     else:
@@ -149,10 +182,22 @@ def _learned(args: argparse.Namespace) -> Any:
         return learn_bank(
             stack,
             config,
-            learned_from=f"{learned_from}, natural-image prior",
+            prior,
+            learned_from=f"{learned_from}, {textures_of(prior)}",
             mask=mask,
             progress=progress,
         )
+
+
+def _prior(args: argparse.Namespace) -> Any:
+    from coded_aperture_ros.bank import EmpiricalPrior, NaturalImagePrior
+    from coded_aperture_ros.images import open_sequence
+
+    if args.images is None:
+        return NaturalImagePrior()
+    pictures = open_sequence(args.images, args.gamma)
+    with naming(args.images):
+        return EmpiricalPrior.from_images(image for _, image in pictures)
 
 
 def _rendered(args: argparse.Namespace) -> Any:

@@ -17,9 +17,9 @@ class DepthConfig:
         maximum=64,
     )
     regularize: str = option(
-        "none",
-        "Spatial regularisation of the blur levels.",
-        choices=("none", "tv", "graphcut"),
+        "semiglobal",
+        "Spatial regularisation of the blur levels: graphcut is the slow reference.",
+        choices=("none", "semiglobal", "tv", "graphcut"),
     )
     smoothness: float = option(
         1.0,
@@ -27,11 +27,23 @@ class DepthConfig:
         minimum=0.0,
         maximum=100.0,
     )
+    rim: float = option(
+        0.27,
+        "Width of the rim that is taken off foregrounds, as a share of the bank's window.",
+        minimum=0.0,
+        maximum=1.0,
+    )
     noise: float = option(
         0.0,
         "Standard deviation of one channel's noise, linear light; 0: estimated in each frame.",
         minimum=0.0,
         maximum=0.5,
+    )
+    noise_gain: float = option(
+        0.0,
+        "Variance of one channel's shot noise per unit of light; adds to the variance of noise.",
+        minimum=0.0,
+        maximum=0.1,
     )
     saturation: float = option(
         0.995,
@@ -40,7 +52,7 @@ class DepthConfig:
         maximum=1.0,
     )
     confidence_threshold: float = option(
-        0.5,
+        0.55,
         "Depth is unknown where the confidence is below this.",
         minimum=0.0,
         maximum=1.0,

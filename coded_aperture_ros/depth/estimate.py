@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.depth.config import DepthConfig
-from coded_aperture_ros.depth.frame import grey_image, usable_windows
+from coded_aperture_ros.depth.frame import brightness_at, grey_image, usable_windows
 from coded_aperture_ros.depth.levels import (
     agreeing_levels,
     confidence_of,
@@ -15,9 +15,13 @@ from coded_aperture_ros.depth.levels import (
 )
 from coded_aperture_ros.depth.noise import estimate_noise
 from coded_aperture_ros.depth.regularize import regularized_level
-from coded_aperture_ros.depth.upsample import upsample
+from coded_aperture_ros.depth.rims import trim_foreground
+from coded_aperture_ros.depth.upsample import nearest_patches, upsample
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import Camera
+
+# Surfaces whose blur sizes differ by more than this, within a window, are not one slant.
+_DEPTH_EDGE_PX = 2.3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -110,21 +114,44 @@ class DepthEstimator:
         if min(size) < 1:
             raise InputError(f"size of the depth map: expected at least 1x1, got {size}")
         projected = bank.project(grey, config.stride_px)
+        grid = projected.grid
+        brightness = brightness_at(grey, grid)
         # The mean of the channels has less noise than each of them.
-        averaging = np.sqrt(1 if frame.ndim == 2 else frame.shape[2])
-        given = (config.noise or bank.noise) / averaging
-        noise = given or estimate_noise(projected.high_power)
+        channels = 1 if frame.ndim == 2 else frame.shape[2]
+        shot_variance = None
+        if config.noise_gain:
+            shot_variance = np.float32(config.noise_gain / channels) * np.maximum(brightness, 0)
+        given = (config.noise or bank.noise) / np.sqrt(channels)
+        noise = given or estimate_noise(projected.high_power, shot_variance)
 
-        energies = bank.energies(projected, noise)
-        probability = level_probability(energies, bank.fourier)
-        level = regularized_level(energies, probability, config)
-        confidence = confidence_of(level, probability, self._agreement)
-
+        in_patches = noise if shot_variance is None else np.sqrt(noise**2 + shot_variance)
+        energies = bank.energies(projected, in_patches)
         if unusable is not None:
-            confidence[~usable_windows(unusable, projected.grid)] = 0
-        level, confidence = upsample(level, confidence, projected.grid, grey.shape, size)
-        estimate = self._in_metres(level, confidence, float(noise * averaging))
+            energies[~usable_windows(unusable, grid)] = 0
+        probability = level_probability(energies, bank.evidence_repetition)
+        level = regularized_level(energies, probability, config, brightness)
+
+        level = self._trimmed(upsample(level, grid, grey.shape, size), size[1] / grey.shape[1])
+        patches = nearest_patches(grid, grey.shape, size)
+        confidence = confidence_of(level, probability, patches, self._agreement)
+        estimate = self._in_metres(level, confidence, float(noise * np.sqrt(channels)))
         return estimate.where_confident(config.confidence_threshold)
+
+    def _trimmed(self, level: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
+        """Take the rims off foregrounds; `scale` is that of the map."""
+        steps = np.diff(self.bank.blur_sizes_px)
+        # In front of the focal plane the nearer surface is the more blurred one, and which of two
+        # a window takes is another matter.
+        if (self.bank.blur_sizes_px < 0).any():
+            return level
+        behind = np.sign(steps[0])
+        window_px = self.bank.window_px * scale
+        return behind * trim_foreground(
+            behind * level,
+            reach_px=round(self.config.rim * window_px),
+            speck_px=round(window_px / 2),
+            jump_levels=_DEPTH_EDGE_PX / float(np.abs(steps).mean()),
+        )
 
     def _in_metres(
         self, level: NDArray[np.float32], confidence: NDArray[np.float32], noise: float

@@ -92,3 +92,10 @@ def usable_windows(unusable: NDArray[np.bool_], grid: PatchGrid) -> NDArray[np.b
     side = grid.window_px // 2
     share = cv2.boxFilter(unusable.astype(np.float32), -1, (side, side))
     return share[np.ix_(grid.row_centres, grid.column_centres)] <= _TOLERATED
+
+
+def brightness_at(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.float32]:
+    """Return the mean brightness around the centre of every window of a grid [rows, columns]."""
+    side = grid.window_px // 2
+    mean: NDArray[np.float32] = cv2.blur(grey, (side, side))
+    return mean[np.ix_(grid.row_centres, grid.column_centres)]

@@ -3,11 +3,15 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import FilterBank, WindowedFourierBasis
+from coded_aperture_ros.bank import FilterBank
 
 # The likelihood treats the windows' frequencies as independent and the model as perfect. Dividing
 # the evidence by this factor makes up for what that overstates; chosen on ray-traced scenes.
 _TEMPER = 4.0
+# Offset and slope of the logistic calibration of a patch's probability, fitted on ray-traced
+# scenes, and how sure a patch may be.
+_CALIBRATION = (0.77, 0.16)
+_SURE = 1e-3
 
 
 def refine_level(energies: NDArray[np.float32], level: NDArray[np.intp]) -> NDArray[np.float32]:
@@ -30,59 +34,70 @@ def refine_level(energies: NDArray[np.float32], level: NDArray[np.intp]) -> NDAr
 
 
 def level_probability(
-    energies: NDArray[np.float32], fourier: WindowedFourierBasis
+    energies: NDArray[np.float32], evidence_repetition: float
 ) -> NDArray[np.float32]:
     """Return the probability of every level, each patch for itself.
 
     Parameters
     ----------
     energies : ndarray, float32 [rows, columns, L]
-    fourier : WindowedFourierBasis
-        Says how far the windowed frequencies repeat each other.
+    evidence_repetition : float
+        How far the bank's coefficients repeat each other; see `FilterBank.evidence_repetition`.
 
     Returns
     -------
     ndarray, float32 [rows, columns, L]
-        Sums to one over the levels.
+        Sums to one over the levels; all alike where nothing is known.
     """
-    # A window spreads each frequency over its neighbours: so many coefficients tell one thing.
-    window = fourier.window.astype(np.float64)
-    repeated = (len(window) * np.sum(window**4)) ** 2
     excess = energies - energies.min(axis=-1, keepdims=True)
-    likelihood = np.exp(excess * np.float32(-0.5 / (repeated * _TEMPER)))
+    likelihood = np.exp(excess * np.float32(-0.5 / (evidence_repetition * _TEMPER)))
     return likelihood / likelihood.sum(axis=-1, keepdims=True)
 
 
 def confidence_of(
     level: NDArray[np.float32],
     probability: NDArray[np.float32],
-    agreement: NDArray[np.float32],
+    patches: tuple[NDArray[np.intp], NDArray[np.intp]],
+    agreement: NDArray[np.intp],
 ) -> NDArray[np.float32]:
     """Return the probability that the true level agrees with the estimated one.
+
+    The probability that a pixel's own patch gives to the level is calibrated: near depth edges a
+    patch is surer than it should be, and what its neighbours have decided may be right against it.
 
     Parameters
     ----------
     level : ndarray, float32 [rows, columns]
-        Estimated fractional level.
-    probability : ndarray, float32 [rows, columns, L]
+        Estimated fractional level of every pixel.
+    probability : ndarray, float32 [grid rows, grid columns, L]
         See `level_probability`. Where it is flat, nothing is known and the confidence is 0.
-    agreement : ndarray, float32 [L, L]
-        1 where two levels are as good as the same; see `agreeing_levels`.
+    patches : (ndarray, ndarray)
+        The patch of every row, and of every column, of pixels; see `nearest_patches`.
+    agreement : ndarray, intp [2, L]
+        First and last level that is as good as each level; see `agreeing_levels`.
 
     Returns
     -------
     ndarray, float32 [rows, columns]
         In [0, 1].
     """
-    nearest = np.rint(level).astype(np.intp)
-    confidence = np.einsum("ijl,ijl->ij", probability, agreement[nearest])
-    flat = probability.max(axis=-1) <= 1.0001 / probability.shape[-1]
-    return np.where(flat, np.float32(0), np.minimum(confidence, 1)).astype(np.float32)
+    levels = probability.shape[-1]
+    up_to = np.zeros((*probability.shape[:-1], levels + 1), np.float32)
+    np.cumsum(probability, axis=-1, out=up_to[..., 1:])
+    first, last = agreement[:, np.rint(level).astype(np.intp)]
+    rows, columns = patches
+    own_patch = rows[:, None], columns
+    mass = up_to[(*own_patch, last + 1)] - up_to[(*own_patch, first)]
+    mass = np.clip(mass, _SURE, 1 - _SURE)
+    offset, slope = _CALIBRATION
+    confidence = 1 / (1 + np.exp(-offset) * (1 / mass - 1) ** slope)
+    flat = probability.max(axis=-1) <= 1.0001 / levels
+    return np.where(flat[own_patch], 0, confidence).astype(np.float32)
 
 
 def agreeing_levels(
     bank: FilterBank, depths_m: NDArray[np.float64] | None, tolerance: float = 0.05
-) -> NDArray[np.float32]:
+) -> NDArray[np.intp]:
     """Return which levels are so near each other that either may stand for the other.
 
     Parameters
@@ -96,13 +111,15 @@ def agreeing_levels(
 
     Returns
     -------
-    ndarray, float32 [L, L]
-        Row: estimated level; column: true level.
+    ndarray, intp [2, L]
+        First and last of the levels that agree with each level.
     """
     index = np.arange(bank.levels)
     if depths_m is None:
-        return (np.abs(index[:, None] - index) <= 1).astype(np.float32)
-    # By inverse depth, so that levels at or beyond the blur size of infinity agree too.
-    inverse = np.abs(1 / depths_m)
-    near = np.abs(inverse[:, None] - inverse) <= tolerance * inverse[:, None]
-    return (near | (index[:, None] == index)).astype(np.float32)
+        near = np.abs(index[:, None] - index) <= 1
+    else:
+        # By inverse depth, so that levels at or beyond the blur size of infinity agree too.
+        inverse = np.abs(1 / depths_m)
+        near = np.abs(inverse[:, None] - inverse) <= tolerance * inverse[:, None]
+        near |= index[:, None] == index
+    return np.array([near.argmax(axis=1), bank.levels - 1 - near[:, ::-1].argmax(axis=1)])

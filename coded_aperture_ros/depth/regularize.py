@@ -14,16 +14,23 @@ _ENOUGH_EVIDENCE = 6.0
 # A step of more levels than this is a depth edge: how large it is no longer matters.
 _EDGE_LEVELS = 4
 # Weights of the smoothness beside natural-logarithm evidence.
+_SLIGHT_STEP = 2.0
+_JUMP = 12.0
 _CUT_BETA = 1.2
 _TV_BETA = 0.6
 # The coupling of total variation's two variables, and the iterations that take it there.
 _TV_THETA = (10.0, 0.1)
 _TV_ITERATIONS = 10
 _TV_STEPS = 4
+# Where the brightness changes by much more than usual, smoothness counts only this share.
+_ACROSS_CONTRAST = 0.3
 
 
 def regularized_level(
-    energies: NDArray[np.float32], probability: NDArray[np.float32], config: DepthConfig
+    energies: NDArray[np.float32],
+    probability: NDArray[np.float32],
+    config: DepthConfig,
+    brightness: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
     """Return the fractional level of every patch.
 
@@ -33,6 +40,8 @@ def regularized_level(
         See `FilterBank.energies` and `level_probability`.
     config : DepthConfig
         Says which regularisation, and how strong.
+    brightness : ndarray, float32 [rows, columns], optional
+        Of the frame at every patch: `semiglobal` lets levels jump more easily where it changes.
 
     Returns
     -------
@@ -44,6 +53,8 @@ def regularized_level(
     InputError
         If graph cuts are asked for and PyMaxflow is not installed.
     """
+    if config.regularize == "semiglobal":
+        return _semi_global(energies, probability, config.smoothness, brightness)
     return _METHODS[config.regularize](energies, probability, config.smoothness)
 
 
@@ -51,6 +62,59 @@ def _independent(
     energies: NDArray[np.float32], probability: NDArray[np.float32], smoothness: float
 ) -> NDArray[np.float32]:
     return refine_level(energies, energies.argmin(axis=-1))
+
+
+def _semi_global(
+    energies: NDArray[np.float32],
+    probability: NDArray[np.float32],
+    smoothness: float,
+    brightness: NDArray[np.float32] | None,
+) -> NDArray[np.float32]:
+    """Minimise along rows and columns, both ways, and add up (Hirschmueller, 2008).
+
+    Each of the four paths through a patch is minimised exactly, with a small cost for steps of
+    one level, as of slants, and a larger one for jumps.
+    """
+    evidence = _evidence(probability).astype(np.float32)
+    rows, columns = evidence.shape[:2]
+    down = np.full((rows - 1, columns), smoothness, np.float32)
+    across = np.full((columns - 1, rows), smoothness, np.float32)
+    if brightness is not None:
+        changes = [np.abs(np.diff(brightness, axis=axis)) for axis in (0, 1)]
+        usual = np.median(np.concatenate([change.ravel() for change in changes]))
+        weights = [
+            _ACROSS_CONTRAST + (1 - _ACROSS_CONTRAST) * np.exp(-((change / max(usual, 1e-6)) ** 2))
+            for change in changes
+        ]
+        mean = np.mean(np.concatenate([weight.ravel() for weight in weights]))
+        down *= weights[0] / mean
+        across *= weights[1].T / mean
+    # Every path counts the evidence of its patch.
+    total = _both_ways(evidence, down) - 3 * evidence
+    total += _both_ways(evidence.swapaxes(0, 1), across).swapaxes(0, 1)
+    return refine_level(energies, total.argmin(axis=-1))
+
+
+def _both_ways(evidence: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Add up the costs of the best paths that reach each patch along the first axis.
+
+    Takes [n, m, L] and the weight of the smoothness between neighbours [n - 1, m].
+    """
+    there_and_back = np.stack([evidence, evidence[::-1]], axis=1)
+    slight = _SLIGHT_STEP * np.stack([weights, weights[::-1]], axis=1)[..., None]
+    jump = _JUMP / _SLIGHT_STEP * slight
+    costs = np.empty_like(there_and_back)
+    costs[0] = there_and_back[0]
+    for i in range(1, len(costs)):
+        previous = costs[i - 1]
+        least = previous.min(axis=-1, keepdims=True)
+        step = previous + slight[i - 1]
+        best = np.minimum(previous, least + jump[i - 1])
+        np.minimum(best[..., 1:], step[..., :-1], out=best[..., 1:])
+        np.minimum(best[..., :-1], step[..., 1:], out=best[..., :-1])
+        best -= least  # so that the costs do not grow along the path
+        np.add(there_and_back[i], best, out=costs[i])
+    return costs[:, 0] + costs[::-1, 1]
 
 
 def _graph_cut(

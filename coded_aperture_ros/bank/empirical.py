@@ -1,0 +1,127 @@
+"""What sharp images look like, learned from sharp images of the place where the camera works."""
+
+import dataclasses
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.cluster.vq import kmeans2
+
+from coded_aperture_ros.bank.fourier import WindowedFourierBasis
+from coded_aperture_ros.bank.prior import NaturalImagePrior
+from coded_aperture_ros.errors import InputError
+
+_WINDOW_PX = 64
+# Cycles per pixel at which a spectrum is kept; the lowest that a window resolves comes first.
+_FREQUENCIES = np.geomspace(2.5 / _WINDOW_PX, 0.5, 9)
+# A flatter window, as standard deviation of linear light, only shows the noise of its camera.
+_LEAST_CONTRAST = 0.01
+_FEWEST_WINDOWS = 50
+
+
+@dataclasses.dataclass(frozen=True)
+class EmpiricalPrior(NaturalImagePrior):
+    """Textures of a few kinds, each with the mean spectrum of its kind.
+
+    Attributes
+    ----------
+    slopes : tuple of float
+        The power law nearest to each kind.
+    deviations : tuple of tuple of float
+        By how much the logarithm of each kind's power departs from its power law, at nine
+        frequencies from 0.04 to 0.5 cycles per pixel in equal ratios.
+    """
+
+    deviations: tuple[tuple[float, ...], ...] = ((0.0,) * len(_FREQUENCIES),) * 3
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        lengths = {len(deviation) for deviation in self.deviations}
+        if len(self.deviations) != len(self.slopes) or lengths != {len(_FREQUENCIES)}:
+            raise InputError(
+                f"prior deviations: expected {len(_FREQUENCIES)} for each of {len(self.slopes)} "
+                "slopes"
+            )
+        if not np.isfinite(self.deviations).all():
+            raise InputError("prior deviations: expected finite numbers")
+
+    @classmethod
+    def from_images(cls, images: Iterable[NDArray[np.float32]], kinds: int = 4) -> "EmpiricalPrior":
+        """Sort the windows of sharp images into kinds by their spectra.
+
+        Parameters
+        ----------
+        images : iterable of ndarray, float32 [rows, columns] or [rows, columns, 3]
+            All in focus, linear light.
+        kinds : int, optional
+            At least 1.
+
+        Raises
+        ------
+        InputError
+            If there is too little texture in the images, or an image is smaller than 64 px.
+        """
+        fourier = WindowedFourierBasis(_WINDOW_PX)
+        spectra = [_log_spectra(fourier, image) for image in images]
+        logs = np.concatenate(spectra) if spectra else np.empty((0, len(_FREQUENCIES)))
+        if kinds < 1 or len(logs) < _FEWEST_WINDOWS * kinds:
+            raise InputError(
+                f"{len(logs)} windows with texture are too few for {kinds} kinds of texture: give "
+                f"at least {_FEWEST_WINDOWS * max(kinds, 1)}, from more or larger sharp images"
+            )
+        centres, _ = kmeans2(logs, kinds, minit="++", seed=0)
+        frequencies = np.log(_FREQUENCIES)
+        laws = [np.polyfit(frequencies, centre, 1) for centre in centres]
+        order = np.argsort([-law[0] for law in laws])
+        return cls(
+            # A power law has to be one, even where a kind has more power at high frequencies.
+            slopes=tuple(float(np.clip(-laws[k][0], 0.2, 6)) for k in order),
+            deviations=tuple(
+                tuple((centres[k] - np.polyval(laws[k], frequencies)).tolist()) for k in order
+            ),
+        )
+
+    @property
+    def spectra(self) -> tuple[Callable[[tuple[int, int]], NDArray[np.float64]], ...]:
+        """For each kind, a function like `power_spectrum` of an image's shape."""
+        return tuple(
+            _Spectrum(slope, np.array(deviation))
+            for slope, deviation in zip(self.slopes, self.deviations, strict=True)
+        )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Spectrum:
+    """Power law times what departs from it; a power law beyond the measured frequencies."""
+
+    slope: float
+    deviation: NDArray[np.float64]
+
+    def __call__(self, shape: tuple[int, int]) -> NDArray[np.float64]:
+        frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1]))
+        frequency[0, 0] = 1 / max(shape)
+        scale = np.log(frequency)
+        power = np.exp(np.interp(scale, np.log(_FREQUENCIES), self.deviation) - self.slope * scale)
+        return np.asarray(power / np.fft.irfft2(power, shape)[0, 0])
+
+
+def _log_spectra(fourier: WindowedFourierBasis, image: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the logarithmic radial spectra of an image's textured windows [windows, 9].
+
+    Without their mean: the contrast is another hypothesis.
+    """
+    grey = image if image.ndim == 2 else image.mean(axis=2, dtype=np.float32)
+    vertical = np.fft.fftfreq(_WINDOW_PX)[:, None]
+    distance = np.log(np.hypot(vertical, np.fft.rfftfreq(_WINDOW_PX)).ravel() + 1e-9)
+    edges = np.log(_FREQUENCIES)
+    rings = np.argmin(np.abs(distance[:, None] - edges), axis=1)
+    inside = fourier.multiplicity * (distance < np.log(0.5) + 0.1)
+    filters = np.eye(len(edges))[rings] * inside[:, None]
+    filters = np.column_stack([filters / filters.sum(axis=0), fourier.multiplicity])
+    means, _ = fourier.project(
+        np.ascontiguousarray(grey, np.float32), _WINDOW_PX // 2, filters.astype(np.float32)
+    )
+    means = means.reshape(-1, filters.shape[1]).astype(np.float64)
+    means = means[means[:, -1] > _LEAST_CONTRAST**2 * _WINDOW_PX**2, :-1]
+    logs = np.log(np.maximum(means, 1e-12))
+    return np.asarray(logs - logs.mean(axis=1, keepdims=True))
