@@ -54,7 +54,13 @@ setup(
             "ros-jazzy-rcl-interfaces==2.0.3",
             "ros-jazzy-rosgraph-msgs==2.0.3",
         ],
-        "eval": ["rosbags>=0.10", "matplotlib>=3.8", "scikit-image>=0.22", "tqdm>=4.66"],
+        "eval": [
+            "rosbags>=0.10",
+            "matplotlib>=3.8",
+            "scikit-image>=0.22",
+            "scikit-learn>=1.4",
+            "tqdm>=4.66",
+        ],
         "gpu": ["torch>=2.2"],
         "graphcut": [GRAPH_CUTS],
         # What `colcon test` looks at to find out that the tests are pytest's.

@@ -42,7 +42,7 @@ def test_depth_of_the_simulated_planes(scene, tmp_path, capsys, suffix):
     confidence = read_image(confidence_file)
     assert confidence.shape == (HEIGHT, WIDTH)
     assert (confidence.min() >= 0, confidence.max() <= 1) == (True, True)
-    assert (confidence[np.isnan(depth_m)] < 0.5).all()
+    assert (confidence[np.isnan(depth_m)] < DepthConfig().confidence_threshold).all()
     if suffix == ".png":
         assert cv2.imread(str(output), cv2.IMREAD_UNCHANGED).dtype == np.uint16
 

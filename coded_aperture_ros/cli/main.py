@@ -20,7 +20,7 @@ from coded_aperture_ros.errors import InputError
 PROGRAM = "coded_aperture"
 COMMANDS: dict[str, Any] = {
     name: import_module(f"coded_aperture_ros.cli.{name}")
-    for name in ("demo", "learn", "depth", "deblur", "simulate")
+    for name in ("demo", "learn", "depth", "deblur", "simulate", "bench")
 }
 
 FAILED = 1
@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     _set_up_libraries()
     options = make_parser().parse_args(arguments)
-    logging.basicConfig(stream=sys.stderr, level=logging.INFO, format=f"{PROGRAM}: %(message)s")
+    logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format=f"{PROGRAM}: %(message)s")
     if warning := slow_blas_warning():
         logging.warning(warning)
     try:

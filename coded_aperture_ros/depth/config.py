@@ -47,9 +47,9 @@ class DepthConfig:
     )
     saturation: float = option(
         0.995,
-        "Brightness from which a pixel counts as saturated and is left out.",
+        "Brightness from which a pixel counts as saturated and is left out; above 1: none.",
         minimum=0.1,
-        maximum=1.0,
+        maximum=2.0,
     )
     confidence_threshold: float = option(
         0.55,

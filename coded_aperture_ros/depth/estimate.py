@@ -11,6 +11,7 @@ from coded_aperture_ros.depth.frame import brightness_at, grey_image, usable_win
 from coded_aperture_ros.depth.levels import (
     agreeing_levels,
     confidence_of,
+    knows_nothing,
     level_probability,
 )
 from coded_aperture_ros.depth.noise import estimate_noise
@@ -127,13 +128,20 @@ class DepthEstimator:
         in_patches = noise if shot_variance is None else np.sqrt(noise**2 + shot_variance)
         energies = bank.energies(projected, in_patches)
         if unusable is not None:
-            energies[~usable_windows(unusable, grid)] = 0
+            unusable = ~usable_windows(unusable, grid)
+            energies[unusable] = 0
         probability = level_probability(energies, bank.evidence_repetition)
         level = regularized_level(energies, probability, config, brightness)
 
         level = self._trimmed(upsample(level, grid, grey.shape, size), size[1] / grey.shape[1])
         patches = nearest_patches(grid, grey.shape, size)
         confidence = confidence_of(level, probability, patches, self._agreement)
+        unknown = knows_nothing(probability)
+        if config.regularize != "none" and not unknown.all():
+            unknown[:] = False  # they have the level of their neighbours
+        if unusable is not None:
+            unknown |= unusable
+        confidence[unknown[np.ix_(*patches)]] = 0
         estimate = self._in_metres(level, confidence, float(noise * np.sqrt(channels)))
         return estimate.where_confident(config.confidence_threshold)
 

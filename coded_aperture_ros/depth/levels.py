@@ -70,7 +70,8 @@ def confidence_of(
     level : ndarray, float32 [rows, columns]
         Estimated fractional level of every pixel.
     probability : ndarray, float32 [grid rows, grid columns, L]
-        See `level_probability`. Where it is flat, nothing is known and the confidence is 0.
+        See `level_probability`. Where a patch knows nothing, the level is its neighbours' alone,
+        and the confidence that of a guess.
     patches : (ndarray, ndarray)
         The patch of every row, and of every column, of pixels; see `nearest_patches`.
     agreement : ndarray, intp [2, L]
@@ -88,11 +89,17 @@ def confidence_of(
     rows, columns = patches
     own_patch = rows[:, None], columns
     mass = up_to[(*own_patch, last + 1)] - up_to[(*own_patch, first)]
-    mass = np.clip(mass, _SURE, 1 - _SURE)
     offset, slope = _CALIBRATION
-    confidence = 1 / (1 + np.exp(-offset) * (1 / mass - 1) ** slope)
-    flat = probability.max(axis=-1) <= 1.0001 / levels
-    return np.where(flat[own_patch], 0, confidence).astype(np.float32)
+    odds_against = 1 / np.clip(mass, _SURE, 1 - _SURE) - 1
+    calibrated = 1 / (1 + np.exp(-offset) * odds_against**slope)
+    guessed = knows_nothing(probability)[own_patch]
+    return np.where(guessed, mass, calibrated).astype(np.float32)
+
+
+def knows_nothing(probability: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Return which patches [rows, columns] find all levels alike."""
+    alike: NDArray[np.bool_] = probability.max(axis=-1) <= 1.0001 / probability.shape[-1]
+    return alike
 
 
 def agreeing_levels(

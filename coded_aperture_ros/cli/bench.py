@@ -1,0 +1,41 @@
+"""`coded_aperture bench`: how accurate the methods are."""
+
+import argparse
+import logging
+from importlib import import_module
+from typing import Any
+
+from coded_aperture_ros.cli.options import CommandParser
+
+BENCHMARKS: dict[str, Any] = {
+    name: import_module(f"coded_aperture_ros.cli.bench_{name}") for name in ("accuracy",)
+}
+_EPILOG = """examples:
+  blur identification on the thesis' stair of blur sizes, next to the numbers of the thesis:
+    coded_aperture bench accuracy stair
+  what each benchmark is, and its options:
+    coded_aperture bench accuracy --help
+"""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the sub-command to the program's parser."""
+    parser = subparsers.add_parser(
+        "bench",
+        help="measure accuracy on frames whose truth is known",
+        description="Measure how good the methods are, on frames whose truth is known.",
+        epilog=_EPILOG,
+    )
+    inner = parser.add_subparsers(
+        dest="benchmark", metavar="BENCHMARK", required=True, parser_class=CommandParser
+    )
+    for benchmark in BENCHMARKS.values():
+        benchmark.add_parser(inner)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the sub-command; return its exit status."""
+    # Libraries that cut graphs and draw tell every step.
+    logging.getLogger().setLevel(logging.WARNING)
+    status: int = BENCHMARKS[args.benchmark].run(args)
+    return status

@@ -1,0 +1,42 @@
+"""`coded_aperture bench accuracy`: how well blur and depth are identified."""
+
+import argparse
+from importlib import import_module
+from typing import Any
+
+from coded_aperture_ros.cli.options import CommandParser
+
+FRAMES: dict[str, Any] = {
+    name: import_module(f"coded_aperture_ros.cli.bench_{name.replace('-', '_')}")
+    for name in ("stair", "two-plane", "scenes")
+}
+_EPILOG = """examples:
+  all of the thesis' masks we have, with and without regularisation:
+    coded_aperture bench accuracy stair --masks two_hole four_hole annulus levin veeraraghavan \\
+        zhou mura --methods bank bank-graphcut
+  what happens at an occluding edge:
+    coded_aperture bench accuracy two-plane
+  metric depth of ray-traced scenes:
+    coded_aperture bench accuracy scenes desk/ corridor/
+"""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the benchmark to the parser of `bench`."""
+    parser = subparsers.add_parser(
+        "accuracy",
+        help="of blur identification and depth",
+        description="Measure how well blur and depth are identified.",
+        epilog=_EPILOG,
+    )
+    inner = parser.add_subparsers(
+        dest="frames", metavar="FRAMES", required=True, parser_class=CommandParser
+    )
+    for frames in FRAMES.values():
+        frames.add_parser(inner)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the benchmark; return its exit status."""
+    status: int = FRAMES[args.frames].run(args)
+    return status

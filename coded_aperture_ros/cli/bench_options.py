@@ -1,0 +1,222 @@
+"""Options that the benchmarks share, and how they write their results."""
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from coded_aperture_ros.cli.bench_cells import processors
+from coded_aperture_ros.cli.bench_methods import mask_of, method_names
+from coded_aperture_ros.cli.checks import check_output
+from coded_aperture_ros.errors import InputError
+
+RESULTS = "results.json"
+
+
+def at_least(least: int) -> Callable[[str], int]:
+    """Return a parser of whole numbers."""
+
+    def parse(text: str) -> int:
+        value = int(text)
+        if value < least:
+            raise argparse.ArgumentTypeError(f"expected at least {least}, got {value}")
+        return value
+
+    parse.__name__ = "int"  # argparse says "invalid int value"
+    return parse
+
+
+def noise_level(text: str) -> float:
+    """Parse a standard deviation in linear light."""
+    value = float(text)
+    if not 0 <= value <= 0.5:
+        raise argparse.ArgumentTypeError(f"expected 0 to 0.5, got {text}")
+    return value
+
+
+def add_cell_options(
+    parser: argparse.ArgumentParser,
+    sigmas: Sequence[float],
+    repeats: int,
+    methods: Sequence[str],
+    window_px: int,
+    rank: int,
+) -> None:
+    """Add the options of the benchmarks that make their own frames."""
+    parser.add_argument(
+        "--masks",
+        nargs="+",
+        default=["four_hole", "levin"],
+        metavar="MASK",
+        help="names or files (default four_hole levin)",
+    )
+    parser.add_argument(
+        "--sigmas",
+        nargs="+",
+        type=noise_level,
+        default=list(sigmas),
+        metavar="S",
+        help="noise behind an open aperture; a frame has S divided by the open fraction of the "
+        f"mask's square (default {' '.join(f'{sigma:g}' for sigma in sigmas)})",
+    )
+    parser.add_argument(
+        "--methods",
+        nargs="+",
+        default=list(methods),
+        metavar="METHOD",
+        help="bank (not regularised), bank-tv and so on (see --regularize of the command depth), "
+        "plain-48 (bank with a bare window of 48 px), subspace (the thesis' own), wiener, levin "
+        "and other reference methods; an unknown name lists them all "
+        f"(default {' '.join(methods)})",
+    )
+    parser.add_argument(
+        "--repeats",
+        type=at_least(1),
+        default=repeats,
+        metavar="N",
+        help=f"frames with other crops and noise to take the mean over (default {repeats})",
+    )
+    parser.add_argument(
+        "--seed", type=at_least(0), default=0, metavar="N", help="of the first repeat (default 0)"
+    )
+    parser.add_argument(
+        "--levels",
+        type=at_least(2),
+        default=39,
+        metavar="N",
+        help="blur sizes, equally spaced from 7 to 30 px (default 39)",
+    )
+    parser.add_argument(
+        "--window",
+        type=at_least(16),
+        default=window_px,
+        metavar="PX",
+        help=f"side of the bank's patches (default {window_px})",
+    )
+    parser.add_argument(
+        "--rank",
+        type=at_least(1),
+        default=rank,
+        metavar="R",
+        help=f"vectors in the bank's common basis (default {rank})",
+    )
+    parser.add_argument(
+        "--stride",
+        type=at_least(1),
+        metavar="PX",
+        help="distance between the bank's patches (default: as the command depth)",
+    )
+    parser.add_argument(
+        "--images", metavar="DIR", help="pictures of this folder instead of the built-in ones"
+    )
+    parser.add_argument(
+        "--known-noise",
+        action="store_true",
+        help="tell the bank the noise; by default it estimates the noise of each frame",
+    )
+    add_result_options(parser)
+
+
+def add_result_options(parser: argparse.ArgumentParser) -> None:
+    """Add what all benchmarks of accuracy have."""
+    parser.add_argument(
+        "--jobs",
+        type=at_least(1),
+        default=processors(),
+        metavar="N",
+        help="processes (default: one for each processor)",
+    )
+    parser.add_argument("--json", action="store_true", help="print the results as JSON")
+    parser.add_argument("--output", metavar="DIR", help=f"write {RESULTS} and figures (PNG)")
+
+
+def check_cell_options(args: argparse.Namespace) -> None:
+    """Refuse what cannot be measured before anything is.
+
+    Raises
+    ------
+    InputError
+        If a mask is unknown or unreadable.
+    """
+    for method in args.methods:
+        if method not in method_names():
+            args.usage_error(
+                f"--methods: unknown method {method!r}, use some of {', '.join(method_names())}"
+            )
+    if args.window % 2:
+        args.usage_error(f"--window: expected an even number, got {args.window}")
+    for mask in args.masks:
+        mask_of(mask)
+    check_result_options(args)
+
+
+def check_result_options(args: argparse.Namespace) -> None:
+    """Find out before an hour of work whether its results can be written.
+
+    Raises
+    ------
+    InputError
+        If they cannot.
+    """
+    if args.output is None:
+        return
+    if Path(args.output).is_file():
+        raise InputError(f"cannot write {args.output}: it is a file, expected a folder")
+    check_output(Path(args.output) / RESULTS)
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise InputError(
+            "--output: figures need matplotlib: pip install matplotlib, or use --json"
+        ) from error
+
+
+def folder_of(images: str | None) -> Path | None:
+    """Return the folder of `--images`."""
+    return None if images is None else Path(images)
+
+
+def write_results(args: argparse.Namespace, results: dict[str, Any]) -> Path | None:
+    """Write the results that were asked for; return the folder for figures, if one was.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        With `json` and `output`.
+    results : dict
+        NaN becomes null.
+    """
+    text = json.dumps(_without_nan(results), indent=1, allow_nan=False)
+    folder = None
+    if args.output is not None:
+        folder = Path(args.output)
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / RESULTS).write_text(text + "\n")
+    if args.json:
+        print(text)
+    return folder
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return aligned columns, the first to the left and the others to the right."""
+    lines = [header, *rows]
+    widths = [max(len(line[column]) for line in lines) for column in range(len(header))]
+    return "\n".join(
+        "  ".join(
+            text.ljust(width) if column == 0 else text.rjust(width)
+            for column, (text, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )

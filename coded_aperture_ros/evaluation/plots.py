@@ -1,0 +1,175 @@
+"""Figures of the benchmarks. Needs matplotlib, which is imported only here and only when drawing.
+
+No window is opened: figures go to files.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.evaluation.reliability import Reliability
+
+_PANEL_INCHES = 3.0
+_DOTS_PER_INCH = 100
+# As in thesis figure 6.4.
+_DEVIATIONS = 3.0
+_UNKNOWN = "0.8"
+
+PathLike = str | os.PathLike[str]
+
+
+def stair_spread(rows: Sequence[Mapping[str, Any]], path: PathLike) -> None:
+    """Draw estimated against true level, mean and three standard deviations (thesis figure 6.4).
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        One for each mask, noise and method: `mask`, `sigma`, `method`, `mean_of_step` and
+        `deviation_of_step`. A panel for each mask (down) and noise (across).
+    path : path-like
+    """
+    masks = list(dict.fromkeys(row["mask"] for row in rows))
+    sigmas = list(dict.fromkeys(row["sigma"] for row in rows))
+    figure, panels = _panels(len(masks), len(sigmas))
+    for mask, line in zip(masks, panels, strict=True):
+        for sigma, axes in zip(sigmas, line, strict=True):
+            here = [row for row in rows if (row["mask"], row["sigma"]) == (mask, sigma)]
+            levels = np.arange(len(here[0]["mean_of_step"]))
+            axes.plot(levels, levels, "k--", linewidth=0.8)
+            for index, row in enumerate(here):
+                axes.errorbar(
+                    levels + 0.25 * index,  # so that bars do not hide each other
+                    row["mean_of_step"],
+                    _DEVIATIONS * np.asarray(row["deviation_of_step"]),
+                    label=row["method"],
+                    linewidth=1,
+                    elinewidth=0.6,
+                )
+            axes.set_title(f"{mask}, sigma {sigma:g}", fontsize=9)
+            axes.set_ylim(-2, len(levels) + 1)
+            axes.set_xlabel("true level", fontsize=8)
+            axes.set_ylabel("estimated level", fontsize=8)
+    panels[0][0].legend(fontsize=7, loc="lower right")
+    _save(figure, path)
+
+
+def stair_maps(maps: Mapping[str, NDArray[np.floating]], levels: int, path: PathLike) -> None:
+    """Draw true and estimated maps of a stair side by side, squeezed (thesis figures 6.2, 6.3).
+
+    Parameters
+    ----------
+    maps : mapping of str to ndarray of float, shape [rows, columns]
+        Estimated levels; NaN is grey.
+    levels : int
+        Number of steps.
+    path : path-like
+    """
+    figure = _figure(0.9 * (len(maps) + 2), 2 * _PANEL_INCHES)
+    true_map = np.arange(levels, dtype=np.float64)[:, None]
+    shown = {"true": true_map, **maps}
+    # Small blur sizes, near the camera, at the bottom.
+    drawn = None
+    for axes, (title, values) in zip(
+        figure.subplots(1, len(shown), squeeze=False)[0], shown.items(), strict=True
+    ):
+        axes.set_facecolor(_UNKNOWN)
+        drawn = axes.imshow(
+            values,
+            aspect="auto",
+            origin="lower",
+            cmap="turbo",
+            vmin=0,
+            vmax=levels - 1,
+            interpolation="nearest",
+        )
+        axes.set_xticks([])
+        axes.set_yticks([])
+        axes.set_title(title, fontsize=7)
+    figure.colorbar(drawn, ax=figure.axes, label="level", fraction=0.03)
+    _save(figure, path)
+
+
+def edge_profiles(
+    panels: Mapping[str, Mapping[str, NDArray[np.floating]]],
+    truths: Mapping[str, NDArray[np.floating]],
+    path: PathLike,
+) -> None:
+    """Draw the mean level of every column of two planes.
+
+    Parameters
+    ----------
+    panels : mapping of str to mapping of str to ndarray of float, shape [columns]
+        For each panel's title, a curve for each method.
+    truths : mapping of str to ndarray of float, shape [columns]
+        The true level, for each title.
+    path : path-like
+    """
+    titles = list(panels)
+    across = min(2, len(titles))
+    figure, grid = _panels(-(-len(titles) // across), across, width=1.6)
+    for axes, title in zip([axes for line in grid for axes in line], titles, strict=False):
+        truth = truths[title]
+        position = np.arange(len(truth)) + 0.5 - len(truth) // 2
+        axes.plot(position, truth, "k--", linewidth=1, label="true")
+        for method, level in panels[title].items():
+            axes.plot(position, level, linewidth=1, label=method)
+        axes.set_title(title, fontsize=9)
+        axes.set_xlabel("distance from the edge, px", fontsize=8)
+        axes.set_ylabel("mean level", fontsize=8)
+    for axes in [axes for line in grid for axes in line][len(titles) :]:
+        axes.set_visible(False)
+    grid[0][0].legend(fontsize=7)
+    _save(figure, path)
+
+
+def reliability_diagram(curves: Mapping[str, Reliability], path: PathLike, right: str) -> None:
+    """Draw the share of right estimates against their confidence, and how many there are.
+
+    Parameters
+    ----------
+    curves : mapping of str to Reliability
+    path : path-like
+    right : str
+        What counts as right, for the axis.
+    """
+    figure = _figure(1.8 * _PANEL_INCHES, 2.0 * _PANEL_INCHES)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
+    top.plot([0, 1], [0, 1], "k--", linewidth=0.8)
+    for name, curve in curves.items():
+        error = curve.expected_calibration_error
+        label = f"{name}: calibration error {error:.3f}"
+        top.plot(curve.mean_confidence, curve.share_right, "o-", markersize=4, label=label)
+        edges = np.linspace(0, 1, len(curve.count) + 1)
+        bottom.stairs(curve.count / max(curve.count.sum(), 1), edges)
+    top.set_xlim(0, 1)
+    top.set_ylim(0, 1)
+    top.set_ylabel(f"share {right}", fontsize=9)
+    top.legend(fontsize=7, loc="upper left")
+    bottom.set_ylim(0)
+    bottom.set_xlabel("confidence")
+    bottom.set_ylabel("share of pixels", fontsize=9)
+    _save(figure, path)
+
+
+def _panels(down: int, across: int, width: float = 1.1) -> tuple[Any, Any]:
+    figure = _figure(width * _PANEL_INCHES * across, _PANEL_INCHES * down)
+    return figure, figure.subplots(down, across, squeeze=False)
+
+
+def _figure(width_inches: float, height_inches: float) -> Any:
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise InputError("figures need matplotlib: pip install matplotlib") from error
+    return Figure(figsize=(width_inches, height_inches), layout="constrained")
+
+
+def _save(figure: Any, path: PathLike) -> None:
+    try:
+        figure.savefig(path, dpi=_DOTS_PER_INCH)
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror or error}") from error
