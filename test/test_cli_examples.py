@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from cli_scene import call, texture
 from test_cli_learn import measured_file
+from test_learn_planes import few_steps, folder_of
 
 from coded_aperture_ros.images import read_depth
 
@@ -30,6 +31,13 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
     cv2.imwrite("sharp.png", np.rint(255 * sharp ** (1 / 2.2)).astype(np.uint8))
     cv2.imwrite("depth.png", np.full(sharp.shape, 1000 * DEPTH_M, np.uint16))
     measured_file("stack.npz")
+    (tmp_path / "planes").mkdir()
+    folder_of(tmp_path / "planes")
+    few_steps(monkeypatch)
+    (tmp_path / "pictures").mkdir()
+    for seed in range(5):
+        picture = texture(256, 256, seed) ** (1 / 2.2)
+        cv2.imwrite(f"pictures/{seed}.png", np.rint(255 * picture).astype(np.uint8))
 
     def type_in(arguments):
         result = call(capsys, *arguments)
@@ -42,7 +50,7 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
     shutil.copy("coded.png", "frames/first.png")
 
     learn = examples(capsys, "learn")
-    assert len(learn) == 3
+    assert len(learn) == 5
     for arguments in reversed(learn):  # the first one's bank fits the simulated camera
         type_in(arguments)
 

@@ -224,10 +224,10 @@ def test_a_camera_file_that_cannot_be_read(tmp_path, capsys, name):
     [
         ({"kernels": np.ones((3, 5, 5))}, (), ["it has no array named psfs"]),
         ({"psfs": np.ones((5, 5))}, (), ["expected the shape [N, k, k], got [5, 5]"]),
-        ({"psfs": np.ones((3, 4, 4))}, (), ["odd width"]),
+        ({"psfs": np.ones((3, 4, 4))}, (), ["odd width", "got 4"]),
         ({"psfs": np.full((3, 5, 5), np.nan)}, (), ["finite"]),
-        ({"psfs": np.zeros((3, 5, 5))}, (), ["PSF 0 has no positive sum"]),
-        ({"psfs": np.ones((3, 5, 5)) - [[[0]], [[0]], [[2]]]}, (), ["PSF 2 has no positive sum"]),
+        ({"psfs": np.zeros((3, 5, 5))}, (), ["PSF 0 has the sum 0: it has to be positive"]),
+        ({"psfs": np.ones((3, 5, 5)) - [[[0]], [[0]], [[1.008]]]}, (), ["PSF 2 has the sum -0.2:"]),
         ({"psfs": np.ones((3, 5, 5)), "sizes_px": np.ones(2)}, (), ["sizes_px: expected 3"]),
         ({"psfs": np.ones((3, 5, 5)), "depths_m": [0, 1, 2]}, (), ["more than 0 m"]),
         ({"psfs": np.ones((1, 5, 5))}, (), ["at least 2 levels, got 1"]),

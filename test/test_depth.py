@@ -327,7 +327,7 @@ def test_background_is_found_nearer_to_an_edge_with_trimming(bank, stairs):
         return np.median((depth < 1.55).sum(axis=1))
 
     assert edge(0.0) > 132
-    assert abs(edge(0.27) - 128) < abs(edge(0.0) - 128)
+    assert abs(edge(0.3) - 128) < abs(edge(0.0) - 128)
 
 
 def test_shot_noise_may_be_told(bank, camera):

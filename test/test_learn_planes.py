@@ -17,13 +17,8 @@ from coded_aperture_ros.bank import (
     load_bank,
     power_spectrum,
 )
-from coded_aperture_ros.bank.planes import (
-    _autocorrelation_to_power,
-    _blobs,
-    _half_plane,
-    _Likelihood,
-    fit_planes,
-)
+from coded_aperture_ros.bank.mask_search import MaskSearch
+from coded_aperture_ros.bank.mask_spectra import autocorrelation_to_power, half_plane
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.images import write_image
 from coded_aperture_ros.optics import Mask, render_psf
@@ -101,7 +96,8 @@ def test_planes_in_front_of_the_focus_are_recognised(planes):
     # Blur that grows towards the camera.
     mirrored = Planes(planes.images, 1 / (0.25 + 0.85 - 1 / DEPTHS_M), planes.names)
     assert mirrored.depths_m == pytest.approx(DEPTHS_M)
-    fit = fit_planes(mirrored, WINDOW, lambda steps: [steps[0], steps[1], steps[4], steps[5]])
+    search = MaskSearch(mirrored, WINDOW, lambda steps: [steps[0], steps[1], steps[4], steps[5]])
+    fit = search.mixture()
     assert fit.sign == -1
     assert fit.focus_distance_m > DEPTHS_M[-1]
     assert fit.depths_m(np.array(fit.size_range_px)) == pytest.approx(DEPTHS_M[[0, -1]])
@@ -110,31 +106,26 @@ def test_planes_in_front_of_the_focus_are_recognised(planes):
 def test_power_is_linear_in_the_autocorrelation():
     fourier = WindowedFourierBasis(16)
     psf = render_psf(MASK, 6.3).astype(float)
-    lags = _half_plane(len(psf) - 1)
+    lags = half_plane(len(psf) - 1)
     correlation = fftconvolve(psf, psf[::-1, ::-1])[tuple((lags + len(psf) - 1).T)]
-    power = _autocorrelation_to_power(fourier, 2.4, lags) @ correlation
+    power = autocorrelation_to_power(fourier, 2.4, lags) @ correlation
     assert power == pytest.approx(fourier.expected_power(psf, 2.4), abs=1e-6)
     assert power.max() > 1
 
 
 def test_gradient_is_that_of_the_likelihood(planes):
-    fourier = WindowedFourierBasis(16)
-    eye = np.eye(fourier.size, dtype=np.float32)
-    powers = [
-        fourier.project(image, 16, eye)[0].reshape(-1, fourier.size) for image in planes.images
-    ]
-    likelihood = _Likelihood(powers, 1 / planes.depths_m, fourier, 8.0)
-    start = likelihood.start(_blobs(2, 5), 0.2, 1)
-    groups = likelihood._group(start)
+    search = MaskSearch(planes, 16)
+    start = search.start(2, 1.6, 1, 0.2)
+    groups = search.likelihood.group(start.parts, start.blur_sizes_px, start.log_noise)
     x = np.concatenate([start.parts.ravel(), groups.textures.ravel(), start.log_noise, [10.3]])
-    arguments = (groups, start.parts.shape, 1)
-    _, gradient = likelihood._value_and_gradient(x, *arguments)
+    arguments = (search.likelihood, groups)
+    _, gradient = start._value_and_gradient(x, *arguments)
     random = np.random.default_rng(0)
     for _ in range(3):
         direction = random.normal(size=x.size) * np.maximum(np.abs(x), 0.1)
         step = 1e-5
         above, below = (
-            likelihood._value_and_gradient(x + sign * step * direction, *arguments)[0]
+            start._value_and_gradient(x + sign * step * direction, *arguments)[0]
             for sign in (1, -1)
         )
         assert (above - below) / (2 * step) == pytest.approx(gradient @ direction, rel=1e-3)
@@ -142,9 +133,26 @@ def test_gradient_is_that_of_the_likelihood(planes):
 
 def test_focus_of_ray_traced_planes_is_found(data_dir):
     planes = Planes.load(data_dir / "rendered" / "calib")
-    fit = fit_planes(planes, 32, lambda steps: [steps[1], steps[8]])
+    fit = MaskSearch(planes, 32, lambda steps: [steps[1], steps[8]]).mixture()
     assert fit.focus_distance_m == pytest.approx(0.75, rel=0.04)
     assert fit.depths_m(np.array(fit.size_range_px)) == pytest.approx([0.8182, 4.5])
+
+
+@pytest.mark.parametrize(("window_px", "warned"), [(16, True), (32, False)])
+def test_blur_wider_than_half_the_window_is_told(planes, caplog, monkeypatch, window_px, warned):
+    monkeypatch.setattr("coded_aperture_ros.bank.phase_retrieval._STARTS", 4)
+    search = MaskSearch(
+        planes, window_px, lambda steps: [steps[0], steps[8]] if len(steps) > 4 else steps[:1]
+    )
+    search.single(search.mixture())
+    assert ("half the window of 16 px, or more" in caplog.text) == warned
+
+
+def few_steps(monkeypatch):
+    """Learn quickly: for tests of what is around the fit."""
+    for name in ("_COARSE_STEPS", "_FINE_STEPS", "_SINGLE_STEPS"):
+        monkeypatch.setattr(f"coded_aperture_ros.bank.mask_search.{name}", 1)
+    monkeypatch.setattr("coded_aperture_ros.bank.phase_retrieval._STARTS", 4)
 
 
 def folder_of(tmp_path, entries=None, **pictures):
@@ -232,13 +240,7 @@ def test_planes_in_any_order_are_sorted(planes):
 
 
 def test_from_the_command_line(tmp_path, capsys, monkeypatch):
-    import coded_aperture_ros.bank.planes as module
-
-    # Fewer steps: what they find is another test's business.
-    monkeypatch.setattr(module, "_COARSE_STEPS", 1)
-    monkeypatch.setattr(module, "_FINE_STEPS", 1)
-    monkeypatch.setattr(module, "_SINGLE_STEPS", 1)
-    monkeypatch.setattr(module, "_RETRIEVALS", 1)
+    few_steps(monkeypatch)
     folder = folder_of(tmp_path)
     bank_file = tmp_path / "bank.npz"
     result = call(

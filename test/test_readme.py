@@ -6,6 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
+from test_learn_planes import few_steps, folder_of
 
 from coded_aperture_ros.cli.main import main
 from coded_aperture_ros.images import write_depth, write_image
@@ -21,15 +22,18 @@ def folder(checkout, tmp_path_factory):
     random = np.random.default_rng(0)
     write_image(folder / "sharp.png", random.random((120, 160, 3), dtype=np.float32))
     write_depth(folder / "depth.png", np.full((120, 160), 3.0, np.float32))
+    (folder / "planes").mkdir()
+    folder_of(folder / "planes")
     return folder
 
 
 def test_commands_and_python_example(checkout, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
+    few_steps(monkeypatch)
     readme = (checkout / "README.md").read_text()
     section = readme.split("## From the command line")[1].split("\n## ")[0]
     commands = re.findall(r"^    coded_aperture (.*)$", section, re.MULTILINE)
-    assert len(commands) == 4
+    assert len(commands) == 5
     for command in commands:
         assert main(shlex.split(command)) == 0, capsys.readouterr().err
     (example,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)

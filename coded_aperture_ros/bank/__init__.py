@@ -10,7 +10,8 @@ from coded_aperture_ros.bank.learn import (
     learn_bank_for_camera,
     textures_of,
 )
-from coded_aperture_ros.bank.planes import Planes, learn_bank_from_planes
+from coded_aperture_ros.bank.learn_planes import learn_bank_from_planes
+from coded_aperture_ros.bank.planes import Planes
 from coded_aperture_ros.bank.prior import NaturalImagePrior, power_spectrum
 from coded_aperture_ros.bank.subspace import SubspaceBank, learn_subspace_bank
 

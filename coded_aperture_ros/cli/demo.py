@@ -37,7 +37,7 @@ NEAR_M, FAR_M = 2.05, 5.1
 LEVELS = 30
 RATE_HZ = 12.0
 # With the default stride of 8 px the depth node alone would need more than one core at this rate.
-DEPTH = {"stride_px": 16, "regularize": "tv", "smoothness": 1.5}
+DEPTH = {"stride_px": 16}
 # A robot steers by depth; all-in-focus frames are for people, who need fewer of them.
 DEBLUR_RATE_HZ = 1.0
 DEBLUR_RANK = 12

@@ -20,11 +20,15 @@ _EPILOG = """examples:
     coded_aperture learn --mask levin --blur-sizes 7 30 39 -o bank.npz
   from measured PSFs (.npz with psfs [N, k, k]), optionally at known depths in m:
     coded_aperture learn --psfs stack.npz --depths 1.0,1.5,2.0 -o bank.npz
+  with textures from sharp pictures of the place where the camera works:
+    coded_aperture learn --camera config/demo_camera.yaml --depth-range 2.1 5.1 \\
+        --images pictures --gamma srgb -o bank.npz
+  from pictures of planes, without knowing the mask:
+    coded_aperture learn --planes planes -o bank.npz
 
-without knowing the mask:
-  --planes DIR learns from linear pictures of textured planes (printed pages, say) parallel to the
-  sensor, all on one side of the focus, ten or more, equally spaced in inverse depth. DIR holds
-  the pictures and planes.json:
+pictures of planes:
+  Linear pictures of textured planes (printed pages, say) parallel to the sensor, all on one side
+  of the focus, ten or more, equally spaced in inverse depth. Beside them lies planes.json:
     [{"file": "a.png", "depth_m": 1.5}, {"file": "b.png", "depth_m": 1.8}, ...]
   It takes a minute or two. The window has to be twice as wide as the largest blur.
 """

@@ -10,7 +10,7 @@ from coded_aperture_ros.bank import FilterBank
 _TEMPER = 4.0
 # Offset and slope of the logistic calibration of a patch's probability, fitted on ray-traced
 # scenes, and how sure a patch may be.
-_CALIBRATION = (0.77, 0.16)
+_CALIBRATION = (0.7, 0.16)
 _SURE = 1e-3
 
 

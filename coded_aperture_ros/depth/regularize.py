@@ -10,12 +10,12 @@ from coded_aperture_ros.depth.levels import refine_level
 from coded_aperture_ros.errors import InputError
 
 # Evidence against a level counts up to here; beyond, it is an outlier (natural logarithm).
-_ENOUGH_EVIDENCE = 6.0
+_ENOUGH_EVIDENCE = 7.0
 # A step of more levels than this is a depth edge: how large it is no longer matters.
 _EDGE_LEVELS = 4
 # Weights of the smoothness beside natural-logarithm evidence.
-_SLIGHT_STEP = 3.0
-_JUMP = 20.0
+_SLIGHT_STEP = 4.0
+_JUMP = 26.0
 _CUT_BETA = 1.2
 _TV_BETA = 0.6
 # The coupling of total variation's two variables, and the iterations that take it there.

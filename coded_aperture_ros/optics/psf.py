@@ -170,7 +170,11 @@ class PsfStack:
 def _unit_sum(psfs: NDArray[np.float64]) -> NDArray[np.float32]:
     sums = psfs.sum(axis=(1, 2), keepdims=True)
     if not (sums > 0).all():
-        raise InputError(f"psfs: PSF {int(np.argmin(sums))} has no positive sum")
+        worst = int(np.argmin(sums))
+        raise InputError(
+            f"psfs: PSF {worst} has the sum {sums[worst].item():.3g}: it has to be positive, "
+            "a PSF is divided by it"
+        )
     return (psfs / sums).astype(np.float32)
 
 

@@ -1,0 +1,92 @@
+"""Learning a filter bank from pictures of textured planes, without knowing the mask.
+
+The energies of a bank need nothing of a PSF but its autocorrelation, and the PSFs of all depths
+are one mask, scaled. So one mask and one focus distance are sought under which the pictures are
+likeliest, by the same likelihood with which the bank will judge patches later (thesis 6.2.1
+learns from planes too, but a subspace for each of them on its own).
+
+The likelihood of a single mask has many local maxima, because power spectra have no phases. A
+mixture of a few masks, whose autocorrelations add up, has the same power spectra to offer and is
+easy to climb. The bank is computed from the mixture. Only for deblurring, a single mask of that
+autocorrelation is sought afterwards; its orientation (as found or rotated by 180 degrees) is
+beyond what power spectra tell.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank.bank import FilterBank
+from coded_aperture_ros.bank.learn import LearnConfig, check_levels, learn_bank
+from coded_aperture_ros.bank.mask_search import MaskSearch
+from coded_aperture_ros.bank.planes import Planes
+from coded_aperture_ros.bank.prior import NaturalImagePrior
+from coded_aperture_ros.optics import Mask, render_psf_stack
+
+
+def learn_bank_from_planes(
+    planes: Planes,
+    levels: int = 30,
+    config: LearnConfig | None = None,
+    prior: NaturalImagePrior | None = None,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+) -> FilterBank:
+    """Learn the bank of a camera whose mask is not known from pictures of planes.
+
+    Parameters
+    ----------
+    planes : Planes
+        All on one side of the focal plane, with texture everywhere; ten or more that are equally
+        spaced in inverse depth are better than a few.
+    levels : int, optional
+        Number of levels, equally spaced in blur size between the nearest and the farthest plane;
+        at least 2.
+    config : LearnConfig, optional
+        The window has to be twice as wide as the largest blur; a warning is logged if it seems
+        not to be.
+    prior : NaturalImagePrior, optional
+        For the bank; the fit has a more flexible one.
+    progress : callable, optional
+        Wraps the iteration over the steps of the fit, as ``tqdm.tqdm`` does.
+
+    Returns
+    -------
+    FilterBank
+        With depths. Its PSFs are those of one mask that has about the autocorrelation found;
+        their orientation is a guess. Blur sizes are the extent of that mask in px; the bank does
+        not go together with a camera file, whose mask is another one.
+
+    Raises
+    ------
+    InputError
+        If a plane has no texture above its noise, or is smaller than the window.
+    """
+    check_levels(levels)
+    config = config or LearnConfig()
+    search = MaskSearch(planes, config.window_px, progress)
+    mixture = search.mixture()
+    mask, extent_px = search.single(mixture)
+    sizes_px = np.linspace(*mixture.size_range_px, levels)
+    own_sizes_px = mixture.sign * sizes_px * (extent_px / mixture.extent_px)
+    stack = render_psf_stack(mask, own_sizes_px)
+    return learn_bank(
+        dataclasses.replace(stack, depths_m=mixture.depths_m(sizes_px)),
+        config,
+        prior,
+        learned_from=f"{len(planes.names)} planes at {planes.depths_m[0]:g} to "
+        f"{planes.depths_m[-1]:g} m, focus found at {mixture.focus_distance_m:.3g} m",
+        mask=mask,
+        components=_components(mixture.parts, sizes_px),
+    )
+
+
+def _components(parts: NDArray[np.float64], sizes_px: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return the parts' PSFs at every level [R, L, k, k], as bright as the parts are."""
+    psfs = [
+        render_psf_stack(Mask("part", part / part.max()), sizes_px).psfs * part.sum()
+        for part in parts
+    ]
+    return np.array(psfs)

@@ -1,0 +1,145 @@
+"""The spectra that masks give to texture of natural shape, and the way back to the masks.
+
+A mixture of masks stands for one whose autocorrelation is the sum of theirs: no power spectrum can
+tell the two apart. Grids of cells become PSFs, these one autocorrelation for every plane, and that
+the expected power spectrum of a window. All steps but one are linear.
+"""
+
+import dataclasses
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank.fourier import WindowedFourierBasis
+from coded_aperture_ros.bank.prior import power_spectrum
+from coded_aperture_ros.optics import psf_width
+
+SLOPES = (1.6, 2.4, 3.2)
+_MODEL_ERROR = 3e-4
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Expected:
+    """Expected power of masks at some blur sizes, and what the way back needs.
+
+    Attributes
+    ----------
+    power : ndarray, float64 [slopes, I, K]
+        For texture of unit contrast.
+    parts : ndarray, float64 [R, m, m]
+        The masks.
+    sizes_px : ndarray, float64 [I]
+        The blur sizes.
+    transforms : ndarray, complex128 [R, I, n, n // 2 + 1]
+        Of the PSFs, padded so that their correlations do not wrap around.
+    renderers : ndarray, float64 [I, pixels, m]
+        From cells to pixels along one axis.
+    """
+
+    power: NDArray
+    parts: NDArray
+    sizes_px: NDArray
+    transforms: NDArray
+    renderers: NDArray
+
+
+class MaskSpectra:
+    """From a mixture of masks to expected power spectra, and derivatives backwards.
+
+    Parameters
+    ----------
+    fourier : WindowedFourierBasis
+    counts : ndarray of bool [frequencies]
+        Which of its frequencies are wanted; K of them.
+    widest_px : float
+        No blur size is larger.
+    """
+
+    def __init__(
+        self, fourier: WindowedFourierBasis, counts: NDArray[np.bool_], widest_px: float
+    ) -> None:
+        self.width = psf_width(widest_px)
+        self.torus = (2 * self.width, 2 * self.width)
+        self.lags = half_plane(self.width - 1)
+        self.operators = np.array(
+            [autocorrelation_to_power(fourier, slope, self.lags)[counts] for slope in SLOPES]
+        )
+
+    def expected(self, parts: NDArray, sizes_px: NDArray) -> Expected:
+        """Return the expected power for every slope and blur size."""
+        renderers = np.array([_renderer(self.width, parts.shape[-1], size) for size in sizes_px])
+        psfs = np.einsum("ipa,rab,iqb->ripq", renderers, parts, renderers, optimize=True)
+        transforms = scipy.fft.rfft2(psfs, self.torus)
+        correlations = scipy.fft.irfft2((np.abs(transforms) ** 2).sum(axis=0), self.torus)
+        correlations = correlations[:, self.lags[:, 0], self.lags[:, 1]]
+        power = np.array([correlations @ operator.T for operator in self.operators])
+        power = np.maximum(power, 0) + _MODEL_ERROR**2
+        return Expected(power, parts, sizes_px, transforms, renderers)
+
+    def backward(self, by_power: NDArray, expected: Expected) -> tuple[NDArray, NDArray]:
+        """Return the derivatives of a function by parts and sizes from those by power."""
+        by_lag = np.einsum("sik,skl->il", by_power, self.operators, optimize=True) / 2
+        by_correlation = np.zeros((len(by_lag), *self.torus))
+        by_correlation[:, self.lags[:, 0], self.lags[:, 1]] += by_lag
+        by_correlation[:, -self.lags[:, 0], -self.lags[:, 1]] += by_lag
+        by_psf = scipy.fft.irfft2(scipy.fft.rfft2(by_correlation) * expected.transforms, self.torus)
+        by_psf = 2 * by_psf[..., : self.width, : self.width]
+        parts, renderers = expected.parts, expected.renderers
+        by_parts = np.einsum("ipa,ripq,iqb->rab", renderers, by_psf, renderers, optimize=True)
+        slopes = self._renderer_slopes(parts.shape[-1], expected.sizes_px)
+        by_sizes = np.einsum(
+            "ripq,ipa,rab,iqb->i", by_psf, slopes, parts, renderers, optimize=True
+        ) + np.einsum("ripq,ipa,rab,iqb->i", by_psf, renderers, parts, slopes, optimize=True)
+        return by_parts, by_sizes
+
+    def _renderer_slopes(self, cells: int, sizes_px: NDArray) -> NDArray:
+        """Return the renderers' derivatives by the size [I, pixels, cells].
+
+        They are piecewise smooth; a difference is as good.
+        """
+        step = 5e-3
+        differences = [
+            _renderer(self.width, cells, size + step) - _renderer(self.width, cells, size - step)
+            for size in sizes_px
+        ]
+        return np.array(differences) / (2 * step)
+
+
+def _renderer(pixels: int, cells: int, size_px: float) -> NDArray[np.float64]:
+    """Share of every cell's light that falls onto each pixel, one axis [pixels, cells]."""
+    cell_px = max(size_px, 1e-3) / cells
+    pixel_edges = np.arange(pixels + 1)[:, None] - pixels / 2
+    cell_edges = (np.arange(cells + 1) - cells / 2) * cell_px
+    return np.diff(np.clip(pixel_edges, cell_edges[:-1], cell_edges[1:]), axis=0) / cell_px
+
+
+def half_plane(reach: int) -> NDArray[np.intp]:
+    """One of each pair of opposite lags up to `reach` [lags, 2]."""
+    rows, columns = np.mgrid[-reach : reach + 1, : reach + 1]
+    kept = (columns > 0) | (rows >= 0)
+    return np.stack([rows[kept], columns[kept]], axis=1)
+
+
+def autocorrelation_to_power(
+    fourier: WindowedFourierBasis, slope: float, lags: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    """Return the matrix [K, lags] from a PSF's autocorrelation to a window's expected power.
+
+    The same as `WindowedFourierBasis.expected_power`, written as what it is: linear.
+    """
+    n = fourier.window_px
+    period = 4 * n
+    torus = (period, period)
+    covariance = scipy.fft.irfft2(power_spectrum(slope, torus), torus)
+    window = scipy.fft.irfft(np.abs(scipy.fft.rfft(fourier.window, period)) ** 2, period)
+    here = np.arange(-n, n)
+    overlap = np.outer(window[here], window[here])
+    columns = np.empty((fourier.size, len(lags)))
+    for column, (row, across) in enumerate(lags):
+        shifted = covariance[np.ix_((here - row) % period, (here - across) % period)]
+        if row or across:  # and the opposite lag
+            shifted = shifted + covariance[np.ix_((here + row) % period, (here + across) % period)]
+        folded = (shifted * overlap).reshape(2, n, 2, n).sum(axis=(0, 2))
+        columns[:, column] = scipy.fft.rfft2(folded).real.ravel()
+    return columns
