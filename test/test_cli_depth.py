@@ -12,6 +12,7 @@ import pytest
 from cli_scene import HEIGHT, WIDTH, Result, call, camera_file, everything
 from test_cli_learn import refused, wrong_usage
 
+from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.images import read_depth, read_image
 
 

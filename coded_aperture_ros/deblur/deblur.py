@@ -22,6 +22,9 @@ _STEPS_PER_ERROR = 4
 # The error that a change of blur size within reach of the filters makes, per pixel of its standard
 # deviation; from the best choice on ray-traced scenes.
 _ERROR_PER_PX = 0.03
+# Where the blur size changes by more within the reach, there is a depth edge, px; from the same.
+_DEPTH_EDGE_PX = 2.3
+_EDGE_REACH_PX = 14
 # How far the surroundings matter, px: about twice the largest blur, where filters reach strongest.
 _SURROUNDINGS_PX = 41
 # Frames are extended by this margin, or by the width of the PSFs, before they are filtered.
@@ -93,7 +96,7 @@ class Deblurrer:
             is too small for its noise to be estimated.
         """
         channels = _channels(frame)
-        blur = filled_blur_map(blur_size_px, channels.shape[1:])
+        blur = _less_near_edges(filled_blur_map(blur_size_px, channels.shape[1:]))
         noise = noise or self.config.noise or self._estimated_noise(channels)
         noise *= np.sqrt(self.config.smoothness)
         basis_noise = min(_NOISES, key=lambda known: abs(np.log(known / noise)))
@@ -171,6 +174,17 @@ class Deblurrer:
         fourier = WindowedFourierBasis(min(_NOISE_WINDOW_PX, 2 * (min(channel.shape) // 2)))
         high_power, _ = fourier.project(channel, _NOISE_WINDOW_PX, fourier.noise_weights[:, None])
         return estimate_noise(high_power)
+
+
+def _less_near_edges(blur: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return blur sizes that near a depth edge are those of its sharper side.
+
+    Light of the foreground reaches into the background, and deconvolved with the background's
+    wider PSF it rings.
+    """
+    amount = np.abs(blur)
+    least = cv2.erode(amount, np.ones((2 * _EDGE_REACH_PX + 1,) * 2, np.uint8))
+    return np.where(amount - least > _DEPTH_EDGE_PX, np.copysign(least, blur), blur)
 
 
 def _model_error(blur: NDArray[np.float32]) -> NDArray[np.float32]:
