@@ -281,7 +281,7 @@ def test_parameters_change_what_is_published(ros, model, coded):
     (refused,) = chain.node.set_parameters([Parameter("confidence_threshold", value=2.0)])
     assert not refused.successful and refused.reason
     (refused,) = chain.node.set_parameters([Parameter("regularize", value="magic")])
-    assert "one of none, tv, graphcut" in refused.reason
+    assert "one of none, semiglobal, tv, graphcut" in refused.reason
     (refused,) = chain.node.set_parameters([Parameter("bank", value="other.npz")])
     assert "read-only" in refused.reason
     (changed,) = chain.node.set_parameters([Parameter("confidence_threshold", value=1.0)])

@@ -15,7 +15,7 @@ _ENOUGH_EVIDENCE = 7.0
 _EDGE_LEVELS = 4
 # Weights of the smoothness beside natural-logarithm evidence.
 _SLIGHT_STEP = 4.0
-_JUMP = 26.0
+_JUMP = 22.0
 _CUT_BETA = 1.2
 _TV_BETA = 0.6
 # The coupling of total variation's two variables, and the iterations that take it there.
