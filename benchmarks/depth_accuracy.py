@@ -29,7 +29,11 @@ EVERYWHERE = 0.0
 
 
 def measure_scene(
-    folder: Path, mask: str = "levin", noise: float = NOISE, seed: int = 0, regularize: str = "none"
+    folder: Path,
+    mask: str = "levin",
+    noise: float = NOISE,
+    seed: int = 0,
+    regularize: str = "semiglobal",
 ) -> dict[str, Any]:
     """Measure one ray-traced scene with noise added."""
     scene = RayTracedScene.load(folder, mask)
@@ -71,7 +75,7 @@ def measure_photograph(folder: Path) -> dict[str, Any]:
     with np.load(folder / "measured_psfs.npz") as measured:
         psfs = np.concatenate([measured["psfs"], own[None]])
     psfs = psfs / psfs.sum(axis=(1, 2), keepdims=True)
-    stack = PsfStack(np.arange(float(len(psfs))), psfs.astype(np.float32))
+    stack = PsfStack(np.arange(float(len(psfs))), psfs.astype(np.float32), in_pixels=False)
     config = DepthConfig(confidence_threshold=EVERYWHERE, stride_px=4)
     estimate = DepthEstimator(learn_bank(stack), config).estimate(image.astype(np.float32))
     right = np.rint(estimate.level) == len(psfs) - 1
@@ -101,7 +105,7 @@ def main() -> int:
             measure_scene(data / "rendered" / scene, mask, args.noise, regularize=regularize)
             for mask in args.masks
             for scene in SCENES
-            for regularize in ("none", "tv", "graphcut")
+            for regularize in ("none", "semiglobal", "tv", "graphcut")
         ]
     except (InputError, OSError) as error:
         print(f"depth_accuracy: error: {error}", file=sys.stderr)

@@ -137,6 +137,16 @@ def test_bank_file_round_trip(bank, tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["bank.npz"]
 
 
+def test_bank_file_remembers_that_sizes_are_indices(bank, tmp_path):
+    import dataclasses
+
+    stack = dataclasses.replace(bank.stack, in_pixels=False)
+    save_bank(dataclasses.replace(bank, stack=stack), tmp_path / "bank.npz")
+    assert not load_bank(tmp_path / "bank.npz").stack.in_pixels
+    save_bank(bank, tmp_path / "bank.npz")
+    assert load_bank(tmp_path / "bank.npz").stack.in_pixels
+
+
 def rewritten(path, **changes):
     with np.load(path) as archive:
         arrays = {**archive, **changes}
@@ -157,6 +167,10 @@ def rewritten(path, **changes):
         (lambda path: rewritten(path, basis=1.0), "damaged.*basis"),
         (lambda path: rewritten(path, log_determinants=np.full((16, 3, 9), np.nan)), "damaged"),
         (lambda path: rewritten(path, window_px=33), "damaged.*even"),
+        (
+            lambda path: rewritten(path, blur_sizes_px=[3.0], psfs=np.full((1, 3, 3), 1 / 9)),
+            "damaged.*at least 2 levels",
+        ),
     ],
 )
 def test_unusable_bank_file_is_refused_by_name(bank, tmp_path, spoil, reason):

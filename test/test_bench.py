@@ -104,7 +104,6 @@ def test_a_method_that_beats_the_bank_is_named():
     assert lost_cells([row("wiener", 0.9)]) == []
 
 
-@pytest.mark.skipif(not reference_methods(), reason="no reference methods in this version")
 def test_reference_methods_take_part(capsys):
     pytest.importorskip("skimage")
     name = reference_methods()[-1]

@@ -79,7 +79,7 @@ def test_bank_knows_depths_focus_and_the_size_of_the_blur(learned):
     assert focus == pytest.approx(FOCUS_M, rel=0.05)
     assert sizes[-1] == pytest.approx(LARGEST_PX, abs=1.6)
     assert f"{len(DEPTHS_M)} planes" in learned.learned_from
-    assert learned.mask_digest  # so that it is refused with a camera of another mask
+    assert not learned.mask_digest  # its own depths hold beside any camera file
 
 
 def test_psfs_of_the_bank_have_the_autocorrelation_of_the_true_ones(learned):

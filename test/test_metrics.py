@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.evaluation import RayTracedScene
 from coded_aperture_ros.evaluation.metrics import depth_error, psnr_db
+from coded_aperture_ros.optics import Camera, Mask
 
 
 def test_depth_error_is_relative_and_a_median():
@@ -44,6 +46,13 @@ def test_psnr():
     assert psnr_db(reference + 0.1, reference) == pytest.approx(20.0, abs=1e-4)
     assert psnr_db(reference, reference) == float("inf")
     assert np.isnan(psnr_db(reference * np.nan, reference))
+
+
+def test_no_pixel_of_a_plane_is_near_a_depth_edge():
+    picture = np.zeros((6, 8, 3), np.float32)
+    camera = Camera(800.0, 0.9, 8, 6, Mask.named("levin"), 20.0)
+    scene = RayTracedScene(picture, picture, np.full((6, 8), 2.0, np.float32), camera)
+    assert np.isinf(scene.edge_distance_px()).all()
 
 
 def test_shapes_must_agree():

@@ -179,3 +179,14 @@ def test_truncated_stack_is_refused(tmp_path):
 def test_blur_size_that_is_not_finite_is_refused():
     with pytest.raises(InputError, match="finite number of pixels"):
         render_psf(Mask.named("disc"), np.nan)
+
+
+def test_stack_without_sizes_says_so_and_stays_so(tmp_path):
+    psfs = render_psf_stack(Mask.named("disc"), [3.0, 5.0]).psfs
+    np.savez(tmp_path / "measured.npz", psfs=psfs)
+    measured = PsfStack.load(tmp_path / "measured.npz")
+    assert not measured.in_pixels
+    measured.save(tmp_path / "again.npz")
+    assert not PsfStack.load(tmp_path / "again.npz").in_pixels
+    render_psf_stack(Mask.named("disc"), [3.0, 5.0]).save(tmp_path / "rendered.npz")
+    assert PsfStack.load(tmp_path / "rendered.npz").in_pixels

@@ -57,7 +57,8 @@ class FilterBank:
         Standard deviation of the noise of one channel of the camera; 0 if it has to be estimated
         in every frame.
     mask_digest : str
-        Digest of the mask's pattern; empty for measured PSFs.
+        Digest of the mask's pattern; empty for measured PSFs and planes, whose depths, where they
+        are known, hold whatever a camera file says.
     learned_from : str
         How the bank came to be, for a person to read.
     """

@@ -111,6 +111,11 @@ def _log_spectra(fourier: WindowedFourierBasis, image: NDArray[np.float32]) -> N
     Without their mean: the contrast is another hypothesis.
     """
     grey = image if image.ndim == 2 else image.mean(axis=2, dtype=np.float32)
+    if min(grey.shape) < _WINDOW_PX:
+        raise InputError(
+            f"a sharp image of {grey.shape[1]}x{grey.shape[0]} px is smaller than the "
+            f"{_WINDOW_PX} px that are needed: take it out, or use a larger one"
+        )
     vertical = np.fft.fftfreq(_WINDOW_PX)[:, None]
     distance = np.log(np.hypot(vertical, np.fft.rfftfreq(_WINDOW_PX)).ravel() + 1e-9)
     edges = np.log(_FREQUENCIES)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.archive import read_archive, write_archive
 from coded_aperture_ros.bank.bank import FilterBank
 from coded_aperture_ros.bank.empirical import EmpiricalPrior
+from coded_aperture_ros.bank.learn import check_levels
 from coded_aperture_ros.bank.prior import NaturalImagePrior
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import PsfStack
@@ -42,6 +43,8 @@ def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
         "mask_digest": bank.mask_digest,
         "learned_from": bank.learned_from,
     }
+    if not bank.stack.in_pixels:
+        arrays["blur_sizes_are_indices"] = True
     if bank.stack.depths_m is not None:
         arrays["depths_m"] = bank.stack.depths_m
     if isinstance(bank.prior, EmpiricalPrior):
@@ -61,7 +64,12 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
     arrays = read_archive(path, SCHEMA, VERSION)
     try:
         bank = FilterBank(
-            stack=PsfStack(arrays["blur_sizes_px"], arrays["psfs"], arrays.get("depths_m")),
+            stack=PsfStack(
+                arrays["blur_sizes_px"],
+                arrays["psfs"],
+                arrays.get("depths_m"),
+                in_pixels="blur_sizes_are_indices" not in arrays,
+            ),
             window_px=int(arrays["window_px"]),
             prior=_prior(arrays),
             ratios=arrays["ratios"],
@@ -92,6 +100,7 @@ def _prior(arrays: dict[str, NDArray[Any]]) -> NaturalImagePrior:
 
 
 def _check_shapes(bank: FilterBank) -> None:
+    check_levels(bank.levels)
     if bank.ratios.ndim != 1 or len(bank.ratios) < len(bank.prior.contrasts):
         raise InputError(f"ratios: expected at least {len(bank.prior.contrasts)} in a row")
     if not (np.all(bank.ratios > 0) and 0 <= bank.noise < np.inf):

@@ -56,8 +56,8 @@ def learn_bank_from_planes(
     -------
     FilterBank
         With depths. Its PSFs are those of one mask that has about the autocorrelation found;
-        their orientation is a guess. Blur sizes are the extent of that mask in px; the bank does
-        not go together with a camera file, whose mask is another one.
+        their orientation is a guess. Blur sizes are the extent of that mask in px. Beside a
+        camera file, the bank's own depths hold.
 
     Raises
     ------
@@ -78,7 +78,6 @@ def learn_bank_from_planes(
         prior,
         learned_from=f"{len(planes.names)} planes at {planes.depths_m[0]:g} to "
         f"{planes.depths_m[-1]:g} m, focus found at {mixture.focus_distance_m:.3g} m",
-        mask=mask,
         components=_components(mixture.parts, sizes_px),
     )
 

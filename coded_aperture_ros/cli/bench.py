@@ -1,7 +1,6 @@
 """`coded_aperture bench`: how accurate the methods are."""
 
 import argparse
-import logging
 from importlib import import_module
 from typing import Any
 
@@ -35,7 +34,5 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
-    # Libraries that cut graphs and draw tell every step.
-    logging.getLogger().setLevel(logging.WARNING)
     status: int = BENCHMARKS[args.benchmark].run(args)
     return status

@@ -98,12 +98,10 @@ def bank_methods() -> dict[str, str]:
 
 
 def reference_methods() -> tuple[str, ...]:
-    """Return the names of the reference methods, none if they are not part of this version."""
-    try:
-        from coded_aperture_ros.evaluation.reference import REFERENCE_METHODS
-    except ImportError:
-        return ()
-    return tuple(REFERENCE_METHODS)
+    """Return the names of the reference methods."""
+    from coded_aperture_ros.evaluation.reference import REFERENCE_METHODS
+
+    return REFERENCE_METHODS
 
 
 def method_names() -> tuple[str, ...]:
@@ -130,7 +128,7 @@ def identify(
     InputError
         If there is no such method.
     """
-    if is_bank(method) and method in bank_methods():
+    if method in bank_methods():
         bank = _bank(setting.mask, setting.levels, setting.window_px, setting.rank)
         how = {"regularize": bank_methods()[method]}
         return _by_bank(bank, _BARE if method == BANK else how, coded, setting)

@@ -11,6 +11,7 @@ from coded_aperture_ros.cli.bench_cells import processors
 from coded_aperture_ros.cli.bench_methods import mask_of, method_names
 from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.files import atomic_output
 
 RESULTS = "results.json"
 
@@ -192,8 +193,8 @@ def write_results(args: argparse.Namespace, results: dict[str, Any]) -> Path | N
     folder = None
     if args.output is not None:
         folder = Path(args.output)
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / RESULTS).write_text(text + "\n")
+        with atomic_output(folder / RESULTS) as path:
+            path.write_text(text + "\n")
     if args.json:
         print(text)
     return folder

@@ -172,10 +172,12 @@ def _meta(folder: Path, mask: str) -> dict[str, Any]:
             )
     except OSError as error:
         raise InputError(f"{folder}: not a ray-traced scene, no {_META}") from error
-    except json.JSONDecodeError as error:
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{folder / _META}: not JSON: {error}") from error
     except KeyError as error:
         raise InputError(f"{folder / _META}: has no {error.args[0]}") from error
+    except TypeError as error:
+        raise InputError(f"{folder / _META}: expected an object with objects: {error}") from error
     return {**meta, "camera": [*camera, meta["masks"][mask]]}
 
 

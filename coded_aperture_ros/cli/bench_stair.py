@@ -3,6 +3,7 @@
 import argparse
 import dataclasses
 import itertools
+import math
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -41,7 +42,8 @@ _EPILOG = """examples:
     coded_aperture bench accuracy stair --masks levin --sigmas 0 0.001 \\
         --methods bank wiener levin --output results/
   photographs of your own at half size, a stair of 9 small steps:
-    coded_aperture bench accuracy stair --images photographs/ --textures soft --levels 9 --side 64
+    coded_aperture bench accuracy stair --images photographs/ --textures soft --levels 9 \\
+        --side 64 --window 48
 """
 
 
@@ -314,7 +316,7 @@ _IN_THESIS = {
 def _cell_text(row: dict[str, Any]) -> str:
     text = f"{row['mean_error']:.2f}"
     confident = row["mean_error_confident_half"]
-    if confident == confident:  # not NaN: the method has a confidence
+    if not math.isnan(confident):  # the method has a confidence
         text += f" / {confident:.2f}"
     thesis = row["thesis_mean_error"]
     return f"{text} [{'-' if thesis is None else f'{thesis:.1f}'}]"

@@ -37,7 +37,7 @@ def add_parser(subparsers: Any) -> None:
         help="depth map in m (.npy, .tiff) or mm (16-bit .png) for all frames; auto estimates it",
     )
     parser.add_argument(
-        "--camera", metavar="YAML", help="camera file; only if the bank knows no depths"
+        "--camera", metavar="YAML", help="camera file, for a bank that does not know its depths"
     )
     parser.add_argument(
         "--method", choices=("fast",), default="fast", help="fast: closed form (default)"

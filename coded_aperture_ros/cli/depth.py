@@ -36,7 +36,7 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--bank", required=True, metavar="NPZ", help="filter bank, see learn")
     parser.add_argument(
-        "--camera", metavar="YAML", help="camera file; only if the bank knows no depths"
+        "--camera", metavar="YAML", help="camera file, for a bank that does not know its depths"
     )
     parser.add_argument(
         "--levels", action="store_true", help="write fractional level indices instead of metres"

@@ -96,7 +96,9 @@ class Deblurrer:
             is too small for its noise to be estimated.
         """
         channels = _channels(frame)
-        blur = _less_near_edges(filled_blur_map(blur_size_px, channels.shape[1:]))
+        blur = filled_blur_map(blur_size_px, channels.shape[1:])
+        if self.stack.in_pixels:
+            blur = _less_near_edges(blur)
         noise = noise or self.config.noise or self._estimated_noise(channels)
         noise *= np.sqrt(self.config.smoothness)
         basis_noise = min(_NOISES, key=lambda known: abs(np.log(known / noise)))

@@ -1,7 +1,11 @@
 """Depth of every pixel from one coded frame and a filter bank."""
 
 from coded_aperture_ros.depth.config import DepthConfig
-from coded_aperture_ros.depth.estimate import DepthEstimate, DepthEstimator
+from coded_aperture_ros.depth.estimate import (
+    DepthEstimate,
+    DepthEstimator,
+    depths_are_measured,
+)
 from coded_aperture_ros.depth.frame import check_frame, filled
 from coded_aperture_ros.depth.noise import estimate_noise
 
@@ -10,6 +14,7 @@ __all__ = [
     "DepthEstimate",
     "DepthEstimator",
     "check_frame",
+    "depths_are_measured",
     "estimate_noise",
     "filled",
 ]

@@ -53,7 +53,7 @@ class DepthConfig:
     )
     confidence_threshold: float = option(
         0.55,
-        "Depth is unknown where the confidence is below this.",
+        "Depth is unknown where the confidence, which is at most 0.86, is below this.",
         minimum=0.0,
         maximum=1.0,
     )

@@ -43,7 +43,7 @@ class DepthEstimate:
         Probability, in [0, 1], that the depth is right to 5 % (or, without depths, that the level
         is right to one level).
     noise : float
-        Standard deviation of the noise of one channel, as estimated or given.
+        Standard deviation of the noise of one channel, as estimated or given; without shot noise.
     """
 
     level: NDArray[np.float32]
@@ -67,6 +67,11 @@ class DepthEstimate:
         )
 
 
+def depths_are_measured(bank: FilterBank) -> bool:
+    """Return whether a bank knows its depths from measurement, better than by a camera file."""
+    return not bank.mask_digest and bank.stack.depths_m is not None
+
+
 class DepthEstimator:
     """Turns coded frames into depth; the whole method is `estimate`.
 
@@ -75,8 +80,8 @@ class DepthEstimator:
     bank : FilterBank
     config : DepthConfig, optional
     camera : Camera, optional
-        Turns blur sizes into metres. Without it, depth is given only if the bank was learned
-        from PSFs of known depths.
+        Turns blur sizes into metres, unless the bank was learned from PSFs or planes of measured
+        depths, which say it themselves.
     """
 
     def __init__(
@@ -122,14 +127,20 @@ class DepthEstimator:
         shot_variance = None
         if config.noise_gain:
             shot_variance = np.float32(config.noise_gain / channels) * np.maximum(brightness, 0)
+        usable = np.full(brightness.shape, True)
+        if unusable is not None:
+            usable = usable_windows(unusable, grid)
+        # Filled pixels have no noise: windows with many of them say nothing about it.
+        telling = usable if usable.any() else ~usable
         given = (config.noise or bank.noise) / np.sqrt(channels)
-        noise = given or estimate_noise(projected.high_power, shot_variance)
+        noise = given or estimate_noise(
+            projected.high_power[telling],
+            None if shot_variance is None else shot_variance[telling],
+        )
 
         in_patches = noise if shot_variance is None else np.sqrt(noise**2 + shot_variance)
         energies = bank.energies(projected, in_patches)
-        if unusable is not None:
-            unusable = ~usable_windows(unusable, grid)
-            energies[unusable] = 0
+        energies[~usable] = 0
         probability = level_probability(energies, bank.evidence_repetition)
         level = regularized_level(energies, probability, config, brightness)
 
@@ -139,8 +150,7 @@ class DepthEstimator:
         unknown = knows_nothing(probability)
         if config.regularize != "none" and not unknown.all():
             unknown[:] = False  # they have the level of their neighbours
-        if unusable is not None:
-            unknown |= unusable
+        unknown |= ~usable
         confidence[unknown[np.ix_(*patches)]] = 0
         estimate = self._in_metres(level, confidence, float(noise * np.sqrt(channels)))
         return estimate.where_confident(config.confidence_threshold)
@@ -150,14 +160,14 @@ class DepthEstimator:
         steps = np.diff(self.bank.blur_sizes_px)
         # In front of the focal plane the nearer surface is the more blurred one, and which of two
         # a window takes is another matter.
-        if (self.bank.blur_sizes_px < 0).any():
+        if (self.bank.blur_sizes_px < 0).any() or not self.bank.stack.in_pixels:
             return level
-        behind = np.sign(steps[0])
+        behind = np.float32(np.sign(steps[0]))
         window_px = self.bank.window_px * scale
         return behind * trim_foreground(
             behind * level,
             reach_px=round(self.config.rim * window_px),
-            speck_px=round(window_px / 2),
+            speck_px=round(window_px / 4) * 2 + 1,  # odd: centred on its pixel
             jump_levels=_DEPTH_EDGE_PX / float(np.abs(steps).mean()),
         )
 
@@ -166,15 +176,20 @@ class DepthEstimator:
     ) -> DepthEstimate:
         index = np.arange(self.bank.levels)
         blur_size = np.interp(level, index, self.bank.blur_sizes_px).astype(np.float32)
-        if self.camera is None:
+        if self.camera is None or depths_are_measured(self.bank):
             depth = self.bank.stack.depth_at(level)
         else:
             depth = self.camera.depth_m(blur_size).astype(np.float32)
         return DepthEstimate(level, blur_size, depth, confidence, noise)
 
     def _level_depths_m(self) -> NDArray[np.float64] | None:
-        if self.camera is None:
+        if self.camera is None or depths_are_measured(self.bank):
             return self.bank.stack.depths_m
+        if not self.bank.stack.in_pixels:
+            raise InputError(
+                "camera: the bank's PSFs were measured without their sizes, so a camera cannot "
+                "tell their depths: learn the bank with the depths (--depths) or sizes_px"
+            )
         if self.bank.mask_digest not in ("", self.camera.mask.digest):
             raise InputError(
                 f"camera: its mask {self.camera.mask.name} is not the one that the bank was "

@@ -79,7 +79,7 @@ def _semi_global(
     rows, columns = evidence.shape[:2]
     down = np.full((rows - 1, columns), smoothness, np.float32)
     across = np.full((columns - 1, rows), smoothness, np.float32)
-    if brightness is not None:
+    if brightness is not None and brightness.size > 1:
         changes = [np.abs(np.diff(brightness, axis=axis)) for axis in (0, 1)]
         usual = np.median(np.concatenate([change.ravel() for change in changes]))
         weights = [
@@ -125,7 +125,8 @@ def _graph_cut(
         from maxflow.fastmin import aexpansion_grid
     except ImportError as error:
         raise InputError(
-            "regularize: graphcut needs PyMaxflow (pip install PyMaxflow), or choose tv or none"
+            "regularize: graphcut needs PyMaxflow (pip install PyMaxflow), or choose "
+            "semiglobal, tv or none"
         ) from error
     index = np.arange(energies.shape[-1])
     step = np.minimum(np.abs(index[:, None] - index), _EDGE_LEVELS)

@@ -1,4 +1,4 @@
-"""Occluding edges: giving back to the background what windows took from it."""
+"""Foreground fattening at occluding edges, as of windows in stereo, and how it is undone."""
 
 import cv2
 import numpy as np

@@ -64,11 +64,13 @@ class RayTracedScene:
         )
 
     def edge_distance_px(self) -> NDArray[np.float64]:
-        """Return every pixel's distance from the nearest depth edge.
+        """Return every pixel's distance from the nearest depth edge; infinite without one.
 
         A depth edge is a jump of more than one pixel in blur size between neighbours.
         """
         size = self.camera.blur_size_px(self.depth_m)
         jump = ndimage.maximum_filter(size, 3) - ndimage.minimum_filter(size, 3) > _EDGE_JUMP_PX
+        if not jump.any():  # the transform would measure to a point outside of the picture
+            return np.full(jump.shape, np.inf)
         distance: NDArray[np.float64] = ndimage.distance_transform_edt(~jump)
         return distance

@@ -18,8 +18,6 @@ from coded_aperture_ros.evaluation.textures import Textures
 from coded_aperture_ros.optics import Mask, PsfStack, psf_width
 
 SHAPE = (320, 480)
-# Blur size of the front and of the back, px: a small and a large step in depth.
-BLUR_PAIRS_PX = ((10.0, 14.0), (10.0, 22.0))
 NEAR_EDGE_PX = 16.0
 _CROPS, _NOISE = 0, 1
 

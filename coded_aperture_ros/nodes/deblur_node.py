@@ -81,7 +81,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         depth_m = np.clip(depth_m, self._range.near_m, self._range.far_m or math.inf)
         self._model.fit(image.width, image.height)
         camera = self._model.camera
-        blur_size_px = camera.blur_size_px(depth_m).astype(np.float32)
+        blur_size_px = self._model.blur_size_px(depth_m)
         if not np.isfinite(blur_size_px).any():
             raise MessageError("depth", "no depth is known in the whole frame")
         sharp = self._present_deblurrer().deblur(frame, blur_size_px)

@@ -4,10 +4,12 @@ import dataclasses
 import time
 
 import numpy as np
+from numpy.typing import NDArray
 from rclpy.node import Node
 
 from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank_for_camera, load_bank
 from coded_aperture_ros.configuration import check_options, option
+from coded_aperture_ros.depth import depths_are_measured
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.nodes.camera_model import fitted_camera, required_camera
 from coded_aperture_ros.nodes.messages import MessageError
@@ -100,9 +102,18 @@ class FrameModel:
         if not self._config.bank:
             self.bank = self._learned()
 
+    def blur_size_px(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the blur size of depths; NaN stays."""
+        sizes = None
+        if depths_are_measured(self.bank):
+            sizes = self.bank.stack.blur_size_at(depth_m)
+        return self.camera.blur_size_px(depth_m).astype(np.float32) if sizes is None else sizes
+
     def _loaded(self) -> FilterBank:
         bank = load_bank(self._config.bank)
-        depths_m = self.camera.depth_m(bank.blur_sizes_px)
+        depths_m = bank.stack.depths_m
+        if depths_m is None or not depths_are_measured(bank):
+            depths_m = self.camera.depth_m(bank.blur_sizes_px)
         near_m, far_m = self._config.near_m, self._config.far_m
         if near_m and depths_m.min() >= near_m:
             self._warn_of_end(depths_m.min(), "nearer")

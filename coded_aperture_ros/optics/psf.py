@@ -75,11 +75,14 @@ class PsfStack:
         Centred, unit sum.
     depths_m : ndarray of float64, shape [L], or None
         Depth of each level, for measured PSFs that state it.
+    in_pixels : bool
+        Whether the blur sizes are pixels, and not mere indices of levels.
     """
 
     blur_sizes_px: NDArray[np.float64]
     psfs: NDArray[np.float32]
     depths_m: NDArray[np.float64] | None = None
+    in_pixels: bool = True
 
     def __post_init__(self) -> None:
         psfs = np.ascontiguousarray(self.psfs, dtype=np.float32)
@@ -137,6 +140,8 @@ class PsfStack:
         arrays: dict[str, Any] = {"psfs": self.psfs, "sizes_px": self.blur_sizes_px}
         if self.depths_m is not None:
             arrays["depths_m"] = self.depths_m
+        if not self.in_pixels:
+            del arrays["sizes_px"]
         write_archive(path, _SCHEMA, _SCHEMA_VERSION, arrays)
 
     @staticmethod
@@ -161,6 +166,7 @@ class PsfStack:
                 arrays.get("sizes_px", np.arange(len(psfs), dtype=np.float64)),
                 psfs.astype(np.float32),
                 arrays.get("depths_m"),
+                in_pixels="sizes_px" in arrays,
             )
             return dataclasses.replace(stack, psfs=_unit_sum(psfs))
         except (InputError, ValueError, TypeError) as error:
