@@ -28,7 +28,7 @@ class DepthConfig:
         maximum=100.0,
     )
     rim: float = option(
-        0.3,
+        0.28,
         "Width of the rim that is taken off foregrounds, as a share of the bank's window.",
         minimum=0.0,
         maximum=1.0,

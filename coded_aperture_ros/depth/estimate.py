@@ -167,7 +167,7 @@ class DepthEstimator:
         return behind * trim_foreground(
             behind * level,
             reach_px=round(self.config.rim * window_px),
-            speck_px=round(window_px / 4) * 2 + 1,  # odd: centred on its pixel
+            speck_px=2 * round(window_px / 4) - 1,  # odd: centred on its pixel
             jump_levels=_DEPTH_EDGE_PX / float(np.abs(steps).mean()),
         )
 
