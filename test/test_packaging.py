@@ -109,7 +109,8 @@ def test_extras(requirements):
     assert {"ros-rclpy", "ros-jazzy-sensor-msgs", "ros-jazzy-diagnostic-msgs"} <= names_in_extra(
         requirements, "ros"
     )
-    assert {"rosbags", "matplotlib", "scikit-image", "tqdm"} == names_in_extra(requirements, "eval")
+    evaluation = {"rosbags", "matplotlib", "scikit-image", "scikit-learn", "tqdm"}
+    assert evaluation == names_in_extra(requirements, "eval")
     assert {"torch"} == names_in_extra(requirements, "gpu")
     assert {"pytest", "hypothesis", "ruff", "mypy", "colcon-core", "colcon-ros"} <= names_in_extra(
         requirements, "dev"
