@@ -226,15 +226,23 @@ def test_unusable_folders(tmp_path, capsys):
     wrong_usage(one, "learn", "--levels: at least 2")
 
 
-def test_planes_in_any_order_are_sorted(planes):
-    order = [3, 0, 6, 1, 5, 2, 4]
-    mixed = Planes(
-        tuple(planes.images[i] for i in order),
+def test_planes_out_of_order_are_refused(planes):
+    """And those from the farthest to the nearest are turned round."""
+    turned = Planes(planes.images[::-1], planes.depths_m[::-1], planes.names[::-1])
+    assert np.array_equal(turned.depths_m, planes.depths_m)
+    assert turned.names == planes.names
+    order = [0, 2, 1, *range(3, len(planes.names))]
+    shuffled = (
+        [planes.images[i] for i in order],
         planes.depths_m[order],
-        tuple(planes.names[i] for i in order),
+        [planes.names[i] for i in order],
     )
-    assert mixed.names == planes.names
-    assert mixed.depths_m.tolist() == planes.depths_m.tolist()
+    depth = f"{planes.depths_m[1]:g}"
+    with pytest.raises(InputError, match=rf"{planes.names[1]}: depth_m {depth} is out of order"):
+        Planes(tuple(shuffled[0]), shuffled[1], tuple(shuffled[2]))
+
+
+def test_planes_with_holes_are_refused(planes):
     with pytest.raises(InputError, match="NaN"):
         dataclasses.replace(planes, images=(planes.images[0] * np.nan, *planes.images[1:]))
 

@@ -28,15 +28,15 @@ class Planes:
     images : tuple of ndarray, float32 [rows, columns] or [rows, columns, 3]
         Linear light in [0, 1], all of one size.
     depths_m : ndarray, float64 [I]
-        Depth of each plane, in any order; they are sorted, nearest first.
+        Depth of each plane, nearest first; where they come farthest first, they are turned round.
     names : tuple of str
         What to call each picture in messages.
 
     Raises
     ------
     InputError
-        If there are fewer than four planes, sizes differ, a depth is not positive or not the only
-        one of its value, or a picture is saturated or not finite.
+        If there are fewer than four planes, sizes differ, a depth is not positive, not the only
+        one of its value or out of order, or a picture is saturated or not finite.
     """
 
     images: tuple[NDArray[np.float32], ...]
@@ -54,12 +54,22 @@ class Planes:
             )
         for image, depth, name in zip(self.images, depths, self.names, strict=True):
             _check_picture(image, float(depth), name, self.images[0].shape[:2], self.names[0])
-        order = np.argsort(depths)
-        for first, second in itertools.pairwise(order):
+        for first, second in itertools.pairwise(np.argsort(depths, kind="stable")):
             if depths[first] == depths[second]:
                 raise InputError(
                     f"{self.names[second]}: depth_m {depths[second]:g} is also that of "
                     f"{self.names[first]}: keep one picture for each depth"
+                )
+        order = np.arange(len(depths))
+        if depths[0] > depths[-1]:
+            order = order[::-1]
+        for nearer, farther in itertools.pairwise(order):
+            # A depth out of order is more often mistyped than not sorted.
+            if depths[nearer] > depths[farther]:
+                raise InputError(
+                    f"{self.names[farther]}: depth_m {depths[farther]:g} is out of order beside "
+                    f"{depths[nearer]:g} of {self.names[nearer]}: correct it, or list the planes "
+                    "from the nearest to the farthest"
                 )
         object.__setattr__(self, "images", tuple(self.images[i] for i in order))
         object.__setattr__(self, "names", tuple(self.names[i] for i in order))
