@@ -25,6 +25,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.fourier import PatchGrid, WindowedFourierBasis
+from coded_aperture_ros.bank.learn import check_levels
 from coded_aperture_ros.bank.prior import power_spectrum
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import Mask, PsfStack
@@ -226,8 +227,7 @@ def learn_subspace_bank(
         is not known, or a picture is smaller than a patch.
     """
     size = patch_px**2
-    if len(stack) < 2:
-        raise InputError(f"a bank needs at least 2 levels, got {len(stack)}")
+    check_levels(len(stack))
     if not 9 <= patch_px <= 65 or patch_px % 2 == 0:
         raise InputError(f"patch_px: expected an odd number from 9 to 65, got {patch_px}")
     if stack.psfs.shape[-1] > patch_px:

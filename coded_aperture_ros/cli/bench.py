@@ -4,7 +4,7 @@ import argparse
 from importlib import import_module
 from typing import Any
 
-from coded_aperture_ros.cli.options import CommandParser
+from coded_aperture_ros.cli.options import add_commands
 
 BENCHMARKS: dict[str, Any] = {
     name: import_module(f"coded_aperture_ros.cli.bench_{name}") for name in ("accuracy",)
@@ -25,11 +25,7 @@ def add_parser(subparsers: Any) -> None:
         description="Measure how good the methods are, on frames whose truth is known.",
         epilog=_EPILOG,
     )
-    inner = parser.add_subparsers(
-        dest="benchmark", metavar="BENCHMARK", required=True, parser_class=CommandParser
-    )
-    for benchmark in BENCHMARKS.values():
-        benchmark.add_parser(inner)
+    add_commands(parser, "benchmark", BENCHMARKS.values())
 
 
 def run(args: argparse.Namespace) -> int:

@@ -4,7 +4,7 @@ import argparse
 from importlib import import_module
 from typing import Any
 
-from coded_aperture_ros.cli.options import CommandParser
+from coded_aperture_ros.cli.options import add_commands
 
 FRAMES: dict[str, Any] = {
     name: import_module(f"coded_aperture_ros.cli.bench_{name.replace('-', '_')}")
@@ -29,11 +29,7 @@ def add_parser(subparsers: Any) -> None:
         description="Measure how well blur and depth are identified.",
         epilog=_EPILOG,
     )
-    inner = parser.add_subparsers(
-        dest="frames", metavar="FRAMES", required=True, parser_class=CommandParser
-    )
-    for frames in FRAMES.values():
-        frames.add_parser(inner)
+    add_commands(parser, "frames", FRAMES.values())
 
 
 def run(args: argparse.Namespace) -> int:

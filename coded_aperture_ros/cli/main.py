@@ -14,7 +14,7 @@ from typing import Any
 
 from coded_aperture_ros import __version__
 from coded_aperture_ros.blas import slow_blas_warning
-from coded_aperture_ros.cli.options import CommandParser
+from coded_aperture_ros.cli.options import add_commands
 from coded_aperture_ros.errors import InputError
 
 PROGRAM = "coded_aperture"
@@ -80,11 +80,7 @@ def make_parser() -> argparse.ArgumentParser:
         f"'{PROGRAM} COMMAND --help' shows a command's options and examples.",
     )
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
-    subparsers = parser.add_subparsers(
-        dest="command", metavar="COMMAND", required=True, parser_class=CommandParser
-    )
-    for command in COMMANDS.values():
-        command.add_parser(subparsers)
+    add_commands(parser, "command", COMMANDS.values())
     return parser
 
 

@@ -2,7 +2,7 @@
 
 import argparse
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from coded_aperture_ros.configuration import Option, check_option, options_of
@@ -34,6 +34,15 @@ class CommandParser(argparse.ArgumentParser):
             late, self.add_late_options = self.add_late_options, None
             late(self)
         return super().parse_known_args(args, namespace)
+
+
+def add_commands(parser: argparse.ArgumentParser, dest: str, commands: Iterable[Any]) -> None:
+    """Let a parser choose among modules, each with `add_parser(subparsers)`; one is required."""
+    subparsers = parser.add_subparsers(
+        dest=dest, metavar=dest.upper(), required=True, parser_class=CommandParser
+    )
+    for command in commands:
+        command.add_parser(subparsers)
 
 
 def add_config_options(parser: argparse.ArgumentParser, config: type, title: str) -> None:

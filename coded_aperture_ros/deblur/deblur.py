@@ -11,7 +11,7 @@ from coded_aperture_ros.bank import WindowedFourierBasis
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fill import filled_blur_map
 from coded_aperture_ros.deblur.inverse import MODEL_ERRORS, InverseBasis
-from coded_aperture_ros.depth import check_frame, estimate_noise, filled
+from coded_aperture_ros.depth import DEPTH_EDGE_PX, check_frame, estimate_noise, filled
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import PsfStack
 
@@ -22,8 +22,7 @@ _STEPS_PER_ERROR = 4
 # The error that a change of blur size within reach of the filters makes, per pixel of its standard
 # deviation; from the best choice on ray-traced scenes.
 _ERROR_PER_PX = 0.03
-# Where the blur size changes by more within the reach, there is a depth edge, px; from the same.
-_DEPTH_EDGE_PX = 2.3
+# How far a depth edge is felt, px; from the same.
 _EDGE_REACH_PX = 14
 # How far the surroundings matter, px: about twice the largest blur, where filters reach strongest.
 _SURROUNDINGS_PX = 41
@@ -186,7 +185,7 @@ def _less_near_edges(blur: NDArray[np.float32]) -> NDArray[np.float32]:
     """
     amount = np.abs(blur)
     least = cv2.erode(amount, np.ones((2 * _EDGE_REACH_PX + 1,) * 2, np.uint8))
-    return np.where(amount - least > _DEPTH_EDGE_PX, np.copysign(least, blur), blur)
+    return np.where(amount - least > DEPTH_EDGE_PX, np.copysign(least, blur), blur)
 
 
 def _model_error(blur: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -8,8 +8,10 @@ from coded_aperture_ros.depth.estimate import (
 )
 from coded_aperture_ros.depth.frame import check_frame, filled
 from coded_aperture_ros.depth.noise import estimate_noise
+from coded_aperture_ros.depth.rims import DEPTH_EDGE_PX
 
 __all__ = [
+    "DEPTH_EDGE_PX",
     "DepthConfig",
     "DepthEstimate",
     "DepthEstimator",

@@ -16,13 +16,10 @@ from coded_aperture_ros.depth.levels import (
 )
 from coded_aperture_ros.depth.noise import estimate_noise
 from coded_aperture_ros.depth.regularize import regularized_level
-from coded_aperture_ros.depth.rims import trim_foreground
+from coded_aperture_ros.depth.rims import DEPTH_EDGE_PX, trim_foreground
 from coded_aperture_ros.depth.upsample import nearest_patches, upsample
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import Camera
-
-# Surfaces whose blur sizes differ by more than this, within a window, are not one slant.
-_DEPTH_EDGE_PX = 2.3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -168,7 +165,7 @@ class DepthEstimator:
             behind * level,
             reach_px=round(self.config.rim * window_px),
             speck_px=2 * round(window_px / 4) - 1,  # odd: centred on its pixel
-            jump_levels=_DEPTH_EDGE_PX / float(np.abs(steps).mean()),
+            jump_levels=DEPTH_EDGE_PX / float(np.abs(steps).mean()),
         )
 
     def _in_metres(

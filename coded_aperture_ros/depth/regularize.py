@@ -53,13 +53,15 @@ def regularized_level(
     InputError
         If graph cuts are asked for and PyMaxflow is not installed.
     """
-    if config.regularize == "semiglobal":
-        return _semi_global(energies, probability, config.smoothness, brightness)
-    return _METHODS[config.regularize](energies, probability, config.smoothness)
+    method = _METHODS[config.regularize]
+    return method(energies, probability, config.smoothness, brightness)
 
 
 def _independent(
-    energies: NDArray[np.float32], probability: NDArray[np.float32], smoothness: float
+    energies: NDArray[np.float32],
+    probability: NDArray[np.float32],
+    smoothness: float,
+    brightness: NDArray[np.float32] | None,
 ) -> NDArray[np.float32]:
     return refine_level(energies, energies.argmin(axis=-1))
 
@@ -118,7 +120,10 @@ def _both_ways(evidence: NDArray[np.float32], weights: NDArray[np.float32]) -> N
 
 
 def _graph_cut(
-    energies: NDArray[np.float32], probability: NDArray[np.float32], smoothness: float
+    energies: NDArray[np.float32],
+    probability: NDArray[np.float32],
+    smoothness: float,
+    brightness: NDArray[np.float32] | None,
 ) -> NDArray[np.float32]:
     """Alpha expansion of ``-log p + beta min(|d_p - d_q|, edge)`` (thesis eq. 6.25 and 5.24)."""
     try:
@@ -137,7 +142,10 @@ def _graph_cut(
 
 
 def _total_variation(
-    energies: NDArray[np.float32], probability: NDArray[np.float32], smoothness: float
+    energies: NDArray[np.float32],
+    probability: NDArray[np.float32],
+    smoothness: float,
+    brightness: NDArray[np.float32] | None,
 ) -> NDArray[np.float32]:
     """Minimise ``sum -log p(v) + (u - v)^2 / (2 theta) + beta |grad u|`` with theta shrinking.
 
@@ -176,6 +184,7 @@ def _evidence(probability: NDArray[np.float32]) -> NDArray[np.float64]:
 
 _METHODS: dict[str, Callable[..., NDArray[np.float32]]] = {
     "none": _independent,
+    "semiglobal": _semi_global,
     "graphcut": _graph_cut,
     "tv": _total_variation,
 }

@@ -4,6 +4,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+# Surfaces whose blur sizes differ by more than this, within a window, are not one slant.
+DEPTH_EDGE_PX = 2.3
+
 
 def trim_foreground(
     level: NDArray[np.float32], reach_px: int, speck_px: int, jump_levels: float
