@@ -179,8 +179,13 @@ def folder_of(images: str | None) -> Path | None:
     return None if images is None else Path(images)
 
 
-def write_results(args: argparse.Namespace, results: dict[str, Any]) -> Path | None:
-    """Write the results that were asked for; return the folder for figures, if one was.
+def report(
+    args: argparse.Namespace,
+    results: dict[str, Any],
+    text: Callable[[], str],
+    draw: Callable[[Path], None],
+) -> None:
+    """Write and print the results in the forms that were asked for.
 
     Parameters
     ----------
@@ -188,16 +193,24 @@ def write_results(args: argparse.Namespace, results: dict[str, Any]) -> Path | N
         With `json` and `output`.
     results : dict
         NaN becomes null.
+    text : callable
+        Returns the results as tables.
+    draw : callable
+        Draws figures into a folder.
     """
-    text = json.dumps(_without_nan(results), indent=1, allow_nan=False)
-    folder = None
-    if args.output is not None:
-        folder = Path(args.output)
+    as_json = json.dumps(_without_nan(results), indent=1, allow_nan=False)
+    folder = None if args.output is None else Path(args.output)
+    if folder is not None:
         with atomic_output(folder / RESULTS) as path:
-            path.write_text(text + "\n")
+            path.write_text(as_json + "\n")
     if args.json:
-        print(text)
-    return folder
+        print(as_json)
+    if folder is not None:
+        draw(folder)
+    if not args.json:
+        print(text())
+        if folder is not None:
+            print(f"figures and {RESULTS}: {folder}")
 
 
 def _without_nan(value: Any) -> Any:

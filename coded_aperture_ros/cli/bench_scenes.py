@@ -3,7 +3,6 @@
 import argparse
 import dataclasses
 import itertools
-import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,8 +15,8 @@ from coded_aperture_ros.cli.bench_options import (
     at_least,
     check_result_options,
     noise_level,
+    report,
     table,
-    write_results,
 )
 from coded_aperture_ros.errors import InputError
 
@@ -29,12 +28,9 @@ _NEAR_EDGE_PX = 16
 _RIGHT_WITHIN = 0.05
 _SHARE_WITHIN = 0.10
 _NAMES = ("scene", "mask", "learned_from", "regularize")
-_META = "meta.json"
-_CAMERA = ("width", "height", "fx", "focus_distance_m", "aperture_width_m")
 _PLANES = "calib"
 # Spread over a video; the frames between are much like them.
 _VIDEO_FRAMES = 4
-_VIDEO_DEPTH_UNIT_M = 1e-4
 _EPILOG = """examples:
   two scenes, with and without graph cuts, and whether the confidence can be trusted:
     coded_aperture bench accuracy scenes desk/ corridor/ --regularize none graphcut
@@ -141,7 +137,7 @@ def run(args: argparse.Namespace) -> int:
     start = time.perf_counter()
     measured = measure_cells(measure_cell, cells, args.jobs)
     rows = [cell.row for cell in measured]
-    folder = write_results(
+    report(
         args,
         {
             "benchmark": "scenes",
@@ -151,44 +147,22 @@ def run(args: argparse.Namespace) -> int:
             "seconds": round(time.perf_counter() - start, 1),
             "cells": rows,
         },
+        lambda: _tables(measured),
+        lambda folder: _draw(measured, folder),
     )
-    if folder is not None:
-        _draw(measured, folder)
-    if not args.json:
-        print(_tables(measured))
-        if folder is not None:
-            print(f"figures and results.json: {folder}")
     return 0
-
-
-def _meta(folder: Path, mask: str) -> dict[str, Any]:
-    """Read what a scene's folder says of its camera, and check that it has the mask."""
-    try:
-        meta: dict[str, Any] = json.loads((folder / _META).read_text())
-        camera = [meta[key] for key in _CAMERA]
-        if mask not in meta["masks"]:
-            raise InputError(
-                f"{folder}: not rendered with mask {mask}: use {', '.join(meta['masks'])}"
-            )
-    except OSError as error:
-        raise InputError(f"{folder}: not a ray-traced scene, no {_META}") from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{folder / _META}: not JSON: {error}") from error
-    except KeyError as error:
-        raise InputError(f"{folder / _META}: has no {error.args[0]}") from error
-    except TypeError as error:
-        raise InputError(f"{folder / _META}: expected an object with objects: {error}") from error
-    return {**meta, "camera": [*camera, meta["masks"][mask]]}
 
 
 def _planes_of(folder: Path, mask: str) -> list[Path]:
     """Return the folder of calibration planes of the same camera in or beside a scene's."""
-    camera = _meta(folder, mask)["camera"]
+    from coded_aperture_ros.evaluation.ray_traced import scene_camera
+
+    camera = scene_camera(folder, mask)
     for parent in (folder, folder.resolve().parent):
         planes = parent / _PLANES
-        if (planes / "planes.json").is_file() and (planes / _META).is_file():
+        if (planes / "planes.json").is_file():
             try:
-                same = _meta(planes, mask)["camera"] == camera
+                same = scene_camera(planes, mask) == camera
             except InputError:
                 same = False
             if same:
@@ -196,45 +170,14 @@ def _planes_of(folder: Path, mask: str) -> list[Path]:
     return []
 
 
-def _views(folder: Path, mask: str) -> list[Any]:
-    """Return a still, or some frames of a video, as scenes with their truth."""
-    import numpy as np
-
-    from coded_aperture_ros.evaluation import RayTracedScene
-    from coded_aperture_ros.images import SRGB, read_depth, read_image
-    from coded_aperture_ros.optics import Camera, Mask
-
-    meta = _meta(folder, mask)
-    if "frames" not in meta:
-        return [RayTracedScene.load(folder, mask)]
-    camera = Camera(
-        focal_length_px=meta["fx"],
-        focus_distance_m=meta["focus_distance_m"],
-        image_width=meta["width"],
-        image_height=meta["height"],
-        mask=Mask.from_rows(meta["masks"][mask], mask),
-        mask_extent_mm=meta["aperture_width_m"] * 1e3,
-    )
-    numbers = np.unique(np.linspace(0, meta["frames"] - 1, _VIDEO_FRAMES).round().astype(int))
-    return [
-        RayTracedScene(
-            coded=read_image(folder / f"coded_{mask}_{number:03d}.png"),
-            sharp=read_image(folder / f"aif_{number:03d}.png", SRGB),
-            depth_m=read_depth(folder / f"depth_{number:03d}.png", _VIDEO_DEPTH_UNIT_M),
-            camera=camera,
-        )
-        for number in numbers
-    ]
-
-
 def measure_cell(cell: Cell) -> Measured:
     """Measure one scene through one mask."""
     import numpy as np
 
     from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-    from coded_aperture_ros.evaluation.reliability import Reliability
+    from coded_aperture_ros.evaluation import RayTracedScene, Reliability
 
-    views = _views(cell.folder, cell.mask)
+    views = RayTracedScene.load_views(cell.folder, cell.mask, _VIDEO_FRAMES)
     truth = np.concatenate([view.depth_m for view in views])
     bank = _bank(cell, views[0].camera, float(np.nanmin(truth)), float(np.nanmax(truth)))
     config = DepthConfig()

@@ -23,8 +23,8 @@ from coded_aperture_ros.cli.bench_options import (
     at_least,
     check_cell_options,
     folder_of,
+    report,
     table,
-    write_results,
 )
 
 _SIGMAS = (0.0, 0.001, 0.002, 0.005)
@@ -120,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
     measured = [part for of_cell in parts for part in of_cell]
     rows = [part.row for part in measured]
     worse = lost_cells(rows)
-    folder = write_results(
+    report(
         args,
         {
             "benchmark": "stair",
@@ -140,13 +140,9 @@ def run(args: argparse.Namespace) -> int:
                 for texture, method, total in _reliabilities(measured)
             ],
         },
+        lambda: "\n\n".join([_tables(rows), *_comparison(rows, worse)]),
+        lambda folder: _draw(args, measured, folder),
     )
-    if folder is not None:
-        _draw(args, measured, folder)
-    if not args.json:
-        print("\n\n".join([_tables(rows), *_comparison(rows, worse)]))
-        if folder is not None:
-            print(f"figures and results.json: {folder}")
     return 0
 
 

@@ -15,8 +15,8 @@ from coded_aperture_ros.cli.bench_options import (
     at_least,
     check_cell_options,
     folder_of,
+    report,
     table,
-    write_results,
 )
 
 _SIGMAS = (0.001,)
@@ -119,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
     measured = measure_cells(measure_cell, list(_cells(args)), args.jobs)
     rows = [cell.row for cell in measured]
     compare_with_plain(rows)
-    folder = write_results(
+    report(
         args,
         {
             "benchmark": "two-plane",
@@ -135,13 +135,9 @@ def run(args: argparse.Namespace) -> int:
             "seconds": round(time.perf_counter() - start, 1),
             "cells": rows,
         },
+        lambda: _table(rows),
+        lambda folder: _draw(measured, folder),
     )
-    if folder is not None:
-        _draw(measured, folder)
-    if not args.json:
-        print(_table(rows))
-        if folder is not None:
-            print(f"figures and results.json: {folder}")
     return 0
 
 

@@ -3,16 +3,18 @@
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.images import read_depth, read_image
+from coded_aperture_ros.images import SRGB, read_depth, read_image
 from coded_aperture_ros.optics import Camera, Mask
 
-# The pictures store 65520 for 1.0, depth is in tenths of a millimetre.
+_META = "meta.json"
+# The stills' pictures store 65520 for 1.0, depth is in tenths of a millimetre.
 _FULL_SCALE = np.float32(65535 / 65520)
 _DEPTH_UNIT_M = 1e-4
 _EDGE_JUMP_PX = 1.0
@@ -44,24 +46,39 @@ class RayTracedScene:
         InputError
             Naming what is missing.
         """
-        try:
-            meta = json.loads((folder / "meta.json").read_text())
-        except OSError as error:
-            raise InputError(f"{folder}: not a ray-traced scene, no meta.json") from error
-        camera = Camera(
-            focal_length_px=meta["fx"],
-            focus_distance_m=meta["focus_distance_m"],
-            image_width=meta["width"],
-            image_height=meta["height"],
-            mask=Mask.from_rows(meta["masks"][mask_name], mask_name),
-            mask_extent_mm=meta["aperture_width_m"] * 1e3,
-        )
         return cls(
             coded=read_image(folder / f"coded_{mask_name}_linear.png") * _FULL_SCALE,
             sharp=read_image(folder / "aif_linear.png") * _FULL_SCALE,
             depth_m=read_depth(folder / "depth_0.1mm.png", _DEPTH_UNIT_M),
-            camera=camera,
+            camera=scene_camera(folder, mask_name),
         )
+
+    @classmethod
+    def load_views(cls, folder: Path, mask_name: str, most: int) -> "list[RayTracedScene]":
+        """Read a still, or at most so many frames, spread over it, of a video's folder.
+
+        A video's folder has `meta.json` with the number of `frames`, and `aif_NNN.png`,
+        `depth_NNN.png` and coded pictures.
+
+        Raises
+        ------
+        InputError
+            Naming what is missing.
+        """
+        camera = scene_camera(folder, mask_name)  # first: it checks what the folder says
+        frames = _meta(folder).get("frames")
+        if frames is None:
+            return [cls.load(folder, mask_name)]
+        numbers = np.unique(np.linspace(0, frames - 1, most).round().astype(int))
+        return [
+            cls(
+                coded=read_image(folder / f"coded_{mask_name}_{number:03d}.png"),
+                sharp=read_image(folder / f"aif_{number:03d}.png", SRGB),
+                depth_m=read_depth(folder / f"depth_{number:03d}.png", _DEPTH_UNIT_M),
+                camera=camera,
+            )
+            for number in numbers
+        ]
 
     def edge_distance_px(self) -> NDArray[np.float64]:
         """Return every pixel's distance from the nearest depth edge; infinite without one.
@@ -74,3 +91,42 @@ class RayTracedScene:
             return np.full(jump.shape, np.inf)
         distance: NDArray[np.float64] = ndimage.distance_transform_edt(~jump)
         return distance
+
+
+def scene_camera(folder: Path, mask_name: str) -> Camera:
+    """Read from a scene's folder the camera that it was rendered with.
+
+    Raises
+    ------
+    InputError
+        Naming the folder or file, if it describes no camera or was not rendered with the mask.
+    """
+    meta = _meta(folder)
+    try:
+        rows = meta["masks"].get(mask_name)
+        if rows is None:
+            raise InputError(
+                f"{folder}: not rendered with mask {mask_name}: use {', '.join(meta['masks'])}"
+            )
+        return Camera(
+            focal_length_px=meta["fx"],
+            focus_distance_m=meta["focus_distance_m"],
+            image_width=meta["width"],
+            image_height=meta["height"],
+            mask=Mask.from_rows(rows, mask_name),
+            mask_extent_mm=meta["aperture_width_m"] * 1e3,
+        )
+    except KeyError as error:
+        raise InputError(f"{folder / _META}: has no {error.args[0]}") from error
+    except (TypeError, AttributeError) as error:
+        raise InputError(f"{folder / _META}: expected an object with objects: {error}") from error
+
+
+def _meta(folder: Path) -> dict[str, Any]:
+    try:
+        meta: dict[str, Any] = json.loads((folder / _META).read_text())
+    except OSError as error:
+        raise InputError(f"{folder}: not a ray-traced scene, no {_META}") from error
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{folder / _META}: not JSON: {error}") from error
+    return meta
