@@ -12,6 +12,7 @@ from coded_aperture_ros.bank import (
     power_spectrum,
     save_bank,
 )
+from coded_aperture_ros.bank.bank import OWN_NOISE
 from coded_aperture_ros.bank.factor import factor_weights
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
@@ -43,17 +44,22 @@ def direct_energies(bank, image, noise):
     power, _ = fourier.project(image, 16, np.eye(fourier.size, dtype=np.float32))
     counts = fourier.multiplicity.astype(float)
     energies = np.full((*power.shape[:2], bank.levels), np.inf)
-    variances = noise**2 * np.geomspace(1, 3000, 250)[:, None, None, None]
-    # For each ratio of contrast to noise that is plausible at the least noise.
+    variances = noise**2 * np.geomspace(0.01, 3000, 600)[:, None, None, None]
+
+    def energy(texture):
+        """For noise alone, or a texture that many times as strong as the noise."""
+        expected = variances * (texture + 1)
+        # The patch has a little noise of its own beside what is seen.
+        own = OWN_NOISE * noise**2 / variances[..., 0] * counts.sum()
+        return ((power / expected + np.log(expected / noise**2)) @ counts + own).min(axis=0)
+
+    # For each ratio of contrast to noise that is plausible at the noise that is told.
     for ratio in np.array(prior.contrasts) / noise**2:
         for slope in prior.slopes:
             for level, psf in enumerate(bank.stack.psfs):
-                expected = fourier.expected_power(psf, slope) + prior.model_error**2
-                total = variances * (ratio * expected + 1)
-                energy = ((power / total + np.log(total / noise**2)) @ counts).min(axis=0)
-                energies[..., level] = np.minimum(energies[..., level], energy)
-    alone = ((power / variances + np.log(variances / noise**2)) @ counts).min(axis=0)
-    return np.minimum(energies, alone[..., None])
+                texture = ratio * (fourier.expected_power(psf, slope) + prior.model_error**2)
+                energies[..., level] = np.minimum(energies[..., level], energy(texture))
+    return np.minimum(energies, energy(0)[..., None]) - counts.sum()
 
 
 def test_energies_are_those_of_the_definition(bank):

@@ -108,12 +108,14 @@ def test_brightness_and_colour_do_not_change_the_level(bank, plane):
 @pytest.mark.parametrize("regularize", ["semiglobal", "tv", "graphcut"])
 def test_regularisation_helps_against_noise(bank, stairs, regularize):
     frame, depth = stairs
-    noisy = with_noise(frame, 0.01)
+    # How many there are differs from one noise to the next.
+    noisy = [with_noise(frame, 0.01, seed) for seed in range(4)]
 
     def outliers(method):
         config = DepthConfig(confidence_threshold=0, regularize=method)
-        level = DepthEstimator(bank, config).estimate(noisy).depth_m
-        return np.mean(np.abs(level / depth - 1) > 0.1)
+        estimator = DepthEstimator(bank, config)
+        levels = np.array([estimator.estimate(each).depth_m for each in noisy])
+        return np.mean(np.abs(levels / depth - 1) > 0.1)
 
     assert outliers(regularize) < 0.8 * outliers("none")
 
@@ -133,10 +135,8 @@ def test_total_variation_stays_in_the_range_of_levels(smoothness):
     for _ in range(10):
         true = random.integers(0, 2, (9, 14, 1)) * (levels - 1)
         energies = (10 * np.abs(np.arange(levels) - true)).astype(np.float32)
-        probability = np.exp(-energies / 2)
-        probability /= probability.sum(axis=-1, keepdims=True)
         config = DepthConfig(regularize="tv", smoothness=smoothness)
-        level = regularized_level(energies, probability, config)
+        level = regularized_level(energies / 2, config)
         assert level.dtype == np.float32
         assert level.min() >= 0
         assert level.max() <= levels - 1

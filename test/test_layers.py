@@ -9,11 +9,12 @@ PACKAGE = "coded_aperture_ros"
 
 # Bottom first. The modules of the first row may use each other.
 LAYERS = (
-    ("__init__", "errors", "files", "configuration", "archive", "share", "blas"),
+    ("__init__", "errors", "files", "configuration", "archive", "share", "blas", "threads"),
     ("images",),
     ("optics",),
     ("simulation",),
     ("bank",),
+    ("engine",),
     ("depth",),
     ("deblur",),
     ("evaluation",),

@@ -10,7 +10,10 @@ from coded_aperture_ros.bank.fourier import PatchGrid, WindowedFourierBasis
 from coded_aperture_ros.bank.prior import NaturalImagePrior
 from coded_aperture_ros.optics import PsfStack
 
-_PATCHES_AT_A_TIME = 128
+# A patch without any noise of its own is treated as having this share of the variance that was
+# told: without noise, rounding and the rank of the basis would decide.
+OWN_NOISE = np.float32(0.05)
+LEAST_EXCESS = np.float32(1e-3)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,19 +22,22 @@ class FilterBank:
 
     For a patch with power spectrum ``P`` the energy of blur level ``d`` is twice the negative
     log-likelihood of a Gaussian texture seen through that level's PSF, minimised over the
-    texture's contrast ``a`` and slope, and over the noise ``s``, which is at least the frame's,
-    ``s_0``::
+    texture's contrast ``a`` and slope, and over the patch's own noise ``s``::
 
-        E_d = min over a, slope, s >= s_0 of  sum_k m_k [ P_k / (s^2 V_k) + log(s^2 V_k / s_0^2) ]
+        E_d = min over a, slope, s of  sum_k m_k [ P_k / (s^2 V_k) + log(s^2 V_k) ]
         V_k = (a / s^2) (C_k + e^2) + 1
 
     with the expected power ``C_k`` of unit-contrast texture at level ``d``, the multiplicity
     ``m_k`` and the model error ``e``. This is the noise-aware form of the distance to the
     subspace of thesis eq. 6.22, to which it tends without noise. The noise of a patch may exceed
-    the frame's because slants, edges and shading in it act like noise.
+    the frame's because slants, edges and shading in it act like noise, and is often a little
+    less because estimates err upward.
 
     Only the ratio ``a / s^2`` enters the weights, so one bank serves every noise level; for a
     given ratio the best noise follows in closed form.
+
+    `project` and `energies` say what the energies are; `coded_aperture_ros.engine` computes them
+    at the rate of a camera.
 
     The weights ``m / V`` of all hypotheses share one basis (thesis 8.3.1).
 
@@ -111,7 +117,8 @@ class FilterBank:
         )
 
     @cached_property
-    def _filters(self) -> NDArray[np.float32]:
+    def functions_of_power(self) -> NDArray[np.float32]:
+        """What is needed of a patch's spectrum: basis, multiplicity, noise weights [K, R + 2]."""
         fourier = self.fourier
         return np.column_stack([self.basis, fourier.multiplicity, fourier.noise_weights])
 
@@ -130,7 +137,7 @@ class FilterBank:
         InputError
             If the frame is smaller than a patch.
         """
-        projected, grid = self.fourier.project(grey, stride_px, self._filters)
+        projected, grid = self.fourier.project(grey, stride_px, self.functions_of_power)
         return ProjectedFrame(projected[..., :-2], projected[..., -2], projected[..., -1], grid)
 
     def energies(
@@ -151,25 +158,18 @@ class FilterBank:
             Lower is likelier. A patch that is better explained by noise alone than by any
             texture has the same energy at every level.
         """
-        rank = self.basis.shape[1]
-        plausible = self._plausible_ratios(float(np.median(noise)))
+        plausible = self.plausible_ratios(float(np.median(noise)))
         count = self.fourier.multiplicity.sum()
-        precision = np.empty((*frame.power.shape, 1), np.float32)
-        precision[..., 0] = 1 / (count * np.square(noise))
-        coefficients = self.coefficients[:, plausible].reshape(rank, -1)
-        log_determinants = self.log_determinants[plausible].reshape(-1)
-        projections = (frame.projections * precision).reshape(-1, rank)
-        textureless = _profiled((frame.power[..., None] * precision).reshape(-1, 1), count)
-        energies = np.empty((len(projections), self.levels), np.float32)
-        # Some patches at a time keep their hypotheses in the processor's cache.
-        for start in range(0, len(projections), _PATCHES_AT_A_TIME):
-            some = slice(start, start + _PATCHES_AT_A_TIME)
-            hypotheses = _profiled(projections[some] @ coefficients, count) + log_determinants
-            textured = hypotheses.reshape(len(hypotheses), -1, self.levels).min(axis=1)
-            np.minimum(textured, textureless[some], out=energies[some])
-        return energies.reshape(*frame.power.shape, self.levels)
+        precision = 1 / (count * np.broadcast_to(np.square(noise), frame.power.shape))
+        precision = precision.astype(np.float32)
+        projections = frame.projections * precision[..., None]
+        excess = np.tensordot(projections, self.coefficients[:, plausible], axes=1)
+        hypotheses = count * profiled(excess) + self.log_determinants[plausible]
+        textureless = count * profiled(frame.power * precision)
+        return np.minimum(hypotheses.min(axis=(-3, -2)), textureless[..., None])
 
-    def _plausible_ratios(self, noise: float) -> slice:
+    def plausible_ratios(self, noise: float) -> slice:
+        """Return which ratios belong to the prior's contrasts under a noise of this deviation."""
         count = len(self.prior.contrasts)
         wanted = min(self.prior.contrasts) / noise**2
         first = int(np.argmin(np.abs(np.log(self.ratios / wanted))))
@@ -177,10 +177,13 @@ class FilterBank:
         return slice(first, first + count)
 
 
-def _profiled(excess: NDArray[np.float32], count: np.float32) -> NDArray[np.float32]:
-    """Return ``count * min over t >= 1 of (log t + excess / t)``: the best noise ``t s_0^2``."""
-    factor = np.maximum(excess, np.float32(1))
-    return np.asarray(count * (np.log(factor) + excess / factor), np.float32)
+def profiled(excess: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return ``min over t of (log t + excess / t) - 1``: the best noise variance is ``t s_0^2``.
+
+    Takes ``sum_k m_k P_k / (s_0^2 V_k)``, where ``s_0`` is the noise that was told, over the sum of
+    the multiplicities. With the patch's `OWN_NOISE`.
+    """
+    return np.asarray(np.log(np.maximum(excess + OWN_NOISE, LEAST_EXCESS)), np.float32)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

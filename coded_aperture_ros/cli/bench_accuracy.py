@@ -8,7 +8,7 @@ from coded_aperture_ros.cli.options import add_commands
 
 FRAMES: dict[str, Any] = {
     name: import_module(f"coded_aperture_ros.cli.bench_{name.replace('-', '_')}")
-    for name in ("stair", "two-plane", "scenes")
+    for name in ("stair", "two-plane", "scenes", "video")
 }
 _EPILOG = """examples:
   all of the thesis' masks we have, with and without regularisation:
@@ -18,6 +18,8 @@ _EPILOG = """examples:
     coded_aperture bench accuracy two-plane
   metric depth of ray-traced scenes:
     coded_aperture bench accuracy scenes desk/ corridor/
+  how much steadier the depth of a video is when it is filtered over time:
+    coded_aperture bench accuracy video rendered/video/
 """
 
 

@@ -1,7 +1,6 @@
 """Work through the cells of a benchmark's table, in several processes."""
 
 import multiprocessing
-import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -58,11 +57,6 @@ def measure_cells(
                 process.terminate()
             raise
     return [future.result() for future in futures]
-
-
-def processors() -> int:
-    """Return how many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.bench_cells import processors
+from coded_aperture_ros.threads import processors
 from coded_aperture_ros.cli.bench_methods import mask_of, method_names
 from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.errors import InputError

@@ -3,6 +3,8 @@
 import dataclasses
 
 from coded_aperture_ros.configuration import check_options, option
+from coded_aperture_ros.engine import BACKENDS, check_backend
+from coded_aperture_ros.threads import check_threads
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,5 +60,27 @@ class DepthConfig:
         maximum=1.0,
     )
 
+    temporal_frames: float = option(
+        0.0,
+        "Frames of a video after which what was seen has lost most of its weight; 0: every frame "
+        "for itself.",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    backend: str = option(
+        "numpy",
+        "What computes the energies: torch needs PyTorch, cuda a GPU beside; auto takes the GPU "
+        "where there is one.",
+        choices=BACKENDS,
+    )
+    threads: int = option(
+        1,
+        "Threads of the processor for the energies; at most as many as it has cores.",
+        minimum=1,
+        maximum=1024,
+    )
+
     def __post_init__(self) -> None:
         check_options(self)
+        check_threads(self.threads)
+        check_backend(self.backend)

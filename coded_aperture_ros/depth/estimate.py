@@ -10,14 +10,19 @@ from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.frame import brightness_at, grey_image, usable_windows
 from coded_aperture_ros.depth.levels import (
     agreeing_levels,
+    at_level,
     confidence_of,
     knows_nothing,
+    level_evidence,
     level_probability,
 )
 from coded_aperture_ros.depth.noise import estimate_noise
 from coded_aperture_ros.depth.regularize import regularized_level
 from coded_aperture_ros.depth.rims import DEPTH_EDGE_PX, trim_foreground
+from coded_aperture_ros.depth.stages import Stages
+from coded_aperture_ros.depth.temporal import TemporalFilter
 from coded_aperture_ros.depth.upsample import nearest_patches, upsample
+from coded_aperture_ros.engine import Engine, plan_engine
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import Camera
 
@@ -72,6 +77,9 @@ def depths_are_measured(bank: FilterBank) -> bool:
 class DepthEstimator:
     """Turns coded frames into depth; the whole method is `estimate`.
 
+    The work is planned for the size of the first frame, and anew when the size changes. With
+    `DepthConfig.temporal_frames` the frames are those of a video, in order; `reset` starts another.
+
     Parameters
     ----------
     bank : FilterBank
@@ -79,6 +87,11 @@ class DepthEstimator:
     camera : Camera, optional
         Turns blur sizes into metres, unless the bank was learned from PSFs or planes of measured
         depths, which say it themselves.
+
+    Attributes
+    ----------
+    stages : Stages
+        How long each part of the work on the last frame took.
     """
 
     def __init__(
@@ -87,7 +100,23 @@ class DepthEstimator:
         self.bank = bank
         self.config = config or DepthConfig()
         self.camera = camera
+        self.stages = Stages()
         self._agreement = agreeing_levels(bank, self._level_depths_m())
+        self._engine: Engine | None = None
+        self._shape: tuple[int, ...] = ()
+        frames = self.config.temporal_frames
+        self._temporal = TemporalFilter(frames) if frames else None
+
+    def reset(self) -> None:
+        """Forget the frames so far: the next one begins another video."""
+        if self._temporal is not None:
+            self._temporal.reset()
+
+    def close(self) -> None:
+        """End the threads that the work was shared among."""
+        if self._engine is not None:
+            self._engine.close()
+            self._engine = None
 
     def estimate(
         self, frame: NDArray[np.float32], size: tuple[int, int] | None = None
@@ -111,14 +140,20 @@ class DepthEstimator:
             If the frame has a wrong shape or type, or is smaller than the bank's window, or `size`
             is not that of a map.
         """
-        config, bank = self.config, self.bank
+        config, bank, stages = self.config, self.bank, self.stages
+        stages.start()
         grey, unusable = grey_image(frame, config.saturation)
         size = size or (grey.shape[0], grey.shape[1])
         if min(size) < 1:
             raise InputError(f"size of the depth map: expected at least 1x1, got {size}")
-        projected = bank.project(grey, config.stride_px)
-        grid = projected.grid
+        engine = self._planned(grey.shape)
+        grid = engine.grid
         brightness = brightness_at(grey, grid)
+        stages.lap("prepare")
+
+        engine.project(grey)
+        stages.lap("spectra")
+
         # The mean of the channels has less noise than each of them.
         channels = 1 if frame.ndim == 2 else frame.shape[2]
         shot_variance = None
@@ -131,26 +166,45 @@ class DepthEstimator:
         telling = usable if usable.any() else ~usable
         given = (config.noise or bank.noise) / np.sqrt(channels)
         noise = given or estimate_noise(
-            projected.high_power[telling],
+            engine.high_power[telling],
             None if shot_variance is None else shot_variance[telling],
         )
-
         in_patches = noise if shot_variance is None else np.sqrt(noise**2 + shot_variance)
-        energies = bank.energies(projected, in_patches)
-        energies[~usable] = 0
-        probability = level_probability(energies, bank.evidence_repetition)
-        level = regularized_level(energies, probability, config, brightness)
+        evidence = level_evidence(engine.energies(in_patches), bank.evidence_repetition)
+        evidence[~usable] = 0
+        stages.lap("energies")
+
+        if self._temporal is not None:
+            evidence = self._temporal.add(evidence, grey, grid, noise)
+            stages.lap("temporal")
+        level = regularized_level(evidence, config, brightness)
+        stages.lap("regularise")
 
         level = self._trimmed(upsample(level, grid, grey.shape, size), size[1] / grey.shape[1])
         patches = nearest_patches(grid, grey.shape, size)
+        probability = level_probability(evidence)
         confidence = confidence_of(level, probability, patches, self._agreement)
         unknown = knows_nothing(probability)
         if config.regularize != "none" and not unknown.all():
             unknown[:] = False  # they have the level of their neighbours
         unknown |= ~usable
-        confidence[unknown[np.ix_(*patches)]] = 0
+        if unknown.any():
+            confidence[unknown[np.ix_(*patches)]] = 0
         estimate = self._in_metres(level, confidence, float(noise * np.sqrt(channels)))
-        return estimate.where_confident(config.confidence_threshold)
+        estimate = estimate.where_confident(config.confidence_threshold)
+        stages.lap("map")
+        return estimate
+
+    def _planned(self, shape: tuple[int, ...]) -> Engine:
+        """Return the engine for frames of a size; another size starts another video."""
+        if self._engine is None or shape != self._shape:
+            config = self.config
+            engine = plan_engine(self.bank, shape, config.stride_px, config.backend, config.threads)
+            # Only now: a frame that does not suit leaves the old plan as it is.
+            self.close()
+            self.reset()
+            self._engine, self._shape = engine, shape
+        return self._engine
 
     def _trimmed(self, level: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
         """Take the rims off foregrounds; `scale` is that of the map."""
@@ -171,8 +225,7 @@ class DepthEstimator:
     def _in_metres(
         self, level: NDArray[np.float32], confidence: NDArray[np.float32], noise: float
     ) -> DepthEstimate:
-        index = np.arange(self.bank.levels)
-        blur_size = np.interp(level, index, self.bank.blur_sizes_px).astype(np.float32)
+        blur_size = at_level(self.bank.blur_sizes_px, level)
         if self.camera is None or depths_are_measured(self.bank):
             depth = self.bank.stack.depth_at(level)
         else:

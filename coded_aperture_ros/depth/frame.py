@@ -13,6 +13,7 @@ _DARKEST = -1.0
 _TOLERATED = 0.02
 # An unusable pixel is filled from a square of this size around it.
 _FILL_FROM = (15, 15)
+_BLOCK_PX = 4
 
 
 def check_frame(frame: NDArray[np.floating]) -> None:
@@ -96,6 +97,12 @@ def usable_windows(unusable: NDArray[np.bool_], grid: PatchGrid) -> NDArray[np.b
 
 def brightness_at(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.float32]:
     """Return the mean brightness around the centre of every window of a grid [rows, columns]."""
-    side = grid.window_px // 2
-    mean: NDArray[np.float32] = cv2.blur(grey, (side, side))
-    return mean[np.ix_(grid.row_centres, grid.column_centres)]
+    # Blocks of the frame first: a patch is much larger than they are.
+    blocks = cv2.resize(
+        grey, None, fx=1 / _BLOCK_PX, fy=1 / _BLOCK_PX, interpolation=cv2.INTER_AREA
+    )
+    side = max(grid.window_px // 2 // _BLOCK_PX, 1)
+    mean: NDArray[np.float32] = cv2.blur(blocks, (side, side))
+    rows = np.minimum(grid.row_centres // _BLOCK_PX, len(mean) - 1)
+    columns = np.minimum(grid.column_centres // _BLOCK_PX, mean.shape[1] - 1)
+    return mean[np.ix_(rows, columns)]

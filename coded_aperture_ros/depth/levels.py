@@ -33,10 +33,10 @@ def refine_level(energies: NDArray[np.float32], level: NDArray[np.intp]) -> NDAr
     return (level + np.clip(vertex, -0.5, 0.5)).astype(np.float32)
 
 
-def level_probability(
+def level_evidence(
     energies: NDArray[np.float32], evidence_repetition: float
 ) -> NDArray[np.float32]:
-    """Return the probability of every level, each patch for itself.
+    """Return the evidence against every level, each patch for itself.
 
     Parameters
     ----------
@@ -47,11 +47,22 @@ def level_probability(
     Returns
     -------
     ndarray, float32 [rows, columns, L]
-        Sums to one over the levels; all alike where nothing is known.
+        Negative natural logarithm of the likelihood, 0 for the likeliest level; all 0 where
+        nothing is known.
     """
     excess = energies - energies.min(axis=-1, keepdims=True)
-    likelihood = np.exp(excess * np.float32(-0.5 / (evidence_repetition * _TEMPER)))
-    return likelihood / likelihood.sum(axis=-1, keepdims=True)
+    excess *= np.float32(0.5 / (evidence_repetition * _TEMPER))
+    return excess
+
+
+def level_probability(evidence: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the probability of every level from the evidence against it.
+
+    Takes and gives [rows, columns, L]; sums to one over the levels.
+    """
+    probability = np.exp(-evidence)
+    probability /= probability.sum(axis=-1, keepdims=True)
+    return probability
 
 
 def confidence_of(
@@ -82,26 +93,41 @@ def confidence_of(
     ndarray, float32 [rows, columns]
         In [0, 1]; where the patch knows something, between 0.40 and 0.86.
     """
+    # For every level that a patch may be given, as there are fewer of these than pixels.
     levels = probability.shape[-1]
-    up_to = np.zeros((*probability.shape[:-1], levels + 1), np.float32)
-    np.cumsum(probability, axis=-1, out=up_to[..., 1:])
-    first, last = agreement[:, np.rint(level).astype(np.intp)]
-    rows, columns = patches
-    own_patch = rows[:, None], columns
-    mass = up_to[(*own_patch, last + 1)] - up_to[(*own_patch, first)]
-    offset, slope = _CALIBRATION
+    by_level = np.ascontiguousarray(np.moveaxis(probability, -1, 0))
+    up_to = np.zeros((levels + 1, *by_level.shape[1:]), np.float32)
+    np.cumsum(by_level, axis=0, out=up_to[1:])
+    first, last = agreement
+    mass = up_to[last + 1] - up_to[first]
+    offset, slope = np.float32(_CALIBRATION)
     odds_against = 1 / np.clip(mass, _SURE, 1 - _SURE) - 1
-    calibrated = 1 / (1 + np.exp(-offset) * odds_against**slope)
-    guessed = knows_nothing(probability)[own_patch]
-    # With few levels a guess is often right; it is still no surer than who knows least.
-    least = 1 / (1 + np.exp(-offset) * (1 / _SURE - 1) ** slope)
-    return np.where(guessed, np.minimum(mass, least), calibrated).astype(np.float32)
+    odds_against = np.exp(slope * np.log(odds_against) - offset)
+    confidence = 1 / (1 + odds_against)
+    guessed = knows_nothing(probability)
+    if guessed.any():
+        # With few levels a guess is often right; it is still no surer than who knows least.
+        least = 1 / (1 + np.exp(-offset) * (1 / _SURE - 1) ** slope)
+        confidence = np.where(guessed, np.minimum(mass, least), confidence)
+    rows, columns = patches
+    index = np.rint(level).astype(np.int32)
+    index *= guessed.size
+    index += (rows * guessed.shape[1]).astype(np.int32)[:, None]
+    index += columns.astype(np.int32)
+    return np.asarray(confidence.astype(np.float32).reshape(-1)[index], np.float32)
 
 
 def knows_nothing(probability: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return which patches [rows, columns] find all levels alike."""
     alike: NDArray[np.bool_] = probability.max(axis=-1) <= 1.0001 / probability.shape[-1]
     return alike
+
+
+def at_level(values: NDArray[np.floating], level: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Interpolate values [L] of the levels linearly at fractional levels in [0, L - 1]."""
+    values = values.astype(np.float32)
+    below = np.minimum(level.astype(np.int32), len(values) - 2)
+    return np.asarray(values[below] + (level - below) * np.diff(values)[below], np.float32)
 
 
 def agreeing_levels(

@@ -27,8 +27,7 @@ _ACROSS_CONTRAST = 0.3
 
 
 def regularized_level(
-    energies: NDArray[np.float32],
-    probability: NDArray[np.float32],
+    evidence: NDArray[np.float32],
     config: DepthConfig,
     brightness: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
@@ -36,8 +35,8 @@ def regularized_level(
 
     Parameters
     ----------
-    energies, probability : ndarray, float32 [rows, columns, L]
-        See `FilterBank.energies` and `level_probability`.
+    evidence : ndarray, float32 [rows, columns, L]
+        Against every level; see `level_evidence`.
     config : DepthConfig
         Says which regularisation, and how strong.
     brightness : ndarray, float32 [rows, columns], optional
@@ -53,32 +52,25 @@ def regularized_level(
     InputError
         If graph cuts are asked for and PyMaxflow is not installed.
     """
-    method = _METHODS[config.regularize]
-    return method(energies, probability, config.smoothness, brightness)
+    return _METHODS[config.regularize](evidence, config.smoothness, brightness)
 
 
 def _independent(
-    energies: NDArray[np.float32],
-    probability: NDArray[np.float32],
-    smoothness: float,
-    brightness: NDArray[np.float32] | None,
+    evidence: NDArray[np.float32], smoothness: float, brightness: NDArray[np.float32] | None
 ) -> NDArray[np.float32]:
-    return refine_level(energies, energies.argmin(axis=-1))
+    return refine_level(evidence, evidence.argmin(axis=-1))
 
 
 def _semi_global(
-    energies: NDArray[np.float32],
-    probability: NDArray[np.float32],
-    smoothness: float,
-    brightness: NDArray[np.float32] | None,
+    evidence: NDArray[np.float32], smoothness: float, brightness: NDArray[np.float32] | None
 ) -> NDArray[np.float32]:
     """Minimise along rows and columns, both ways, and add up (Hirschmueller, 2008).
 
     Each of the four paths through a patch is minimised exactly, with a small cost for steps of
     one level, as of slants, and a larger one for jumps.
     """
-    evidence = _evidence(probability).astype(np.float32)
-    rows, columns = evidence.shape[:2]
+    known = _bounded(evidence)
+    rows, columns = known.shape[:2]
     down = np.full((rows - 1, columns), smoothness, np.float32)
     across = np.full((columns - 1, rows), smoothness, np.float32)
     if brightness is not None and brightness.size > 1:
@@ -92,9 +84,9 @@ def _semi_global(
         down *= weights[0] / mean
         across *= weights[1].T / mean
     # Every path counts the evidence of its patch.
-    total = _both_ways(evidence, down) - 3 * evidence
-    total += _both_ways(evidence.swapaxes(0, 1), across).swapaxes(0, 1)
-    return refine_level(energies, total.argmin(axis=-1))
+    total = _both_ways(known, down) - 3 * known
+    total += _both_ways(known.swapaxes(0, 1), across).swapaxes(0, 1)
+    return refine_level(evidence, total.argmin(axis=-1))
 
 
 def _both_ways(evidence: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -102,28 +94,28 @@ def _both_ways(evidence: NDArray[np.float32], weights: NDArray[np.float32]) -> N
 
     Takes [n, m, L] and the weight of the smoothness between neighbours [n - 1, m].
     """
-    there_and_back = np.stack([evidence, evidence[::-1]], axis=1)
-    slight = _SLIGHT_STEP * np.stack([weights, weights[::-1]], axis=1)[..., None]
+    # Levels before patches: all that is done to every level is then one long run of numbers.
+    costs = np.empty((len(evidence), 2, evidence.shape[2], evidence.shape[1]), np.float32)
+    costs[:, 0] = evidence.swapaxes(1, 2)
+    costs[:, 1] = costs[::-1, 0]
+    slight = _SLIGHT_STEP * np.stack([weights, weights[::-1]], axis=1)[:, :, None]
     jump = _JUMP / _SLIGHT_STEP * slight
-    costs = np.empty_like(there_and_back)
-    costs[0] = there_and_back[0]
+    step, best = np.empty_like(costs[0]), np.empty_like(costs[0])
+    least = np.empty_like(costs[0, :, :1])
     for i in range(1, len(costs)):
         previous = costs[i - 1]
-        least = previous.min(axis=-1, keepdims=True)
-        step = previous + slight[i - 1]
-        best = np.minimum(previous, least + jump[i - 1])
-        np.minimum(best[..., 1:], step[..., :-1], out=best[..., 1:])
-        np.minimum(best[..., :-1], step[..., 1:], out=best[..., :-1])
-        best -= least  # so that the costs do not grow along the path
-        np.add(there_and_back[i], best, out=costs[i])
-    return costs[:, 0] + costs[::-1, 1]
+        np.minimum.reduce(previous, axis=1, keepdims=True, out=least)
+        np.subtract(previous, least, out=previous)  # so that costs do not grow along the path
+        np.minimum(previous, jump[i - 1], out=best)
+        np.add(previous, slight[i - 1], out=step)
+        np.minimum(best[:, 1:], step[:, :-1], out=best[:, 1:])
+        np.minimum(best[:, :-1], step[:, 1:], out=best[:, :-1])
+        np.add(costs[i], best, out=costs[i])
+    return (costs[:, 0] + costs[::-1, 1]).swapaxes(1, 2)
 
 
 def _graph_cut(
-    energies: NDArray[np.float32],
-    probability: NDArray[np.float32],
-    smoothness: float,
-    brightness: NDArray[np.float32] | None,
+    evidence: NDArray[np.float32], smoothness: float, brightness: NDArray[np.float32] | None
 ) -> NDArray[np.float32]:
     """Alpha expansion of ``-log p + beta min(|d_p - d_q|, edge)`` (thesis eq. 6.25 and 5.24)."""
     try:
@@ -133,19 +125,17 @@ def _graph_cut(
             "regularize: graphcut needs PyMaxflow (pip install PyMaxflow), or choose "
             "semiglobal, tv or none"
         ) from error
-    index = np.arange(energies.shape[-1])
+    index = np.arange(evidence.shape[-1])
     step = np.minimum(np.abs(index[:, None] - index), _EDGE_LEVELS)
     labels = aexpansion_grid(
-        _evidence(probability), _CUT_BETA * smoothness * step.astype(np.float64)
+        np.ascontiguousarray(_bounded(evidence), np.float64),
+        _CUT_BETA * smoothness * step.astype(np.float64),
     )
-    return refine_level(energies, labels)
+    return refine_level(evidence, labels)
 
 
 def _total_variation(
-    energies: NDArray[np.float32],
-    probability: NDArray[np.float32],
-    smoothness: float,
-    brightness: NDArray[np.float32] | None,
+    evidence: NDArray[np.float32], smoothness: float, brightness: NDArray[np.float32] | None
 ) -> NDArray[np.float32]:
     """Minimise ``sum -log p(v) + (u - v)^2 / (2 theta) + beta |grad u|`` with theta shrinking.
 
@@ -153,14 +143,14 @@ def _total_variation(
     the coupling draws together. ``v`` is found by trying all levels, ``u`` by the primal-dual
     steps of Chambolle and Pock (2011).
     """
-    index = np.arange(energies.shape[-1], dtype=np.float32)
-    evidence = _evidence(probability).astype(np.float32)
+    index = np.arange(evidence.shape[-1], dtype=np.float32)
+    known = _bounded(evidence)
     beta = np.float32(max(_TV_BETA * smoothness, 1e-6))
     step = np.float32(1 / np.sqrt(8))  # the norm of the gradient is at most the root of 8
-    smooth = relaxed = probability.argmax(axis=-1).astype(np.float32)
+    smooth = relaxed = evidence.argmin(axis=-1).astype(np.float32)
     dual_rows, dual_columns = np.zeros_like(smooth), np.zeros_like(smooth)
     for theta in np.geomspace(*_TV_THETA, _TV_ITERATIONS, dtype=np.float32):
-        coupled = evidence + (index - smooth[..., None]) ** 2 / (2 * theta)
+        coupled = known + (index - smooth[..., None]) ** 2 / (2 * theta)
         found = refine_level(coupled, coupled.argmin(axis=-1))
         for _ in range(_TV_STEPS):
             dual_rows[:-1] += step * np.diff(relaxed, axis=0)
@@ -177,9 +167,10 @@ def _total_variation(
     return np.clip(smooth, 0, index[-1])
 
 
-def _evidence(probability: NDArray[np.float32]) -> NDArray[np.float64]:
-    with np.errstate(divide="ignore"):
-        return np.minimum(-np.log(probability.astype(np.float64)), _ENOUGH_EVIDENCE)
+def _bounded(evidence: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the negative logarithm of the probability, up to where it is an outlier's."""
+    of_all = np.log(np.exp(-evidence).sum(axis=-1, keepdims=True))
+    return np.minimum(evidence + of_all, np.float32(_ENOUGH_EVIDENCE))
 
 
 _METHODS: dict[str, Callable[..., NDArray[np.float32]]] = {

@@ -36,17 +36,26 @@ def upsample(
     """
     rows, row_weights = _neighbours(grid.row_centres, frame_shape[0], size[0])
     columns, column_weights = _neighbours(grid.column_centres, frame_shape[1], size[1])
-    nearest = level[np.ix_(*nearest_patches(grid, frame_shape, size))]
+    nearest_rows, nearest_columns = nearest_patches(grid, frame_shape, size)
+    nearest = level[nearest_rows][:, nearest_columns]
     total = np.zeros(size, np.float32)
     weight = np.zeros(size, np.float32)
+    distance, share = np.empty(size, np.float32), np.empty(size, np.float32)
+    same = np.empty(size, np.bool_)
     for i, across in zip(rows, row_weights, strict=True):
+        of_rows = level[i]
         for j, along in zip(columns, column_weights, strict=True):
-            corner = level[np.ix_(i, j)]
-            share = across[:, None] * along
-            share *= np.abs(corner - nearest) <= _SAME_SURFACE
-            total += share * corner
+            corner = of_rows[:, j]
+            np.subtract(corner, nearest, out=distance)
+            np.abs(distance, out=distance)
+            np.less_equal(distance, np.float32(_SAME_SURFACE), out=same)
+            np.multiply(across[:, None], along, out=share)
+            np.multiply(share, same, out=share)
             weight += share
-    return total / weight
+            np.multiply(share, corner, out=share)
+            total += share
+    total /= weight
+    return total
 
 
 def nearest_patches(

@@ -1,0 +1,613 @@
+"""The depth node at the rate of a camera, over DDS on this machine.
+
+One process publishes coded frames, stamped at the moment of publication; the depth node runs as a
+program of its own, as on a robot; this process subscribes to its depth images and measures them by
+their stamps. Beside that stands what the node says about itself on /diagnostics.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.cli.demo import CAMERA_FILE, FAR_M, LEVELS, NEAR_M
+from coded_aperture_ros.cli.demo_processes import (
+    SHARED_MEMORY_MB,
+    private_network,
+    shared_memory_suffices,
+    sigterm_like_ctrl_c,
+)
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.share import share_directory
+
+FRAMES = 8
+NOISE = 0.002
+TOPIC = "depth/image"
+COUNTERS = ("received", "processed", "dropped", "rejected")
+
+_START_TIMEOUT_S = 60.0
+_FRAMES_TO_START = 3
+# What was sent last has come by then, or never will.
+_LAST_RESULTS_S = 1.0
+_SPIN_S = 0.1
+_LAST_LINES = 15
+_INTERRUPTED = 130
+
+
+# --- What is measured -------------------------------------------------------------------------
+
+
+def latency_figures(stamps_ns: NDArray[np.int64], arrivals_ns: NDArray[np.int64]) -> dict[str, Any]:
+    """Return the latencies of frames in ms, and whether they have grown; None of no frames.
+
+    Parameters
+    ----------
+    stamps_ns, arrivals_ns : arrays of the same length
+        When each frame was published and when its depth came, in the order of arrival.
+    """
+    latency_ms = (arrivals_ns - stamps_ns) * 1e-6
+    quarter = -(-len(latency_ms) // 4)
+    return {
+        "median": _rounded(np.median, latency_ms),
+        "p99": _rounded(lambda values: np.percentile(values, 99), latency_ms),
+        "max": _rounded(np.max, latency_ms),
+        "median_first_quarter": _rounded(np.median, latency_ms[:quarter]),
+        "median_last_quarter": _rounded(np.median, latency_ms[-quarter:]),
+    }
+
+
+def stream_figures(
+    sent_ns: Sequence[int], received: dict[int, int], begun_ns: int, ended_ns: int
+) -> dict[str, Any]:
+    """Return what became of the frames that were sent in a span of time.
+
+    Parameters
+    ----------
+    sent_ns : sequence of int
+        Stamps of all frames that were sent.
+    received : dict
+        When the depth of a frame came, by its stamp.
+    begun_ns, ended_ns : int
+        Only frames with stamps from here to there count.
+    """
+    counted = [stamp for stamp in sent_ns if begun_ns <= stamp < ended_ns]
+    come = np.array([stamp for stamp in counted if stamp in received], np.int64)
+    arrivals = np.array([received[int(stamp)] for stamp in come], np.int64)
+    seconds = (ended_ns - begun_ns) * 1e-9
+    return {
+        "sent": len(counted),
+        "received": len(come),
+        "received_hz": round(len(come) / seconds, 2),
+        "never_came": len(counted) - len(come),
+        "never_came_in_a_row": _longest_row(stamp not in received for stamp in counted),
+        "longest_gap_ms": _rounded(np.max, np.diff(arrivals) * 1e-6),
+        "latency_ms": latency_figures(come, arrivals),
+        "never_came_at_s": [
+            round((stamp - begun_ns) * 1e-9, 3) for stamp in counted if stamp not in received
+        ],
+    }
+
+
+def node_figures(
+    statuses: Sequence[tuple[int, dict[str, str]]],
+    sent_ns: Sequence[int],
+    begun_ns: int,
+    ended_ns: int,
+) -> dict[str, Any]:
+    """Return what the node counted, and the last values that it reported.
+
+    Parameters
+    ----------
+    statuses : sequence of (time, values)
+        All that the node has reported; the time in nanoseconds.
+    sent_ns : sequence of int
+        Stamps of all frames that were sent.
+    begun_ns, ended_ns : int
+        Only reports from here to there count.
+    """
+    counted = [status for status in statuses if begun_ns <= status[0] < ended_ns]
+    if not counted:
+        return {"seconds": 0.0, "sent": 0, **dict.fromkeys(COUNTERS, 0), "reported": {}}
+    (first_ns, first), (last_ns, last) = counted[0], counted[-1]
+    return {
+        "seconds": round((last_ns - first_ns) * 1e-9, 2),
+        "sent": sum(first_ns <= stamp < last_ns for stamp in sent_ns),
+        **{name: int(last.get(name, 0)) - int(first.get(name, 0)) for name in COUNTERS},
+        "reported": last,
+    }
+
+
+def process_figures(pid: int) -> dict[str, float]:
+    """Return the memory of a process in MB and its processor time so far in seconds.
+
+    Anonymous memory is what can leak; the rest are files and memory shared with other processes.
+    """
+    status = dict(
+        line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines()
+    )
+    # Fields 14 and 15; the second one is the name, in brackets, and may hold spaces.
+    times = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+    return {
+        "rss_mb": int(status["VmRSS"].split()[0]) / 1024,
+        "anonymous_mb": int(status["RssAnon"].split()[0]) / 1024,
+        "processor_s": sum(map(int, times)) / os.sysconf("SC_CLK_TCK"),
+    }
+
+
+def _rounded(function: Any, values: NDArray[np.floating]) -> float | None:
+    return round(float(function(values)), 2) if len(values) else None
+
+
+def _longest_row(missing: Iterator[bool]) -> int:
+    longest = row = 0
+    for is_missing in missing:
+        row = row + 1 if is_missing else 0
+        longest = max(longest, row)
+    return longest
+
+
+# --- The publisher's process ------------------------------------------------------------------
+
+
+def render_frames(camera_file: Path) -> NDArray[np.uint8]:
+    """Return different views of a real scene, coded by the camera's mask, with noise; mono8."""
+    from coded_aperture_ros.nodes.messages import luminance, pixels_from_frame
+    from coded_aperture_ros.optics import load_camera
+    from coded_aperture_ros.simulation import PanningScene, SensorModel, motorcycle_scene
+
+    panning = PanningScene(motorcycle_scene(), load_camera(camera_file), period_s=2.0 * FRAMES)
+    sensor, random = SensorModel(NOISE), np.random.default_rng(0)
+    views = (luminance(panning.view(float(time_s)).coded) for time_s in range(FRAMES))
+    return np.stack([pixels_from_frame(sensor.expose(view, random), "mono8") for view in views])
+
+
+def publish_frames(frames_file: Path, camera_file: Path, rate_hz: float, log_file: Path) -> int:
+    """Publish frames in a loop until SIGINT, then write down when; return the exit status.
+
+    The deadlines are those of a steady clock and do not depend on each other. Like a camera, the
+    publisher leaves a frame out rather than sending two at once to catch up.
+    """
+    stopping: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: stopping.append(number))
+    sent_ns: list[int] = []
+    late_ms: list[float] = []
+    left_out = 0
+    with publisher(frames_file, camera_file) as publish:
+        period_s = 1.0 / rate_hz
+        begun_s, turn = time.monotonic(), 0
+        while not stopping:
+            due_s = begun_s + turn * period_s
+            time.sleep(max(due_s - time.monotonic(), 0.0))
+            late_ms.append(1000 * (time.monotonic() - due_s))
+            sent_ns.append(publish(len(sent_ns)))
+            turn, before = max(turn + 1, int((time.monotonic() - begun_s) / period_s)), turn
+            left_out += turn - before - 1
+    log = {"sent_ns": sent_ns, "late_ms": late_ms, "left_out": left_out}
+    log_file.write_text(json.dumps(log))
+    return 0
+
+
+@contextlib.contextmanager
+def publisher(frames_file: Path, camera_file: Path) -> Iterator[Any]:
+    """Run a node that publishes; yield a function that sends a frame and returns its stamp."""
+    import rclpy
+    from sensor_msgs.msg import CameraInfo, Image
+    from std_msgs.msg import Header
+
+    from coded_aperture_ros.nodes.frame_node import overridable_publisher
+    from coded_aperture_ros.nodes.messages import camera_info_from_camera, image_from_array
+    from coded_aperture_ros.optics import load_camera
+
+    with ros_node("frame_publisher") as (node, _):
+        header = Header(frame_id="camera_optical_frame")
+        info = camera_info_from_camera(load_camera(camera_file), header)
+        images = [image_from_array(pixels, "mono8", header) for pixels in np.load(frames_file)]
+        image_topic = overridable_publisher(node, Image, "image_raw")
+        info_topic = overridable_publisher(node, CameraInfo, "camera_info")
+
+        def publish(number: int) -> int:
+            image = images[number % len(images)]
+            now_ns = time.time_ns()
+            stamp = rclpy.time.Time(nanoseconds=now_ns).to_msg()
+            image.header.stamp = info.header.stamp = stamp
+            image_topic.publish(image)
+            info_topic.publish(info)
+            return now_ns
+
+        yield publish
+
+
+@contextlib.contextmanager
+def ros_node(name: str) -> Iterator[tuple[Any, Any]]:
+    """Run a node in a context of its own; yield it and its context."""
+    # Only now: rclpy reads the environment when it is imported and started.
+    import rclpy
+    from rclpy.context import Context
+    from rclpy.node import Node
+    from rclpy.signals import SignalHandlerOptions
+
+    context = Context()
+    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = Node(name, context=context)
+        try:
+            yield node, context
+        finally:
+            node.destroy_node()
+    finally:
+        context.try_shutdown()
+
+
+# --- The subscriber ---------------------------------------------------------------------------
+
+
+class Listener:
+    """Writes down when depth images come, and what the depth node reports.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    executor : rclpy.executors.Executor
+        The node's.
+    reliable : bool
+        Ask for lost images again.
+    """
+
+    def __init__(self, node: Any, executor: Any, reliable: bool) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
+        from rclpy.qos import QoSProfile, ReliabilityPolicy
+        from sensor_msgs.msg import Image
+
+        self.received: dict[int, int] = {}
+        self.statuses: list[tuple[int, dict[str, str]]] = []
+        self._executor = executor
+        policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+        qos = QoSProfile(depth=5, reliability=policy)
+        node.create_subscription(Image, TOPIC, self._on_depth, qos)
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+
+    def listen(self, seconds: float, processes: Sequence["Process"]) -> None:
+        """Receive for some time; an `InputError` if a process has ended meanwhile."""
+        deadline_s = time.monotonic() + seconds
+        while (left_s := deadline_s - time.monotonic()) > 0:
+            self._executor.spin_once(min(left_s, _SPIN_S))
+            for process in processes:
+                process.check()
+
+    def _on_depth(self, message: Any) -> None:
+        now_ns = time.time_ns()
+        stamp = message.header.stamp
+        self.received[stamp.sec * 1_000_000_000 + stamp.nanosec] = now_ns
+
+    def _on_diagnostics(self, message: Any) -> None:
+        now_ns = time.time_ns()
+        for status in message.status:
+            if status.name.startswith("depth_node:"):
+                self.statuses.append((now_ns, {pair.key: pair.value for pair in status.values}))
+
+
+@contextlib.contextmanager
+def listener(reliable: bool) -> Iterator[Listener]:
+    """Run the subscriber."""
+    with ros_node("node_rate") as (node, context):
+        from rclpy.executors import SingleThreadedExecutor
+
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        try:
+            yield Listener(node, executor, reliable)
+        finally:
+            executor.shutdown()
+
+
+# --- The processes ----------------------------------------------------------------------------
+
+
+class Process:
+    """A program that does not outlive the `with` block.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        Command line after the Python interpreter.
+    log_file : Path
+        Where everything goes that it says.
+    """
+
+    def __init__(self, arguments: Sequence[str], log_file: Path) -> None:
+        self._name = log_file.stem
+        self._log_file = log_file
+        with log_file.open("wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+            )
+        self.pid = self._process.pid
+
+    def __enter__(self) -> "Process":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
+    def end(self) -> None:
+        """End the program as Ctrl-C does, by force if it takes more than five seconds."""
+        try:
+            if self._process.poll() is None:
+                self._process.send_signal(signal.SIGINT)
+            self._process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            pass
+        finally:
+            if self._process.poll() is None:
+                self._process.kill()
+                self._process.wait()
+
+    def check(self) -> None:
+        """Raise an `InputError` with the last lines of the program if it has ended."""
+        if self._process.poll() is not None:
+            status = self._process.returncode
+            raise InputError(f"{self._name} ended with status {status}:{self.said()}")
+
+    def said(self) -> str:
+        """Return the last lines that the program has written."""
+        lines = self._log_file.read_text(errors="replace").splitlines()[-_LAST_LINES:]
+        return "".join(f"\n    {line}" for line in lines)
+
+
+def node_arguments(camera_file: Path, reliable: bool, given: Sequence[str]) -> list[str]:
+    """Return the command line of the depth node; parameters `given` as NAME:=VALUE come last."""
+    parameters = [
+        f"camera_file:={json.dumps(str(camera_file))}",
+        f"near_m:={NEAR_M}",
+        f"far_m:={FAR_M}",
+        f"levels:={LEVELS}",
+    ]
+    if reliable:
+        parameters.append("qos_overrides./image_raw.subscription.reliability:=reliable")
+    parameters = [text for text in parameters if not _is_given(text, given)] + list(given)
+    arguments = [text for parameter in parameters for text in ("-p", parameter)]
+    return ["-m", "coded_aperture_ros.nodes.depth_node", "--ros-args", *arguments]
+
+
+def _is_given(parameter: str, given: Sequence[str]) -> bool:
+    name = parameter.partition(":=")[0]
+    return any(other.partition(":=")[0] == name for other in given)
+
+
+def wait_for_depth(listener: Listener, processes: Sequence[Process]) -> None:
+    """Receive until depth images come."""
+    deadline_s = time.monotonic() + _START_TIMEOUT_S
+    while len(listener.received) < _FRAMES_TO_START:
+        listener.listen(_SPIN_S, processes)
+        if time.monotonic() > deadline_s:
+            said = "".join(process.said() for process in processes)
+            raise InputError(f"no depth images in {_START_TIMEOUT_S:g} s{said}")
+
+
+# --- The benchmark ----------------------------------------------------------------------------
+
+
+def measure(
+    rate_hz: float,
+    seconds: float,
+    *,
+    folder: Path,
+    warm_up_s: float = 5.0,
+    reliable: bool = False,
+    parameters: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Run publisher and depth node, and measure the node.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Of the frames.
+    seconds : float
+        How long to measure.
+    folder : Path
+        Holds frames.npy, made by `render_frames`; for temporary files.
+    warm_up_s : float
+        From the first depth images to the beginning of the measurement.
+    reliable : bool
+        Ask for lost images again.
+    parameters : sequence of str
+        Further ones of the node, as NAME:=VALUE.
+    """
+    camera_file = share_directory() / "config" / CAMERA_FILE
+    sent_file = folder / "sent.json"
+    publishing = [
+        str(Path(__file__).resolve()),
+        *("--publish", str(folder / "frames.npy"), "--rates", str(rate_hz)),
+        *("--sent", str(sent_file)),
+    ]
+    with (
+        Process(
+            node_arguments(camera_file, reliable, parameters), folder / "depth_node.log"
+        ) as node,
+        Process(publishing, folder / "publisher.log") as frames,
+        listener(reliable) as onlooker,
+    ):
+        wait_for_depth(onlooker, (node, frames))
+        onlooker.listen(warm_up_s, (node, frames))
+        begun_ns, before = time.time_ns(), process_figures(node.pid)
+        onlooker.listen(seconds, (node, frames))
+        ended_ns, after = time.time_ns(), process_figures(node.pid)
+        frames.end()
+        onlooker.listen(_LAST_RESULTS_S, (node,))
+        if not sent_file.exists():
+            raise InputError(f"the publisher did not end as it should:{frames.said()}")
+    sent = json.loads(sent_file.read_text())
+    sent_file.unlink()
+    return {
+        "rate_hz": rate_hz,
+        "seconds": seconds,
+        "parameters": list(parameters),
+        "publisher": {
+            "late_ms_p99": _rounded(lambda late: np.percentile(late, 99), sent["late_ms"]),
+            "left_out": sent["left_out"],
+        },
+        "depth": stream_figures(sent["sent_ns"], onlooker.received, begun_ns, ended_ns),
+        "node": node_figures(onlooker.statuses, sent["sent_ns"], begun_ns, ended_ns),
+        "process": {
+            "cores": round((after["processor_s"] - before["processor_s"]) / seconds, 2),
+            **{
+                f"{kind}_{when}_mb": round(figures[f"{kind}_mb"], 1)
+                for kind in ("rss", "anonymous")
+                for when, figures in (("begin", before), ("end", after))
+            },
+            "rss_growth_mb": round(after["rss_mb"] - before["rss_mb"], 1),
+            "anonymous_growth_mb": round(after["anonymous_mb"] - before["anonymous_mb"], 1),
+        },
+    }
+
+
+def table(runs: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the figures as the lines of a table with a column for each rate."""
+    columns = [dict(rows(run)) for run in runs]
+    names = list(dict.fromkeys(name for column in columns for name in column))
+    cells = [["", *(f"{run['rate_hz']:g} Hz" for run in runs)]]
+    cells += [[name, *(str(column.get(name, "")) for column in columns)] for name in names]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = [
+        "| " + " | ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) + " |"
+        for row in cells
+    ]
+    lines.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")
+    return lines
+
+
+def rows(run: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield the rows of one rate: a name and a value."""
+    depth, node, process = run["depth"], run["node"], run["process"]
+    latency = depth["latency_ms"]
+    yield "frames sent", depth["sent"]
+    yield "publisher late, p99 ms", run["publisher"]["late_ms_p99"]
+    yield "publisher left out", run["publisher"]["left_out"]
+    yield "depth received", depth["received"]
+    yield "depth received, Hz", depth["received_hz"]
+    yield "never came", depth["never_came"]
+    yield "never came, most in a row", depth["never_came_in_a_row"]
+    yield "longest gap, ms", depth["longest_gap_ms"]
+    for name, value in latency.items():
+        yield f"stamp to receipt, {name.replace('_', ' ')}, ms", value
+    yield "node: time between its first and last report, s", node["seconds"]
+    yield "node: frames sent in that time", node["sent"]
+    for name in COUNTERS:
+        yield f"node: frames {name}", node[name]
+    yield "node: cores", process["cores"]
+    yield "node: RSS at the end, MB", process["rss_end_mb"]
+    yield "node: RSS growth, MB", process["rss_growth_mb"]
+    yield "node: growth of anonymous memory, MB", process["anonymous_growth_mb"]
+    for key, value in node["reported"].items():
+        if key not in COUNTERS:
+            yield f"node reports {key}", value
+
+
+def run_benchmark(args: argparse.Namespace) -> list[dict[str, Any]]:
+    """Measure all rates in turn."""
+    shared_memory = shared_memory_suffices()
+    os.environ.update(private_network(shared_memory))
+    if not shared_memory:
+        message = f"/dev/shm has less than {SHARED_MEMORY_MB} MB: sending images by UDP (slower)"
+        print(message, file=sys.stderr)
+    with tempfile.TemporaryDirectory(prefix="coded_aperture-node_rate-") as name:
+        folder = Path(name)
+        os.environ.setdefault("ROS_LOG_DIR", name)
+        print("rendering frames", file=sys.stderr)
+        np.save(folder / "frames.npy", render_frames(share_directory() / "config" / CAMERA_FILE))
+        runs = []
+        for rate_hz in args.rates:
+            print(f"{rate_hz:g} Hz for {args.seconds:g} s", file=sys.stderr)
+            run = measure(
+                rate_hz,
+                args.seconds,
+                folder=folder,
+                warm_up_s=args.warm_up,
+                reliable=not shared_memory,
+                parameters=args.parameters,
+            )
+            runs.append(run)
+    return runs
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        *("--rates", "--rate"),
+        type=_positive,
+        nargs="+",
+        default=[30.0],
+        metavar="HZ",
+        help="frames per second, one measurement each (default 30)",
+    )
+    parser.add_argument(
+        *("--seconds",), type=_positive, default=60.0, help="how long to measure (default 60)"
+    )
+    parser.add_argument(
+        *("--warm-up",), type=_positive, default=5.0, metavar="SECONDS", help="before (default 5)"
+    )
+    parser.add_argument(
+        *("-p", "--parameter"),
+        dest="parameters",
+        type=_parameter,
+        action="append",
+        default=[],
+        metavar="NAME:=VALUE",
+        help="parameter of the depth node, such as stride_px:=16; may be repeated",
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    # This program is also the publisher that it starts.
+    parser.add_argument("--publish", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--sent", type=Path, help=argparse.SUPPRESS)
+    return parser.parse_args()
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.1 <= value <= 86_400.0:
+        raise argparse.ArgumentTypeError("expected 0.1 to 86400")
+    return value
+
+
+def _parameter(text: str) -> str:
+    if ":=" not in text:
+        raise argparse.ArgumentTypeError("expected NAME:=VALUE")
+    return text
+
+
+def main() -> int:
+    """Print the table."""
+    args = parse_arguments()
+    if args.publish:
+        camera_file = share_directory() / "config" / CAMERA_FILE
+        return publish_frames(args.publish, camera_file, args.rates[0], args.sent)
+    try:
+        with sigterm_like_ctrl_c():
+            runs = run_benchmark(args)
+    except (InputError, OSError) as error:
+        print(f"node_rate: error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return _INTERRUPTED
+    print(json.dumps(runs, indent=2) if args.json else "\n".join(table(runs)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,162 @@
+"""Evidence of the past frames of a video: where the same texture was, depth was the same."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank import PatchGrid
+
+# The frames are compared at this many pixels per patch distance, shifted by so many of them each
+# way: what moves less than a patch distance between two frames is found again.
+_SAMPLES = 2
+_REACH = 2
+# Standard deviation of the Gaussian that patches are compared with, in patch distances.
+_SIGMA = 1.0
+# tau_1 of thesis eq. 8.9, as a share of the local variance of the frame.
+_BANDWIDTH = 0.1
+# Evidence of one frame counts up to the first, that of all past frames up to the second.
+_OF_A_FRAME = 12.0
+_OF_THE_PAST = 20.0
+# Against a level's neighbour, per frame: surfaces come nearer and go away.
+_DRIFT = 2.0
+
+
+class TemporalFilter:
+    """Adds up the evidence of a video's frames, along the best matches between them.
+
+    The thesis couples the depths of pixels ``p`` of one frame and ``q`` of another by the weights
+    (eq. 8.11)::
+
+        W(p, t_0, q, t) = exp(-|t - t_0| / tau_2) exp(-G * |g_t0(p) - g_t(q)|^2 / tau_1)
+
+    Here they carry the evidence against every level, not a depth that was made of it: what one
+    frame leaves open the next may decide, and what it gets wrong with little evidence weighs
+    little. The sum over all past frames is a recursion over the last one, as ``exp(-|t - t_0| /
+    tau_2)`` is. There is no flow: several places of the last frame may match, or none, where an
+    object has moved away. There the past is forgotten.
+
+    Parameters
+    ----------
+    frames : float
+        ``tau_2``: the number of frames after which evidence has lost most of its weight, > 0.
+    """
+
+    def __init__(self, frames: float) -> None:
+        self._keep = float(np.exp(-1 / frames))
+        self._past: NDArray[np.float32] | None = None
+        self._samples: NDArray[np.float32] | None = None
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._past = self._samples = None
+
+    def add(
+        self,
+        evidence: NDArray[np.float32],
+        grey: NDArray[np.float32],
+        grid: PatchGrid,
+        noise: float,
+    ) -> NDArray[np.float32]:
+        """Return the evidence of a frame and of what is alike in those before it.
+
+        Parameters
+        ----------
+        evidence : ndarray, float32 [rows, columns, L]
+            Of the frame alone, see `level_evidence`.
+        grey : ndarray, float32 [height, width]
+            The frame.
+        grid : PatchGrid
+            Where its patches lie.
+        noise : float
+            Of the frame, standard deviation.
+
+        Returns
+        -------
+        ndarray, float32 [rows, columns, L]
+            0 for the likeliest level.
+        """
+        samples = _sampled(grey, grid)
+        total = np.minimum(np.moveaxis(evidence, -1, 0), np.float32(_OF_A_FRAME))
+        if self._past is not None and self._samples is not None:
+            variance = 2 * (noise * _SAMPLES / grid.stride_px) ** 2
+            weights, match = _matches(samples, self._samples, variance)
+            past = _gathered(self._past, weights)
+            np.minimum(past[1:], past[:-1] + _DRIFT, out=past[1:])
+            np.minimum(past[:-1], past[1:] + _DRIFT, out=past[:-1])
+            past *= self._keep * match
+            total += past
+        total -= total.min(axis=0)
+        self._past = np.minimum(total, np.float32(_OF_THE_PAST))
+        self._samples = samples
+        return np.moveaxis(total, 0, -1)
+
+
+def _sampled(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.float32]:
+    """Return the frame at `_SAMPLES` pixels per patch distance."""
+    first = (grid.window_px - grid.stride_px) // 2
+    top, left = max(grid.top + first, 0), max(grid.left + first, 0)
+    bottom, right = top + grid.rows * grid.stride_px, left + grid.columns * grid.stride_px
+    size = (_SAMPLES * grid.columns, _SAMPLES * grid.rows)
+    return np.asarray(
+        cv2.resize(grey[top:bottom, left:right], size, interpolation=cv2.INTER_AREA), np.float32
+    )
+
+
+def _matches(
+    present: NDArray[np.float32], last: NDArray[np.float32], variance: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Compare every patch with those around its place in the last frame.
+
+    Returns
+    -------
+    weights : ndarray, float32 [3, 3, rows, columns]
+        How well the last frame, one patch distance up to one down and left to right, matches;
+        sums to one.
+    match : ndarray, float32 [rows, columns]
+        How well the best place does, 0 to 1.
+    """
+    height, width = present.shape
+    rows, columns = height // _SAMPLES, width // _SAMPLES
+    spread = _smoothed(present * present) - _smoothed(present) ** 2
+    bandwidth = variance + _BANDWIDTH * np.maximum(spread, 0)
+    around = cv2.copyMakeBorder(last, *[_REACH] * 4, cv2.BORDER_REPLICATE)
+    weights = np.zeros((3, 3, rows, columns), np.float32)
+    match = np.zeros((rows, columns), np.float32)
+    for down in range(-_REACH, _REACH + 1):
+        for right in range(-_REACH, _REACH + 1):
+            moved = around[_REACH + down :, _REACH + right :][:height, :width]
+            difference = present - moved
+            difference *= difference
+            distance = np.maximum(_smoothed(difference) - variance, 0)
+            weight = np.exp(-distance / bandwidth)
+            np.maximum(match, weight, out=match)
+            for i, share_down in _between_patches(down):
+                for j, share_right in _between_patches(right):
+                    weights[i, j] += share_down * share_right * weight
+    weights /= np.maximum(weights.sum(axis=(0, 1)), 1e-12)
+    return weights, match
+
+
+def _between_patches(samples: int) -> list[tuple[int, float]]:
+    """Return which of the neighbours 0 (before), 1, 2 a shift leads to, and their shares."""
+    whole, part = divmod(samples, _SAMPLES)
+    shares = [(whole + 1, 1 - part / _SAMPLES), (whole + 2, part / _SAMPLES)]
+    return [(index, share) for index, share in shares if share > 0]
+
+
+def _smoothed(samples: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the Gaussian mean around every patch."""
+    size = samples.shape[1] // _SAMPLES, samples.shape[0] // _SAMPLES
+    of_patches = cv2.resize(samples, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.GaussianBlur(of_patches, (0, 0), _SIGMA), np.float32)
+
+
+def _gathered(past: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the weighted mean of the neighbours' evidence [L, rows, columns]."""
+    rows, columns = past.shape[1:]
+    around = np.pad(past, ((0, 0), (1, 1), (1, 1)), "edge")
+    gathered = np.zeros_like(past)
+    for i in range(3):
+        for j in range(3):
+            gathered += weights[i, j] * around[:, i : i + rows, j : j + columns]
+    return gathered

@@ -1,0 +1,7 @@
+"""The filter bank at the rate of a camera: planned once for a frame size, run on every frame."""
+
+from coded_aperture_ros.engine.engine import BACKENDS, Engine, check_backend, plan_engine
+from coded_aperture_ros.engine.numpy_engine import NumpyEngine
+from coded_aperture_ros.engine.plan import Plan
+
+__all__ = ["BACKENDS", "Engine", "NumpyEngine", "Plan", "check_backend", "plan_engine"]
