@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from cli_scene import call, texture
 
+from coded_aperture_ros import depth
 from coded_aperture_ros.cli.bench_video import _ratios, _tables, _ways
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.evaluation import (
@@ -318,6 +319,21 @@ def test_videos_are_scored_without_a_filter(capsys, ray_traced, rgbd):
     assert moving["flicker"] is moving["moving"] is moving["around_moving"] is None
     assert moving["change"]["std"] < 0.2
     assert results["filtered_over_unfiltered"] == []
+
+
+@pytest.mark.skipif(not hasattr(depth, "estimate_video"), reason="depth has no filter over time")
+def test_filters_over_time_are_measured_beside_none(capsys, ray_traced):
+    arguments = (*SMALL, "--noise", 0.02, "--temporal", 3, "--regularize", "none", "--json")
+    result = call(capsys, *BENCH, ray_traced, *arguments)
+    assert (result.status, result.err) == (0, "")
+    results = json.loads(result.out)
+    filters = [(cell["filter"], cell["temporal_frames"]) for cell in results["cells"]]
+    assert filters == [("none", 0), ("causal", 3), ("windowed", 3)]
+    causal, windowed = results["filtered_over_unfiltered"]
+    assert (causal["filter"], windowed["filter"]) == ("causal", "windowed")
+    for ratios in (causal, windowed):
+        assert ratios["flicker mean"] < 0.9
+        assert ratios["mean"] < 1.1
 
 
 def test_tables_and_pictures_are_written(capsys, ray_traced, tmp_path):

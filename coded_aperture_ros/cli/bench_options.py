@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.threads import processors
 from coded_aperture_ros.cli.bench_methods import mask_of, method_names
 from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.files import atomic_output
+from coded_aperture_ros.threads import processors
 
 RESULTS = "results.json"
 

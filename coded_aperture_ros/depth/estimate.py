@@ -20,6 +20,7 @@ from coded_aperture_ros.depth.noise import estimate_noise
 from coded_aperture_ros.depth.regularize import regularized_level
 from coded_aperture_ros.depth.rims import DEPTH_EDGE_PX, trim_foreground
 from coded_aperture_ros.depth.stages import Stages
+from coded_aperture_ros.depth.still import StillAverage
 from coded_aperture_ros.depth.temporal import TemporalFilter
 from coded_aperture_ros.depth.upsample import nearest_patches, upsample
 from coded_aperture_ros.engine import Engine, plan_engine
@@ -105,12 +106,15 @@ class DepthEstimator:
         self._engine: Engine | None = None
         self._shape: tuple[int, ...] = ()
         frames = self.config.temporal_frames
+        self._still = StillAverage(2 * frames) if frames else None
+        self._noise = 0.0
         self._temporal = TemporalFilter(frames) if frames else None
 
     def reset(self) -> None:
         """Forget the frames so far: the next one begins another video."""
-        if self._temporal is not None:
+        if self._temporal is not None and self._still is not None:
             self._temporal.reset()
+            self._still.reset()
 
     def close(self) -> None:
         """End the threads that the work was shared among."""
@@ -151,6 +155,11 @@ class DepthEstimator:
         brightness = brightness_at(grey, grid)
         stages.lap("prepare")
 
+        count = None
+        if self._still is not None:
+            grey, count = self._still.add(grey, self._noise, grid)
+            stages.lap("still")
+
         engine.project(grey)
         stages.lap("spectra")
 
@@ -165,11 +174,14 @@ class DepthEstimator:
         # Filled pixels have no noise: windows with many of them say nothing about it.
         telling = usable if usable.any() else ~usable
         given = (config.noise or bank.noise) / np.sqrt(channels)
+        high_power = engine.high_power if count is None else engine.high_power * count
         noise = given or estimate_noise(
-            engine.high_power[telling],
-            None if shot_variance is None else shot_variance[telling],
+            high_power[telling], None if shot_variance is None else shot_variance[telling]
         )
+        self._noise = noise
         in_patches = noise if shot_variance is None else np.sqrt(noise**2 + shot_variance)
+        if count is not None:
+            in_patches = in_patches / np.sqrt(count)
         evidence = level_evidence(engine.energies(in_patches), bank.evidence_repetition)
         evidence[~usable] = 0
         stages.lap("energies")

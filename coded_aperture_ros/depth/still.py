@@ -1,0 +1,84 @@
+"""Less noise where nothing moves: the mean of the frames of a video at places that stay alike."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank import PatchGrid
+
+# Frames are compared by the mean over squares of this side and, around these, a Gaussian of one
+# square: some hundred pixels tell a tenth of the noise's variance from none.
+_SQUARE_PX = 8
+# The share of the noise's variance by which two frames may differ and are surely alike, and the
+# share beyond that makes it e times less likely.
+_ALIKE = 0.2
+_BANDWIDTH = 0.3
+# This share of the squares is taken to be still, if any is.
+_STILL_QUANTILE = 0.2
+
+
+class StillAverage:
+    """Averages the frames of a video where they are alike but for their noise.
+
+    It is the temporal part of a non-local mean (thesis eq. 8.11) at one place: a frame ``g_t``
+    enters the mean ``m`` of those before by ``exp(-G * |g_t - m|^2 / tau_1)``. A mean of ``n``
+    frames has ``n`` times less noise, and blur sizes are told apart by what is above the noise.
+    Whatever moves by a fraction of a pixel is beyond the noise and starts anew: it does not smear.
+
+    Parameters
+    ----------
+    frames : float
+        Frames that the mean is of, at most.
+    """
+
+    def __init__(self, frames: float) -> None:
+        self._most = max(frames, 1.0)
+        self._mean: NDArray[np.float32] | None = None
+        self._count = np.zeros((0, 0), np.float32)
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._mean = None
+
+    def add(
+        self, grey: NDArray[np.float32], noise: float, grid: PatchGrid
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return the mean with one more frame, and how many frames it is of.
+
+        Parameters
+        ----------
+        grey : ndarray, float32 [height, width]
+        noise : float
+            Standard deviation of one frame's noise.
+        grid : PatchGrid
+            Where the patches of the frame lie.
+
+        Returns
+        -------
+        mean : ndarray, float32 [height, width]
+            Valid until the next frame is added.
+        count : ndarray, float32 [rows, columns]
+            As the noise of every patch has it, at least 1.
+        """
+        height, width = grey.shape
+        squares = (max(width // _SQUARE_PX, 1), max(height // _SQUARE_PX, 1))
+        if self._mean is None:
+            self._mean = grey.copy()
+            self._count = np.ones(squares[::-1], np.float32)
+            return self._mean, np.ones((grid.rows, grid.columns), np.float32)
+        difference = cv2.subtract(grey, self._mean)
+        changed = cv2.resize(
+            cv2.multiply(difference, difference), squares, interpolation=cv2.INTER_AREA
+        )
+        changed = cv2.GaussianBlur(changed, (0, 0), 1.0) / (1 + 1 / self._count)
+        variance = max(min(noise**2, float(np.quantile(changed, _STILL_QUANTILE))), 1e-12)
+        alike = np.exp(-np.maximum(changed / variance - 1 - _ALIKE, 0) / _BANDWIDTH)
+        self._count = np.minimum(self._count * alike + 1, np.float32(self._most))
+        share = 1 / self._count
+        difference *= cv2.resize(share, (width, height), interpolation=cv2.INTER_LINEAR)
+        self._mean += difference
+        side = max(grid.window_px // 2 // _SQUARE_PX, 1)
+        noise_share = cv2.blur(share, (side, side))
+        rows = np.minimum(grid.row_centres // _SQUARE_PX, len(share) - 1)
+        columns = np.minimum(grid.column_centres // _SQUARE_PX, share.shape[1] - 1)
+        return self._mean, 1 / noise_share[np.ix_(rows, columns)]
