@@ -344,11 +344,15 @@ class Process:
     def __exit__(self, *_: object) -> None:
         self.end()
 
+    def interrupt(self) -> None:
+        """Tell the program to end, as Ctrl-C does, and do not wait for it."""
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGINT)
+
     def end(self) -> None:
-        """End the program as Ctrl-C does, by force if it takes more than five seconds."""
+        """End the program, by force if it takes more than five seconds."""
         try:
-            if self._process.poll() is None:
-                self._process.send_signal(signal.SIGINT)
+            self.interrupt()
             self._process.wait(5.0)
         except subprocess.TimeoutExpired:
             pass
@@ -447,8 +451,9 @@ def measure(
         begun_ns, before = time.time_ns(), process_figures(node.pid)
         onlooker.listen(seconds, (node, frames))
         ended_ns, after = time.time_ns(), process_figures(node.pid)
-        frames.end()
+        frames.interrupt()  # and receive meanwhile, so that the last frames are not late
         onlooker.listen(_LAST_RESULTS_S, (node,))
+        frames.end()
         if not sent_file.exists():
             raise InputError(f"the publisher did not end as it should:{frames.said()}")
     sent = json.loads(sent_file.read_text())

@@ -8,6 +8,7 @@ from coded_aperture_ros.bank import LearnConfig, PatchGrid, learn_bank_for_camer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_noise
 from coded_aperture_ros.depth.frame import grey_image, usable_windows
 from coded_aperture_ros.depth.levels import refine_level
+from coded_aperture_ros.depth.noise import high_power
 from coded_aperture_ros.depth.regularize import regularized_level
 from coded_aperture_ros.depth.rims import trim_foreground
 from coded_aperture_ros.depth.upsample import nearest_patches, upsample
@@ -191,7 +192,8 @@ def test_noise_is_estimated_and_errs_upward(bank, camera, true, at_most):
     """The more noise, the less of it can be texture; without any, texture counts as noise."""
     depth = np.full((160, 192), 1.8, np.float32)
     frame = render_coded_frame(natural_texture(depth.shape), depth, camera)
-    noise = estimate_noise(bank.project(with_noise(frame, true), 8).high_power)
+    grid = PatchGrid.covering(frame.shape, bank.window_px, 8)
+    noise = estimate_noise(high_power(with_noise(frame, true), grid))
     assert true < noise
     assert noise <= at_most * true or np.isinf(at_most)
 

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter, uniform_filter
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank
 from coded_aperture_ros.engine import BACKENDS, plan_engine
@@ -36,12 +37,12 @@ def some_bank(window_px=32, levels=5):
 
 
 def some_frame(shape, seed=0):
-    """Texture that is blurred more and more to the right, read-only as a camera's may be."""
+    """Texture that is blurred more on the right; read-only, as a camera's may be."""
     random = np.random.default_rng(seed)
-    frame = random.normal(0.4, 0.1, shape)
-    frame[:, shape[1] // 2 :] = np.cumsum(frame, axis=1)[:, shape[1] // 2 :] % 0.7
-    frame += random.normal(0, NOISE, shape)
-    frame = frame.astype(np.float32)
+    sharp = gaussian_filter(random.normal(0.4, 1.0, shape), 1)
+    right = np.arange(shape[1]) >= shape[1] // 2
+    blurred = np.where(right, uniform_filter(sharp, 7), uniform_filter(sharp, 4))
+    frame = (blurred + random.normal(0, NOISE, shape)).astype(np.float32)
     frame.setflags(write=False)
     return frame
 
@@ -49,6 +50,7 @@ def some_frame(shape, seed=0):
 def assert_close(energies, expected):
     assert energies.shape == expected.shape
     assert energies.dtype == np.float32
+    assert np.ptp(expected, axis=-1).any()  # the levels differ somewhere
     assert np.abs(energies - expected).max() < TOLERANCE * np.ptp(expected)
 
 
@@ -72,11 +74,9 @@ def test_energies_are_those_of_the_definition(backend, window_px, levels, shape,
     engine.project(frame)
     assert engine.name == backend
     assert engine.grid == expected.grid
-    assert engine.power == pytest.approx(expected.power, rel=1e-4)
-    assert engine.high_power == pytest.approx(expected.high_power, rel=1e-4)
     random = np.random.default_rng(1)
     noises = random.uniform(0.5, 2.5, expected.power.shape).astype(np.float32) * NOISE
-    for noise in (NOISE, noises, 0.05, 1e-4, NOISE):
+    for noise in (NOISE, noises, 0.05, NOISE / 20, NOISE):
         assert_close(engine.energies(noise), bank.energies(expected, noise))
     engine.close()
 
@@ -88,7 +88,6 @@ def test_frame_without_light_has_no_preference(backend):
     energies = engine.energies(NOISE)
     assert energies == pytest.approx(bank.energies(bank.project(black, 8), NOISE), rel=1e-5)
     assert np.ptp(energies, axis=-1).max() == 0
-    assert not engine.power.any()
     engine.close()
 
 
@@ -126,7 +125,7 @@ def test_working_in_groups_of_rows_changes_nothing(backend, group_bytes, monkeyp
     monkeypatch.setattr(torch_engine, "_GROUP_BYTES", group_bytes)
     bank, frame = some_bank(), some_frame((120, 101))
     engine = plan_engine(bank, frame.shape, 5, backend)
-    assert 1 <= engine._rows_at_a_time < engine.grid.rows
+    assert 1 < len(engine._groups) <= engine.grid.rows
     engine.project(frame)
     assert_close(engine.energies(NOISE), bank.energies(bank.project(frame, 5), NOISE))
     engine.close()
@@ -187,6 +186,6 @@ def test_missing_gpu_is_refused_by_name(monkeypatch):
         __spec__=ModuleSpec("torch", None), cuda=SimpleNamespace(is_available=lambda: False)
     )
     monkeypatch.setitem(sys.modules, "torch", without)
-    with pytest.raises(InputError, match="no CUDA device here .*use torch or numpy"):
+    with pytest.raises(InputError, match=r"no CUDA device here .*use torch or numpy"):
         planned("cuda")
     assert planned("auto") == "numpy"

@@ -50,7 +50,7 @@ def test_energy_is_the_distance_to_the_subspace_of_the_level(stack):
 
 def test_noise_of_each_patch_sets_the_unit(exact):
     frame = exact.project(np.random.default_rng(1).random((30, 33)).astype(np.float32), 7)
-    noise = np.full(frame.high_power.shape, 0.01, np.float32)
+    noise = np.full(frame.projections.shape[:2], 0.01, np.float32)
     noise[1, 2] = 0.02
     same, each = exact.energies(frame, 0.01), exact.energies(frame, noise)
     assert each[1, 2] == pytest.approx(same[1, 2] / 4, rel=1e-5)

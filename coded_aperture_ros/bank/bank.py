@@ -67,6 +67,8 @@ class FilterBank:
         are known, hold whatever a camera file says.
     learned_from : str
         How the bank came to be, for a person to read.
+    highest_frequency : float
+        Frequencies above this, in cycles per pixel, are left out.
     """
 
     stack: PsfStack
@@ -80,6 +82,7 @@ class FilterBank:
     noise: float
     mask_digest: str
     learned_from: str
+    highest_frequency: float = 1.0
 
     @property
     def blur_sizes_px(self) -> NDArray[np.float64]:
@@ -94,7 +97,7 @@ class FilterBank:
     @cached_property
     def fourier(self) -> WindowedFourierBasis:
         """The transform that the bank's filters act on."""
-        return WindowedFourierBasis(self.window_px)
+        return WindowedFourierBasis(self.window_px, self.highest_frequency)
 
     @property
     def basis_vectors(self) -> int:
@@ -118,9 +121,8 @@ class FilterBank:
 
     @cached_property
     def functions_of_power(self) -> NDArray[np.float32]:
-        """What is needed of a patch's spectrum: basis, multiplicity, noise weights [K, R + 2]."""
-        fourier = self.fourier
-        return np.column_stack([self.basis, fourier.multiplicity, fourier.noise_weights])
+        """What is needed of a patch's spectrum: basis and multiplicity [K, R + 1]."""
+        return np.column_stack([self.basis, self.fourier.multiplicity])
 
     def project(self, grey: NDArray[np.float32], stride_px: int) -> "ProjectedFrame":
         """Project every patch of a frame onto the common basis.
@@ -138,7 +140,7 @@ class FilterBank:
             If the frame is smaller than a patch.
         """
         projected, grid = self.fourier.project(grey, stride_px, self.functions_of_power)
-        return ProjectedFrame(projected[..., :-2], projected[..., -2], projected[..., -1], grid)
+        return ProjectedFrame(projected[..., :-1], projected[..., -1], grid)
 
     def energies(
         self, frame: "ProjectedFrame", noise: float | NDArray[np.float32]
@@ -164,9 +166,13 @@ class FilterBank:
         precision = precision.astype(np.float32)
         projections = frame.projections * precision[..., None]
         excess = np.tensordot(projections, self.coefficients[:, plausible], axes=1)
-        hypotheses = count * profiled(excess) + self.log_determinants[plausible]
-        textureless = count * profiled(frame.power * precision)
-        return np.minimum(hypotheses.min(axis=(-3, -2)), textureless[..., None])
+        # The best noise of a hypothesis is its excess, so the best hypothesis has the least product
+        # of that and of its determinant.
+        determinants = np.exp(self.log_determinants[plausible] / count)
+        best = ((excess + OWN_NOISE) * determinants).min(axis=(-3, -2))
+        textureless = frame.power * precision + OWN_NOISE
+        best = np.clip(best, LEAST_EXCESS, textureless[..., None])
+        return np.asarray(count * np.log(best), np.float32)
 
     def plausible_ratios(self, noise: float) -> slice:
         """Return which ratios belong to the prior's contrasts under a noise of this deviation."""
@@ -175,15 +181,6 @@ class FilterBank:
         first = int(np.argmin(np.abs(np.log(self.ratios / wanted))))
         first = min(first, len(self.ratios) - count)
         return slice(first, first + count)
-
-
-def profiled(excess: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return ``min over t of (log t + excess / t) - 1``: the best noise variance is ``t s_0^2``.
-
-    Takes ``sum_k m_k P_k / (s_0^2 V_k)``, where ``s_0`` is the noise that was told, over the sum of
-    the multiplicities. With the patch's `OWN_NOISE`.
-    """
-    return np.asarray(np.log(np.maximum(excess + OWN_NOISE, LEAST_EXCESS)), np.float32)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -196,13 +193,10 @@ class ProjectedFrame:
         Coefficients of every patch in the bank's basis.
     power : ndarray, float32 [rows, columns]
         Sum of the whole spectrum of every patch, without the mean.
-    high_power : ndarray, float32 [rows, columns]
-        Mean power of the highest frequencies of every patch.
     grid : PatchGrid
         Where the patches lie.
     """
 
     projections: NDArray[np.float32]
     power: NDArray[np.float32]
-    high_power: NDArray[np.float32]
     grid: PatchGrid

@@ -15,7 +15,8 @@ from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import PsfStack
 
 SCHEMA = "coded-aperture filter bank"
-VERSION = 1
+# Version 2 may leave out high frequencies.
+VERSION = 2
 
 
 def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
@@ -42,6 +43,7 @@ def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
         "noise": bank.noise,
         "mask_digest": bank.mask_digest,
         "learned_from": bank.learned_from,
+        "highest_frequency": bank.highest_frequency,
     }
     if not bank.stack.in_pixels:
         arrays["blur_sizes_are_indices"] = True
@@ -80,6 +82,7 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
             noise=float(arrays["noise"]),
             mask_digest=str(arrays["mask_digest"]),
             learned_from=str(arrays["learned_from"]),
+            highest_frequency=float(arrays.get("highest_frequency", 1.0)),
         )
         _check_shapes(bank)
     except KeyError as error:

@@ -90,9 +90,12 @@ class WindowedFourierBasis:
     ----------
     window_px : int
         Side of the square window; even.
+    highest_frequency : float
+        Frequencies above this, in cycles per pixel, do not count; by default all do.
     """
 
     window_px: int
+    highest_frequency: float = 1.0
 
     def __post_init__(self) -> None:
         if self.window_px < 8 or self.window_px % 2:
@@ -116,17 +119,27 @@ class WindowedFourierBasis:
         0 for those that do not count: the mean of a patch says nothing about blur, and the Hann
         window spreads it over exactly the frequencies up to one cycle per window.
         """
-        vertical, horizontal = self._cycles
-        once = (horizontal == 0) | (horizontal == self.window_px // 2)
-        counts = np.maximum(vertical, horizontal) > 1
-        return (np.where(once, 1, 2) * counts).ravel().astype(np.float32)
+        low_enough = self._frequency <= self.highest_frequency
+        return (self._repetitions * low_enough).astype(np.float32)
 
     @cached_property
     def noise_weights(self) -> NDArray[np.float32]:
         """Weights of the mean power of the highest frequencies [K]; blur leaves noise there."""
-        frequency = np.hypot(*self._cycles).ravel() / self.window_px
-        weights = self.multiplicity * (frequency > _HIGH_FREQUENCY)
-        return weights / weights.sum()
+        weights = self._repetitions * (self._frequency > _HIGH_FREQUENCY)
+        return (weights / weights.sum()).astype(np.float32)
+
+    @property
+    def _repetitions(self) -> NDArray[np.intp]:
+        vertical, horizontal = self._cycles
+        once = (horizontal == 0) | (horizontal == self.window_px // 2)
+        counts = np.maximum(vertical, horizontal) > 1
+        repetitions: NDArray[np.intp] = (np.where(once, 1, 2) * counts).ravel()
+        return repetitions
+
+    @property
+    def _frequency(self) -> NDArray[np.float64]:
+        frequency: NDArray[np.float64] = np.hypot(*self._cycles).ravel() / self.window_px
+        return frequency
 
     @property
     def _cycles(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

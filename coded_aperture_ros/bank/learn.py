@@ -37,6 +37,14 @@ class LearnConfig:
         minimum=1,
         maximum=4096,
     )
+    highest_frequency: float = option(
+        1.0,
+        "Frequencies above this are left out; 0.4 costs little from blur sizes of 7 px on, and "
+        "saves a third of the time. 1: all count.",
+        unit="cycles/px",
+        minimum=0.1,
+        maximum=1.0,
+    )
     noise: float = option(
         0.0,
         "Standard deviation of the camera's noise in linear light; 0 if it is not known.",
@@ -143,7 +151,7 @@ def learn_bank(
             f"a PSF of {widest} px does not fit the {config.window_px} px window: "
             "use a larger window, or fewer or smaller blur sizes"
         )
-    fourier = WindowedFourierBasis(config.window_px)
+    fourier = WindowedFourierBasis(config.window_px, config.highest_frequency)
     of_levels = stack.psfs[:, None] if components is None else components.swapaxes(0, 1)
     textures = prior.spectra if isinstance(prior, EmpiricalPrior) else prior.slopes
     expected = np.array(
@@ -175,6 +183,7 @@ def learn_bank(
         noise=config.noise,
         mask_digest=mask.digest if mask else "",
         learned_from=learned_from,
+        highest_frequency=config.highest_frequency,
     )
 
 

@@ -17,14 +17,13 @@ joint   0.83 0.68 0.66 0.64
 
 import dataclasses
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 import scipy.fft
 import scipy.linalg
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank.fourier import PatchGrid, WindowedFourierBasis
+from coded_aperture_ros.bank.fourier import PatchGrid
 from coded_aperture_ros.bank.learn import check_levels
 from coded_aperture_ros.bank.prior import power_spectrum
 from coded_aperture_ros.errors import InputError
@@ -104,11 +103,6 @@ class SubspaceBank:
         """How many of the patch's values tell one thing: without a window, none repeats another."""
         return 1.0
 
-    @cached_property
-    def fourier(self) -> WindowedFourierBasis:
-        """The transform that the noise is read from."""
-        return WindowedFourierBasis(self.patch_px - 1)
-
     def project(self, grey: NDArray[np.float32], stride_px: int) -> "SubspaceFrame":
         """Project every patch of a frame onto the common basis; see `FilterBank.project`.
 
@@ -125,13 +119,7 @@ class SubspaceBank:
         for of_row, row in zip(coefficients, windows, strict=True):
             patches = row.reshape(grid.columns, -1)
             of_row[:] = (patches - patches.mean(axis=1, keepdims=True)) @ self.basis
-        high, _ = self.fourier.project(
-            # One pixel less in the frame as in the window: the same grid.
-            grey[:-1, :-1],
-            stride_px,
-            self.fourier.noise_weights[:, None],
-        )
-        return SubspaceFrame(coefficients, high[..., 0], grid)
+        return SubspaceFrame(coefficients, grid)
 
     def energies(
         self, frame: "SubspaceFrame", noise: float | NDArray[np.float32]
@@ -169,14 +157,11 @@ class SubspaceFrame:
     ----------
     projections : ndarray, float32 [rows, columns, B]
         Coefficients of every patch in the bank's basis.
-    high_power : ndarray, float32 [rows, columns]
-        Mean power of the highest frequencies of every patch.
     grid : PatchGrid
         Where the patches lie.
     """
 
     projections: NDArray[np.float32]
-    high_power: NDArray[np.float32]
     grid: PatchGrid
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,13 +11,12 @@ from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.frame import brightness_at, grey_image, usable_windows
 from coded_aperture_ros.depth.levels import (
     agreeing_levels,
-    at_level,
     confidence_of,
     knows_nothing,
     level_evidence,
     level_probability,
 )
-from coded_aperture_ros.depth.noise import estimate_noise
+from coded_aperture_ros.depth.noise import estimate_noise, high_power
 from coded_aperture_ros.depth.regularize import regularized_level
 from coded_aperture_ros.depth.rims import DEPTH_EDGE_PX, trim_foreground
 from coded_aperture_ros.depth.stages import Stages
@@ -26,6 +26,11 @@ from coded_aperture_ros.depth.upsample import nearest_patches, upsample
 from coded_aperture_ros.engine import Engine, plan_engine
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import Camera
+
+# Steps between two levels that blur sizes and depths are tabulated at: finer than any estimate.
+_STEPS = 128
+# Patches so far apart, in px, are worth one pixel of the map for each this many.
+_MAP_PX_PER_PATCH = 6
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -60,13 +65,32 @@ class DepthEstimate:
         unknown = ~(self.confidence >= threshold) | ~(self.confidence > 0)
 
         def known(values: NDArray[np.float32]) -> NDArray[np.float32]:
-            return np.where(unknown, np.float32(np.nan), values)
+            values = values.copy()
+            np.putmask(values, unknown, np.float32(np.nan))
+            return values
 
         return dataclasses.replace(
             self,
             level=known(self.level),
             blur_size_px=known(self.blur_size_px),
             depth_m=None if self.depth_m is None else known(self.depth_m),
+        )
+
+    def enlarged(self, size: tuple[int, int]) -> "DepthEstimate":
+        """Return the estimate with maps of `size` (rows, columns), by the nearest pixels."""
+        if self.level.shape == size:
+            return self
+
+        def large(values: NDArray[np.float32]) -> NDArray[np.float32]:
+            # Not linearly: that would make up depths in the air beside every edge.
+            return np.asarray(cv2.resize(values, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT))
+
+        return dataclasses.replace(
+            self,
+            level=large(self.level),
+            blur_size_px=large(self.blur_size_px),
+            depth_m=None if self.depth_m is None else large(self.depth_m),
+            confidence=large(self.confidence),
         )
 
 
@@ -103,6 +127,7 @@ class DepthEstimator:
         self.camera = camera
         self.stages = Stages()
         self._agreement = agreeing_levels(bank, self._level_depths_m())
+        self._blur_sizes_px, self._depths_m = self._tables()
         self._engine: Engine | None = None
         self._shape: tuple[int, ...] = ()
         frames = self.config.temporal_frames
@@ -174,10 +199,7 @@ class DepthEstimator:
         # Filled pixels have no noise: windows with many of them say nothing about it.
         telling = usable if usable.any() else ~usable
         given = (config.noise or bank.noise) / np.sqrt(channels)
-        high_power = engine.high_power if count is None else engine.high_power * count
-        noise = given or estimate_noise(
-            high_power[telling], None if shot_variance is None else shot_variance[telling]
-        )
+        noise = given or self._estimated_noise(grey, count, telling, shot_variance)
         self._noise = noise
         in_patches = noise if shot_variance is None else np.sqrt(noise**2 + shot_variance)
         if count is not None:
@@ -192,8 +214,11 @@ class DepthEstimator:
         level = regularized_level(evidence, config, brightness)
         stages.lap("regularise")
 
-        level = self._trimmed(upsample(level, grid, grey.shape, size), size[1] / grey.shape[1])
-        patches = nearest_patches(grid, grey.shape, size)
+        # Patches that are far apart do not need every pixel of a large map.
+        finest = -(-np.array(grey.shape) // max(config.stride_px // _MAP_PX_PER_PATCH, 1))
+        drawn = (min(size[0], int(finest[0])), min(size[1], int(finest[1])))
+        level = self._trimmed(upsample(level, grid, grey.shape, drawn), drawn[1] / grey.shape[1])
+        patches = nearest_patches(grid, grey.shape, drawn)
         probability = level_probability(evidence)
         confidence = confidence_of(level, probability, patches, self._agreement)
         unknown = knows_nothing(probability)
@@ -203,9 +228,23 @@ class DepthEstimator:
         if unknown.any():
             confidence[unknown[np.ix_(*patches)]] = 0
         estimate = self._in_metres(level, confidence, float(noise * np.sqrt(channels)))
-        estimate = estimate.where_confident(config.confidence_threshold)
+        estimate = estimate.where_confident(config.confidence_threshold).enlarged(size)
         stages.lap("map")
         return estimate
+
+    def _estimated_noise(
+        self,
+        grey: NDArray[np.float32],
+        count: NDArray[np.float32] | None,
+        telling: NDArray[np.bool_],
+        shot_variance: NDArray[np.float32] | None,
+    ) -> float:
+        """Estimate the noise of one frame from the mean of `count` frames."""
+        power = high_power(grey, self._planned(grey.shape).grid)
+        if count is not None:
+            power *= count
+        shot = None if shot_variance is None else shot_variance[telling]
+        return estimate_noise(power[telling], shot)
 
     def _planned(self, shape: tuple[int, ...]) -> Engine:
         """Return the engine for frames of a size; another size starts another video."""
@@ -237,12 +276,20 @@ class DepthEstimator:
     def _in_metres(
         self, level: NDArray[np.float32], confidence: NDArray[np.float32], noise: float
     ) -> DepthEstimate:
-        blur_size = at_level(self.bank.blur_sizes_px, level)
+        index = (level * _STEPS + np.float32(0.5)).astype(np.int32)
+        depth = None if self._depths_m is None else self._depths_m[index]
+        return DepthEstimate(level, self._blur_sizes_px[index], depth, confidence, noise)
+
+    def _tables(self) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """Return blur sizes and depths of fractional levels, `_STEPS` for each."""
+        count = self.bank.levels
+        level = np.linspace(0, count - 1, (count - 1) * _STEPS + 1)
+        blur_size = np.interp(level, np.arange(count), self.bank.blur_sizes_px)
         if self.camera is None or depths_are_measured(self.bank):
             depth = self.bank.stack.depth_at(level)
         else:
             depth = self.camera.depth_m(blur_size).astype(np.float32)
-        return DepthEstimate(level, blur_size, depth, confidence, noise)
+        return blur_size.astype(np.float32), depth
 
     def _level_depths_m(self) -> NDArray[np.float64] | None:
         if self.camera is None or depths_are_measured(self.bank):

@@ -97,11 +97,15 @@ def usable_windows(unusable: NDArray[np.bool_], grid: PatchGrid) -> NDArray[np.b
 
 def brightness_at(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.float32]:
     """Return the mean brightness around the centre of every window of a grid [rows, columns]."""
-    # Blocks of the frame first: a patch is much larger than they are.
-    blocks = cv2.resize(
-        grey, None, fx=1 / _BLOCK_PX, fy=1 / _BLOCK_PX, interpolation=cv2.INTER_AREA
-    )
-    side = max(grid.window_px // 2 // _BLOCK_PX, 1)
+    return mean_at(grey, grid, grid.window_px // 2)
+
+
+def mean_at(values: NDArray[np.float32], grid: PatchGrid, side_px: int) -> NDArray[np.float32]:
+    """Return the mean of a map of the frame's size over a square around every window's centre."""
+    # Blocks of the frame first: the squares are much larger than they are.
+    scale = 1 / _BLOCK_PX
+    blocks = cv2.resize(values, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    side = max(side_px // _BLOCK_PX, 1)
     mean: NDArray[np.float32] = cv2.blur(blocks, (side, side))
     rows = np.minimum(grid.row_centres // _BLOCK_PX, len(mean) - 1)
     columns = np.minimum(grid.column_centres // _BLOCK_PX, mean.shape[1] - 1)

@@ -100,7 +100,7 @@ def confidence_of(
     np.cumsum(by_level, axis=0, out=up_to[1:])
     first, last = agreement
     mass = up_to[last + 1] - up_to[first]
-    offset, slope = np.float32(_CALIBRATION)
+    offset, slope = map(np.float32, _CALIBRATION)
     odds_against = 1 / np.clip(mass, _SURE, 1 - _SURE) - 1
     odds_against = np.exp(slope * np.log(odds_against) - offset)
     confidence = 1 / (1 + odds_against)
@@ -121,13 +121,6 @@ def knows_nothing(probability: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return which patches [rows, columns] find all levels alike."""
     alike: NDArray[np.bool_] = probability.max(axis=-1) <= 1.0001 / probability.shape[-1]
     return alike
-
-
-def at_level(values: NDArray[np.floating], level: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Interpolate values [L] of the levels linearly at fractional levels in [0, L - 1]."""
-    values = values.astype(np.float32)
-    below = np.minimum(level.astype(np.int32), len(values) - 2)
-    return np.asarray(values[below] + (level - below) * np.diff(values)[below], np.float32)
 
 
 def agreeing_levels(

@@ -5,8 +5,9 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import PatchGrid
 
-# Levels that differ by more lie on two sides of a depth edge and are not averaged.
-_SAME_SURFACE = 1.5
+# Where the levels of the four patches around a pixel differ by more, there is a depth edge between
+# them, and they are not averaged.
+_ONE_SURFACE = 3.0
 
 
 def upsample(
@@ -17,9 +18,9 @@ def upsample(
 ) -> NDArray[np.float32]:
     """Interpolate levels from the patch grid.
 
-    Every output pixel takes the level of the nearest patch, averaged bilinearly with those of the
-    four around it that lie on the same surface. Beyond the outermost patch centres the nearest
-    patch goes on.
+    Between four patches of one surface levels are interpolated bilinearly, across a depth edge
+    every output pixel takes that of the nearest patch. Beyond the outermost patch centres the
+    nearest patch goes on.
 
     Parameters
     ----------
@@ -34,28 +35,17 @@ def upsample(
     -------
     ndarray, float32 of shape `size`
     """
-    rows, row_weights = _neighbours(grid.row_centres, frame_shape[0], size[0])
-    columns, column_weights = _neighbours(grid.column_centres, frame_shape[1], size[1])
+    rows = _weights(grid.row_centres, frame_shape[0], size[0])
+    columns = _weights(grid.column_centres, frame_shape[1], size[1])
+    interpolated = rows @ level @ columns.T
+    low, high = (_of_four(level, extreme) for extreme in (np.minimum, np.maximum))
+    one_surface = high - low <= _ONE_SURFACE
+    in_rows = _below(grid.row_centres, frame_shape[0], size[0])
+    in_columns = _below(grid.column_centres, frame_shape[1], size[1])
     nearest_rows, nearest_columns = nearest_patches(grid, frame_shape, size)
     nearest = level[nearest_rows][:, nearest_columns]
-    total = np.zeros(size, np.float32)
-    weight = np.zeros(size, np.float32)
-    distance, share = np.empty(size, np.float32), np.empty(size, np.float32)
-    same = np.empty(size, np.bool_)
-    for i, across in zip(rows, row_weights, strict=True):
-        of_rows = level[i]
-        for j, along in zip(columns, column_weights, strict=True):
-            corner = of_rows[:, j]
-            np.subtract(corner, nearest, out=distance)
-            np.abs(distance, out=distance)
-            np.less_equal(distance, np.float32(_SAME_SURFACE), out=same)
-            np.multiply(across[:, None], along, out=share)
-            np.multiply(share, same, out=share)
-            weight += share
-            np.multiply(share, corner, out=share)
-            total += share
-    total /= weight
-    return total
+    np.copyto(nearest, interpolated, where=one_surface[in_rows][:, in_columns])
+    return nearest
 
 
 def nearest_patches(
@@ -76,12 +66,23 @@ def _positions(centres: NDArray[np.intp], frame_length: int, length: int) -> NDA
     return np.interp((np.arange(length) + 0.5) * scale - 0.5, centres, np.arange(len(centres)))
 
 
-def _neighbours(
-    centres: NDArray[np.intp], frame_length: int, length: int
-) -> tuple[tuple[NDArray[np.intp], ...], tuple[NDArray[np.float32], ...]]:
-    """Give indices and linear weights of the two patches around every output pixel of an axis."""
+def _below(centres: NDArray[np.intp], frame_length: int, length: int) -> NDArray[np.intp]:
+    """Give the first of the two patches around every output pixel of an axis."""
     fractional = _positions(centres, frame_length, length)
-    lower = np.minimum(fractional.astype(np.intp), max(len(centres) - 2, 0))
-    upper = np.minimum(lower + 1, len(centres) - 1)
-    above = (fractional - lower).astype(np.float32)
-    return (lower, upper), (1 - above, above)
+    return np.minimum(fractional.astype(np.intp), max(len(centres) - 2, 0))
+
+
+def _weights(centres: NDArray[np.intp], frame_length: int, length: int) -> NDArray[np.float32]:
+    """Give the linear weight of every patch for every output pixel of an axis [length, patches]."""
+    fractional = _positions(centres, frame_length, length)
+    distance = np.abs(fractional[:, None] - np.arange(len(centres)))
+    return np.maximum(1 - distance, 0).astype(np.float32)
+
+
+def _of_four(level: NDArray[np.float32], extreme: np.ufunc) -> NDArray[np.float32]:
+    """Return the extreme of every patch and those below, beside and across [rows, columns]."""
+    two = level.copy()
+    extreme(level[:-1], level[1:], out=two[:-1])
+    four = two.copy()
+    extreme(two[:, :-1], two[:, 1:], out=four[:, :-1])
+    return four

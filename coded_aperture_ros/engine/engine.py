@@ -26,10 +26,6 @@ class Engine(Protocol):
     def grid(self) -> PatchGrid:
         """Where the patches lie."""
 
-    @property
-    def high_power(self) -> NDArray[np.float32]:
-        """Mean power of the highest frequencies of every patch [rows, columns]."""
-
     def project(self, grey: NDArray[np.float32]) -> None:
         """Take a frame [rows, columns] of the planned size, linear light, without NaN."""
 
@@ -99,7 +95,7 @@ def check_backend(backend: str) -> None:
         return
     if find_spec("torch") is None:
         raise InputError(
-            f"backend: {backend} needs PyTorch (pip install 'coded_aperture_ros[gpu]'), or use numpy"
+            f"backend: {backend} needs PyTorch: pip install 'coded_aperture_ros[gpu]', or use numpy"
         )
     if backend == "cuda" and not _has_cuda():
         raise InputError(

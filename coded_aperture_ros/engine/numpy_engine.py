@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import FilterBank, PatchGrid
-from coded_aperture_ros.bank.bank import LEAST_EXCESS, profiled
+from coded_aperture_ros.bank.bank import LEAST_EXCESS, OWN_NOISE
 from coded_aperture_ros.engine.plan import Plan
 from coded_aperture_ros.engine.workers import Workers
 
@@ -75,20 +75,12 @@ class NumpyEngine:
 
     def project(self, grey: NDArray[np.float32]) -> None:
         """Take a frame: project every patch onto the common basis."""
-        covered = self._plan.covered(grey)
+        overlapping = np.lib.stride_tricks.sliding_window_view(
+            self._plan.covered(grey), self.grid.window_px, axis=1
+        )[:, :: self.grid.stride_px]
         starts = range(0, self._plan.pixel_rows, _PIXEL_ROWS)
-        self._workers.each(partial(self._transform_rows, covered), starts)
+        self._workers.each(partial(self._transform_rows, overlapping), starts)
         self._workers.each(self._project_row, range(self.grid.rows))
-
-    @property
-    def power(self) -> NDArray[np.float32]:
-        """Sum of the spectrum of every patch, without the mean [rows, columns]."""
-        return self._functions[-2]
-
-    @property
-    def high_power(self) -> NDArray[np.float32]:
-        """Mean power of the highest frequencies of every patch [rows, columns]."""
-        return self._functions[-1]
 
     def energies(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the energies of the frame taken last [rows, columns, L]."""
@@ -106,13 +98,14 @@ class NumpyEngine:
         """End the engine's threads."""
         self._workers.close()
 
-    def _transform_rows(self, covered: NDArray[np.float32], start: int, thread: int) -> None:
+    def _transform_rows(
+        self, windows_of_rows: NDArray[np.float32], start: int, thread: int
+    ) -> None:
         """Transform the windows of some pixel rows horizontally."""
         plan, grid = self._plan, self._plan.grid
-        rows = covered[start : start + _PIXEL_ROWS]
+        rows = windows_of_rows[start : start + _PIXEL_ROWS]
         windows = self._scratch[thread].windows[: len(rows)]
-        overlapping = np.lib.stride_tricks.sliding_window_view(rows, grid.window_px, axis=1)
-        np.copyto(windows, overlapping[:, :: grid.stride_px])
+        np.copyto(windows, rows)
         out = self._horizontal[start : start + len(rows)]
         np.matmul(
             plan.horizontal,
@@ -155,14 +148,13 @@ class NumpyEngine:
         precision = self._precision.reshape(-1)[some]
         coefficients = plan.hypotheses[tried]
         patches = scratch.patches[: coefficients.shape[1] * count].reshape(-1, count)
-        np.multiply(functions[:-2, some], precision, out=patches[:-1])
+        np.multiply(functions[:-1, some], precision, out=patches[:-1])
         patches[-1] = 1
         excess = scratch.hypotheses[: len(coefficients) * count].reshape(-1, count)
         np.matmul(coefficients, patches, out=excess)
         energies = self._energies[:, some]
         np.minimum.reduce(excess.reshape(-1, len(energies), count), axis=0, out=energies)
-        np.maximum(energies, LEAST_EXCESS, out=energies)
+        textureless = functions[-1, some] * precision + OWN_NOISE
+        np.clip(energies, LEAST_EXCESS, textureless, out=energies)
         np.log(energies, out=energies)
-        textureless = profiled(functions[-2, some] * precision)
-        np.minimum(energies, textureless, out=energies)
         np.multiply(energies, np.float32(plan.count), out=energies)

@@ -33,12 +33,6 @@ class PlainEngine:
         grid: PatchGrid = self._frame.grid
         return grid
 
-    @property
-    def high_power(self) -> NDArray[np.float32]:
-        """Mean power of the highest frequencies of every patch [rows, columns]."""
-        high_power: NDArray[np.float32] = self._frame.high_power
-        return high_power
-
     def project(self, grey: NDArray[np.float32]) -> None:
         """Take a frame [rows, columns]."""
         self._frame = self._bank.project(grey, self._stride_px)

@@ -34,8 +34,8 @@ class Plan:
         Windowed cosines, then sines, of 1 to V cycles; then the U cosines without a sine.
     paired : int
         V.
-    features : ndarray, float32 [R + 2, (2 V + U) H]
-        The common basis, the multiplicity and the noise weights, as functions of ``q`` of 1 to V
+    features : ndarray, float32 [R + 1, (2 V + U) H]
+        The common basis and the multiplicity, as functions of ``q`` of 1 to V
         cycles, of ``x`` of these, and of the power of those without a sine.
     hypotheses : ndarray, float32 [S * slopes * L, R + 1]
         Weights of every hypothesis in the common basis, and `OWN_NOISE`, which adds to them, all
@@ -64,7 +64,7 @@ class Plan:
         """
         grid = PatchGrid.covering(shape, bank.window_px, stride_px)
         n, half = bank.window_px, bank.window_px // 2
-        functions = bank.functions_of_power.astype(np.float64)  # [K, R + 2]
+        functions = bank.functions_of_power.astype(np.float64)  # [K, R + 1]
         counts = functions.any(axis=1).reshape(n, half + 1)
         # Only up to the highest frequency that counts.
         columns = int(np.flatnonzero(counts.any(axis=0)).max()) + 1
@@ -92,7 +92,7 @@ class Plan:
             horizontal=_float32(np.concatenate([cosines[:columns], sines[:columns]])),
             vertical=_float32(np.concatenate([cosines[pairs], sines[pairs], cosines[unpaired]])),
             paired=paired,
-            features=_float32(features.reshape(-1, rank + 2).T),
+            features=_float32(features.reshape(-1, rank + 1).T),
             hypotheses=_float32(np.hstack([weights, own_noise]) * gains),
             count=count,
         )

@@ -1,6 +1,6 @@
 """The engine on PyTorch, for the processor or a GPU: few and large operations, none per patch."""
 
-import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import torch
@@ -14,40 +14,11 @@ from coded_aperture_ros.threads import check_threads
 # Rows of windows are worked on in groups whose intermediate arrays fit in here.
 _GROUP_BYTES = 256 * 2**20
 
-# Everything is float32. A level of 30 changes in no patch against the definition; with the factors
-# of the products rounded it changes, under noise of 0.001 to 0.005, in 0.3 to 1.4 % of the patches
-# (TF32), 0.3 to 1.5 % (float16, scaled) or 3 to 10 % (bfloat16). There is little to gain: a frame
+# Everything is float32. That changes the level of no patch against the definition; with the factors
+# of the products rounded, under noise of 0.001 to 0.005, 0.3 to 1.4 % of the patches change theirs
+# (TF32), 0.3 to 1.5 % (float16, scaled) or 3 to 10 % (bfloat16). Nor is there much to gain: a frame
 # of 640x480 takes 1 GFLOP.
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Buffers:
-    """Constants of the plan, and room for a frame and for the arrays between its steps.
-
-    G counts the rows of windows of a group, P the rows of pixels which these cover, C the columns
-    of windows, and T the hypotheses that are tried; the others are those of `Plan`. What crosses
-    to the device and back has its page-locked counterpart here; on the processor they are one.
-    """
-
-    horizontal: torch.Tensor
-    vertical: torch.Tensor
-    features: torch.Tensor
-    hypotheses: torch.Tensor
-
-    frame_here: torch.Tensor
-    frame: torch.Tensor  # [rows of pixels, columns of pixels]
-    functions: torch.Tensor  # [rows, R + 2, C]
-    precision_here: torch.Tensor
-    precision: torch.Tensor  # [rows, 1, C]
-    energies: torch.Tensor  # [rows, L, C]
-    energies_here: torch.Tensor
-
-    windows: torch.Tensor  # [P, C, N]
-    strips: torch.Tensor  # [P, 2 H, C]
-    parts: torch.Tensor  # [G, 2 V + U, 2 H C]
-    power: torch.Tensor  # [G, 2 V + U, H C]
-    patches: torch.Tensor  # [G, R + 1, C]
-    excess: torch.Tensor  # [G, T, C]
+_PRECISION = "highest"
 
 
 class TorchEngine:
@@ -78,19 +49,21 @@ class TorchEngine:
         plan = Plan.of(bank, shape, stride_px)
         # Both are PyTorch's for the whole process: the engine that is planned last decides.
         torch.set_num_threads(threads)
-        torch.set_float32_matmul_precision("highest")
+        torch.set_float32_matmul_precision(_PRECISION)
         self.name = "cuda" if device == "cuda" else "torch"
         self._bank, self._plan = bank, plan
 
         grid, n, columns = plan.grid, plan.grid.window_px, plan.grid.columns
-        parts, double = len(plan.vertical), len(plan.horizontal)
-        features, weights = len(plan.features), plan.hypotheses.shape[1]
+        vertical, horizontal = len(plan.vertical), len(plan.horizontal)
+        weights = plan.hypotheses.shape[1]
         tried = len(bank.prior.contrasts) * len(bank.prior.slopes) * bank.levels
-        per_pixel_row = (n + double) * columns
-        per_row = (parts * double * 3 // 2 + weights + tried) * columns + stride_px * per_pixel_row
+        per_pixel_row = (n + horizontal) * columns
+        per_row = (vertical * horizontal * 3 // 2 + weights + tried) * columns
         spare = _GROUP_BYTES // 4 - (n - stride_px) * per_pixel_row
-        self._rows_at_a_time = rows = int(np.clip(spare // per_row, 1, grid.rows))
-        pixel_rows = (rows - 1) * stride_px + n
+        rows = int(np.clip(spare // (per_row + stride_px * per_pixel_row), 1, grid.rows))
+        self._groups = [
+            slice(first, min(first + rows, grid.rows)) for first in range(0, grid.rows, rows)
+        ]
 
         def constant(matrix: NDArray[np.float32]) -> torch.Tensor:
             return torch.tensor(matrix, device=device)
@@ -98,31 +71,28 @@ class TorchEngine:
         def room(*shape: int) -> torch.Tensor:
             return torch.empty(shape, dtype=torch.float32, device=device)
 
-        def room_here(*shape: int) -> torch.Tensor:
-            return torch.empty(shape, dtype=torch.float32, pin_memory=device == "cuda")
+        def both(*shape: int) -> tuple[torch.Tensor, torch.Tensor]:
+            """Room in this memory and in the device's; for the processor they are one."""
+            here = torch.empty(shape, dtype=torch.float32, pin_memory=device == "cuda")
+            return here, here.to(device)
 
-        frame = room_here(plan.pixel_rows, (columns - 1) * stride_px + n)
-        precision = room_here(grid.rows, 1, columns)
-        energies = room_here(grid.rows, bank.levels, columns)
-
-        self._buffers = _Buffers(
+        pixel_rows = (rows - 1) * stride_px + n
+        self._buffers = SimpleNamespace(
             horizontal=constant(plan.horizontal),
             vertical=constant(plan.vertical),
             features=constant(plan.features),
             hypotheses=constant(plan.hypotheses),
-            frame_here=frame,
-            frame=frame.to(device),
-            functions=room(grid.rows, features, columns),
-            precision_here=precision,
-            precision=precision.to(device),
-            energies=energies.to(device),
-            energies_here=energies,
+            # Of the frame.
+            frame=both(plan.pixel_rows, (columns - 1) * stride_px + n),
+            precision=both(grid.rows, 1, columns),
+            energies=both(grid.rows, bank.levels, columns),
+            functions=room(grid.rows, len(plan.features), columns),
+            # Of a group.
             windows=room(pixel_rows, columns, n),
-            strips=room(pixel_rows, double, columns),
-            parts=room(rows, parts, double * columns),
-            power=room(rows, parts, double // 2 * columns),
-            # The last of a patch's numbers is the 1 that `OWN_NOISE` is multiplied by.
-            patches=room(rows, weights, columns).fill_(1),
+            strips=room(pixel_rows, horizontal, columns),
+            parts=room(rows, vertical, horizontal * columns),
+            power=room(rows, vertical, horizontal // 2 * columns),
+            patches=room(rows, weights, columns).fill_(1),  # the last is the factor of OWN_NOISE
             excess=room(rows, tried, columns),
         )
 
@@ -134,77 +104,27 @@ class TorchEngine:
     @torch.inference_mode()
     def project(self, grey: NDArray[np.float32]) -> None:
         """Take a frame: project every patch onto the common basis."""
-        buffers = self._buffers
-        np.copyto(buffers.frame_here.numpy(), self._plan.covered(grey))
-        buffers.frame.copy_(buffers.frame_here)
-        for first in range(0, self.grid.rows, self._rows_at_a_time):
-            self._project_rows(first, min(first + self._rows_at_a_time, self.grid.rows))
-
-    @property
-    def power(self) -> NDArray[np.float32]:
-        """Sum of the spectrum of every patch, without the mean [rows, columns]."""
-        return self._buffers.functions[:, -2].numpy(force=True)
-
-    @property
-    def high_power(self) -> NDArray[np.float32]:
-        """Mean power of the highest frequencies of every patch [rows, columns]."""
-        return self._buffers.functions[:, -1].numpy(force=True)
-
-    def _project_rows(self, first: int, end: int) -> None:
-        """Transform some rows of windows, and project their powers; see `Plan`."""
-        plan, grid, buffers = self._plan, self.grid, self._buffers
-        n, stride = grid.window_px, grid.stride_px
-        pixels = buffers.frame[first * stride : (end - 1) * stride + n]
-        windows, strips = buffers.windows[: len(pixels)], buffers.strips[: len(pixels)]
-        windows.copy_(pixels.unfold(1, n, stride))
-        torch.bmm(_repeat(buffers.horizontal, len(pixels)), windows.mT, out=strips)
-
-        parts, power = buffers.parts[: end - first], buffers.power[: end - first]
-        overlapping = strips.flatten(1).unfold(0, n, stride)
-        torch.bmm(_repeat(buffers.vertical, len(parts)), overlapping.mT, out=parts)
-
-        paired = plan.paired
-        real, imaginary = parts.chunk(2, dim=2)
-        cc, cs = real[:, :paired], imaginary[:, :paired]
-        sc, ss = real[:, paired : 2 * paired], imaginary[:, paired : 2 * paired]
-        total, crossed = power[:, :paired], power[:, paired : 2 * paired]
-        torch.mul(cc, cc, out=total).addcmul_(cs, cs).addcmul_(sc, sc).addcmul_(ss, ss)
-        torch.mul(cc, ss, out=crossed).addcmul_(cs, sc, value=-1)
-        uc, us = real[:, 2 * paired :], imaginary[:, 2 * paired :]
-        torch.mul(uc, uc, out=power[:, 2 * paired :]).addcmul_(us, us)
-        torch.bmm(
-            _repeat(buffers.features, len(parts)),
-            power.view(len(parts), -1, grid.columns),
-            out=buffers.functions[first:end],
-        )
+        here, frame = self._buffers.frame
+        np.copyto(here.numpy(), self._plan.covered(grey))
+        frame.copy_(here)
+        for rows in self._groups:
+            self._project_rows(frame, rows)
 
     @torch.inference_mode()
     def energies(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the energies of the frame taken last [rows, columns, L]."""
-        bank, buffers = self._bank, self._buffers
+        bank = self._bank
         plausible = bank.plausible_ratios(float(np.median(noise)))
         per_ratio = len(bank.prior.slopes) * bank.levels
-        tried = buffers.hypotheses[plausible.start * per_ratio : plausible.stop * per_ratio]
-        buffers.precision_here.numpy()[:, 0] = 1 / (self._plan.count * np.square(noise))
-        buffers.precision.copy_(buffers.precision_here)
-        for first in range(0, self.grid.rows, self._rows_at_a_time):
-            self._try_hypotheses(tried, first, min(first + self._rows_at_a_time, self.grid.rows))
-        buffers.energies_here.copy_(buffers.energies)
-        return buffers.energies_here.mT.numpy()
-
-    def _try_hypotheses(self, tried: torch.Tensor, first: int, end: int) -> None:
-        """Find the energies of some rows of patches; see `FilterBank` for what they are."""
-        buffers, columns = self._buffers, self.grid.columns
-        functions, precision = buffers.functions[first:end], buffers.precision[first:end]
-        patches, excess = buffers.patches[: end - first], buffers.excess[: end - first]
-        torch.mul(functions[:, :-2], precision, out=patches[:, :-1])
-        torch.bmm(_repeat(tried, len(patches)), patches, out=excess)
-        energies = buffers.energies[first:end]
-        torch.amin(excess.view(len(patches), -1, self._bank.levels, columns), dim=1, out=energies)
-        # As in `profiled`; one logarithm does for texture and for none, because it is monotonic.
-        textureless = (functions[:, -2:-1] * precision).add_(float(OWN_NOISE))
-        torch.minimum(energies, textureless, out=energies)
-        energies.clamp_(min=float(LEAST_EXCESS)).log_().mul_(self._plan.count)
+        tried = slice(plausible.start * per_ratio, plausible.stop * per_ratio)
+        here, precision = self._buffers.precision
+        here.numpy()[:, 0] = 1 / (self._plan.count * np.square(noise))
+        precision.copy_(here)
+        here, energies = self._buffers.energies
+        for rows in self._groups:
+            self._try_hypotheses(tried, precision[rows], rows, energies[rows])
+        here.copy_(energies)
+        return here.mT.numpy()
 
     def close(self) -> None:
         """Let go of the device's memory."""
@@ -212,7 +132,44 @@ class TorchEngine:
         if self.name == "cuda":
             torch.cuda.empty_cache()
 
+    def _project_rows(self, frame: torch.Tensor, rows: slice) -> None:
+        """Transform some rows of windows, and project their powers; see `Plan`."""
+        grid, paired, buffers = self.grid, self._plan.paired, self._buffers
+        n, stride, count = grid.window_px, grid.stride_px, rows.stop - rows.start
+        pixels = frame[rows.start * stride : (rows.stop - 1) * stride + n]
+        windows, strips = buffers.windows[: len(pixels)], buffers.strips[: len(pixels)]
+        windows.copy_(pixels.unfold(1, n, stride))
+        _multiply(buffers.horizontal, windows.mT, out=strips)
+        parts, power = buffers.parts[:count], buffers.power[:count]
+        _multiply(buffers.vertical, strips.flatten(1).unfold(0, n, stride).mT, out=parts)
 
-def _repeat(matrix: torch.Tensor, times: int) -> torch.Tensor:
-    """Return a matrix once for each of a batch, as a view."""
-    return matrix.expand(times, *matrix.shape)
+        real, imaginary = parts.chunk(2, dim=2)
+        sizes = [paired, paired, parts.shape[1] - 2 * paired]
+        cc, sc, uc = real.split(sizes, dim=1)
+        cs, ss, us = imaginary.split(sizes, dim=1)
+        total, crossed, unpaired = power.split(sizes, dim=1)
+        torch.mul(cc, cc, out=total).addcmul_(cs, cs).addcmul_(sc, sc).addcmul_(ss, ss)
+        torch.mul(cc, ss, out=crossed).addcmul_(cs, sc, value=-1)
+        torch.mul(uc, uc, out=unpaired).addcmul_(us, us)
+        _multiply(
+            buffers.features, power.view(count, -1, grid.columns), out=buffers.functions[rows]
+        )
+
+    def _try_hypotheses(
+        self, tried: slice, precision: torch.Tensor, rows: slice, energies: torch.Tensor
+    ) -> None:
+        """Find the energies of some rows of patches; see `FilterBank` for what they are."""
+        buffers, count = self._buffers, len(energies)
+        functions, patches = buffers.functions[rows], buffers.patches[:count]
+        excess = buffers.excess[:count]
+        torch.mul(functions[:, :-1], precision, out=patches[:, :-1])
+        _multiply(buffers.hypotheses[tried], patches, out=excess)
+        torch.amin(excess.view(count, -1, *energies.shape[1:]), dim=1, out=energies)
+        textureless = (functions[:, -1:] * precision).add_(float(OWN_NOISE))
+        torch.minimum(energies, textureless, out=energies)
+        energies.clamp_(min=float(LEAST_EXCESS)).log_().mul_(self._plan.count)
+
+
+def _multiply(matrix: torch.Tensor, batch: torch.Tensor, out: torch.Tensor) -> None:
+    """Multiply a matrix by each of a batch; as views, where `torch.matmul` would copy."""
+    torch.bmm(matrix.expand(len(batch), *matrix.shape), batch, out=out)
