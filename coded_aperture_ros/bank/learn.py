@@ -169,6 +169,8 @@ def learn_bank(
     scales = np.exp(log_variances.reshape(hypotheses).mean(axis=1))
     scales[:, multiplicity == 0] = 1  # these have no weight at any level
     basis, coefficients = factor_weights(weights, scales, config.rank)
+    # Rounding leaves next to nothing there, and numbers next to nothing are slow to multiply.
+    basis[multiplicity == 0] = 0
     scaled = weights * scales[:, None]
     factored = (coefficients.transpose(1, 2, 0) @ basis.T) * scales[:, None]
     return FilterBank(

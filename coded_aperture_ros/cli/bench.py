@@ -1,4 +1,4 @@
-"""`coded_aperture bench`: how accurate the methods are."""
+"""`coded_aperture bench`: how accurate and how fast the methods are."""
 
 import argparse
 from importlib import import_module
@@ -7,11 +7,13 @@ from typing import Any
 from coded_aperture_ros.cli.options import add_commands
 
 BENCHMARKS: dict[str, Any] = {
-    name: import_module(f"coded_aperture_ros.cli.bench_{name}") for name in ("accuracy",)
+    name: import_module(f"coded_aperture_ros.cli.bench_{name}") for name in ("accuracy", "speed")
 }
 _EPILOG = """examples:
   blur identification on the thesis' stair of blur sizes, next to the numbers of the thesis:
     coded_aperture bench accuracy stair
+  time of a frame and of its stages, next to what the machine could do and to other methods:
+    coded_aperture bench speed
   what each benchmark is, and its options:
     coded_aperture bench accuracy --help
 """
@@ -21,8 +23,9 @@ def add_parser(subparsers: Any) -> None:
     """Add the sub-command to the program's parser."""
     parser = subparsers.add_parser(
         "bench",
-        help="measure accuracy on frames whose truth is known",
-        description="Measure how good the methods are, on frames whose truth is known.",
+        help="measure accuracy on frames whose truth is known, and speed",
+        description="Measure how good the methods are, on frames whose truth is known, and how "
+        "fast.",
         epilog=_EPILOG,
     )
     add_commands(parser, "benchmark", BENCHMARKS.values())

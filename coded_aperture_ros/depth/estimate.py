@@ -30,7 +30,7 @@ from coded_aperture_ros.optics import Camera
 # Steps between two levels that blur sizes and depths are tabulated at: finer than any estimate.
 _STEPS = 128
 # Patches so far apart, in px, are worth one pixel of the map for each this many.
-_MAP_PX_PER_PATCH = 6
+_MAP_PX_PER_PATCH = 5
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

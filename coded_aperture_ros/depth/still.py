@@ -34,7 +34,8 @@ class StillAverage:
     def __init__(self, frames: float) -> None:
         self._most = max(frames, 1.0)
         self._mean: NDArray[np.float32] | None = None
-        self._count = np.zeros((0, 0), np.float32)
+        self._count = np.empty((0, 0), np.float32)
+        self._difference = self._product = np.empty((0, 0), np.float32)
 
     def reset(self) -> None:
         """Forget the past."""
@@ -64,19 +65,19 @@ class StillAverage:
         squares = (max(width // _SQUARE_PX, 1), max(height // _SQUARE_PX, 1))
         if self._mean is None:
             self._mean = grey.copy()
+            self._difference, self._product = np.empty_like(grey), np.empty_like(grey)
             self._count = np.ones(squares[::-1], np.float32)
             return self._mean, np.ones((grid.rows, grid.columns), np.float32)
-        difference = cv2.subtract(grey, self._mean)
-        changed = cv2.resize(
-            cv2.multiply(difference, difference), squares, interpolation=cv2.INTER_AREA
-        )
+        difference = cv2.subtract(grey, self._mean, self._difference)
+        square = cv2.multiply(difference, difference, self._product)
+        changed = cv2.resize(square, squares, interpolation=cv2.INTER_AREA)
         changed = cv2.GaussianBlur(changed, (0, 0), 1.0) / (1 + 1 / self._count)
         variance = max(min(noise**2, float(np.quantile(changed, _STILL_QUANTILE))), 1e-12)
         alike = np.exp(-np.maximum(changed / variance - 1 - _ALIKE, 0) / _BANDWIDTH)
         self._count = np.minimum(self._count * alike + 1, np.float32(self._most))
         share = 1 / self._count
-        difference *= cv2.resize(share, (width, height), interpolation=cv2.INTER_LINEAR)
-        self._mean += difference
+        shares = cv2.resize(share, (width, height), self._product)
+        cv2.accumulateProduct(difference, shares, self._mean)
         side = max(grid.window_px // 2 // _SQUARE_PX, 1)
         noise_share = cv2.blur(share, (side, side))
         rows = np.minimum(grid.row_centres // _SQUARE_PX, len(share) - 1)

@@ -19,6 +19,10 @@ _OF_A_FRAME = 12.0
 _OF_THE_PAST = 20.0
 # Against a level's neighbour, per frame: surfaces come nearer and go away.
 _DRIFT = 2.0
+# How much of each shift of -2 to 2 samples leads to the patch before, to the same and to the next.
+_SHIFT_TO_PATCHES = np.array(
+    [[1, 0.5, 0, 0, 0], [0, 0.5, 1, 0.5, 0], [0, 0, 0, 0.5, 1]], np.float32
+)
 
 
 class TemporalFilter:
@@ -115,33 +119,26 @@ def _matches(
     match : ndarray, float32 [rows, columns]
         How well the best place does, 0 to 1.
     """
-    height, width = present.shape
-    rows, columns = height // _SAMPLES, width // _SAMPLES
     spread = _smoothed(present * present) - _smoothed(present) ** 2
     bandwidth = variance + _BANDWIDTH * np.maximum(spread, 0)
     around = cv2.copyMakeBorder(last, *[_REACH] * 4, cv2.BORDER_REPLICATE)
-    weights = np.zeros((3, 3, rows, columns), np.float32)
-    match = np.zeros((rows, columns), np.float32)
-    for down in range(-_REACH, _REACH + 1):
-        for right in range(-_REACH, _REACH + 1):
-            moved = around[_REACH + down :, _REACH + right :][:height, :width]
-            difference = present - moved
-            difference *= difference
-            distance = np.maximum(_smoothed(difference) - variance, 0)
-            weight = np.exp(-distance / bandwidth)
-            np.maximum(match, weight, out=match)
-            for i, share_down in _between_patches(down):
-                for j, share_right in _between_patches(right):
-                    weights[i, j] += share_down * share_right * weight
-    weights /= np.maximum(weights.sum(axis=(0, 1)), 1e-12)
-    return weights, match
-
-
-def _between_patches(samples: int) -> list[tuple[int, float]]:
-    """Return which of the neighbours 0 (before), 1, 2 a shift leads to, and their shares."""
-    whole, part = divmod(samples, _SAMPLES)
-    shares = [(whole + 1, 1 - part / _SAMPLES), (whole + 2, part / _SAMPLES)]
-    return [(index, share) for index, share in shares if share > 0]
+    height, width = present.shape
+    distance = np.empty(((2 * _REACH + 1) ** 2, *spread.shape), np.float32)
+    difference = np.empty_like(present)
+    for shift, of_shift in enumerate(distance):
+        down, right = divmod(shift, 2 * _REACH + 1)
+        np.subtract(around[down : down + height, right : right + width], present, out=difference)
+        np.multiply(difference, difference, out=difference)
+        of_shift[:] = _smoothed(difference)
+    distance -= variance
+    np.maximum(distance, 0, out=distance)
+    distance /= -bandwidth
+    alike = np.exp(distance, out=distance)
+    match = alike.max(axis=0)
+    to_patches = np.kron(_SHIFT_TO_PATCHES, _SHIFT_TO_PATCHES)  # [9, shifts]
+    weights = np.tensordot(to_patches, alike, axes=1)
+    weights /= np.maximum(weights.sum(axis=0), np.float32(1e-12))
+    return weights.reshape(3, 3, *match.shape), match
 
 
 def _smoothed(samples: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -153,10 +150,14 @@ def _smoothed(samples: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def _gathered(past: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the weighted mean of the neighbours' evidence [L, rows, columns]."""
-    rows, columns = past.shape[1:]
-    around = np.pad(past, ((0, 0), (1, 1), (1, 1)), "edge")
-    gathered = np.zeros_like(past)
+    levels, rows, columns = past.shape
+    around = np.empty((levels, rows + 2, columns + 2), np.float32)
+    around[:, 1:-1, 1:-1] = past
+    around[:, 0], around[:, -1] = around[:, 1], around[:, -2]
+    around[:, :, 0], around[:, :, -1] = around[:, :, 1], around[:, :, -2]
+    gathered, part = np.zeros_like(past), np.empty_like(past)
     for i in range(3):
         for j in range(3):
-            gathered += weights[i, j] * around[:, i : i + rows, j : j + columns]
+            np.multiply(around[:, i : i + rows, j : j + columns], weights[i, j], out=part)
+            gathered += part
     return gathered
