@@ -69,6 +69,10 @@ class FilterBank:
         How the bank came to be, for a person to read.
     highest_frequency : float
         Frequencies above this, in cycles per pixel, are left out.
+    stride_px : int
+        Distance between patches that the bank was tuned for.
+    level_error : float
+        Mean error, in levels, on simulated planes with this distance; NaN if it was not tuned.
     """
 
     stack: PsfStack
@@ -83,6 +87,8 @@ class FilterBank:
     mask_digest: str
     learned_from: str
     highest_frequency: float = 1.0
+    stride_px: int = 8
+    level_error: float = float("nan")
 
     @property
     def blur_sizes_px(self) -> NDArray[np.float64]:

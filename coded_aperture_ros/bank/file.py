@@ -15,7 +15,7 @@ from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import PsfStack
 
 SCHEMA = "coded-aperture filter bank"
-# Version 2 may leave out high frequencies.
+# Version 2 may leave out high frequencies, and knows its stride.
 VERSION = 2
 
 
@@ -44,6 +44,8 @@ def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
         "mask_digest": bank.mask_digest,
         "learned_from": bank.learned_from,
         "highest_frequency": bank.highest_frequency,
+        "stride_px": bank.stride_px,
+        "level_error": bank.level_error,
     }
     if not bank.stack.in_pixels:
         arrays["blur_sizes_are_indices"] = True
@@ -83,6 +85,8 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
             mask_digest=str(arrays["mask_digest"]),
             learned_from=str(arrays["learned_from"]),
             highest_frequency=float(arrays.get("highest_frequency", 1.0)),
+            stride_px=int(arrays.get("stride_px", 8)),
+            level_error=float(arrays.get("level_error", np.nan)),
         )
         _check_shapes(bank)
     except KeyError as error:

@@ -94,6 +94,11 @@ class SubspaceBank:
         return self.patch_px
 
     @property
+    def stride_px(self) -> int:
+        """Distance between patches; see `FilterBank`."""
+        return 8
+
+    @property
     def basis_vectors(self) -> int:
         """How many filters a frame is passed through."""
         return int(self.basis.shape[1])

@@ -9,14 +9,18 @@ from coded_aperture_ros.depth.estimate import (
 from coded_aperture_ros.depth.frame import check_frame, filled
 from coded_aperture_ros.depth.noise import estimate_noise
 from coded_aperture_ros.depth.rims import DEPTH_EDGE_PX
+from coded_aperture_ros.depth.stages import Stages
+from coded_aperture_ros.depth.video import estimate_video
 
 __all__ = [
     "DEPTH_EDGE_PX",
     "DepthConfig",
     "DepthEstimate",
     "DepthEstimator",
+    "Stages",
     "check_frame",
     "depths_are_measured",
     "estimate_noise",
+    "estimate_video",
     "filled",
 ]

@@ -12,10 +12,11 @@ class DepthConfig:
     """How a frame is turned into depth."""
 
     stride_px: int = option(
-        8,
-        "Distance between the patches whose depth is estimated.",
+        0,
+        "Distance between the patches whose depth is estimated; 0: as the bank says, which is 8 "
+        "unless it was learned for a time per frame.",
         unit="px",
-        minimum=1,
+        minimum=0,
         maximum=64,
     )
     regularize: str = option(

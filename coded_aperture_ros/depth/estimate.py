@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import FilterBank
+from coded_aperture_ros.bank import FilterBank, PatchGrid
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.frame import brightness_at, grey_image, usable_windows
 from coded_aperture_ros.depth.levels import (
@@ -20,7 +20,7 @@ from coded_aperture_ros.depth.noise import estimate_noise, high_power
 from coded_aperture_ros.depth.regularize import regularized_level
 from coded_aperture_ros.depth.rims import DEPTH_EDGE_PX, trim_foreground
 from coded_aperture_ros.depth.stages import Stages
-from coded_aperture_ros.depth.still import StillAverage
+from coded_aperture_ros.depth.still import StillAverage, frames_of_patches
 from coded_aperture_ros.depth.temporal import TemporalFilter
 from coded_aperture_ros.depth.upsample import nearest_patches, upsample
 from coded_aperture_ros.engine import Engine, plan_engine
@@ -94,6 +94,36 @@ class DepthEstimate:
         )
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Observation:
+    """What is seen of one frame before its depth is estimated.
+
+    Attributes
+    ----------
+    grey : ndarray, float32 [height, width]
+        Mean of the channels, without NaN.
+    grid : PatchGrid
+        Where the patches lie, rows by columns.
+    brightness : ndarray, float32 [rows, columns]
+    usable : ndarray, bool [rows, columns]
+        Patches with next to no saturated and missing pixels.
+    noise : float
+        Standard deviation of the noise of `grey`, without shot noise.
+    shot_variance : ndarray, float32 [rows, columns], or None
+        Variance of the shot noise, if it is known.
+    channels : int
+        Of the frame.
+    """
+
+    grey: NDArray[np.float32]
+    grid: PatchGrid
+    brightness: NDArray[np.float32]
+    usable: NDArray[np.bool_]
+    noise: float
+    shot_variance: NDArray[np.float32] | None
+    channels: int
+
+
 def depths_are_measured(bank: FilterBank) -> bool:
     """Return whether a bank knows its depths from measurement, better than by a camera file."""
     return not bank.mask_digest and bank.stack.depths_m is not None
@@ -132,7 +162,6 @@ class DepthEstimator:
         self._shape: tuple[int, ...] = ()
         frames = self.config.temporal_frames
         self._still = StillAverage(2 * frames) if frames else None
-        self._noise = 0.0
         self._temporal = TemporalFilter(frames) if frames else None
 
     def reset(self) -> None:
@@ -169,88 +198,115 @@ class DepthEstimator:
             If the frame has a wrong shape or type, or is smaller than the bank's window, or `size`
             is not that of a map.
         """
-        config, bank, stages = self.config, self.bank, self.stages
-        stages.start()
-        grey, unusable = grey_image(frame, config.saturation)
-        size = size or (grey.shape[0], grey.shape[1])
-        if min(size) < 1:
-            raise InputError(f"size of the depth map: expected at least 1x1, got {size}")
-        engine = self._planned(grey.shape)
-        grid = engine.grid
-        brightness = brightness_at(grey, grid)
-        stages.lap("prepare")
-
-        count = None
+        self.stages.start()
+        seen = self.observe(frame)
+        self.stages.lap("prepare")
+        grey, frames = seen.grey, None
         if self._still is not None:
-            grey, count = self._still.add(grey, self._noise, grid)
-            stages.lap("still")
+            grey, frames = self._still.add(seen.grey, seen.noise)
+            self.stages.lap("still")
+        evidence = self.evidence_of(seen, grey, frames)
+        if self._temporal is not None:
+            evidence = self._temporal.add(evidence, grey, seen.grid, seen.noise)
+            self.stages.lap("temporal")
+        return self.decide(seen, evidence, size)
 
-        engine.project(grey)
-        stages.lap("spectra")
+    def observe(self, frame: NDArray[np.float32]) -> Observation:
+        """Look at a frame by itself; the first step of `estimate`.
 
+        Raises
+        ------
+        InputError
+            If it has a wrong shape or type, or is smaller than the bank's window.
+        """
+        config = self.config
+        grey, unusable = grey_image(frame, config.saturation)
+        grid = self._planned(grey.shape).grid
+        brightness = brightness_at(grey, grid)
+        usable = np.full(brightness.shape, True)
+        if unusable is not None:
+            usable = usable_windows(unusable, grid)
         # The mean of the channels has less noise than each of them.
         channels = 1 if frame.ndim == 2 else frame.shape[2]
         shot_variance = None
         if config.noise_gain:
             shot_variance = np.float32(config.noise_gain / channels) * np.maximum(brightness, 0)
-        usable = np.full(brightness.shape, True)
-        if unusable is not None:
-            usable = usable_windows(unusable, grid)
-        # Filled pixels have no noise: windows with many of them say nothing about it.
-        telling = usable if usable.any() else ~usable
-        given = (config.noise or bank.noise) / np.sqrt(channels)
-        noise = given or self._estimated_noise(grey, count, telling, shot_variance)
-        self._noise = noise
-        in_patches = noise if shot_variance is None else np.sqrt(noise**2 + shot_variance)
-        if count is not None:
-            in_patches = in_patches / np.sqrt(count)
-        evidence = level_evidence(engine.energies(in_patches), bank.evidence_repetition)
-        evidence[~usable] = 0
-        stages.lap("energies")
+        noise = (config.noise or self.bank.noise) / float(np.sqrt(channels))
+        if not noise:
+            # Filled pixels have no noise: windows with many of them say nothing about it.
+            telling = usable if usable.any() else ~usable
+            shot = None if shot_variance is None else shot_variance[telling]
+            noise = estimate_noise(high_power(grey, grid)[telling], shot)
+        return Observation(grey, grid, brightness, usable, noise, shot_variance, channels)
 
-        if self._temporal is not None:
-            evidence = self._temporal.add(evidence, grey, grid, noise)
-            stages.lap("temporal")
-        level = regularized_level(evidence, config, brightness)
-        stages.lap("regularise")
+    def evidence_of(
+        self,
+        seen: Observation,
+        grey: NDArray[np.float32],
+        frames: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.float32]:
+        """Return the evidence against every level [rows, columns, L]; see `level_evidence`.
+
+        Parameters
+        ----------
+        seen : Observation
+        grey : ndarray, float32 [height, width]
+            The frame, or a mean of frames.
+        frames : ndarray, float32 [squares down, squares across], optional
+            How many frames it is the mean of; see `StillAverage`.
+        """
+        engine, stages = self._planned(grey.shape), self.stages
+        engine.project(grey)
+        stages.lap("spectra")
+        noise: float | NDArray[np.float32] = seen.noise
+        if seen.shot_variance is not None:
+            noise = np.sqrt(noise**2 + seen.shot_variance)
+        if frames is not None:
+            noise = np.float32(noise) / np.sqrt(frames_of_patches(frames, seen.grid))
+        evidence = level_evidence(engine.energies(noise), self.bank.evidence_repetition)
+        evidence[~seen.usable] = 0
+        stages.lap("energies")
+        return evidence
+
+    def decide(
+        self,
+        seen: Observation,
+        evidence: NDArray[np.float32],
+        size: tuple[int, int] | None = None,
+    ) -> DepthEstimate:
+        """Choose the levels of all patches and draw the maps; the last step of `estimate`."""
+        config, grid, shape = self.config, seen.grid, seen.grey.shape
+        size = size or (shape[0], shape[1])
+        if min(size) < 1:
+            raise InputError(f"size of the depth map: expected at least 1x1, got {size}")
+        level = regularized_level(evidence, config, seen.brightness)
+        self.stages.lap("regularise")
 
         # Patches that are far apart do not need every pixel of a large map.
-        finest = -(-np.array(grey.shape) // max(config.stride_px // _MAP_PX_PER_PATCH, 1))
+        finest = -(-np.array(shape) // max(grid.stride_px // _MAP_PX_PER_PATCH, 1))
         drawn = (min(size[0], int(finest[0])), min(size[1], int(finest[1])))
-        level = self._trimmed(upsample(level, grid, grey.shape, drawn), drawn[1] / grey.shape[1])
-        patches = nearest_patches(grid, grey.shape, drawn)
+        level = self._trimmed(upsample(level, grid, shape, drawn), drawn[1] / shape[1])
+        patches = nearest_patches(grid, shape, drawn)
         probability = level_probability(evidence)
         confidence = confidence_of(level, probability, patches, self._agreement)
         unknown = knows_nothing(probability)
         if config.regularize != "none" and not unknown.all():
             unknown[:] = False  # they have the level of their neighbours
-        unknown |= ~usable
+        unknown |= ~seen.usable
         if unknown.any():
             confidence[unknown[np.ix_(*patches)]] = 0
-        estimate = self._in_metres(level, confidence, float(noise * np.sqrt(channels)))
+        noise = seen.noise * float(np.sqrt(seen.channels))
+        estimate = self._in_metres(level, confidence, noise)
         estimate = estimate.where_confident(config.confidence_threshold).enlarged(size)
-        stages.lap("map")
+        self.stages.lap("map")
         return estimate
-
-    def _estimated_noise(
-        self,
-        grey: NDArray[np.float32],
-        count: NDArray[np.float32] | None,
-        telling: NDArray[np.bool_],
-        shot_variance: NDArray[np.float32] | None,
-    ) -> float:
-        """Estimate the noise of one frame from the mean of `count` frames."""
-        power = high_power(grey, self._planned(grey.shape).grid)
-        if count is not None:
-            power *= count
-        shot = None if shot_variance is None else shot_variance[telling]
-        return estimate_noise(power[telling], shot)
 
     def _planned(self, shape: tuple[int, ...]) -> Engine:
         """Return the engine for frames of a size; another size starts another video."""
         if self._engine is None or shape != self._shape:
             config = self.config
-            engine = plan_engine(self.bank, shape, config.stride_px, config.backend, config.threads)
+            stride_px = config.stride_px or self.bank.stride_px
+            engine = plan_engine(self.bank, shape, stride_px, config.backend, config.threads)
             # Only now: a frame that does not suit leaves the old plan as it is.
             self.close()
             self.reset()

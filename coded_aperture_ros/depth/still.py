@@ -42,7 +42,7 @@ class StillAverage:
         self._mean = None
 
     def add(
-        self, grey: NDArray[np.float32], noise: float, grid: PatchGrid
+        self, grey: NDArray[np.float32], noise: float
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the mean with one more frame, and how many frames it is of.
 
@@ -51,15 +51,13 @@ class StillAverage:
         grey : ndarray, float32 [height, width]
         noise : float
             Standard deviation of one frame's noise.
-        grid : PatchGrid
-            Where the patches of the frame lie.
 
         Returns
         -------
         mean : ndarray, float32 [height, width]
             Valid until the next frame is added.
-        count : ndarray, float32 [rows, columns]
-            As the noise of every patch has it, at least 1.
+        frames : ndarray, float32 [squares down, squares across]
+            At least 1.
         """
         height, width = grey.shape
         squares = (max(width // _SQUARE_PX, 1), max(height // _SQUARE_PX, 1))
@@ -67,7 +65,7 @@ class StillAverage:
             self._mean = grey.copy()
             self._difference, self._product = np.empty_like(grey), np.empty_like(grey)
             self._count = np.ones(squares[::-1], np.float32)
-            return self._mean, np.ones((grid.rows, grid.columns), np.float32)
+            return self._mean, self._count
         difference = cv2.subtract(grey, self._mean, self._difference)
         square = cv2.multiply(difference, difference, self._product)
         changed = cv2.resize(square, squares, interpolation=cv2.INTER_AREA)
@@ -75,11 +73,27 @@ class StillAverage:
         variance = max(min(noise**2, float(np.quantile(changed, _STILL_QUANTILE))), 1e-12)
         alike = np.exp(-np.maximum(changed / variance - 1 - _ALIKE, 0) / _BANDWIDTH)
         self._count = np.minimum(self._count * alike + 1, np.float32(self._most))
-        share = 1 / self._count
-        shares = cv2.resize(share, (width, height), self._product)
+        shares = cv2.resize(1 / self._count, (width, height), self._product)
         cv2.accumulateProduct(difference, shares, self._mean)
-        side = max(grid.window_px // 2 // _SQUARE_PX, 1)
-        noise_share = cv2.blur(share, (side, side))
-        rows = np.minimum(grid.row_centres // _SQUARE_PX, len(share) - 1)
-        columns = np.minimum(grid.column_centres // _SQUARE_PX, share.shape[1] - 1)
-        return self._mean, 1 / noise_share[np.ix_(rows, columns)]
+        return self._mean, self._count
+
+
+def frames_of_patches(frames: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.float32]:
+    """Return how many frames the mean is of, as every patch's noise has it [rows, columns]."""
+    side = max(grid.window_px // 2 // _SQUARE_PX, 1)
+    share = cv2.blur(1 / frames, (side, side))
+    rows = np.minimum(grid.row_centres // _SQUARE_PX, len(share) - 1)
+    columns = np.minimum(grid.column_centres // _SQUARE_PX, share.shape[1] - 1)
+    return np.asarray(1 / share[np.ix_(rows, columns)], np.float32)
+
+
+def joined(
+    forward: tuple[NDArray[np.float32], NDArray[np.float32]],
+    backward: tuple[NDArray[np.float32], NDArray[np.float32]],
+    grey: NDArray[np.float32],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Join the means of the frames up to one and from it on, both with it, and their counts."""
+    size = grey.shape[::-1]
+    before, after = (cv2.resize(frames, size) for _, frames in (forward, backward))
+    total = before * forward[0] + after * backward[0] - grey
+    return total / (before + after - 1), forward[1] + backward[1] - 1

@@ -219,6 +219,10 @@ def _draw_sizes(axes: Any, sizes: Mapping[str, Any]) -> None:
     axes.loglog(pixels, [row["engine_p50_ms"] for row in rows], "s", label="engine, p50")
     axes.set_title("time over size", fontsize=9)
     axes.minorticks_off()
+    powers = np.outer(10.0 ** np.arange(-1, 6), (1, 2, 5)).ravel()
+    lowest, highest = axes.get_ylim()
+    ticks = powers[(powers >= lowest) & (powers <= highest)]
+    axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.set_xticks(pixels, [f"{row['size'][1]}x{row['size'][0]}" for row in rows])
     axes.tick_params(axis="x", labelsize=7)
     axes.set_ylabel("ms", fontsize=8)

@@ -1,7 +1,8 @@
 """How fast depth estimation is, next to what the machine could do and to other methods.
 
-Times are medians and 99th percentiles of frames, never means: a camera does not wait. What is to be
-compared is measured in turns, so that other work on the machine slows all of it alike.
+Times are medians and 99th percentiles of frames, never means: a camera does not wait. Sizes, counts
+of levels or threads, and regularisations are measured in turns among themselves, so that other work
+on the machine slows all of them alike.
 
 What counts as work:
 
@@ -613,7 +614,10 @@ class SpeedBenchmark:
         return VideoRun(bank, moving_frames(bank.stack, setting.size), setting, **changes)
 
     def _measure_filters(self) -> None:
-        """Convolve the frame with a few of the thesis' filters, and sum their squares."""
+        """Convolve the frame with a few of the thesis' filters, and sum their squares.
+
+        OpenCV does that by Fourier transforms where filters are as large as these.
+        """
         threads = self.setting.threads
         random = np.random.default_rng(0)
         frame = random.random(self.setting.size, dtype=np.float32)

@@ -1,0 +1,109 @@
+"""Depth of a recorded video: each frame with those before and after it."""
+
+from collections.abc import Iterable, Iterator
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.depth.estimate import DepthEstimate, DepthEstimator, Observation
+from coded_aperture_ros.depth.still import StillAverage, joined
+from coded_aperture_ros.depth.temporal import TemporalFilter
+from coded_aperture_ros.errors import InputError
+
+# After this many times the length of the memory, a frame no longer counts.
+_AHEAD = 2.0
+# Frames that are finished together, in units of those that are looked ahead.
+_BLOCK = 3
+
+
+def estimate_video(
+    estimator: DepthEstimator,
+    frames: Iterable[NDArray[np.float32]],
+    size: tuple[int, int] | None = None,
+) -> Iterator[DepthEstimate]:
+    """Estimate the depth of a video's frames from the past and the future.
+
+    What `DepthEstimator.estimate` does for a camera that runs, with as much of the future as of the
+    past: frames are averaged where nothing moves and evidence is carried, both ways, and what two
+    ways tell of one frame is added up.
+
+    Parameters
+    ----------
+    estimator : DepthEstimator
+        With `DepthConfig.temporal_frames` above 0.
+    frames : iterable of ndarray, float32 [rows, columns] or [rows, columns, 3]
+        In order, of one size. A few dozen of them are held at a time.
+    size : (int, int), optional
+        Rows and columns of the maps; the frames' by default.
+
+    Yields
+    ------
+    DepthEstimate
+        One for every frame, in order.
+
+    Raises
+    ------
+    InputError
+        If the estimator has no memory, or a frame is refused or of another size.
+    """
+    memory = estimator.config.temporal_frames
+    if not memory:
+        raise InputError("temporal_frames: a video with past and future needs more than 0")
+    ahead = int(np.ceil(_AHEAD * memory))
+    remaining = (estimator.observe(frame) for frame in frames)
+    forward_mean, forward_evidence = StillAverage(2 * memory), TemporalFilter(memory)
+    means: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
+    waiting: list[Observation] = []
+    while True:
+        new = list(islice(remaining, (_BLOCK + 1) * ahead - len(waiting)))
+        for seen in new:
+            _check_size(seen, (waiting or new)[0])
+            mean, frames_of_mean = forward_mean.add(seen.grey, seen.noise)
+            means.append((mean.copy(), frames_of_mean))
+        waiting += new
+        if not waiting:
+            return
+        at_the_end = len(waiting) < (_BLOCK + 1) * ahead
+        done = len(waiting) if at_the_end else len(waiting) - ahead
+        evidence = _evidence_both_ways(estimator, waiting, means)
+        later = _carried_back(waiting, evidence, memory)
+        for seen, own, after in zip(waiting[:done], evidence, later, strict=False):
+            until = forward_evidence.add(own, seen.grey, seen.grid, seen.noise)
+            together = until + after - own
+            together -= together.min(axis=-1, keepdims=True)
+            yield estimator.decide(seen, together, size)
+        waiting, means = waiting[done:], means[done:]
+
+
+def _evidence_both_ways(
+    estimator: DepthEstimator,
+    waiting: list[Observation],
+    means: list[tuple[NDArray[np.float32], NDArray[np.float32]]],
+) -> list[NDArray[np.float32]]:
+    """Return the evidence of every frame, from the mean of what is like it before and after."""
+    backward = StillAverage(2 * estimator.config.temporal_frames)
+    evidence = []
+    for seen, until in zip(reversed(waiting), reversed(means), strict=True):
+        grey, frames = joined(until, backward.add(seen.grey, seen.noise), seen.grey)
+        # The engine's energies are overwritten by those of the next frame.
+        evidence.append(estimator.evidence_of(seen, grey, frames).copy())
+    return evidence[::-1]
+
+
+def _carried_back(
+    waiting: list[Observation], evidence: list[NDArray[np.float32]], memory: float
+) -> list[NDArray[np.float32]]:
+    """Return the evidence of every frame and of those after it."""
+    backward = TemporalFilter(memory)
+    carried = [
+        backward.add(own, seen.grey, seen.grid, seen.noise).copy()
+        for seen, own in zip(reversed(waiting), reversed(evidence), strict=True)
+    ]
+    return carried[::-1]
+
+
+def _check_size(seen: Observation, first: Observation) -> None:
+    if seen.grey.shape != first.grey.shape:
+        sizes = [f"{shape[1]}x{shape[0]}" for shape in (seen.grey.shape, first.grey.shape)]
+        raise InputError(f"video: a frame of {sizes[0]} px after frames of {sizes[1]} px")

@@ -1,0 +1,198 @@
+"""`coded_aperture bench speed`: its arithmetic, what it prints and writes, and what it refuses."""
+
+import json
+import math
+
+import cv2
+import numpy as np
+import pytest
+from cli_scene import call
+
+from coded_aperture_ros.cli import bench_speed
+from coded_aperture_ros.cli.bench_speed import _tables
+from coded_aperture_ros.evaluation import speed
+from coded_aperture_ros.evaluation.stair import blur_stack
+from coded_aperture_ros.images import read_image
+from coded_aperture_ros.optics import Mask
+from coded_aperture_ros.threads import processors
+
+TINY = (
+    *("bench", "speed", "--quick", "--size", "96x80", "--frames", 1),
+    *("--levels", 3, "--window", 32, "--rank", 8),
+)
+RATES = speed.Rates(1, 100.0, 90.0, 10.0, 9.0)
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """Let the benchmark measure little of everything."""
+    monkeypatch.setattr(bench_speed, "_QUICK_SIZES", ((64, 80), (80, 112)))
+    monkeypatch.setattr(bench_speed, "_QUICK_LEVEL_COUNTS", (2, 4))
+    monkeypatch.setattr(bench_speed, "_QUICK_REPEATS", 1)
+    monkeypatch.setattr(speed, "_PRODUCT_SIDE", 64)
+    monkeypatch.setattr(speed, "_COPY_BYTES", 2**16)
+    monkeypatch.setattr(speed, "_PLACES", (4, 8))
+
+
+def numbers(value):
+    if isinstance(value, dict):
+        return [number for item in value.values() for number in numbers(item)]
+    if isinstance(value, list):
+        return [number for item in value for number in numbers(item)]
+    return [] if isinstance(value, str) else [value]
+
+
+def results_of(capsys, *more):
+    result = call(capsys, *TINY, "--json", *more)
+    assert (result.status, result.err) == (0, "")
+    return json.loads(result.out)
+
+
+def test_everything_is_measured_in_one_run(small, capsys, tmp_path):
+    pytest.importorskip("matplotlib")
+    before = cv2.getNumThreads()
+    results = results_of(capsys, "--output", tmp_path)
+    assert cv2.getNumThreads() == before
+    assert json.loads((tmp_path / "results.json").read_text()) == results
+    assert min(read_image(tmp_path / "speed.png").shape[:2]) > 400
+    assert set(results) == {
+        *("benchmark", "setting", "machine", "main", "sizes", "levels", "threads"),
+        *("comparison", "seconds"),
+    }
+    main = results["main"]
+    assert (main["size"], main["map_size"]) == ([80, 96], [80, 96])
+    assert list(main["stages"]) == [
+        *("prepare", "still", "spectra", "energies", "temporal", "regularise", "map"),
+    ]
+    for times in (*main["stages"].values(), main["engine"], main["total"]):
+        assert times["samples"] == 5
+        assert 0 < times["p50_ms"] <= times["p99_ms"] <= times["worst_ms"]
+    assert main["total"]["worst_ms"] >= main["engine"]["worst_ms"]
+    assert set(main["per_pixel"]["bytes"]) == {*main["stages"], "engine", "total"}
+    assert main["roofline"]["engine"]["gflop"] == main["roofline"]["frame"]["gflop"]
+    assert [row["size"] for row in results["sizes"]["rows"]] == [[64, 80], [80, 112]]
+    assert results["sizes"]["rows"][0]["time_per_pixel_relative"] == 1
+    assert [row["levels"] for row in results["levels"]["rows"]] == [2, 4]
+    assert results["threads"]["rows"][0]["speedup"] == {"p50": 1, "p99": 1}
+    thesis = results["comparison"]["thesis"]
+    assert thesis["unfactored"]["filters"] == 3 * 150
+    assert "from 2 filters" in thesis["common_basis"]["extrapolated"]
+    cut = results["comparison"].pop("graph_cut")
+    assert cut is None or cut["ratio"]["p50"] > 0
+    assert all(math.isfinite(number) for number in numbers(results))
+
+
+def test_tables_name_what_was_measured(small, capsys, monkeypatch):
+    monkeypatch.setattr(speed, "find_spec", lambda name: None)  # PyMaxflow is not everywhere
+    results = results_of(capsys, "--temporal", 0, "--full-size")
+    assert not {"still", "temporal"} & set(results["main"]["stages"])
+    assert results["comparison"]["denoising"] is None
+    assert results["comparison"]["graph_cut"] is None
+    text = _tables(results)
+    for part in (
+        *("96x80 frames to 96x80 maps, 3 levels", "frames per second", "FLOP/pixel", "GB/s"),
+        *("attained", "time ~ pixels^", "time ~ levels^", "speed-up p50", "* extrapolated"),
+        "PyMaxflow is not installed",
+    ):
+        assert part in text
+    assert "fastNlMeans" not in text
+
+
+def test_exponent_of_a_power_law_is_recovered():
+    pixels = np.array([76_800.0, 307_200.0, 921_600.0])
+    assert speed.fitted_slope(pixels, 3e-5 * pixels**0.93) == pytest.approx(0.93)
+    assert speed.fitted_slope([10, 60], [5, 5]) == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("gflop", "mb", "bound_ms", "limit"),
+    [(2.0, 10.0, 20.0, "compute"), (0.2, 100.0, 10.0, "memory")],
+)
+def test_roofline_is_the_longer_of_computing_and_copying(gflop, mb, bound_ms, limit):
+    line = speed.roofline(1e9 * gflop, 1e6 * mb, RATES, measured_ms=40.0)
+    assert (line.gflop, line.mb, line.limited_by) == (gflop, mb, limit)
+    assert line.bound_ms == pytest.approx(bound_ms)
+    assert line.attained == pytest.approx(bound_ms / 40)
+
+
+def test_times_are_quantiles_in_milliseconds():
+    times = speed.Times.of(np.arange(101) / 1000, factor=2)
+    assert (times.samples, times.p50_ms, times.worst_ms) == (101, 100, 200)
+    assert times.p99_ms == pytest.approx(198)
+    ratio = times.over(speed.Times(3, 10, 99, 100))
+    assert ratio == pytest.approx({"p50": 10, "p99": 2})
+
+
+@pytest.mark.parametrize(
+    ("shape", "size"),
+    [
+        ((480, 640), (240, 320)),
+        ((720, 1280), (180, 320)),
+        ((1080, 1920), (180, 320)),
+        ((240, 320), (240, 320)),
+        ((100, 90), (100, 90)),
+    ],
+)
+def test_maps_are_as_large_as_a_node_publishes(shape, size):
+    assert speed.published_size(shape) == size
+    assert speed.published_size(shape, full=True) == shape
+
+
+def test_thread_counts_double_up_to_the_most():
+    assert speed.thread_counts(1) == (1,)
+    assert speed.thread_counts(6) == (1, 2, 4, 6)
+    assert speed.thread_counts(8) == (1, 2, 4, 8)
+
+
+def test_machine_rates_are_plausible(monkeypatch):
+    monkeypatch.setattr(speed, "_PRODUCT_SIDE", 128)
+    rates = speed.machine_rates(1)
+    assert rates.gemm_gflop_s >= rates.gemm_p50_gflop_s > 0.1
+    assert rates.copy_gb_s >= rates.copy_p50_gb_s > 0.05
+
+
+def test_the_scene_moves_and_has_the_noise_that_was_told():
+    stack = blur_stack(Mask.named("levin"), 4)
+    shape = (96, 128)
+    first, second = speed.moving_frames(stack, shape, count=2)
+    assert first.dtype == np.float32
+    assert first.shape == shape
+    assert 0 <= first.min() <= first.max() <= 0.99
+    down, right = speed._STEP_PX
+    difference = first[down:, right:] - second[:-down, :-right]
+    assert np.std(difference) == pytest.approx(math.sqrt(2) * speed.NOISE, rel=0.05)
+    assert np.std(first - second) > np.std(difference)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--size", "640"), "expected a size like 640x480, got '640'"),
+        (("--size", "0x480"), "expected a size like 640x480"),
+        (("--size", "40x40"), "frames of 40x40 px are smaller than the window of 48 px"),
+        (("--window", 33), "--window: expected an even number, got 33"),
+        (("--threads", processors() + 1), "--threads: "),
+        (("--levels", 1), "expected at least 2, got 1"),
+        (("--stride", 0), "expected at least 1, got 0"),
+        (("--frames", 0), "expected at least 1, got 0"),
+        (("--temporal", -1), "expected 0 to 1000, got -1"),
+    ],
+)
+def test_wrong_options_are_refused_at_once(capsys, arguments, said):
+    result = call(capsys, "bench", "speed", *arguments)
+    assert result.status == 2
+    assert said in result.err
+    assert result.out == ""
+
+
+def test_window_too_small_for_the_blur_is_refused(small, capsys):
+    result = call(capsys, *TINY, "--window", 16)
+    assert (result.status, result.out) == (1, "")
+    assert "does not fit the 16 px window" in result.err
+
+
+def test_folder_that_is_a_file_is_refused(capsys, tmp_path):
+    (tmp_path / "taken").touch()
+    result = call(capsys, *TINY, "--output", tmp_path / "taken")
+    assert result.status == 1
+    assert "expected a folder" in result.err
