@@ -33,7 +33,7 @@ _EPILOG = f"""examples:
   everything, in a minute or two; a first look takes a quarter of that:
     coded_aperture bench speed
     coded_aperture bench speed --quick
-  another machine's threads, with results and a figure in a folder:
+  in four threads, with results and a figure in a folder:
     coded_aperture bench speed --threads 4 --output results/
 p50 is the median, p99 the 99th percentile: of less than 100 frames, nearly the worst
 --output writes {RESULTS} and {_FIGURE}

@@ -198,6 +198,8 @@ class DepthEstimator:
             If the frame has a wrong shape or type, or is smaller than the bank's window, or `size`
             is not that of a map.
         """
+        if size is not None and min(size) < 1:
+            raise InputError(f"size of the depth map: expected at least 1x1, got {size}")
         self.stages.start()
         seen = self.observe(frame)
         self.stages.lap("prepare")
@@ -258,12 +260,11 @@ class DepthEstimator:
         engine, stages = self._planned(grey.shape), self.stages
         engine.project(grey)
         stages.lap("spectra")
-        noise: float | NDArray[np.float32] = seen.noise
-        if seen.shot_variance is not None:
-            noise = np.sqrt(noise**2 + seen.shot_variance)
+        variance = seen.noise**2 + (0 if seen.shot_variance is None else seen.shot_variance)
         if frames is not None:
-            noise = np.float32(noise) / np.sqrt(frames_of_patches(frames, seen.grid))
-        evidence = level_evidence(engine.energies(noise), self.bank.evidence_repetition)
+            variance = variance / frames_of_patches(frames, seen.grid)
+        energies = engine.energies(np.sqrt(variance, dtype=np.float32))
+        evidence = level_evidence(energies, self.bank.evidence_repetition)
         evidence[~seen.usable] = 0
         stages.lap("energies")
         return evidence
@@ -277,8 +278,6 @@ class DepthEstimator:
         """Choose the levels of all patches and draw the maps; the last step of `estimate`."""
         config, grid, shape = self.config, seen.grid, seen.grey.shape
         size = size or (shape[0], shape[1])
-        if min(size) < 1:
-            raise InputError(f"size of the depth map: expected at least 1x1, got {size}")
         level = regularized_level(evidence, config, seen.brightness)
         self.stages.lap("regularise")
 

@@ -80,7 +80,7 @@ class TemporalFilter:
             0 for the likeliest level.
         """
         samples = _sampled(grey, grid)
-        total = np.minimum(np.moveaxis(evidence, -1, 0), np.float32(_OF_A_FRAME))
+        total = np.moveaxis(bounded(evidence), -1, 0)
         if self._past is not None and self._samples is not None:
             variance = 2 * (noise * _SAMPLES / grid.stride_px) ** 2
             weights, match = _matches(samples, self._samples, variance)
@@ -93,6 +93,11 @@ class TemporalFilter:
         self._past = np.minimum(total, np.float32(_OF_THE_PAST))
         self._samples = samples
         return np.moveaxis(total, 0, -1)
+
+
+def bounded(evidence: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the evidence of one frame as far as it counts."""
+    return np.minimum(evidence, np.float32(_OF_A_FRAME))
 
 
 def _sampled(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.float32]:

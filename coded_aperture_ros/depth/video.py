@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.depth.estimate import DepthEstimate, DepthEstimator, Observation
 from coded_aperture_ros.depth.still import StillAverage, joined
-from coded_aperture_ros.depth.temporal import TemporalFilter
+from coded_aperture_ros.depth.temporal import TemporalFilter, bounded
 from coded_aperture_ros.errors import InputError
 
 # After this many times the length of the memory, a frame no longer counts.
@@ -70,7 +70,7 @@ def estimate_video(
         later = _carried_back(waiting, evidence, memory)
         for seen, own, after in zip(waiting[:done], evidence, later, strict=False):
             until = forward_evidence.add(own, seen.grey, seen.grid, seen.noise)
-            together = until + after - own
+            together = until + after - bounded(own)
             together -= together.min(axis=-1, keepdims=True)
             yield estimator.decide(seen, together, size)
         waiting, means = waiting[done:], means[done:]
