@@ -23,8 +23,8 @@ _ENOUGH_FREQUENCY, _OF_BLUR_PX = 0.4, 7.0
 # Two planes side by side: textures of the prior, this noise, and this many pairs of levels.
 _NOISE = 0.003
 _CONTRAST = 0.02
-_PAIRS = 10
-_SIDE_PX = 240
+_PAIRS = 16
+_SIDE_PX = 144
 _TIMED_FRAMES = 9
 
 
@@ -153,9 +153,7 @@ def simulated_error(bank: FilterBank, stride_px: int) -> float:
     return float(np.mean(errors))
 
 
-def _plane(
-    psf: NDArray[np.float32], side: int, random: np.random.Generator
-) -> NDArray[np.float32]:
+def _plane(psf: NDArray[np.float32], side: int, random: np.random.Generator) -> NDArray[np.float32]:
     """Return a textured plane behind one PSF, with noise."""
     size = side + len(psf) - 1
     spectrum = np.fft.rfft2(random.standard_normal((size, size)))
@@ -172,9 +170,7 @@ def _milliseconds(
     random = np.random.default_rng(0)
     side = max(shape)
     still = _plane(bank.stack.psfs[bank.levels // 2], side, random)[: shape[0], : shape[1]]
-    frames = [
-        (still + _NOISE * random.standard_normal(shape)).astype(np.float32) for _ in range(3)
-    ]
+    frames = [(still + _NOISE * random.standard_normal(shape)).astype(np.float32) for _ in range(3)]
     estimator = DepthEstimator(bank, dataclasses.replace(config, stride_px=stride_px))
     size = (max(shape[0] // 2, 1), max(shape[1] // 2, 1))
     times = []

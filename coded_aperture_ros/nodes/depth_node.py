@@ -26,6 +26,8 @@ from coded_aperture_ros.nodes.running import run_nodes
 
 # Best-effort messages larger than these float images are lost with default DDS settings.
 _LARGEST_AUTO = (240, 320)
+# What a camera's rate needs on two processors; a bank from a file brings its own rank.
+_STRIDE_PX, _RANK = 16, 64
 _DIVISORS = {"full": 1, "half": 2, "quarter": 4}
 
 
@@ -52,8 +54,8 @@ class DepthNode(FrameNode[Image]):
             "depth_node",
             ModelConfig(),
             DepthNodeConfig(),
-            DepthConfig(),
-            fixed={"learn.": LearnConfig()},
+            DepthConfig(stride_px=_STRIDE_PX),
+            fixed={"learn.": LearnConfig(rank=_RANK)},
             **node_options,
         )
         warning = slow_blas_warning()
@@ -78,7 +80,8 @@ class DepthNode(FrameNode[Image]):
         frame_size = frame.shape[0], frame.shape[1]
         size = output_size(frame_size, self.configs[DepthNodeConfig].output_size)
         self._model.fit(item.width, item.height)
-        estimate = self._present_estimator().estimate(frame, size)
+        estimator = self._present_estimator()
+        estimate = estimator.estimate(frame, size)
         if estimate.depth_m is None:
             raise InputError("the bank and the camera file give no depth")
         depth_m = limit_depth(estimate.depth_m, self._range.near_m, self._range.far_m or math.inf)
@@ -93,7 +96,7 @@ class DepthNode(FrameNode[Image]):
         if self.wants("depth/camera_info"):
             info = self._info.info(self._model.camera, frame_size, size, header)
             self.send("depth/camera_info", info)
-        self.sent(header)
+        self.sent(header, estimator.stages.seconds)
 
     def _on_image(self, message: Image) -> None:
         self.statistics.count_received()
@@ -107,7 +110,9 @@ class DepthNode(FrameNode[Image]):
             or made.camera is not model.camera
             or made.config is not self.configs[DepthConfig]
         ):
-            self._estimator = self._new_estimator()
+            estimator = self._new_estimator()
+            made.close()
+            self._estimator = estimator
         return self._estimator
 
     def _new_estimator(self) -> DepthEstimator:

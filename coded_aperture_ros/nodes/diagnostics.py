@@ -3,8 +3,8 @@
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -28,6 +28,7 @@ class Summary:
     rate_hz: float
     latency_s: tuple[float, float, float] | None  # median, 99th percentile, maximum
     work_s: tuple[float, float, float] | None
+    stages_s: dict[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @property
     def rejected_total(self) -> int:
@@ -51,8 +52,10 @@ class Statistics:
         self._processed = 0
         self._dropped = 0
         self._rejected: Counter[str] = Counter()
-        # When each frame was done, its latency and the time spent on it.
-        self._recent: deque[tuple[float, float | None, float]] = deque(maxlen=2000)
+        # When each frame was done, its latency, the time spent on it and that of its stages.
+        self._recent: deque[tuple[float, float | None, float, Mapping[str, float]]] = deque(
+            maxlen=2000
+        )
         self._started_s: float | None = None
 
     def count_received(self) -> None:
@@ -72,7 +75,9 @@ class Statistics:
         with self._lock:
             self._rejected[kind] += 1
 
-    def count_processed(self, latency_s: float | None, work_s: float) -> None:
+    def count_processed(
+        self, latency_s: float | None, work_s: float, stages_s: Mapping[str, float] | None = None
+    ) -> None:
         """Count a frame done.
 
         Parameters
@@ -82,12 +87,14 @@ class Statistics:
             not of this clock.
         work_s : float
             From taking up the frame to the publication of its last result.
+        stages_s : mapping, optional
+            Time of each stage of that work.
         """
         if latency_s is not None and not 0.0 <= latency_s <= _PLAUSIBLE_LATENCY_S:
             latency_s = None
         with self._lock:
             self._processed += 1
-            self._recent.append((self._now(), latency_s, work_s))
+            self._recent.append((self._now(), latency_s, work_s, stages_s or {}))
 
     def summary(self) -> Summary:
         """Return the counts so far and the figures of the last seconds."""
@@ -102,9 +109,19 @@ class Statistics:
                 self._dropped,
                 dict(self._rejected),
                 len(recent) / span_s,
-                percentiles([latency for _, latency, _ in recent if latency is not None]),
-                percentiles([work for _, _, work in recent]),
+                percentiles([latency for _, latency, _, _ in recent if latency is not None]),
+                percentiles([work for _, _, work, _ in recent]),
+                _by_stage([stages for _, _, _, stages in recent]),
             )
+
+
+def _by_stage(frames: list[Mapping[str, float]]) -> dict[str, tuple[float, float, float]]:
+    by_stage: dict[str, list[float]] = {}
+    for stages in frames:
+        for stage, seconds in stages.items():
+            by_stage.setdefault(stage, []).append(seconds)
+    figures = {stage: percentiles(values) for stage, values in by_stage.items()}
+    return {stage: three for stage, three in figures.items() if three is not None}
 
 
 def percentiles(values: list[float]) -> tuple[float, float, float] | None:
@@ -150,7 +167,8 @@ def status_of(
     }
     for kind, count in sorted(summary.rejected.items()):
         values[f"rejected_{kind}"] = str(count)
-    for label, figures in (("latency", summary.latency_s), ("work", summary.work_s)):
+    stages = [(f"stage_{stage}", figures) for stage, figures in summary.stages_s.items()]
+    for label, figures in (("latency", summary.latency_s), ("work", summary.work_s), *stages):
         if figures is not None:
             for part, value in zip(("median", "p99", "max"), figures, strict=True):
                 values[f"{label}_{part}_ms"] = f"{value * 1000:.1f}"

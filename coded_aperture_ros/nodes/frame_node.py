@@ -127,13 +127,17 @@ class FrameNode(ABC, Node, Generic[Item]):
         """Publish an output."""
         publish(self, self._outputs[topic], message)
 
-    def sent(self, header: Header) -> None:
-        """Count a frame as done: `header` is that of the frame that the outputs came from."""
+    def sent(self, header: Header, stages_s: Mapping[str, float] | None = None) -> None:
+        """Count a frame as done.
+
+        `header` is that of the frame that the outputs came from, `stages_s` the time that each
+        stage of the work took, if it is known.
+        """
         stamp = stamp_ns(header)
         # A stamp of zero is no time at all: simulated time had not begun, or nobody set it.
         now = self.get_clock().now().nanoseconds
         latency_s = (now - stamp) * 1e-9 if stamp else None
-        self.statistics.count_processed(latency_s, time.monotonic() - self._taken_up_s)
+        self.statistics.count_processed(latency_s, time.monotonic() - self._taken_up_s, stages_s)
 
     def reject(self, kind: str, reason: str) -> None:
         """Count a message that cannot be used, and say why at most every ten seconds a kind."""
