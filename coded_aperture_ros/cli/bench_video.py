@@ -82,6 +82,7 @@ class Cell:
     window_px: int | None
     stride_px: int | None
     seed: int
+    mono: bool
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -172,6 +173,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--seed", type=at_least(0), default=0, metavar="N", help="of the noise (default 0)"
     )
+    parser.add_argument(
+        "--mono", action="store_true", help="frames of one channel, with the noise of one"
+    )
     add_result_options(parser)
 
 
@@ -203,7 +207,7 @@ def run(args: argparse.Namespace) -> int:
     cells = [
         Cell(
             *(folder, *way, args.length, args.noise, args.levels),
-            *(args.window, args.stride, args.seed),
+            *(args.window, args.stride, args.seed, args.mono),
         )
         for folder in args.folders
         for way in ways
@@ -217,6 +221,7 @@ def run(args: argparse.Namespace) -> int:
         {
             "benchmark": "video",
             "noise": args.noise,
+            "mono": args.mono,
             "levels": args.levels,
             "seed": args.seed,
             "seconds": round(time.perf_counter() - start, 1),
@@ -253,7 +258,7 @@ def measure_cell(cell: Cell) -> Measured:
     random = np.random.default_rng(cell.seed)
     frames = [
         frame + np.float32(cell.noise) * random.standard_normal(frame.shape, dtype=np.float32)
-        for frame in video.frames
+        for frame in (each.mean(axis=-1) if cell.mono else each for each in video.frames)
     ]
     start = time.perf_counter()
     depth_m = np.stack([each.depth_m for each in _estimates(estimator, frames, cell.filter)])
@@ -278,7 +283,9 @@ def measure_cell(cell: Cell) -> Measured:
         },
         "seconds_per_frame": round(seconds, 3),
     }
-    shown = (frames[_SHOWN_FRAME], video.depth_m[_SHOWN_FRAME], depth_m[_SHOWN_FRAME])
+    coded = frames[_SHOWN_FRAME]
+    coded = np.dstack([coded] * 3) if cell.mono else coded
+    shown = (coded, video.depth_m[_SHOWN_FRAME], depth_m[_SHOWN_FRAME])
     return Measured(row, *shown, score.unrest)
 
 

@@ -23,8 +23,8 @@ _ENOUGH_FREQUENCY, _OF_BLUR_PX = 0.4, 7.0
 # Two planes side by side: textures of the prior, this noise, and this many pairs of levels.
 _NOISE = 0.003
 _CONTRAST = 0.02
-_PAIRS = 16
-_SIDE_PX = 144
+_PAIRS = 24
+_SIDE_PX = 96
 _TIMED_FRAMES = 9
 
 
@@ -129,8 +129,8 @@ def tune(
 def simulated_error(bank: FilterBank, stride_px: int) -> float:
     """Return the mean error, in levels, on planes of two levels side by side.
 
-    The same planes for every bank of these levels. Some of the pixels are near the edge, where small
-    windows are better, and the rest are not, where large ones are.
+    The same planes for every bank of these levels. Some of the pixels are near the edge, where
+    small windows are better, and the rest are not, where large ones are.
     """
     random = np.random.default_rng(0)
     estimator = DepthEstimator(
@@ -142,10 +142,13 @@ def simulated_error(bank: FilterBank, stride_px: int) -> float:
     firsts = np.linspace(0, bank.levels - 1, _PAIRS).round().astype(int)
     errors = []
     for first in firsts:
+        # Where a window meets the edge must not be the same for all.
+        edge = int(random.integers(_SIDE_PX // 2, 3 * _SIDE_PX // 2))
         second = (first + bank.levels // 2) % bank.levels
-        planes = [_plane(bank.stack.psfs[level], _SIDE_PX, random) for level in (first, second)]
-        truth = np.repeat([[first, second]], [_SIDE_PX, _SIDE_PX], axis=1)
-        level = estimator.estimate(np.hstack(planes)).level
+        left, right = (_plane(bank.stack.psfs[n], 2 * _SIDE_PX, random) for n in (first, second))
+        frame = np.hstack([left[:, :edge], right[:, edge:]])
+        truth = np.where(np.arange(2 * _SIDE_PX) < edge, first, second)
+        level = estimator.estimate(frame).level
         unknown = np.isnan(level)
         level[unknown] = (bank.levels - 1) / 2
         errors.append(np.abs(level - truth).mean())

@@ -1,0 +1,82 @@
+"""What is measured, and how much of it."""
+
+import dataclasses
+
+from coded_aperture_ros.bank import LearnConfig
+from coded_aperture_ros.depth import DepthConfig
+
+MASK = "levin"
+# Best-effort messages of depth are no larger (rows, columns).
+PUBLISHED = (240, 320)
+
+Size = tuple[int, int]
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """What is measured.
+
+    Attributes
+    ----------
+    size : (int, int)
+        Rows and columns of the main size.
+    levels : int
+        From 7 to 30 px.
+    window_px, rank
+        Of the bank.
+    stride_px : int
+        Distance between patches.
+    threads : int
+    temporal_frames : float
+        0: every frame for itself.
+    full_size : bool
+        Maps as large as the frame, instead of what the node publishes.
+    """
+
+    size: Size
+    levels: int
+    window_px: int
+    rank: int
+    stride_px: int
+    threads: int
+    temporal_frames: float
+    full_size: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Extent:
+    """How much is measured.
+
+    Attributes
+    ----------
+    frames : int
+        For every measurement; the main one has five times as many.
+    sizes : tuple of (int, int)
+        Rows and columns.
+    levels, threads : tuple of int
+    repeats : int
+        Of the methods that are slower than this one.
+    denoised : tuple of int
+        Frames that a non-local mean is of.
+    """
+
+    frames: int
+    sizes: tuple[Size, ...]
+    levels: tuple[int, ...]
+    threads: tuple[int, ...]
+    repeats: int
+    denoised: tuple[int, ...]
+
+
+def published_size(shape: Size, full: bool = False) -> Size:
+    """Return the size (rows, columns) of the map that a node publishes for frames of a shape.
+
+    The largest whole fraction within 320x240, or the frame's own.
+    """
+    divisor = 1 if full else max(-(-shape[0] // PUBLISHED[0]), -(-shape[1] // PUBLISHED[1]), 1)
+    return max(1, shape[0] // divisor), max(1, shape[1] // divisor)
+
+
+def thread_counts(most: int) -> tuple[int, ...]:
+    """Return 1, 2, 4 and so on, and the most."""
+    return tuple(sorted({most, *(2**power for power in range(most.bit_length()))}))

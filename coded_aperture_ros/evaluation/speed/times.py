@@ -1,0 +1,31 @@
+"""How times are summarised: medians and 99th percentiles, never means: a camera does not wait."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+
+@dataclasses.dataclass(frozen=True)
+class Times:
+    """Distribution of what one thing takes, in ms; of few samples, p99 is the worst of them."""
+
+    samples: int
+    p50_ms: float
+    p99_ms: float
+    worst_ms: float
+
+    @classmethod
+    def of(cls, seconds: Sequence[float], factor: float = 1.0) -> "Times":
+        """Summarise times in seconds, each multiplied by a factor."""
+        p50, p99, worst = 1000 * factor * np.quantile(seconds, [0.5, 0.99, 1.0])
+        return cls(len(seconds), float(p50), float(p99), float(worst))
+
+    def over(self, other: "Times") -> dict[str, float]:
+        """Return how many times another's times these are."""
+        return {"p50": self.p50_ms / other.p50_ms, "p99": self.p99_ms / other.p99_ms}
+
+
+def fitted_slope(x: Sequence[float], y: Sequence[float]) -> float:
+    """Return the exponent ``s`` of ``y = c x^s``, by least squares of the logarithms."""
+    return float(np.polynomial.Polynomial.fit(np.log(x), np.log(y), 1).convert().coef[1])
