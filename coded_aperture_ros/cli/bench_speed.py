@@ -15,11 +15,13 @@ from coded_aperture_ros.cli.bench_options import (
 )
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.threads import check_threads, processors
+from coded_aperture_ros.threads import processors
 
 _FIGURE = "speed.png"
 _SIZE = (480, 640)
-_LEVELS, _WINDOW, _RANK, _STRIDE = 30, 48, 128, 8
+# What `learn --budget-ms` chooses on two processors for 30 frames per second.
+_LEVELS, _WINDOW, _RANK, _STRIDE, _HIGHEST_FREQUENCY = 30, 64, 64, 20, 0.4
+_BACKEND = "numpy"
 _FRAMES, _QUICK_FRAMES = 20, 6
 _TEMPORAL = 4.0
 # Rows and columns.
@@ -29,12 +31,29 @@ _LEVEL_COUNTS, _QUICK_LEVEL_COUNTS = (10, 20, 30, 60), (10, 30)
 _DENOISED, _QUICK_DENOISED = (3, 5), (3,)
 _REPEATS, _QUICK_REPEATS = 3, 2
 _TIMES = ("p50", "p99", "worst")
+# What options are called that have another name than the library's settings.
+_OPTION_OF = {
+    "window_px": "window",
+    "highest_frequency": "highest-frequency",
+    "stride_px": "stride",
+    "temporal_frames": "temporal",
+}
+_DEFAULTS = f"""the defaults are made for real time:
+  A window of {_WINDOW} px, rank {_RANK}, a patch every {_STRIDE} px and frequencies up to
+  {_HIGHEST_FREQUENCY:g} cycles/px are what `coded_aperture learn --budget-ms` chooses on two
+  processors, in favour of 30 frames per second of 640x480. The line "accuracy" says what that
+  costs: the mean error on the thesis' stair of 39 blur sizes (natural textures, noise 0.001, not
+  regularised), over that of all filters, all frequencies and a patch every 4 px."""
 _EPILOG = f"""examples:
   everything, in a minute or two; a first look takes a quarter of that:
     coded_aperture bench speed
     coded_aperture bench speed --quick
-  in four threads, with results and a figure in a folder:
-    coded_aperture bench speed --threads 4 --output results/
+  in one thread, with results and a figure in a folder:
+    coded_aperture bench speed --threads 1 --output results/
+  accurate instead of fast:
+    coded_aperture bench speed --rank 128 --stride 8 --highest-frequency 1
+
+{_DEFAULTS}
 p50 is the median, p99 the 99th percentile: of less than 100 frames, nearly the worst
 --output writes {RESULTS} and {_FIGURE}
 """
@@ -62,7 +81,6 @@ def add_parser(subparsers: Any) -> None:
         ("window", 16, _WINDOW, "side of the bank's patches, px"),
         ("rank", 1, _RANK, "vectors in the bank's common basis"),
         ("stride", 1, _STRIDE, "distance between patches, px"),
-        ("threads", 1, 1, "threads of the processor"),
     ):
         parser.add_argument(
             f"--{name}",
@@ -71,6 +89,21 @@ def add_parser(subparsers: Any) -> None:
             metavar="N",
             help=f"{what} (default {default})",
         )
+    parser.add_argument(
+        "--highest-frequency",
+        type=float,
+        default=_HIGHEST_FREQUENCY,
+        metavar="F",
+        help="frequencies above this, in cycles/px, are left out; 1: all count "
+        f"(default {_HIGHEST_FREQUENCY:g})",
+    )
+    parser.add_argument(
+        "--threads",
+        type=at_least(1),
+        default=processors(),
+        metavar="N",
+        help=f"threads of the processor (default: all, here {processors()})",
+    )
     parser.add_argument(
         "--temporal",
         type=_not_negative,
@@ -92,9 +125,24 @@ def add_parser(subparsers: Any) -> None:
         help="maps as large as the frame (default: the largest whole fraction within 320x240, as "
         "the node publishes)",
     )
-    parser.add_argument("--quick", action="store_true", help="fewer sizes, levels and repetitions")
+    parser.add_argument(
+        "--quick", action="store_true", help="fewer sizes, levels and repetitions, no accuracy"
+    )
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
     parser.add_argument("--output", metavar="DIR", help=f"write {RESULTS} and {_FIGURE}")
+    parser.add_late_options = _add_backend
+
+
+def _add_backend(parser: argparse.ArgumentParser) -> None:
+    from coded_aperture_ros.engine import BACKENDS
+
+    parser.add_argument(
+        "--backend",
+        choices=BACKENDS,
+        default=_BACKEND,
+        help="what computes the energies: torch needs PyTorch, cuda a GPU beside; auto takes the "
+        f"GPU where there is one (default {_BACKEND})",
+    )
 
 
 def frame_size(text: str) -> tuple[int, int]:
@@ -141,10 +189,13 @@ def _check(args: argparse.Namespace) -> None:
         args.usage_error(
             f"--size: frames of {width}x{height} px are smaller than the window of {args.window} px"
         )
+    setting = _setting(args)
     try:
-        check_threads(args.threads)
+        # These check themselves, with check_threads and check_backend.
+        _ = setting.learn_config, setting.depth_config
     except InputError as error:
-        args.usage_error(f"--{error}")
+        name, said = str(error).split(": ", 1)
+        args.usage_error(f"--{_OPTION_OF.get(name, name)}: {said}")
 
 
 def _sizes(args: argparse.Namespace) -> tuple[tuple[int, int], ...]:
@@ -159,7 +210,9 @@ def _setting(args: argparse.Namespace) -> Any:
         levels=args.levels,
         window_px=args.window,
         rank=args.rank,
+        highest_frequency=args.highest_frequency,
         stride_px=args.stride,
+        backend=args.backend,
         threads=args.threads,
         temporal_frames=args.temporal,
         full_size=args.full_size,
@@ -167,7 +220,7 @@ def _setting(args: argparse.Namespace) -> Any:
 
 
 def _extent(args: argparse.Namespace) -> Any:
-    from coded_aperture_ros.evaluation.speed import Extent, thread_counts
+    from coded_aperture_ros.evaluation.speed import Extent, has_test_pictures, thread_counts
 
     counts = thread_counts(processors())
     return Extent(
@@ -177,6 +230,7 @@ def _extent(args: argparse.Namespace) -> Any:
         threads=tuple(sorted({1, counts[-1]})) if args.quick else counts,
         repeats=_QUICK_REPEATS if args.quick else _REPEATS,
         denoised=_QUICK_DENOISED if args.quick else _DENOISED,
+        accuracy=not args.quick and has_test_pictures(),
     )
 
 
@@ -188,6 +242,7 @@ def _tables(results: dict[str, Any]) -> str:
         _level_table(results["levels"]),
         _thread_table(results["threads"]),
         _comparison_table(results["comparison"]),
+        _accuracy_line(results),
         f"{results['seconds']:.0f} s in all",
     ]
     return "\n\n".join(parts)
@@ -195,7 +250,7 @@ def _tables(results: dict[str, Any]) -> str:
 
 def _stage_table(results: dict[str, Any]) -> str:
     setting, main = results["setting"], results["main"]
-    total, memory = main["total"], main["memory"]
+    total, memory, rate = main["total"], main["memory"], main["frames_per_second"]
     moved = main["per_pixel"]["bytes"]
     rows = [
         [stage, *_milliseconds(times), f"{moved.get(stage, 0):.1f}"]
@@ -205,11 +260,14 @@ def _stage_table(results: dict[str, Any]) -> str:
     flop = main["per_pixel"]["flop"]
     return (
         f"{_size(main['size'])} frames to {_size(main['map_size'])} maps, {setting['levels']} "
-        f"levels, stride {setting['stride_px']} px, {setting['threads']} of "
-        f"{results['machine']['processors']} threads, {total['samples']} frames; ms\n"
+        f"levels; window {setting['window_px']} px, rank {setting['rank']}, stride "
+        f"{setting['stride_px']} px, up to {setting['highest_frequency']:g} cycles/px; "
+        f"{setting['backend']}, {setting['threads']} of {results['machine']['processors']} "
+        f"threads; {total['samples']} frames; ms\n"
         + table(["stage", *_TIMES, "bytes/pixel"], rows)
-        + f"\n{main['frames_per_second']:.1f} frames per second; {flop['total']:.0f} FLOP/pixel: "
-        f"spectra {flop['spectra']:.0f}, hypotheses {flop['hypotheses']:.0f}"
+        + f"\nframes per second: {rate['p50']:.1f} from p50, {rate['sustained']:.1f} sustained "
+        "(all frames in all their time)"
+        f"\n{flop['total']:.0f} FLOP/pixel: spectra {flop['spectra']:.0f}, hypotheses {flop['hypotheses']:.0f}"
         f"\nmemory: {memory['peak_mib']:.0f} MiB at most, {memory['planned_mib']:.1f} MiB by "
         f"planning and the first frame, {memory['growth_mib']:+.1f} MiB since"
     )
@@ -217,6 +275,13 @@ def _stage_table(results: dict[str, Any]) -> str:
 
 def _roofline_table(results: dict[str, Any]) -> str:
     machine, main = results["machine"], results["main"]
+    rates = (
+        f"this machine, {machine['threads']} thread(s): {machine['gemm_gflop_s']:.1f} GFLOP/s "
+        f"(median {machine['gemm_p50_gflop_s']:.1f}) in float32 matrix products, "
+        f"{machine['copy_gb_s']:.1f} GB/s (median {machine['copy_p50_gb_s']:.1f}) copying"
+    )
+    if main["roofline"] is None:
+        return f"{rates}\nroofline: not known, a GPU computes"
     rows = [
         [
             f"{name} ({what})",
@@ -233,15 +298,8 @@ def _roofline_table(results: dict[str, Any]) -> str:
         )
         for line in (main["roofline"][name],)
     ]
-    return (
-        f"this machine, {machine['threads']} thread(s): {machine['gemm_gflop_s']:.1f} GFLOP/s "
-        f"(median {machine['gemm_p50_gflop_s']:.1f}) in float32 matrix products, "
-        f"{machine['copy_gb_s']:.1f} GB/s (median {machine['copy_p50_gb_s']:.1f}) copying\n"
-        + table(
-            ["roofline", "GFLOP", "MB", "bound, ms", "limit", "p50, ms", "attained"],
-            rows,
-        )
-    )
+    header = ["roofline", "GFLOP", "MB", "bound, ms", "limit", "p50, ms", "attained"]
+    return f"{rates}\n{table(header, rows)}"
 
 
 def _size_table(sizes: dict[str, Any]) -> str:
@@ -329,6 +387,20 @@ def _comparison_table(comparison: dict[str, Any]) -> str:
             table(["compared", *_TIMES, "p50 ratio", "p99 ratio"], rows),
             *notes,
         ]
+    )
+
+
+def _accuracy_line(results: dict[str, Any]) -> str:
+    accuracy, window_px = results["accuracy"], results["setting"]["window_px"]
+    if accuracy is None:
+        return (
+            "accuracy: not measured (it is left out with --quick, and without the pictures of "
+            "scikit-image and scikit-learn)"
+        )
+    return (
+        f"accuracy: mean error {accuracy['level_error']:.2f} levels on the thesis' stair, "
+        f"{accuracy['ratio']:.2f} times the {accuracy['reference_level_error']:.2f} of all "
+        f"filters and frequencies every 4 px (same window, {window_px} px)"
     )
 
 

@@ -6,13 +6,15 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import PatchGrid
 
-# Frames are compared by the mean over squares of this side and, around these, a Gaussian of one
-# square: some hundred pixels tell a tenth of the noise's variance from none.
+# Frames are compared by blocks, so many along the side of a square, and a Gaussian around every
+# square, in squares.
 _SQUARE_PX = 8
+_BLOCKS = 2
+_SIGMA = 1.0
 # The share of the noise's variance by which two frames may differ and are surely alike, and the
 # share beyond that makes it e times less likely.
-_ALIKE = 0.2
-_BANDWIDTH = 0.3
+_ALIKE = 0.3
+_BANDWIDTH = 0.4
 # This share of the squares is taken to be still, if any is.
 _STILL_QUANTILE = 0.2
 
@@ -67,10 +69,16 @@ class StillAverage:
             self._count = np.ones(squares[::-1], np.float32)
             return self._mean, self._count
         difference = cv2.subtract(grey, self._mean, self._difference)
-        square = cv2.multiply(difference, difference, self._product)
-        changed = cv2.resize(square, squares, interpolation=cv2.INTER_AREA)
-        changed = cv2.GaussianBlur(changed, (0, 0), 1.0) / (1 + 1 / self._count)
-        variance = max(min(noise**2, float(np.quantile(changed, _STILL_QUANTILE))), 1e-12)
+        # Means of blocks have less noise, but as much of what moves: it is blurred.
+        blocks = cv2.resize(
+            difference,
+            (_BLOCKS * squares[0], _BLOCKS * squares[1]),
+            interpolation=cv2.INTER_AREA,
+        )
+        changed = cv2.resize(blocks * blocks, squares, interpolation=cv2.INTER_AREA)
+        changed = cv2.GaussianBlur(changed, (0, 0), _SIGMA) / (1 + 1 / self._count)
+        variance = (noise * _BLOCKS / _SQUARE_PX) ** 2
+        variance = max(min(variance, float(np.quantile(changed, _STILL_QUANTILE))), 1e-12)
         alike = np.exp(-np.maximum(changed / variance - 1 - _ALIKE, 0) / _BANDWIDTH)
         self._count = np.minimum(self._count * alike + 1, np.float32(self._most))
         shares = cv2.resize(1 / self._count, (width, height), self._product)

@@ -1,3 +1,42 @@
+"""All that is measured of speed, in short steps, and what came of it."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from coded_aperture_ros.bank import FilterBank, learn_bank
+from coded_aperture_ros.engine import plan_engine
+from coded_aperture_ros.evaluation.speed.accuracy import StairAccuracy
+from coded_aperture_ros.evaluation.speed.frames import NOISE, moving_frames
+from coded_aperture_ros.evaluation.speed.machine import Rates, machine_rates, roofline
+from coded_aperture_ros.evaluation.speed.rivals import (
+    NonLocalMeans,
+    ThesisFilters,
+    graph_cut_results,
+    ways_to_regularise,
+)
+from coded_aperture_ros.evaluation.speed.setting import MASK, Extent, Setting
+from coded_aperture_ros.evaluation.speed.times import fitted_slope
+from coded_aperture_ros.evaluation.speed.video import VideoRun
+from coded_aperture_ros.evaluation.speed.work import (
+    ENGINE_STAGES,
+    LEVEL_STAGES,
+    TEMPORAL_STAGES,
+    FrameWork,
+)
+from coded_aperture_ros.evaluation.stair import blur_stack
+from coded_aperture_ros.optics import Mask
+from coded_aperture_ros.threads import processors
+
+_TURNS = 4
+_MAIN_TURNS = 5
+
+Work = Callable[[], None]
+
+
 class SpeedBenchmark:
     """All measurements, as a list of short steps, and what came of them.
 
@@ -17,9 +56,10 @@ class SpeedBenchmark:
         self._banks: dict[int, FilterBank] = {}
         self._rates: list[Rates] = []
         self._runs: dict[tuple[str, Any], VideoRun] = {}
-        self._filter_s: list[float] = []
-        self._place_s: list[float] = []
-        self._denoise_s: dict[int, list[float]] = {}
+        stack = blur_stack(Mask.named(MASK), setting.levels)
+        self._thesis = ThesisFilters(setting, stack)
+        self._denoising = NonLocalMeans(setting, stack)
+        self._accuracy = StairAccuracy(setting) if extent.accuracy else None
 
     def steps(self) -> list[Work]:
         """Return the work, to be done in this order; `results` is of all of it."""
@@ -28,11 +68,12 @@ class SpeedBenchmark:
         sizes: list[Any] = [("size", size) for size in extent.sizes]
         levels: list[Any] = [("levels", count) for count in extent.levels]
         threads: list[Any] = [("threads", count) for count in extent.threads]
-        slow: list[Work] = [self._measure_filters, self._measure_places] * extent.repeats
+        thesis = [self._thesis.measure_filters, self._thesis.measure_places]
+        slow: list[Work] = thesis * extent.repeats
         if setting.temporal_frames:
             for count in extent.denoised:
-                slow += [partial(self._measure_denoising, count)] * extent.repeats
-        cuts: list[Any] = [("regularize", how) for how in _ways_to_regularise()]
+                slow += [partial(self._denoising.measure, count)] * extent.repeats
+        cuts: list[Any] = [("regularize", how) for how in ways_to_regularise()]
         return [
             *(partial(self._learn, count) for count in sorted({setting.levels, *extent.levels})),
             self._measure_rates,
@@ -40,6 +81,7 @@ class SpeedBenchmark:
             self._measure_rates,
             *(step for keys in (sizes, levels, threads, cuts) for step in self._in_turns(keys)),
             *slow,
+            *(self._accuracy.steps() if self._accuracy else []),
         ]
 
     def results(self) -> dict[str, Any]:
@@ -52,14 +94,15 @@ class SpeedBenchmark:
             "levels": self._level_results(),
             "threads": self._thread_results(),
             "comparison": self._comparison(),
+            "accuracy": self._accuracy.results() if self._accuracy else None,
         }
 
     # The work.
 
     def _learn(self, levels: int) -> None:
-        config = LearnConfig(window_px=self.setting.window_px, rank=self.setting.rank)
         mask = Mask.named(MASK)
-        self._banks[levels] = learn_bank(blur_stack(mask, levels), config, mask=mask)
+        stack = blur_stack(mask, levels)
+        self._banks[levels] = learn_bank(stack, self.setting.learn_config, mask=mask)
 
     def _measure_rates(self) -> None:
         self._rates.append(machine_rates(self.setting.threads))
@@ -89,44 +132,6 @@ class SpeedBenchmark:
         bank = self._banks[setting.levels]
         return VideoRun(bank, moving_frames(bank.stack, setting.size), setting, **changes)
 
-    def _measure_filters(self) -> None:
-        """Convolve the frame with a few of the thesis' filters, and sum their squares.
-
-        OpenCV does that by Fourier transforms where filters are as large as these.
-        """
-        threads = self.setting.threads
-        random = np.random.default_rng(0)
-        frame = random.random(self.setting.size, dtype=np.float32)
-        side = (_THESIS_PATCH_PX, _THESIS_PATCH_PX)
-        kernel = random.standard_normal(side).astype(np.float32)
-        sums = [np.zeros_like(frame) for _ in range(threads)]
-
-        def convolve(thread: int) -> None:
-            for _ in range(_FILTERS_TRIED):
-                cv2.accumulateSquare(cv2.filter2D(frame, cv2.CV_32F, kernel), sums[thread])
-
-        with opencv_threads(1):  # each of our threads has its own filters
-            self._filter_s += _seconds_in_threads(convolve, threads, _TRIES)
-
-    def _measure_places(self) -> None:
-        """Find the energies of some places from a common basis as large as the thesis'."""
-        threads = self.setting.threads
-        bank, frame = _some_subspaces(self._banks[self.setting.levels].stack)
-
-        def energies(thread: int) -> None:
-            bank.energies(frame, NOISE)
-
-        self._place_s += _seconds_in_threads(energies, threads, _TRIES)
-
-    def _measure_denoising(self, count: int) -> None:
-        stack = self._banks[self.setting.levels].stack
-        frames = moving_frames(stack, self.setting.size, count)
-        pictures = [np.rint(255 * frame).astype(np.uint8) for frame in frames]
-        with opencv_threads(self.setting.threads):
-            start = time.perf_counter()
-            cv2.fastNlMeansDenoisingMulti(pictures, count // 2, count)
-            self._denoise_s.setdefault(count, []).append(time.perf_counter() - start)
-
     # What came of it.
 
     def _machine(self) -> Rates:
@@ -154,16 +159,31 @@ class SpeedBenchmark:
             "stages": {stage: dataclasses.asdict(run.stage_times(stage)) for stage in run.stages},
             "engine": dataclasses.asdict(engine),
             "total": dataclasses.asdict(total),
-            "frames_per_second": len(run.totals) / sum(run.totals),
+            "frames_per_second": {
+                "p50": 1000 / total.p50_ms,
+                "sustained": len(run.totals) / sum(run.totals),
+            },
             "memory": dataclasses.asdict(run.memory) if run.memory else None,
             "per_pixel": work.per_pixel(),
-            "roofline": {
+            "roofline": None
+            if self._on_gpu()
+            else {
                 "engine": dataclasses.asdict(
                     roofline(work.flop, engine_bytes, machine, engine.p50_ms)
                 ),
                 "frame": dataclasses.asdict(roofline(work.flop, all_bytes, machine, total.p50_ms)),
             },
         }
+
+    def _on_gpu(self) -> bool:
+        """Return whether a GPU computes, about which the rates of the processor say nothing."""
+        setting = self.setting
+        side = setting.window_px
+        engine = plan_engine(
+            self._banks[setting.levels], (side, side), setting.stride_px, setting.backend
+        )
+        engine.close()
+        return engine.name == "cuda"
 
     def _size_results(self) -> dict[str, Any]:
         sizes = self.extent.sizes
@@ -224,71 +244,15 @@ class SpeedBenchmark:
 
     def _comparison(self) -> dict[str, Any]:
         run = self._runs["main", None]
-        return {
-            "thesis": self._thesis_results(run),
-            "denoising": self._denoising_results(run) if self.setting.temporal_frames else None,
-            "graph_cut": self._graph_cut_results(),
-        }
-
-    def _thesis_results(self, run: VideoRun) -> dict[str, Any]:
-        setting, engine = self.setting, run.stage_times(*ENGINE_STAGES)
-        filters = setting.levels * _THESIS_FILTERS
-        tried = _FILTERS_TRIED * setting.threads
-        pixels = setting.size[0] * setting.size[1]
-        places = _PLACES[0] * _PLACES[1] * setting.threads
-        grid = PatchGrid.covering(setting.size, setting.window_px, setting.stride_px)
-        density = pixels / (grid.rows * grid.columns)
-        unfactored = Times.of(self._filter_s, filters / tried)
-        basis_s = np.multiply(self._filter_s, _THESIS_BASIS / tried)
-        levels_s = np.multiply(self._place_s, pixels / places)
-        factored = Times.of((basis_s + levels_s).tolist())
-
-        def against(times: Times) -> dict[str, Any]:
-            ratio = times.over(engine)
-            per_place = {name: value / density for name, value in ratio.items()}
-            return {"ratio": ratio, "ratio_per_place": per_place}
-
-        return {
-            "engine": dataclasses.asdict(engine),
-            "pixels_per_patch": density,
-            "unfactored": {
-                "extrapolated": f"from {tried} filters on the whole frame to {filters}",
-                "filters": filters,
-                "times": dataclasses.asdict(unfactored),
-                **against(unfactored),
-            },
-            "common_basis": {
-                "extrapolated": (
-                    f"from {tried} filters on the whole frame to {_THESIS_BASIS}, and from the "
-                    f"energies of {places} pixels to {pixels}"
-                ),
-                "filters": _THESIS_BASIS,
-                "filters_p50_ms": 1000 * float(np.median(basis_s)),
-                "energies_p50_ms": 1000 * float(np.median(levels_s)),
-                "times": dataclasses.asdict(factored),
-                **against(factored),
-            },
-        }
-
-    def _denoising_results(self, run: VideoRun) -> dict[str, Any]:
-        own = run.stage_times(*TEMPORAL_STAGES)
-        rows = []
-        for count, seconds in self._denoise_s.items():
-            times = Times.of(seconds)
-            rows.append(
-                {"frames": count, "times": dataclasses.asdict(times), "ratio": times.over(own)}
-            )
-        return {"still_and_temporal": dataclasses.asdict(own), "non_local_means": rows}
-
-    def _graph_cut_results(self) -> dict[str, Any] | None:
-        times = {
+        temporal = self.setting.temporal_frames
+        regularising = {
             how: self._runs["regularize", how].stage_times("regularise")
-            for how in _ways_to_regularise()
+            for how in ways_to_regularise()
         }
-        if "graphcut" not in times:
-            return None
         return {
-            "semiglobal": dataclasses.asdict(times["semiglobal"]),
-            "graphcut": dataclasses.asdict(times["graphcut"]),
-            "ratio": times["graphcut"].over(times["semiglobal"]),
+            "thesis": self._thesis.results(run.stage_times(*ENGINE_STAGES)),
+            "denoising": (
+                self._denoising.results(run.stage_times(*TEMPORAL_STAGES)) if temporal else None
+            ),
+            "graph_cut": graph_cut_results(regularising),
         }

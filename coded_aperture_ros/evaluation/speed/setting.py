@@ -24,9 +24,14 @@ class Setting:
         From 7 to 30 px.
     window_px, rank
         Of the bank.
+    highest_frequency : float
+        That the bank takes into account, cycles/px.
     stride_px : int
         Distance between patches.
+    backend : str
+        What computes the energies.
     threads : int
+        Of the processor.
     temporal_frames : float
         0: every frame for itself.
     full_size : bool
@@ -37,10 +42,29 @@ class Setting:
     levels: int
     window_px: int
     rank: int
+    highest_frequency: float
     stride_px: int
+    backend: str
     threads: int
     temporal_frames: float
     full_size: bool
+
+    @property
+    def learn_config(self) -> LearnConfig:
+        """How the bank is learned; raises `InputError` if it cannot be."""
+        return LearnConfig(
+            window_px=self.window_px, rank=self.rank, highest_frequency=self.highest_frequency
+        )
+
+    @property
+    def depth_config(self) -> DepthConfig:
+        """How depth is estimated; raises `InputError` if it cannot be here."""
+        return DepthConfig(
+            stride_px=self.stride_px,
+            temporal_frames=self.temporal_frames,
+            backend=self.backend,
+            threads=self.threads,
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,6 +82,8 @@ class Extent:
         Of the methods that are slower than this one.
     denoised : tuple of int
         Frames that a non-local mean is of.
+    accuracy : bool
+        Whether the stair is measured, which needs its pictures.
     """
 
     frames: int
@@ -66,6 +92,7 @@ class Extent:
     threads: tuple[int, ...]
     repeats: int
     denoised: tuple[int, ...]
+    accuracy: bool
 
 
 def published_size(shape: Size, full: bool = False) -> Size:

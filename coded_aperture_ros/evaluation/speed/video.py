@@ -50,11 +50,6 @@ class VideoRun:
         setting: Setting,
         **changes: Any,
     ) -> None:
-        config = DepthConfig(
-            stride_px=setting.stride_px,
-            threads=setting.threads,
-            temporal_frames=setting.temporal_frames,
-        )
         self.shape: Size = (frames[0].shape[0], frames[0].shape[1])
         self.map_size = published_size(self.shape, setting.full_size)
         self._frames = [*frames, *frames[-2:0:-1]]  # no jump at the end
@@ -62,7 +57,8 @@ class VideoRun:
         self._threads = setting.threads
         height, width = self.shape
         camera = Camera(_FOCAL_LENGTH_PX, _FOCUS_M, width, height, Mask.named(MASK), _EXTENT_MM)
-        self._estimator = DepthEstimator(bank, dataclasses.replace(config, **changes), camera)
+        config = dataclasses.replace(setting.depth_config, **changes)
+        self._estimator = DepthEstimator(bank, config, camera)
         self.totals: list[float] = []
         self.stages: dict[str, list[float]] = {}
         self.memory: Memory | None = None
