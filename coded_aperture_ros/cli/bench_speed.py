@@ -267,7 +267,8 @@ def _stage_table(results: dict[str, Any]) -> str:
         + table(["stage", *_TIMES, "bytes/pixel"], rows)
         + f"\nframes per second: {rate['p50']:.1f} from p50, {rate['sustained']:.1f} sustained "
         "(all frames in all their time)"
-        f"\n{flop['total']:.0f} FLOP/pixel: spectra {flop['spectra']:.0f}, hypotheses {flop['hypotheses']:.0f}"
+        f"\n{flop['total']:.0f} FLOP/pixel: spectra {flop['spectra']:.0f}, "
+        f"hypotheses {flop['hypotheses']:.0f}"
         f"\nmemory: {memory['peak_mib']:.0f} MiB at most, {memory['planned_mib']:.1f} MiB by "
         f"planning and the first frame, {memory['growth_mib']:+.1f} MiB since"
     )

@@ -51,15 +51,11 @@ class StairAccuracy:
 
     def steps(self) -> list[Callable[[], None]]:
         """Return the work: one bank after the other, and one stair at a time, to save memory."""
-        return [
-            step
-            for name, learn in ((_OWN, self._learn_own), (_REFERENCE, self._learn_reference))
-            for step in (
-                learn,
-                *(partial(self._measure, name, seed) for seed in _SEEDS),
-                partial(self._close, name),
-            )
-        ]
+        steps: list[Callable[[], None]] = []
+        for name, learn in ((_OWN, self._learn_own), (_REFERENCE, self._learn_reference)):
+            measure = [partial(self._measure, name, seed) for seed in _SEEDS]
+            steps += [learn, *measure, partial(self._close, name)]
+        return steps
 
     def results(self) -> dict[str, float]:
         """Return both errors, in levels, and how many times the reference's the own one is."""
@@ -112,7 +108,7 @@ def with_all_filters(bank: FilterBank) -> FilterBank:
     Parameters
     ----------
     bank : FilterBank
-        Of any rank.
+        Of any rank, learned from PSFs with the natural-image prior.
     """
     powers = [
         [bank.fourier.expected_power(psf, slope) for psf in bank.stack.psfs]
