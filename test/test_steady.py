@@ -44,8 +44,8 @@ def plane_at(camera, depth_m, noise=0.002, seed=1):
     return (frame + random.normal(0, noise, SHAPE)).astype(np.float32)
 
 
-@pytest.mark.parametrize("temporal_frames", [0.0, 3.0])
-def test_memory_does_not_grow(bank, camera, temporal_frames):
+@pytest.mark.parametrize(("temporal_frames", "warm_up"), [(0.0, 30), (3.0, 100)])
+def test_memory_does_not_grow(bank, camera, temporal_frames, warm_up):
     frames = [plane_at(camera, 1.5, seed=seed) for seed in range(4)]
     config = dataclasses.replace(EVERYTHING, temporal_frames=temporal_frames)
     estimator = DepthEstimator(bank, config)
@@ -58,8 +58,8 @@ def test_memory_does_not_grow(bank, camera, temporal_frames):
 
     tracemalloc.start()
     try:
-        before = size_after(100)
-        grown = size_after(300) - before
+        before = size_after(warm_up)
+        grown = size_after(3 * warm_up) - before
     finally:
         tracemalloc.stop()
         estimator.close()
@@ -146,7 +146,7 @@ def test_strong_blur_leaves_nothing_in_high_frequencies(bank, camera):
     print(errors)
     assert errors[0] != errors[1]
     assert errors[1] < 0.3
-    assert errors[1] < 1.3 * errors[0]
+    assert errors[1] < errors[0] + 0.1
 
 
 def test_bank_file_of_version_1_is_read(bank, camera, tmp_path):

@@ -19,8 +19,8 @@ from coded_aperture_ros.threads import processors
 
 _FIGURE = "speed.png"
 _SIZE = (480, 640)
-# About what `learn --budget-ms 33 --budget-threads 2` chose: it tries strides of 16 and 21 px.
-_LEVELS, _WINDOW, _RANK, _STRIDE, _HIGHEST_FREQUENCY = 30, 64, 64, 20, 0.4
+# What `learn --budget-ms` chooses for these blur sizes when a frame may take a sixtieth of a second.
+_LEVELS, _WINDOW, _RANK, _STRIDE, _HIGHEST_FREQUENCY = 30, 64, 64, 21, 0.4
 _BACKEND = "numpy"
 _FRAMES, _QUICK_FRAMES = 20, 6
 _TEMPORAL = 4.0

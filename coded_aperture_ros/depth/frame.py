@@ -57,16 +57,17 @@ def grey_image(
     """
     check_frame(frame)
     frame = np.ascontiguousarray(frame, np.float32)
+    grey = frame
     if frame.ndim == 3:
         grey = cv2.transform(frame, np.full((1, 3), 1 / 3, np.float32))
+    with np.errstate(invalid="ignore"):  # NaN fails both comparisons
+        if frame.max() < saturation and grey.min() > _DARKEST:
+            return grey, None
+    brightest = grey
+    if frame.ndim == 3:
         brightest = np.maximum(np.maximum(frame[..., 0], frame[..., 1]), frame[..., 2])
-    else:
-        grey = brightest = frame
-    # NaN compares as false, so this also finds the pixels that are not finite.
     usable = brightest < saturation
     usable &= grey > _DARKEST
-    if usable.all():
-        return grey, None
     return filled(grey, usable), ~usable
 
 
