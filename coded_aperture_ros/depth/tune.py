@@ -14,9 +14,9 @@ from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.estimate import DepthEstimator
 from coded_aperture_ros.errors import InputError
 
-# Windows that are tried, and strides as parts of a window.
+# Windows that are tried, and strides as shares of a window.
 _WINDOWS_PX = (48, 64, 96)
-_PARTS = (6, 4, 3)
+_SHARES = (1 / 6, 1 / 4, 3 / 8)
 _RANK = 64
 # Without higher frequencies than this, blur sizes from here on lose nothing.
 _ENOUGH_FREQUENCY, _OF_BLUR_PX = 0.4, 7.0
@@ -96,8 +96,8 @@ def tune(
                 LearnConfig(window_px=window_px, rank=_RANK, highest_frequency=_ENOUGH_FREQUENCY)
             )
         banks[window_px] = bank
-        for part in _PARTS:
-            stride_px = window_px // part
+        for share in _SHARES:
+            stride_px = int(share * window_px)
             trials.append(
                 Trial(
                     window_px,
