@@ -19,7 +19,7 @@ from coded_aperture_ros.threads import processors
 
 _FIGURE = "speed.png"
 _SIZE = (480, 640)
-# What `learn --budget-ms` chooses for these blur sizes when a frame may take a sixtieth of a second.
+# What `learn --budget-ms` chooses for these blur sizes and 60 frames per second.
 _LEVELS, _WINDOW, _RANK, _STRIDE, _HIGHEST_FREQUENCY = 30, 64, 64, 24, 0.4
 _BACKEND = "numpy"
 _FRAMES, _QUICK_FRAMES = 20, 6
