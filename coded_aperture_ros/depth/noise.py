@@ -8,8 +8,8 @@ from coded_aperture_ros.bank import PatchGrid
 from coded_aperture_ros.depth.frame import mean_at
 
 # Passes what alternates from pixel to pixel along rows and columns both, and white noise with its
-# variance unchanged: a texture, blurred or not, has next to nothing there. A sharper filter would miss
-# noise that a sensor's colour filters have smoothed.
+# variance unchanged: a texture, blurred or not, has next to nothing there. A sharper filter would
+# miss noise that a sensor's colour filters have smoothed.
 _ALTERNATING = (np.array([1, -2, 1]) / np.sqrt(6)).astype(np.float32)
 
 # The least textured windows tell the noise best; the very least are there by chance.
