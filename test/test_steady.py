@@ -106,6 +106,13 @@ def test_backend_that_is_not_there_is_refused(backend):
         DepthConfig(backend=backend)
 
 
+@pytest.mark.parametrize("backend", ["torch", "cuda"])
+def test_missing_pytorch_is_found_before_the_first_frame(backend, monkeypatch):
+    monkeypatch.setattr("coded_aperture_ros.engine.engine.find_spec", lambda _: None)
+    with pytest.raises(InputError, match=f"{backend} needs PyTorch"):
+        DepthConfig(backend=backend)
+
+
 def test_stride_is_the_banks_unless_told(bank, camera):
     frame, coarse = plane_at(camera, 1.5), dataclasses.replace(bank, stride_px=16)
     told = DepthEstimator(bank, dataclasses.replace(EVERYTHING, stride_px=16)).estimate(frame)

@@ -482,6 +482,19 @@ def test_video_backwards_has_the_results_backwards(bank, moving_object):
     assert np.mean(difference < 0.01) > 0.995
 
 
+@pytest.mark.parametrize("at", [3, 5, 6])
+def test_every_result_knows_the_next_frames(bank, weak_scene, at):
+    """Also the last ones of a block of frames that are finished together, here the sixth."""
+    video = weak_scene[0]
+    changed = [*video[: at + 2], video[at + 2][::-1].copy(), *video[at + 3 :]]
+    results = [
+        list(estimate_video(DepthEstimator(bank, with_memory(1.0)), frames))[at].level
+        for frames in (video[:11], changed[:11], video[: at + 1])
+    ]
+    assert not np.array_equal(results[0], results[1])
+    assert not np.array_equal(results[0], results[2])
+
+
 def test_video_maps_have_the_size_that_was_asked_for(bank, weak_scene):
     estimator = DepthEstimator(bank, with_memory(0.5))
     results = list(estimate_video(estimator, weak_scene[0][:2], (80, 96)))
@@ -500,3 +513,9 @@ def test_frames_of_two_sizes_are_refused(bank, weak_scene, at):
 def test_video_needs_memory(bank, weak_scene):
     with pytest.raises(InputError, match=r"temporal_frames: .* more than 0"):
         list(estimate_video(DepthEstimator(bank, EVERYTHING), weak_scene[0][:2]))
+
+
+def test_video_of_an_impossible_map_is_refused(bank, weak_scene):
+    estimator = DepthEstimator(bank, dataclasses.replace(EVERYTHING, temporal_frames=1.0))
+    with pytest.raises(InputError, match="at least 1x1"):
+        list(estimate_video(estimator, weak_scene[0][:2], (0, 8)))

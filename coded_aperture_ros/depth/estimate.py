@@ -94,6 +94,17 @@ class DepthEstimate:
         )
 
 
+def check_map_size(size: tuple[int, int] | None) -> None:
+    """Refuse a size (rows, columns) that no map can have.
+
+    Raises
+    ------
+    InputError
+    """
+    if size is not None and min(size) < 1:
+        raise InputError(f"size of the depth map: expected at least 1x1, got {size}")
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Observation:
     """What is seen of one frame before its depth is estimated.
@@ -198,8 +209,7 @@ class DepthEstimator:
             If the frame has a wrong shape or type, or is smaller than the bank's window, or `size`
             is not that of a map.
         """
-        if size is not None and min(size) < 1:
-            raise InputError(f"size of the depth map: expected at least 1x1, got {size}")
+        check_map_size(size)
         self.stages.start()
         seen = self.observe(frame)
         self.stages.lap("prepare")
@@ -207,11 +217,11 @@ class DepthEstimator:
         if self._still is not None:
             grey, frames = self._still.add(seen.grey, seen.noise)
             self.stages.lap("still")
-        evidence = self.evidence_of(seen, grey, frames)
+        own = evidence = self.evidence_of(seen, grey, frames)
         if self._temporal is not None:
-            evidence = self._temporal.add(evidence, grey, seen.grid, seen.noise)
+            evidence = self._temporal.add(own, grey, seen.grid, seen.noise)
             self.stages.lap("temporal")
-        return self.decide(seen, evidence, size)
+        return self.decide(seen, evidence, own, size)
 
     def observe(self, frame: NDArray[np.float32]) -> Observation:
         """Look at a frame by itself; the first step of `estimate`.
@@ -273,12 +283,16 @@ class DepthEstimator:
         self,
         seen: Observation,
         evidence: NDArray[np.float32],
+        own: NDArray[np.float32],
         size: tuple[int, int] | None = None,
     ) -> DepthEstimate:
-        """Choose the levels of all patches and draw the maps; the last step of `estimate`."""
+        """Choose the levels of all patches and draw the maps; the last step of `estimate`.
+
+        By the evidence of all frames; `own`, of this frame, says where between two levels.
+        """
         config, grid, shape = self.config, seen.grid, seen.grey.shape
         size = size or (shape[0], shape[1])
-        level = regularized_level(evidence, config, seen.brightness)
+        level = regularized_level(evidence, config, seen.brightness, own)
         self.stages.lap("regularise")
 
         # Patches that are far apart do not need every pixel of a large map.

@@ -30,6 +30,7 @@ def regularized_level(
     evidence: NDArray[np.float32],
     config: DepthConfig,
     brightness: NDArray[np.float32] | None = None,
+    own: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
     """Return the fractional level of every patch.
 
@@ -41,6 +42,9 @@ def regularized_level(
         Says which regularisation, and how strong.
     brightness : ndarray, float32 [rows, columns], optional
         Of the frame at every patch: `semiglobal` lets levels jump more easily where it changes.
+    own : ndarray, float32 [rows, columns, L], optional
+        The evidence of one frame, where `evidence` is that of several: it is not cut off and has
+        not drifted, and tells where the minimum is between two levels. Not for `tv`.
 
     Returns
     -------
@@ -52,17 +56,24 @@ def regularized_level(
     InputError
         If graph cuts are asked for and PyMaxflow is not installed.
     """
-    return _METHODS[config.regularize](evidence, config.smoothness, brightness)
+    own = evidence if own is None else own
+    return _METHODS[config.regularize](evidence, config.smoothness, brightness, own)
 
 
 def _independent(
-    evidence: NDArray[np.float32], smoothness: float, brightness: NDArray[np.float32] | None
+    evidence: NDArray[np.float32],
+    smoothness: float,
+    brightness: NDArray[np.float32] | None,
+    own: NDArray[np.float32],
 ) -> NDArray[np.float32]:
-    return refine_level(evidence, evidence.argmin(axis=-1))
+    return refine_level(own, evidence.argmin(axis=-1))
 
 
 def _semi_global(
-    evidence: NDArray[np.float32], smoothness: float, brightness: NDArray[np.float32] | None
+    evidence: NDArray[np.float32],
+    smoothness: float,
+    brightness: NDArray[np.float32] | None,
+    own: NDArray[np.float32],
 ) -> NDArray[np.float32]:
     """Minimise along rows and columns, both ways, and add up (Hirschmueller, 2008).
 
@@ -86,7 +97,7 @@ def _semi_global(
     # Every path counts the evidence of its patch.
     total = _both_ways(known, down) - 3 * known
     total += _both_ways(known.swapaxes(0, 1), across).swapaxes(0, 1)
-    return refine_level(evidence, total.argmin(axis=-1))
+    return refine_level(own, total.argmin(axis=-1))
 
 
 def _both_ways(evidence: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -115,7 +126,10 @@ def _both_ways(evidence: NDArray[np.float32], weights: NDArray[np.float32]) -> N
 
 
 def _graph_cut(
-    evidence: NDArray[np.float32], smoothness: float, brightness: NDArray[np.float32] | None
+    evidence: NDArray[np.float32],
+    smoothness: float,
+    brightness: NDArray[np.float32] | None,
+    own: NDArray[np.float32],
 ) -> NDArray[np.float32]:
     """Alpha expansion of ``-log p + beta min(|d_p - d_q|, edge)`` (thesis eq. 6.25 and 5.24)."""
     try:
@@ -131,11 +145,14 @@ def _graph_cut(
         np.ascontiguousarray(_bounded(evidence), np.float64),
         _CUT_BETA * smoothness * step.astype(np.float64),
     )
-    return refine_level(evidence, labels)
+    return refine_level(own, labels)
 
 
 def _total_variation(
-    evidence: NDArray[np.float32], smoothness: float, brightness: NDArray[np.float32] | None
+    evidence: NDArray[np.float32],
+    smoothness: float,
+    brightness: NDArray[np.float32] | None,
+    own: NDArray[np.float32],
 ) -> NDArray[np.float32]:
     """Minimise ``sum -log p(v) + (u - v)^2 / (2 theta) + beta |grad u|`` with theta shrinking.
 

@@ -17,6 +17,8 @@ _ALIKE = 0.3
 _BANDWIDTH = 0.4
 # This share of the squares is taken to be still, if any is.
 _STILL_QUANTILE = 0.2
+# Squares that differ by less than this share of the noise's variance are clipped.
+_CLIPPED = 0.1
 
 
 class StillAverage:
@@ -78,7 +80,11 @@ class StillAverage:
         changed = cv2.resize(blocks * blocks, squares, interpolation=cv2.INTER_AREA)
         changed = cv2.GaussianBlur(changed, (0, 0), _SIGMA) / (1 + 1 / self._count)
         variance = (noise * _BLOCKS / _SQUARE_PX) ** 2
-        variance = max(min(variance, float(np.quantile(changed, _STILL_QUANTILE))), 1e-12)
+        # Where a frame is clipped there is no noise to compare with.
+        noisy = changed[changed > _CLIPPED * variance]
+        if noisy.size:
+            variance = min(variance, float(np.quantile(noisy, _STILL_QUANTILE)))
+        variance = max(variance, 1e-12)
         alike = np.exp(-np.maximum(changed / variance - 1 - _ALIKE, 0) / _BANDWIDTH)
         self._count = np.minimum(self._count * alike + 1, np.float32(self._most))
         shares = cv2.resize(1 / self._count, (width, height), self._product)

@@ -6,7 +6,12 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.depth.estimate import DepthEstimate, DepthEstimator, Observation
+from coded_aperture_ros.depth.estimate import (
+    DepthEstimate,
+    DepthEstimator,
+    Observation,
+    check_map_size,
+)
 from coded_aperture_ros.depth.still import StillAverage, joined
 from coded_aperture_ros.depth.temporal import TemporalFilter, bounded
 from coded_aperture_ros.errors import InputError
@@ -50,7 +55,9 @@ def estimate_video(
     memory = estimator.config.temporal_frames
     if not memory:
         raise InputError("temporal_frames: a video with past and future needs more than 0")
+    check_map_size(size)
     ahead = int(np.ceil(_AHEAD * memory))
+    estimator.stages.start()
     remaining = (estimator.observe(frame) for frame in frames)
     forward_mean, forward_evidence = StillAverage(2 * memory), TemporalFilter(memory)
     means: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
@@ -72,7 +79,7 @@ def estimate_video(
             until = forward_evidence.add(own, seen.grey, seen.grid, seen.noise)
             together = until + after - bounded(own)
             together -= together.min(axis=-1, keepdims=True)
-            yield estimator.decide(seen, together, size)
+            yield estimator.decide(seen, together, own, size)
         waiting, means = waiting[done:], means[done:]
 
 
