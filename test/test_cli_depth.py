@@ -382,7 +382,7 @@ def test_a_camera_that_cannot_have_the_bank_s_blur_sizes(scene, tmp_path, capsys
 @pytest.mark.parametrize(
     ("options", "phrases"),
     [
-        (("--stride-px", 0), ["--stride-px", "0 is out of range (1 to 64 px)"]),
+        (("--stride-px", -1), ["--stride-px", "-1 is out of range (0 to 64 px)"]),
         (("--stride-px", 2.5), ["--stride-px", "invalid int value: '2.5'"]),
         (("--noise", "nan"), ["--noise", "nan is out of range"]),
         (("--confidence-threshold", 2), ["--confidence-threshold", "out of range (0 to 1)"]),

@@ -141,7 +141,7 @@ def test_a_bank_that_does_not_load_ends_the_node_with_one_line(start, tmp_path, 
 
 
 def test_a_wrong_parameter_ends_the_node_with_one_line(start):
-    process = start("depth_node", stride_px=0)
+    process = start("depth_node", stride_px=-1)
     out, err = process.communicate(timeout=30)
     assert (process.returncode, out) == (1, "")
     assert len(err.splitlines()) == 1 and "stride_px" in err, err
