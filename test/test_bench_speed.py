@@ -109,7 +109,7 @@ def test_accuracy_of_a_setting_is_that_over_the_best_of_its_window(monkeypatch):
     pytest.importorskip("sklearn")
     monkeypatch.setattr(accuracy, "_SEEDS", (0,))
     monkeypatch.setattr(accuracy, "_REFERENCE_STRIDE_PX", 16)
-    setting = Setting((96, 96), 3, 32, 2, 0.4, 32, "numpy", 1, 4.0, False)
+    setting = Setting((96, 96), 3, 32, 16, 0.4, 32, "numpy", 1, 4.0, False)
     stair = accuracy.StairAccuracy(setting)
     for step in stair.steps():
         step()
