@@ -17,7 +17,7 @@ DEPTH_M = 4.0
 
 def examples(capsys, command):
     """Return the command lines in a command's help, as lists of arguments."""
-    text = call(capsys, command, "--help").out.replace("\\\n", " ")
+    text = call(capsys, *command.split(), "--help").out.replace("\\\n", " ")
     lines = [line.strip() for line in text.splitlines()]
     return [
         shlex.split(line)[1:] for line in lines if line.startswith(f"coded_aperture {command} ")
@@ -43,6 +43,19 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
         result = call(capsys, *arguments)
         assert (result.status, result.err) == (0, ""), arguments
         return result.out
+
+    calibrate = examples(capsys, "calibrate")
+    assert len(calibrate) == 3
+    for arguments in calibrate:
+        assert "depth levels told apart" in type_in(arguments)
+    assert (tmp_path / "design" / "calibrate.html").is_file()
+
+    print_mask = examples(capsys, "mask") + examples(capsys, "mask print")
+    assert len(print_mask) == 3
+    for arguments in print_mask:
+        type_in(arguments)
+    assert (tmp_path / "mask.pdf").is_file()
+    assert (tmp_path / "mask.svg").is_file()
 
     (simulate,) = examples(capsys, "simulate")
     type_in(simulate)

@@ -118,4 +118,6 @@ def test_every_command_explains_itself():
 
 
 def test_commands_are_listed_in_the_order_of_use():
-    assert list(program.COMMANDS) == ["demo", "learn", "depth", "deblur", "simulate", "bench"]
+    assert list(program.COMMANDS) == [
+        *("demo", "calibrate", "mask", "learn", "depth", "deblur", "simulate", "bench")
+    ]

@@ -39,7 +39,7 @@ def test_command_line_help_is_quick():
     assert min(spent) < CPU_SECONDS
 
 
-@pytest.mark.parametrize("part", ["bank", "depth", "deblur"])
+@pytest.mark.parametrize("part", ["design", "bank", "depth", "deblur"])
 def test_the_library_leaves_optional_packages_alone(part):
     """PyMaxflow is GPL-3 and absent on ARM; drawing and torch are slow."""
     optional = ("maxflow", "skimage", "matplotlib", "rosbags", "torch", "rclpy")

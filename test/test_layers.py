@@ -12,6 +12,7 @@ LAYERS = (
     ("__init__", "errors", "files", "configuration", "archive", "share", "blas", "threads"),
     ("images",),
     ("optics",),
+    ("design",),
     ("simulation",),
     ("bank",),
     ("engine",),

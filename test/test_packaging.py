@@ -147,6 +147,18 @@ def test_every_python_package_is_installed(checkout):
     assert [folder for folder in folders if not (folder / "__init__.py").is_file()] == []
 
 
+def test_every_other_file_is_installed(checkout):
+    """What is no Python file is left out of wheels, unless setup.py names it."""
+    package = checkout / PACKAGE
+    others = {
+        path.relative_to(package)
+        for path in package.rglob("*")
+        if path.is_file() and path.suffix not in (".py", ".pyc")
+    }
+    assert others == {Path("design/page.html")}
+    assert 'package_data={f"{NAME}.design": ["page.html"]}' in (checkout / "setup.py").read_text()
+
+
 def test_setup_cfg_has_what_ros2_run_needs(checkout):
     text = (checkout / "setup.cfg").read_text()
     assert text.count(f"$base/lib/{PACKAGE}") == 2

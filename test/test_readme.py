@@ -33,7 +33,7 @@ def test_commands_and_python_example(checkout, folder, monkeypatch, capsys):
     readme = (checkout / "README.md").read_text()
     section = readme.split("## From the command line")[1].split("\n## ")[0]
     commands = re.findall(r"^    coded_aperture (.*)$", section, re.MULTILINE)
-    assert len(commands) == 6
+    assert len(commands) == 8
     for command in commands:
         assert main(shlex.split(command)) == 0, capsys.readouterr().err
     (example,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)

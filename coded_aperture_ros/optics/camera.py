@@ -57,6 +57,9 @@ class Camera:
         How far the mask sits in front of the lens; negative between lens and sensor.
     side : {"far", "near"}
         Which side of the focal plane the scene is on: beyond it, or between it and the lens.
+    focal_length_mm : float or None
+        Focal length of the lens, where it is known: f-numbers need it, and what becomes of the
+        image distance when the focus is moved.
 
     Raises
     ------
@@ -72,11 +75,15 @@ class Camera:
     mask_extent_mm: float
     lens_mask_distance_mm: float = 0.0
     side: str = "far"
+    focal_length_mm: float | None = None
 
     def __post_init__(self) -> None:
         for name, (expected, described) in _NUMBERS.items():
             if name not in _PHYSICAL:
                 check_option(name, getattr(self, name), expected, described)
+        if self.focal_length_mm is not None:
+            check_option("focal_length_mm", self.focal_length_mm, *_NUMBERS["focal_length_mm"])
+            _check_focus_is_possible(self.focal_length_mm, self.focus_distance_m)
         check_option("side", self.side, str, _SIDE)
         if not isinstance(self.mask, Mask):
             raise InputError(f"mask: expected a Mask, got {self.mask!r}")
@@ -103,13 +110,14 @@ class Camera:
             ("focus_distance_m", focus_distance_m),
         ):
             check_option(name, value, *_NUMBERS[name])
-        if focus_distance_m * 1e3 <= focal_length_mm:
-            raise InputError(
-                f"focus_distance_m: {focus_distance_m!r} is not beyond the focal length, "
-                f"use more than {focal_length_mm * 1e-3:g} m"
-            )
+        _check_focus_is_possible(focal_length_mm, focus_distance_m)
         distance_mm = lens.image_distance(focal_length_mm, focus_distance_m * 1e3)
-        return Camera(distance_mm * 1e3 / pixel_pitch_um, focus_distance_m, **others)
+        return Camera(
+            distance_mm * 1e3 / pixel_pitch_um,
+            focus_distance_m,
+            focal_length_mm=focal_length_mm,
+            **others,
+        )
 
     @property
     def _lens_mask_distance_m(self) -> float:
@@ -178,6 +186,33 @@ class Camera:
             raise InputError(f"resolution_px: expected more than 0 px, got {resolution_px!r}")
         return lens.levels_between(*self.blur_range_px(near_m, far_m), resolution_px)
 
+    def refocused(self, focus_distance_m: float) -> "Camera":
+        """Return the camera with its lens focused at another distance.
+
+        The image distance follows the focus (thesis eq. 3.14) where the focal length is known;
+        else `focal_length_px` stays, which is off by about the focal length over the distance.
+
+        Parameters
+        ----------
+        focus_distance_m : float
+
+        Raises
+        ------
+        InputError
+            If the lens cannot be focused there.
+        """
+        focal_length_px = self.focal_length_px
+        if self.focal_length_mm is not None:
+            _check_focus_is_possible(self.focal_length_mm, focus_distance_m)
+            before, after = (
+                lens.image_distance(self.focal_length_mm, focus_m * 1e3)
+                for focus_m in (self.focus_distance_m, focus_distance_m)
+            )
+            focal_length_px *= after / before
+        return dataclasses.replace(
+            self, focal_length_px=focal_length_px, focus_distance_m=focus_distance_m
+        )
+
     def scaled(self, factor: float) -> "Camera":
         """Return the camera of the image resized by `factor` (0.5 halves its width)."""
         if not (factor > 0 and math.isfinite(factor)):
@@ -187,6 +222,14 @@ class Camera:
             focal_length_px=self.focal_length_px * factor,
             image_width=max(1, round(self.image_width * factor)),
             image_height=max(1, round(self.image_height * factor)),
+        )
+
+
+def _check_focus_is_possible(focal_length_mm: float, focus_distance_m: float) -> None:
+    if focus_distance_m * 1e3 <= focal_length_mm:
+        raise InputError(
+            f"focus_distance_m: {focus_distance_m!r} is not beyond the focal length, "
+            f"use more than {focal_length_mm * 1e-3:g} m"
         )
 
 

@@ -1,0 +1,252 @@
+"""`coded_aperture calibrate`: what a lens, a mask and a focus can tell over a depth range."""
+
+import argparse
+import dataclasses
+import json
+import logging
+import math
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from coded_aperture_ros.cli.checks import check_output, naming
+from coded_aperture_ros.cli.options import add_config_options, config_from
+from coded_aperture_ros.errors import InputError
+
+_EPILOG = """examples:
+  the numbers of a camera, and the best focus distance and mask size:
+    coded_aperture calibrate --camera config/example_camera.yaml --depth-range 6 28
+  with graphs (calibrate.png), a page with sliders (calibrate.html) and all curves (calibrate.json):
+    coded_aperture calibrate --camera config/example_camera.yaml --depth-range 6 28 \\
+        --output design
+  where the lens can be focused from 2 to 5 m only, and the mask be 8 to 14 mm wide:
+    coded_aperture calibrate --camera config/example_camera.yaml --depth-range 6 28 \\
+        --focus-range 2 5 --mask-range 8 14
+
+--json prints levels, blur_size_near_px, blur_size_far_px (signed: positive beyond the focus),
+hole_blur_near_px, hole_blur_far_px, resolution_near_m, resolution_far_m (null: no farther depth
+can be told apart), best and more.
+"""
+_NUMBERS, _PAGE, _PICTURE = "calibrate.json", "calibrate.html", "calibrate.png"
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the sub-command to the program's parser."""
+    parser = subparsers.add_parser(
+        "calibrate",
+        help="show how finely a camera tells depths apart, and the best focus and mask size",
+        description="Show how many depths a camera tells apart in a depth range, how finely, and "
+        "what the mask costs in light and sharpness; and search for the focus distance and the "
+        "mask size that tell most depths apart. Nothing is photographed for it.",
+        epilog=_EPILOG,
+    )
+    parser.add_argument(
+        "--camera",
+        required=True,
+        metavar="YAML",
+        help="camera file, as config/example_camera.yaml, which explains every entry",
+    )
+    parser.add_argument(
+        "--depth-range",
+        nargs=2,
+        type=float,
+        required=True,
+        metavar=("NEAR", "FAR"),
+        help="where the objects of interest are, in m",
+    )
+    parser.add_argument(
+        "--focus-range",
+        nargs=2,
+        type=float,
+        metavar=("A", "B"),
+        help="focus distances to search and draw, in m (default: NEAR / 4 to 4 FAR)",
+    )
+    parser.add_argument(
+        "--mask-range",
+        nargs=2,
+        type=float,
+        metavar=("A", "B"),
+        help="mask sizes to search, in mm (default: half to twice the camera file's)",
+    )
+    parser.add_argument(
+        "--output", metavar="DIR", help=f"folder for {_NUMBERS}, {_PAGE} and {_PICTURE}"
+    )
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser.add_late_options = _add_config_options
+
+
+def _add_config_options(parser: argparse.ArgumentParser) -> None:
+    from coded_aperture_ros.design import DesignConfig
+
+    add_config_options(parser, DesignConfig, "what is asked of the design")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the sub-command; return its exit status."""
+    from coded_aperture_ros.design import (
+        DesignConfig,
+        best_settings,
+        default_extent_range_mm,
+        default_focus_range_m,
+        openings_of,
+        setting_of,
+    )
+    from coded_aperture_ros.optics import load_camera
+
+    near_m, far_m = args.depth_range
+    try:
+        config = config_from(args, DesignConfig)
+    except InputError as error:
+        args.usage_error(f"--{error}".replace("_", "-"))
+    if args.output is not None:
+        for name in (_NUMBERS, _PAGE, _PICTURE):
+            check_output(Path(args.output) / name)
+    camera = load_camera(args.camera)
+    with naming(args.camera):
+        setting = setting_of(camera, near_m, far_m, config)
+        focus_range_m = args.focus_range or default_focus_range_m(camera, near_m, far_m)
+        extent_range_mm = args.mask_range or default_extent_range_mm(camera)
+        best = best_settings(camera, near_m, far_m, config, focus_range_m, extent_range_mm)
+    openings = openings_of(camera.mask)
+    warnings = _warnings(args, setting)
+    summary = {
+        "camera": args.camera,
+        "mask": camera.mask.name,
+        "near_m": near_m,
+        "far_m": far_m,
+        **dataclasses.asdict(setting),
+        "ambiguous_focus_m": [near_m, far_m],
+        "openings": openings.count,
+        "diffraction_is_negligible": setting.diffraction_is_negligible,
+        **dataclasses.asdict(config),
+        "focus_range_m": list(focus_range_m),
+        "mask_range_mm": list(extent_range_mm),
+        "best": dataclasses.asdict(best[0]) if best else None,
+        "best_on_other_side": dataclasses.asdict(best[1]) if best[1:] else None,
+        "warnings": warnings,
+        "output": args.output,
+    }
+    if args.output is not None:
+        with naming(args.camera):
+            _write_files(args, camera, config, setting, best, summary)
+    for warning in warnings:
+        logging.warning(warning)
+    print(_as_json(summary) if args.json else _table(summary, setting, best))
+    return 0
+
+
+def _warnings(args: argparse.Namespace, setting: Any) -> list[str]:
+    from coded_aperture_ros.design.figures import has_matplotlib
+
+    warnings = []
+    if not setting.diffraction_is_negligible:
+        warnings.append(
+            f"{args.camera}: the smallest hole, {setting.hole_width_mm:.2f} mm, is below the "
+            f"diffraction limit of {setting.diffraction_limit_mm:.2f} mm: the radius of its Airy "
+            f"disc is {setting.airy_radius_px:.1f} px; a larger mask has larger holes"
+        )
+    if args.output is not None and not has_matplotlib():
+        warnings.append(
+            f"{args.output}: no {_PICTURE}, which needs matplotlib (pip install matplotlib); "
+            f"{_PAGE} has the same graphs"
+        )
+    return warnings
+
+
+def _write_files(
+    args: argparse.Namespace, camera: Any, config: Any, setting: Any, best: Any, summary: Any
+) -> None:
+    """Write all files of the output folder, or none."""
+    from coded_aperture_ros.design import curves_of
+    from coded_aperture_ros.design.figures import draw_design, has_matplotlib
+    from coded_aperture_ros.design.page import write_page
+    from coded_aperture_ros.files import atomic_output
+
+    near_m, far_m = args.depth_range
+    ranges = summary["focus_range_m"], summary["mask_range_mm"]
+    curves = curves_of(camera, near_m, far_m, config, args.focus_range)
+    lists = {name: values.tolist() for name, values in vars(curves).items()}
+    with ExitStack() as stack:
+
+        def output(name: str) -> Path:
+            return stack.enter_context(atomic_output(Path(args.output) / name))
+
+        numbers = _as_json({**summary, "curves": lists})
+        output(_NUMBERS).write_text(numbers + "\n", encoding="utf-8")
+        write_page(camera, near_m, far_m, best, config, *ranges, output(_PAGE))
+        if has_matplotlib():
+            draw_design(setting, curves, near_m, far_m, output(_PICTURE))
+
+
+def _as_json(summary: Any) -> str:
+    from coded_aperture_ros.design.page import finite
+
+    return json.dumps(finite(summary), allow_nan=False)
+
+
+def _table(summary: Any, setting: Any, best: Any) -> str:
+    near_m, far_m = summary["near_m"], summary["far_m"]
+    lines = [
+        f"{summary['camera']}: mask {summary['mask']}, {setting.mask_extent_mm:g} mm; focus at "
+        f"{setting.focus_distance_m:g} m, scene {near_m:g} to {far_m:g} m",
+        f"  {'depth levels told apart':34}{setting.levels:9.1f}",
+        f"  {'':34}{'nearest':>9}{'farthest':>10}",
+        _row("blur of the mask", setting.blur_size_near_px, setting.blur_size_far_px, "px"),
+        _row(
+            "blur of the smallest hole", setting.hole_blur_near_px, setting.hole_blur_far_px, "px"
+        ),
+        _row(
+            "to the next depth told apart", setting.resolution_near_m, setting.resolution_far_m, "m"
+        ),
+        _one("mean blur of the smallest hole", f"{setting.hole_blur_mean_px:.2f} px"),
+        _one("ambiguous focus distances", f"{near_m:g} to {far_m:g} m"),
+        _one("light", _light(setting)),
+        _one(
+            "smallest hole",
+            f"{setting.hole_width_mm:.2f} mm, Airy disc {setting.airy_radius_px:.2f} px "
+            f"(1 px at {setting.diffraction_limit_mm:.2f} mm)",
+        ),
+    ]
+    lines += [
+        f"best with the focus {'before' if one.side == 'far' else 'beyond'} the scene "
+        f"(side: {one.side}):\n  focus at {one.focus_distance_m:.3g} m, mask of "
+        f"{one.mask_extent_mm:.3g} mm: {one.levels:.1f} levels; blur of {_size(one)} px, of a hole "
+        f"{one.hole_blur_mean_px:.2f} px in the mean"
+        for one in best
+    ]
+    if not best:
+        low_m, high_m = summary["focus_range_m"]
+        narrow_mm, wide_mm = summary["mask_range_mm"]
+        lines.append(
+            f"best: none, no focus of {low_m:.3g} to {high_m:.3g} m with a mask of {narrow_mm:.3g} "
+            f"to {wide_mm:.3g} mm keeps the blur within {summary['smallest_blur_px']:g} to "
+            f"{summary['largest_blur_px']:g} px"
+        )
+    if summary["output"] is not None:
+        lines.append(f"{summary['output']}: open {_PAGE} in a browser")
+    return "\n".join(lines)
+
+
+def _row(name: str, near: float, far: float, unit: str) -> str:
+    return f"  {name:34}{_number(near):>9}{_number(far):>10} {unit}"
+
+
+def _one(name: str, value: str) -> str:
+    return f"  {name:34}  {value}"
+
+
+def _number(value: float) -> str:
+    return "none" if math.isinf(value) else f"{value:.2f}"
+
+
+def _light(setting: Any) -> str:
+    share = f"{100 * setting.open_fraction:.0f} % of the mask's square open"
+    if setting.f_number is None:
+        return share
+    across, light = setting.f_number, setting.f_number_of_light
+    return f"{share}; f/{across:.1f} across, as much light as f/{light:.1f}"
+
+
+def _size(setting: Any) -> str:
+    sizes = sorted((abs(setting.blur_size_near_px), abs(setting.blur_size_far_px)))
+    return f"{sizes[0]:.1f} to {sizes[1]:.1f}"

@@ -1,0 +1,31 @@
+"""`coded_aperture mask`: what can be done with a mask before it is in a lens."""
+
+import argparse
+from importlib import import_module
+from typing import Any
+
+from coded_aperture_ros.cli.options import add_commands
+
+ACTIONS: dict[str, Any] = {
+    name: import_module(f"coded_aperture_ros.cli.mask_{name}") for name in ("print",)
+}
+_EPILOG = """example, Levin's mask, 26 mm wide, on a page to be printed and cut out:
+  coded_aperture mask print levin --extent-mm 26 -o mask.pdf
+"""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the sub-command to the program's parser."""
+    parser = subparsers.add_parser(
+        "mask",
+        help="print a mask at true scale",
+        description="Print the mask of an aperture at true scale.",
+        epilog=_EPILOG,
+    )
+    add_commands(parser, "action", ACTIONS.values())
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the sub-command; return its exit status."""
+    status: int = ACTIONS[args.action].run(args)
+    return status

@@ -1,0 +1,125 @@
+"""`coded_aperture mask print`: a page with the mask at true scale, to be cut out."""
+
+import argparse
+import json
+import logging
+import math
+from pathlib import Path
+from typing import Any
+
+from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
+from coded_aperture_ros.errors import InputError
+
+_EPILOG = """examples:
+  the mask of a camera file, in its size, on a round piece that fits a filter ring of 77 mm:
+    coded_aperture mask print --camera config/demo_camera.yaml --outer-mm 74 -o mask.pdf
+  Levin's mask, 26 mm wide, with a line that says what it is for:
+    coded_aperture mask print levin --extent-mm 26 --label "50 mm f/1.4" -o mask.svg
+"""
+_SUFFIXES = (".pdf", ".svg")
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the sub-command to the program's parser."""
+    parser = subparsers.add_parser(
+        "print",
+        help="draw a mask at true scale, with a ruler and cut lines (PDF or SVG)",
+        description="Draw a mask on an A4 page at true scale, with rulers in mm, cut lines and a "
+        "mark for the way it sits in the lens. Masks with names: levin, two_hole, three_hole, "
+        "four_hole, annulus, veeraraghavan, zhou, mura, disc.",
+        epilog=_EPILOG,
+    )
+    parser.add_argument(
+        "mask", nargs="?", metavar="NAME|FILE", help="name or file (PNG, .npy) of the mask"
+    )
+    parser.add_argument(
+        "--camera", metavar="YAML", help="camera file whose mask and mask size are taken"
+    )
+    parser.add_argument(
+        "--extent-mm",
+        type=float,
+        metavar="M",
+        help="outer width of the mask's grid; needed without --camera",
+    )
+    parser.add_argument(
+        "--outer-mm",
+        type=float,
+        metavar="D",
+        help="diameter of the round piece that goes into the lens (default: 5 mm of rim around "
+        "the openings)",
+    )
+    parser.add_argument("--label", default="", metavar="TEXT", help="a line to print on the page")
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="FILE", help="page to write (.pdf or .svg)"
+    )
+    parser.add_argument("--json", action="store_true", help="print a summary as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the sub-command; return its exit status."""
+    from coded_aperture_ros.design import openings_of
+    from coded_aperture_ros.design.pdf import pdf_of
+    from coded_aperture_ros.design.sheet import loose_parts_note, mask_sheet
+    from coded_aperture_ros.design.svg import svg_of
+    from coded_aperture_ros.files import atomic_output
+
+    _check_usage(args)
+    check_suffix(args.output, _SUFFIXES)
+    inputs = [Path(name) for name in (args.camera, args.mask) if name]
+    check_output(args.output, inputs)
+    mask, extent_mm = _mask_and_extent(args)
+    with naming(args.camera or f"mask {args.mask}"):
+        sheet = mask_sheet(mask, extent_mm, args.outer_mm, args.label)
+    data = pdf_of(sheet) if args.output.lower().endswith(".pdf") else svg_of(sheet).encode()
+    with atomic_output(args.output) as path:
+        path.write_bytes(data)
+    openings = openings_of(mask)
+    if openings.loose_parts:
+        logging.warning("mask %s: %s", mask.name, loose_parts_note(openings.loose_parts))
+    summary = {
+        "output": args.output,
+        "mask": mask.name,
+        "extent_mm": extent_mm,
+        "outer_mm": sheet.outer_mm,
+        "cell_mm": extent_mm / max(mask.transmission.shape),
+        "openings": openings.count,
+        "smallest_hole_mm": openings.smallest_width * extent_mm,
+        "open_fraction": mask.open_fraction,
+        "loose_parts": openings.loose_parts,
+    }
+    if args.json:
+        print(json.dumps(summary))
+    else:
+        print(
+            f"{args.output}: mask {mask.name}, {extent_mm:g} mm, on a round piece of "
+            f"{sheet.outer_mm:g} mm; smallest hole {summary['smallest_hole_mm']:.2f} mm; print at "
+            "100 %, the rulers are 100 mm long"
+        )
+    return 0
+
+
+def _check_usage(args: argparse.Namespace) -> None:
+    if (args.mask is None) == (args.camera is None):
+        args.usage_error("give either a mask's name or file, or --camera")
+    if args.mask is not None and args.extent_mm is None:
+        args.usage_error("--extent-mm is needed: how wide the mask is, in mm")
+    for name in ("extent_mm", "outer_mm"):
+        value = getattr(args, name)
+        if value is not None and not 0 < value < math.inf:
+            args.usage_error(f"--{name.replace('_', '-')}: expected more than 0 mm, got {value:g}")
+
+
+def _mask_and_extent(args: argparse.Namespace) -> tuple[Any, float]:
+    from coded_aperture_ros.optics import MASK_NAMES, Mask, load_camera
+
+    if args.camera is not None:
+        camera = load_camera(args.camera)
+        return camera.mask, args.extent_mm or camera.mask_extent_mm
+    if args.mask in MASK_NAMES:
+        return Mask.named(args.mask), args.extent_mm
+    if Path(args.mask).exists():
+        return Mask.from_file(args.mask), args.extent_mm
+    try:
+        return Mask.named(args.mask), args.extent_mm
+    except InputError as error:
+        raise InputError(f"{error}, or a file") from error

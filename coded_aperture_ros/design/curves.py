@@ -1,0 +1,142 @@
+"""How the numbers of a camera change with its focus and with depth (thesis section 3.4.2)."""
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.design.config import DesignConfig
+from coded_aperture_ros.design.openings import openings_of
+from coded_aperture_ros.design.setting import mean_blur_size_px, resolution_m
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.optics import Camera
+
+_SAMPLES = 200
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Curves:
+    """The graphs of thesis figures 3.10 and 3.12, as numbers.
+
+    Attributes
+    ----------
+    focus_m : ndarray of float64, shape [n]
+        Focus distances, increasing; those within the depth range, where the side of the focus is
+        ambiguous, are left out.
+    levels : ndarray of float64, shape [n]
+        Depth levels (eq. 3.29) at each focus distance.
+    hole_blur_mean_px, hole_blur_far_px : ndarray of float64, shape [n]
+        Blur of the smallest hole at each focus distance (eq. 3.16): mean over the depth range,
+        and at its far end.
+    depth_m, resolution_m : ndarray of float64, shape [k]
+        Depths in the range, and the depth resolution there (eq. 3.30) at the camera's own focus.
+    level_edges_m : ndarray of float64, shape [levels + 1]
+        Depths from `near_m` to `far_m` that are one resolvable step of blur size apart.
+    """
+
+    focus_m: NDArray[np.float64]
+    levels: NDArray[np.float64]
+    hole_blur_mean_px: NDArray[np.float64]
+    hole_blur_far_px: NDArray[np.float64]
+    depth_m: NDArray[np.float64]
+    resolution_m: NDArray[np.float64]
+    level_edges_m: NDArray[np.float64]
+
+
+def curves_of(
+    camera: Camera,
+    near_m: float,
+    far_m: float,
+    config: DesignConfig | None = None,
+    focus_range_m: tuple[float, float] | None = None,
+) -> Curves:
+    """Compute the curves of a camera over a depth range.
+
+    Parameters
+    ----------
+    camera : Camera
+    near_m, far_m : float
+        Depth range, on the camera's side of its focus.
+    config : DesignConfig, optional
+    focus_range_m : tuple of two floats, optional
+        Focus distances; by default `default_focus_range_m`, with the camera's own.
+
+    Raises
+    ------
+    InputError
+        As `setting_of`; also for a focus range that lies within the depth range.
+    """
+    config = config or DesignConfig()
+    near_px, far_px = camera.blur_range_px(near_m, far_m)
+    if focus_range_m is None:
+        low_m, high_m = default_focus_range_m(camera, near_m, far_m)
+        focus_m = camera.focus_distance_m
+        focus_range_m = min(low_m, focus_m), max(high_m, focus_m)
+    share = openings_of(camera.mask).smallest_width
+    cameras = refocused_cameras(camera, near_m, far_m, focus_range_m)
+    steps_px = np.arange(near_px, far_px, config.resolution_px)
+    depth_m = np.linspace(near_m, far_m, _SAMPLES)
+    return Curves(
+        focus_m=np.array([one.focus_distance_m for one in cameras]),
+        levels=np.array(
+            [one.number_of_levels(near_m, far_m, config.resolution_px) for one in cameras]
+        ),
+        hole_blur_mean_px=share
+        * np.abs([mean_blur_size_px(one, near_m, far_m) for one in cameras]),
+        hole_blur_far_px=share * np.abs([one.blur_size_px(far_m) for one in cameras]),
+        depth_m=depth_m,
+        resolution_m=resolution_m(camera, depth_m, config.resolution_px),
+        level_edges_m=np.append(camera.depth_m(steps_px), far_m),
+    )
+
+
+def default_focus_range_m(camera: Camera, near_m: float, far_m: float) -> tuple[float, float]:
+    """Return the focus distances that are worth a look: from a quarter of `near_m` to four `far_m`.
+
+    No nearer than twice the focal length, where the image has the size of the object, or twice
+    the mask's distance.
+    """
+    closest_m = 2e-3 * max(camera.focal_length_mm or 0.0, camera.lens_mask_distance_mm)
+    return max(near_m / 4, min(closest_m, near_m)), 4 * far_m
+
+
+def default_extent_range_mm(camera: Camera) -> tuple[float, float]:
+    """Return the mask sizes that are worth a look: half the camera's to twice the camera's."""
+    return camera.mask_extent_mm / 2, camera.mask_extent_mm * 2
+
+
+def refocused_cameras(
+    camera: Camera, near_m: float, far_m: float, focus_range_m: tuple[float, float]
+) -> list[Camera]:
+    """Return the camera focused at many distances outside the depth range, nearest first.
+
+    On each side of the range, they are equally spaced in the logarithm of the distance.
+
+    Raises
+    ------
+    InputError
+        If the focus range is not one, or lies within the depth range.
+    """
+    low_m, high_m = focus_range_m
+    if not 0 < low_m < high_m < math.inf:
+        raise InputError(
+            f"focus range {low_m:g} to {high_m:g} m: expected two increasing distances beyond 0 m"
+        )
+    sides = (("far", low_m, min(high_m, near_m)), ("near", max(low_m, far_m), high_m))
+    try:
+        cameras = [
+            dataclasses.replace(camera.refocused(float(focus_m)), side=side)
+            for side, first_m, last_m in sides
+            if first_m < last_m
+            for focus_m in np.geomspace(first_m, last_m, _SAMPLES)
+        ]
+    except InputError as error:
+        raise InputError(f"focus range {low_m:g} to {high_m:g} m: {error}") from error
+    if not cameras:
+        raise InputError(
+            f"focus range {low_m:g} to {high_m:g} m: it lies within the depth range {near_m:g} to "
+            f"{far_m:g} m, where points on the two sides of the focal plane give the same blur: "
+            f"use one that begins before {near_m:g} m or ends beyond {far_m:g} m"
+        )
+    return cameras

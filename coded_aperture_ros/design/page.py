@@ -1,0 +1,86 @@
+"""The design as one interactive page, which computes with the formulas of `setting` by itself."""
+
+import dataclasses
+import json
+import os
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from coded_aperture_ros.design.config import DesignConfig
+from coded_aperture_ros.design.openings import openings_of
+from coded_aperture_ros.design.setting import Setting
+from coded_aperture_ros.optics import Camera
+
+# Where the template has the values that the page starts from.
+_PLACE = "/*DESIGN*/ null"
+
+
+def write_page(
+    camera: Camera,
+    near_m: float,
+    far_m: float,
+    best: list[Setting],
+    config: DesignConfig,
+    focus_range_m: tuple[float, float],
+    extent_range_mm: tuple[float, float],
+    path: str | os.PathLike[str],
+) -> None:
+    """Write a page with sliders for focus, mask size and depth range (HTML, self-contained).
+
+    It needs no network and no other file. `#focus=1.5&extent=12&near=2&far=5` after its address
+    sets the sliders.
+
+    Parameters
+    ----------
+    camera : Camera
+        What the sliders start from.
+    near_m, far_m : float
+        Depth range that they start from.
+    best : list of Setting
+        Settings that the page offers to go to.
+    config : DesignConfig
+    focus_range_m, extent_range_mm : tuple of two floats
+        Ends of the sliders.
+    path : path-like
+    """
+    values = {
+        "focus_m": camera.focus_distance_m,
+        "extent_mm": camera.mask_extent_mm,
+        "near_m": near_m,
+        "far_m": far_m,
+        "focus_range_m": focus_range_m,
+        "extent_range_mm": extent_range_mm,
+        "depth_range_m": [near_m / 4, far_m * 4],
+        "focal_length_mm": camera.focal_length_mm,
+        "focal_length_px": camera.focal_length_px,
+        "lens_mask_distance_mm": camera.lens_mask_distance_mm,
+        "image_px": [camera.image_width, camera.image_height],
+        "mask": camera.mask.name,
+        "hole_share": openings_of(camera.mask).smallest_width,
+        "open_fraction": camera.mask.open_fraction,
+        "resolution_px": config.resolution_px,
+        "wavelength_nm": config.wavelength_nm,
+        "best": [dataclasses.asdict(setting) for setting in best],
+    }
+    Path(path).write_text(_template().replace(_PLACE, _as_script(values)), encoding="utf-8")
+
+
+def _template() -> str:
+    return files("coded_aperture_ros.design").joinpath("page.html").read_text(encoding="utf-8")
+
+
+def _as_script(values: dict[str, Any]) -> str:
+    # The name of a mask file may have anything in it; "</script>" would end the script.
+    return json.dumps(finite(values), allow_nan=False).replace("<", "\\u003c")
+
+
+def finite(value: Any) -> Any:
+    """Return a structure of dicts and lists with None for numbers that JSON does not have."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(item) for item in value]
+    if isinstance(value, float) and not abs(value) < float("inf"):
+        return None
+    return value

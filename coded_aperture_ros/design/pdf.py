@@ -1,0 +1,83 @@
+"""A sheet as PDF: one A4 page of vector graphics, asking the printer not to scale it."""
+
+from coded_aperture_ros.design.sheet import HEIGHT_MM, WIDTH_MM, Shape, Sheet, Text
+
+_POINTS_PER_MM = 72 / 25.4
+# Widths of Helvetica's digits and of most of its letters, in parts of the height; only the numbers
+# of the rulers are centred.
+_WIDTH_OF_A_CHARACTER = 0.556
+
+
+def pdf_of(sheet: Sheet) -> bytes:
+    """Return the sheet as the bytes of a PDF file."""
+    content = "\n".join([*map(_shape, sheet.shapes), *map(_text, sheet.texts)])
+    stream = content.encode("cp1252", "replace")
+    size = f"{WIDTH_MM * _POINTS_PER_MM:.3f} {HEIGHT_MM * _POINTS_PER_MM:.3f}"
+    objects = [
+        b"<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",
+        b"<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
+        f"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {size}] /Contents 4 0 R "
+        "/Resources << /Font << /F1 5 0 R >> >> >>".encode(),
+        b"<< /Length %d >>\nstream\n" % len(stream) + stream + b"\nendstream",
+        b"<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica /Encoding /WinAnsiEncoding >>",
+        b"<< /Title " + _string(sheet.title).encode("cp1252", "replace") + b" >>",
+    ]
+    return _file(objects)
+
+
+def _file(objects: list[bytes]) -> bytes:
+    """Join objects, numbered from 1, and append the table of where each begins."""
+    data, offsets = b"%PDF-1.4\n", []
+    for number, content in enumerate(objects, start=1):
+        offsets.append(len(data))
+        data += b"%d 0 obj\n%s\nendobj\n" % (number, content)
+    table = len(data)
+    data += b"xref\n0 %d\n0000000000 65535 f \n" % (len(objects) + 1)
+    data += b"".join(b"%010d 00000 n \n" % offset for offset in offsets)
+    info = len(objects)
+    data += b"trailer\n<< /Size %d /Root 1 0 R /Info %d 0 R >>\n" % (len(objects) + 1, info)
+    return data + b"startxref\n%d\n%%%%EOF\n" % table
+
+
+def _at(x_mm: float, y_mm: float) -> str:
+    """Return a place in points, counted from the lower left corner of the page."""
+    return f"{x_mm * _POINTS_PER_MM:.4f} {(HEIGHT_MM - y_mm) * _POINTS_PER_MM:.4f}"
+
+
+def _shape(shape: Shape) -> str:
+    lines = [f"% {shape.kind}", f"{shape.width_mm * _POINTS_PER_MM:.4f} w"]
+    dashes = (1.5 * _POINTS_PER_MM, 1.0 * _POINTS_PER_MM)
+    lines.append(f"[{dashes[0]:.4f} {dashes[1]:.4f}] 0 d" if shape.dashed else "[] 0 d")
+    if shape.fill:
+        lines.append(f"{_colour(shape.fill)} rg")
+    if shape.stroke:
+        lines.append(f"{_colour(shape.stroke)} RG")
+    for outline in shape.outlines:
+        first, *others = outline
+        lines.append(f"{_at(*first)} m")
+        lines += [f"{_at(*point)} l" for point in others]
+        if shape.closed:
+            lines.append("h")
+    lines.append(
+        {(True, True): "B*", (True, False): "f*"}.get((bool(shape.fill), bool(shape.stroke)), "S")
+    )
+    return "\n".join(lines)
+
+
+def _text(text: Text) -> str:
+    x_mm, y_mm = text.at
+    if text.centred:
+        x_mm -= _WIDTH_OF_A_CHARACTER * text.height_mm * len(text.text) / 2
+    return (
+        f"BT 0 0 0 rg /F1 {text.height_mm * _POINTS_PER_MM:.3f} Tf {_at(x_mm, y_mm)} Td "
+        f"{_string(text.text)} Tj ET"
+    )
+
+
+def _string(text: str) -> str:
+    printable = "".join(character if character.isprintable() else "?" for character in text)
+    return "(" + printable.replace("\\", r"\\").replace("(", r"\(").replace(")", r"\)") + ")"
+
+
+def _colour(colour: str) -> str:
+    return " ".join(f"{int(colour[k : k + 2], 16) / 255:.3f}" for k in (1, 3, 5))

@@ -1,0 +1,158 @@
+"""The numbers of one setting of a camera: how finely it tells depths apart, and at what price."""
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coded_aperture_ros.design.config import DesignConfig
+from coded_aperture_ros.design.openings import openings_of
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.optics import Camera
+
+# First zero of the Airy pattern, in wavelengths times the f-number.
+_AIRY = 1.22
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """What a camera with one focus and one mask size can do over a depth range.
+
+    Attributes
+    ----------
+    focus_distance_m, mask_extent_mm : float
+    side : {"far", "near"}
+        The side of the focal plane that the depth range is on.
+    levels : float
+        Depth levels that can be told apart (thesis eq. 3.29).
+    blur_size_near_px, blur_size_far_px : float
+        Signed blur size of the whole mask at the two ends of the range (eq. 3.28).
+    hole_blur_near_px, hole_blur_far_px : float
+        Width of the blur of the smallest hole alone (eq. 3.16).
+    hole_blur_mean_px : float
+        Its mean over depths spread uniformly over the range.
+    resolution_near_m, resolution_far_m : float
+        Distance to the next depth that can be told apart (eq. 3.30); infinite where none can.
+    hole_width_mm : float
+        Diameter of the largest disc in the smallest hole.
+    open_fraction : float
+        Open area over the area of the square that bounds the mask.
+    f_number, f_number_of_light : float or None
+        Focal length over the mask's extent, and over the diameter of the round aperture that
+        passes as much light; None if the focal length is not known.
+    airy_radius_px : float
+        Radius of the smallest hole's Airy disc (eq. 3.18), with the image distance for the focal
+        length. Above 1 px diffraction is not negligible (eq. 3.20).
+    diffraction_limit_mm : float
+        Hole width at which that radius is 1 px: twice the bound of eq. 3.21.
+    """
+
+    focus_distance_m: float
+    mask_extent_mm: float
+    side: str
+    levels: float
+    blur_size_near_px: float
+    blur_size_far_px: float
+    hole_blur_near_px: float
+    hole_blur_far_px: float
+    hole_blur_mean_px: float
+    resolution_near_m: float
+    resolution_far_m: float
+    hole_width_mm: float
+    open_fraction: float
+    f_number: float | None
+    f_number_of_light: float | None
+    airy_radius_px: float
+    diffraction_limit_mm: float
+
+    @property
+    def diffraction_is_negligible(self) -> bool:
+        """Whether the smallest hole's Airy disc has a radius of at most one pixel (eq. 3.20)."""
+        return self.airy_radius_px <= 1.0
+
+
+def setting_of(
+    camera: Camera, near_m: float, far_m: float, config: DesignConfig | None = None
+) -> Setting:
+    """Compute the numbers of a camera as it is.
+
+    Parameters
+    ----------
+    camera : Camera
+    near_m, far_m : float
+        Depth range, on the camera's side of its focus.
+    config : DesignConfig, optional
+
+    Raises
+    ------
+    InputError
+        If the range is not one, is not finite, or does not lie on the camera's side.
+    """
+    config = config or DesignConfig()
+    near_px, far_px = camera.blur_range_px(near_m, far_m)
+    if math.isinf(far_m):
+        raise InputError(
+            f"depth range {near_m:g} to {far_m:g} m: it has to end somewhere, say at 1000 m"
+        )
+    share = openings_of(camera.mask).smallest_width
+    open_fraction = camera.mask.open_fraction
+    hole_mm = share * camera.mask_extent_mm
+    resolution_near_m, resolution_far_m = resolution_m(
+        camera, [near_m, far_m], config.resolution_px
+    )
+    f_number = None
+    if camera.focal_length_mm is not None:
+        f_number = camera.focal_length_mm / camera.mask_extent_mm
+    limit_mm = _AIRY * config.wavelength_nm * 1e-6 * camera.focal_length_px
+    return Setting(
+        focus_distance_m=camera.focus_distance_m,
+        mask_extent_mm=camera.mask_extent_mm,
+        side=camera.side,
+        levels=camera.number_of_levels(near_m, far_m, config.resolution_px),
+        blur_size_near_px=near_px,
+        blur_size_far_px=far_px,
+        hole_blur_near_px=share * abs(near_px),
+        hole_blur_far_px=share * abs(far_px),
+        hole_blur_mean_px=share * abs(mean_blur_size_px(camera, near_m, far_m)),
+        resolution_near_m=float(resolution_near_m),
+        resolution_far_m=float(resolution_far_m),
+        hole_width_mm=hole_mm,
+        open_fraction=open_fraction,
+        f_number=f_number,
+        # The round aperture of the same area has the diameter M sqrt(4 l / pi).
+        f_number_of_light=f_number and f_number / math.sqrt(4 * open_fraction / math.pi),
+        airy_radius_px=limit_mm / hole_mm,
+        diffraction_limit_mm=limit_mm,
+    )
+
+
+def resolution_m(
+    camera: Camera, depth_m: ArrayLike, resolution_px: float = 1.0
+) -> NDArray[np.float64]:
+    """Return how much farther than each depth the next is that can be told apart (eq. 3.30).
+
+    Parameters
+    ----------
+    camera : Camera
+    depth_m : array_like
+    resolution_px : float
+        Change of blur size that is told apart.
+
+    Returns
+    -------
+    ndarray of float64
+        In metres, of the shape of `depth_m`; infinite where even an infinite depth looks the same.
+    """
+    return camera.depth_m(camera.blur_size_px(depth_m) + resolution_px) - np.asarray(depth_m)
+
+
+def mean_blur_size_px(camera: Camera, near_m: float, far_m: float) -> float:
+    """Return the mean signed blur size over depths spread uniformly from `near_m` to `far_m`.
+
+    The blur size is `S_inf (1 - (z_focus - C) / (z - C))`, which is integrated in closed form.
+    """
+    mask_m = camera.lens_mask_distance_mm * 1e-3
+    mean_inverse = math.log((far_m - mask_m) / (near_m - mask_m)) / (far_m - near_m)
+    relative = 1.0 - (camera.focus_distance_m - mask_m) * mean_inverse
+    return camera.blur_at_infinity_px * relative
