@@ -7,11 +7,14 @@ from typing import Any
 from coded_aperture_ros.cli.options import add_commands
 
 BENCHMARKS: dict[str, Any] = {
-    name: import_module(f"coded_aperture_ros.cli.bench_{name}") for name in ("accuracy", "speed")
+    name: import_module(f"coded_aperture_ros.cli.bench_{name}")
+    for name in ("accuracy", "deblur", "speed")
 }
 _EPILOG = """examples:
   blur identification on the thesis' stair of blur sizes, next to the numbers of the thesis:
     coded_aperture bench accuracy stair
+  all-in-focus frames of ray-traced scenes, next to other methods of deblurring:
+    coded_aperture bench deblur scenes desk/ corridor/
   time of a frame and of its stages, next to what the machine could do and to other methods:
     coded_aperture bench speed
   what each benchmark is, and its options:

@@ -26,6 +26,8 @@ class Stair:
     ----------
     coded : ndarray, float32 [levels * side, side]
         With noise.
+    sharp : ndarray, float32 [levels * side, side]
+        What `coded` would be without blur and noise.
     level : ndarray, float32 [levels * side, side]
         True level: index into the stack.
     stack : PsfStack
@@ -35,6 +37,7 @@ class Stair:
     """
 
     coded: NDArray[np.float32]
+    sharp: NDArray[np.float32]
     level: NDArray[np.float32]
     stack: PsfStack
     noise: float
@@ -106,6 +109,7 @@ def make_stair(
     level = np.repeat(np.arange(levels, dtype=np.float32), side_px)
     return Stair(
         coded=(coded + np.float32(noise) * white).astype(np.float32),
+        sharp=sharp[reach : reach + levels * side_px, reach : reach + side_px].copy(),
         level=np.broadcast_to(level[:, None], coded.shape),
         stack=stack,
         noise=noise,
