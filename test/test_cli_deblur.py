@@ -11,8 +11,9 @@ from cli_scene import FAR_M, HEIGHT, NEAR_M, WIDTH, call, camera_file, everythin
 from test_cli_depth import names, write_frames
 from test_cli_learn import refused, wrong_usage
 
+from coded_aperture_ros.deblur import Parallax, anaglyph, side_by_side, stereo_pair
 from coded_aperture_ros.images import SRGB, read_image
-from coded_aperture_ros.optics import load_camera
+from coded_aperture_ros.optics import PsfStack, load_camera
 from coded_aperture_ros.simulation import render_coded_frame
 
 
@@ -129,6 +130,123 @@ def test_a_folder_of_frames(scene, tmp_path, capsys):
     assert everything(tmp_path) == before
 
 
+def expected_pair(scene, sharp, shift_px):
+    """The views that the library renders with the true depth; the bank's sizes are the camera's."""
+    return stereo_pair(sharp, load_camera(scene.camera).blur_size_px(scene.depth_m), shift_px)
+
+
+def test_3d_pictures_beside_the_sharp_one(scene, tmp_path, capsys):
+    output, red_cyan, both = (tmp_path / name for name in ("sharp.npy", "3d.png", "both.npy"))
+    options = ("--anaglyph", red_cyan, "--stereo", both, "--parallax", 9, "--json")
+    result = deblur(capsys, scene, output, *options, depth=scene.depth_npy)
+    assert (result.status, result.err) == (0, "")
+    (summary,) = json.loads(result.out)
+    assert [summary[key] for key in ("output", "anaglyph", "stereo")] == [
+        *(str(output), str(red_cyan), str(both))
+    ]
+    assert names(tmp_path) == ["3d.png", "both.npy", "sharp.npy"]
+    left, right = expected_pair(scene, np.load(output), 9.0)
+    assert np.abs(left - right).max() > 0.05
+    assert np.load(both) == pytest.approx(side_by_side(left, right), abs=0.02)
+    # For looking at: 8 bits in sRGB.
+    assert cv2.imread(str(red_cyan), cv2.IMREAD_UNCHANGED).dtype == np.uint8
+    difference = np.abs(read_image(red_cyan, SRGB) - anaglyph(left, right))
+    assert np.quantile(difference, 0.99) < 0.02
+
+
+def test_default_parallax_is_a_share_of_the_width(scene, tmp_path, capsys):
+    options = ("--stereo", tmp_path / "both.npy")
+    assert deblur(capsys, scene, tmp_path / "a.npy", *options, depth=scene.depth_npy).status == 0
+    expected = expected_pair(scene, np.load(tmp_path / "a.npy"), 0.03 * WIDTH)
+    assert np.load(tmp_path / "both.npy") == pytest.approx(side_by_side(*expected), abs=0.02)
+
+
+@pytest.mark.parametrize("bank", ["bank", "index_bank"])
+def test_3d_pictures_with_estimated_depth(scene, tmp_path, capsys, bank):
+    """A bank need not know its depths: blur sizes tell what is nearer."""
+    both = tmp_path / "both.npy"
+    options = ("--stereo", both, "--parallax", 12, "--depth", "auto", scene.coded_npy)
+    arguments = ("--bank", getattr(scene, bank), *options, "-o", tmp_path / "sharp.npy")
+    assert call(capsys, "deblur", *arguments).status == 0
+    left, right = np.split(np.load(both), 2, axis=1)
+    near, far = np.s_[40:90, 30:60], np.s_[40:90, 115:145]
+    for where, nearer in ((near, True), (far, False)):
+        strip = np.ascontiguousarray(left[where[0], where[1].start - 14 : where[1].stop + 14, 1])
+        patch = np.ascontiguousarray(right[(*where, 1)])
+        disparity = cv2.matchTemplate(strip, patch, cv2.TM_SQDIFF).argmin() - 14
+        assert disparity > 3 if nearer else disparity <= 0, disparity
+
+
+def test_encoding_of_3d_pictures_is_that_of_the_input(scene, tmp_path, capsys):
+    frame = tmp_path / "in.png"
+    cv2.imwrite(str(frame), np.full((HEIGHT, WIDTH, 3), round(255 * 0.5 ** (1 / 3.0)), np.uint8))
+    arguments = ("--bank", scene.bank, "--depth", scene.depth_npy, frame, "--gamma", 3)
+    options = ("-o", tmp_path / "out.png", "--anaglyph", tmp_path / "3d.png")
+    assert call(capsys, "deblur", *arguments, *options).status == 0
+    assert np.median(read_image(tmp_path / "3d.png", 3.0)) == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_measured_bank_tells_by_its_depths_what_is_nearer(scene):
+    """Sizes that lost their sign before the focus, and indices of levels, may be in any order."""
+    from coded_aperture_ros.cli.stereo_output import _direction
+
+    psfs = np.ones((3, 5, 5), np.float32) / 25
+    for depths_m, direction in (([1, 2, 3], 1), ([3, 2, 1], -1), (None, 1)):
+        assert _direction(PsfStack(np.arange(3.0), psfs, depths_m)) == direction
+
+
+def test_frames_of_a_folder_share_the_scale_of_their_parallax(scene, tmp_path, capsys, monkeypatch):
+    (tmp_path / "in").mkdir()
+    for name in ("a.png", "b.png"):
+        shutil.copy(scene.coded_png, tmp_path / "in" / name)
+    scales = []
+    monkeypatch.setattr(
+        "coded_aperture_ros.deblur.stereo_pair",
+        lambda sharp, _, parallax: (scales.append(parallax), (sharp, sharp))[1],
+    )
+    arguments = ("--bank", scene.bank, "--depth", "auto", "-o", tmp_path / "out", tmp_path / "in")
+    options = ("--anaglyph", f"{tmp_path}/3d", "--stereo", f"{tmp_path}/3d/both.views")
+    assert call(capsys, "deblur", *arguments, *options).status == 0
+    assert names(tmp_path / "out") == ["a.png", "b.png"]
+    assert names(tmp_path / "3d") == ["a.png", "b.png", "both.views"]
+    assert names(tmp_path / "3d" / "both.views") == ["a.png", "b.png"]
+    first, second = scales
+    assert isinstance(first, Parallax)
+    assert first is second
+
+
+@pytest.mark.parametrize(
+    ("output", "options", "phrase"),
+    [
+        ("a.png", ("--anaglyph", "3d.exr"), "3d.exr: unknown format"),
+        ("a.png", ("--stereo", "both"), "both: unknown format"),
+        ("a.png", ("--stereo", "a.png"), "a.png: two results cannot go to one file"),
+        ("a.png", ("--stereo", "3d.png", "--anaglyph", "./3d.png"), "two results cannot go to"),
+        ("a.png", ("--stereo", "file/both.png"), "is not a folder"),
+        ("a.png", ("--anaglyph", "in/f.png"), "f.png: this is an input"),
+        ("a.png", ("--anaglyph", "3d.png", "--parallax", 89), "89 px is more than half of the"),
+        ("out/", ("--anaglyph", "3d.png"), "3d.png: the all-in-focus pictures go to a folder"),
+        ("out/", ("--stereo", "out"), "f.png: two results cannot go to one file"),
+    ],
+)
+def test_impossible_3d_pictures_are_refused_before_deblurring(
+    scene, tmp_path, capsys, monkeypatch, output, options, phrase
+):
+    def work(*_):
+        raise AssertionError("the options have to be checked first")
+
+    monkeypatch.setattr("coded_aperture_ros.deblur.Deblurrer.deblur", work)
+    monkeypatch.setattr("coded_aperture_ros.depth.DepthEstimator.estimate", work)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
+    (tmp_path / "in").mkdir()
+    shutil.copy(scene.coded_png, tmp_path / "in" / "f.png")
+    before = everything(tmp_path)
+    arguments = ("--bank", scene.bank, "--depth", "auto", "in/f.png", "-o", output, *options)
+    refused(call(capsys, "deblur", *arguments), phrase)
+    assert everything(tmp_path) == before
+
+
 @pytest.mark.parametrize("size", [(HEIGHT, WIDTH), (HEIGHT, WIDTH, 3)])
 def test_an_all_black_frame_is_refused_or_stays_black(scene, tmp_path, capsys, size):
     frame = tmp_path / "black.npy"
@@ -220,9 +338,12 @@ def test_impossible_outputs_are_refused_before_deblurring(
 @pytest.mark.parametrize(
     ("options", "phrase"),
     [
-        (("--method", "magic"), "invalid choice: 'magic'"),
+        (("--method", "magic"), "'magic' is not allowed"),
         (("--rank", 1), "--rank: 1 is out of range (2 to 64)"),
         (("--smoothness", 0), "--smoothness: 0.0 is out of range"),
+        (("--parallax", 5), "--parallax only goes with --anaglyph or --stereo"),
+        (("--parallax", 0), "--parallax: expected a number of pixels above 0, got 0"),
+        (("--parallax", "wide"), "--parallax: expected a number of pixels above 0, got wide"),
     ],
 )
 def test_wrong_usage(scene, tmp_path, capsys, options, phrase):

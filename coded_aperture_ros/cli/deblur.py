@@ -8,13 +8,15 @@ from typing import Any
 from coded_aperture_ros.cli.checks import naming
 from coded_aperture_ros.cli.frames import add_input_options, named_frames
 from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, config_from
+from coded_aperture_ros.cli.stereo_output import StereoOutput, add_stereo_options
 from coded_aperture_ros.errors import InputError
 
 _EPILOG = """examples:
   with the depth estimated from the frame itself:
     coded_aperture deblur --bank bank.npz --depth auto coded.png -o sharp.png
-  with a depth map:
-    coded_aperture deblur --bank bank.npz --depth depth.npy coded.png -o sharp.png
+  with a depth map, and as a 3D picture for red-cyan glasses too:
+    coded_aperture deblur --bank bank.npz --depth depth.npy coded.png -o sharp.png \\
+        --anaglyph 3d.png
 """
 
 
@@ -39,9 +41,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--camera", metavar="YAML", help="camera file, for a bank that does not know its depths"
     )
-    parser.add_argument(
-        "--method", choices=("fast",), default="fast", help="fast: closed form (default)"
-    )
+    add_stereo_options(parser)
     add_gamma_option(parser)
     parser.add_argument("--json", action="store_true", help="print a summary as JSON")
     parser.add_late_options = _add_config_options
@@ -60,17 +60,21 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.images import PICTURE_SUFFIXES, write_image
 
     bank = load_bank(args.bank)
+    stereo = StereoOutput(args, bank.stack)
     blur_sizes = _blur_sizes(args, bank)
     deblurrer = Deblurrer(bank.stack, config_from(args, DeblurConfig))
     encoding: dict[str, Any] = {} if args.gamma == 1 else {"bits": 8, "gamma": args.gamma}
     summaries = []
-    for frame in named_frames(args, ".png", PICTURE_SUFFIXES):
+    for frame in named_frames(args, ".png", PICTURE_SUFFIXES, stereo.outputs):
         start = time.perf_counter()
         with naming(frame.source):
-            sharp = deblurrer.deblur(frame.image, blur_sizes(frame.image))
+            stereo.check(frame.image)
+            blur_size_px = blur_sizes(frame.image)
+            sharp = deblurrer.deblur(frame.image, blur_size_px)
         seconds = time.perf_counter() - start
         write_image(frame.output, sharp, **encoding)
-        summaries.append({"output": str(frame.output), "seconds": round(seconds, 3)})
+        written = stereo.write(frame.output, sharp, blur_size_px)
+        summaries.append({"output": str(frame.output), "seconds": round(seconds, 3), **written})
         if not args.json:
             print(f"{frame.output}: deblurred in {seconds:.2f} s")
     if args.json:

@@ -3,5 +3,21 @@
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.deblur import Deblurrer
 from coded_aperture_ros.deblur.fill import covers_frame
+from coded_aperture_ros.deblur.stereo import (
+    Parallax,
+    anaglyph,
+    check_parallax,
+    side_by_side,
+    stereo_pair,
+)
 
-__all__ = ["DeblurConfig", "Deblurrer", "covers_frame"]
+__all__ = [
+    "DeblurConfig",
+    "Deblurrer",
+    "Parallax",
+    "anaglyph",
+    "check_parallax",
+    "covers_frame",
+    "side_by_side",
+    "stereo_pair",
+]

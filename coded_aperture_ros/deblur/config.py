@@ -3,12 +3,19 @@
 import dataclasses
 
 from coded_aperture_ros.configuration import check_options, option
+from coded_aperture_ros.threads import check_threads
 
 
 @dataclasses.dataclass(frozen=True)
 class DeblurConfig:
     """How a coded frame is turned into an all-in-focus one."""
 
+    method: str = option(
+        "fast",
+        "fast: closed form for each level, for video; cg: least squares over the whole frame; "
+        "sparse: the same with sharp edges preferred, the best picture.",
+        choices=("fast", "cg", "sparse"),
+    )
     noise: float = option(
         0.0,
         "Standard deviation of one channel's noise, linear light; 0: estimated in each frame.",
@@ -21,13 +28,62 @@ class DeblurConfig:
         minimum=0.01,
         maximum=100.0,
     )
+    edge_reach: int = option(
+        10,
+        "How far edges of the depth may be off, or be wrong by: within, the smaller blur is used; "
+        "0: the depth is exact.",
+        unit="px",
+        minimum=0,
+        maximum=64,
+    )
+    occlusion: str = option(
+        "auto",
+        "Whether cg and sparse reckon with foregrounds that hide a part of what is behind them; "
+        "auto: where the PSFs are small enough for the memory.",
+        choices=("auto", "yes", "no"),
+    )
+    iterations: int = option(
+        96,
+        "Conjugate-gradient steps of cg and sparse, at most.",
+        minimum=1,
+        maximum=10000,
+    )
+    tolerance: float = option(
+        1e-3,
+        "Norm of the gradient at which cg and sparse stop, relative to its first one.",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    saturation: float = option(
+        0.995,
+        "Brightness from which a pixel counts as saturated and is left out by cg and sparse; "
+        "above 1: none.",
+        minimum=0.1,
+        maximum=2.0,
+    )
+    temporal_frames: float = option(
+        0.0,
+        "Frames of a video that are averaged at most, where they are alike; 0: every frame for "
+        "itself.",
+        minimum=0.0,
+        maximum=1000.0,
+    )
     rank: int = option(
-        16,
-        "Kernels in the common basis of the inverse filters. Fewer is faster and less accurate.",
+        12,
+        "Kernels in the common basis of the inverse filters of fast. Fewer is faster and less "
+        "accurate.",
         minimum=2,
         maximum=64,
+        read_only=True,
+    )
+    threads: int = option(
+        1,
+        "Threads of the processor for the filters; at most as many as it has cores.",
+        minimum=1,
+        maximum=1024,
         read_only=True,
     )
 
     def __post_init__(self) -> None:
         check_options(self)
+        check_threads(self.threads)

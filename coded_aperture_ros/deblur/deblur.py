@@ -1,47 +1,39 @@
-"""The all-in-focus frame: every pixel filtered by the inverse of its own level's PSF."""
+"""The all-in-focus frame from a coded frame and its depth, by one of three methods."""
 
-from functools import lru_cache
-
-import cv2
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import WindowedFourierBasis
+from coded_aperture_ros.deblur.blur_map import model_weight, sharper_near_edges, without_specks
+from coded_aperture_ros.deblur.colour import from_opponents, opponents
 from coded_aperture_ros.deblur.config import DeblurConfig
+from coded_aperture_ros.deblur.fast import InverseFilters, smoothed
 from coded_aperture_ros.deblur.fill import filled_blur_map
-from coded_aperture_ros.deblur.inverse import MODEL_ERRORS, InverseBasis
-from coded_aperture_ros.depth import DEPTH_EDGE_PX, check_frame, estimate_noise, filled
+from coded_aperture_ros.deblur.occlusion import OccludedBlur
+from coded_aperture_ros.deblur.operator import BlurOperator, SpreadingBlur
+from coded_aperture_ros.deblur.psf_basis import PsfBasis
+from coded_aperture_ros.deblur.restore import restore_quadratic, restore_sparse
+from coded_aperture_ros.deblur.steady import SteadyFrames
+from coded_aperture_ros.depth import check_frame, estimate_noise, filled
+from coded_aperture_ros.engine import Workers
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import PsfStack
 
-# Model errors for which there are filters, and how finely maps are looked up between them.
-_MODEL_ERRORS = np.geomspace(MODEL_ERRORS[0], MODEL_ERRORS[-1], 4)
-_STEPS_PER_LEVEL = 8
-_STEPS_PER_ERROR = 4
-# The error that a change of blur size within reach of the filters makes, per pixel of its standard
-# deviation; from the best choice on ray-traced scenes.
-_ERROR_PER_PX = 0.03
-# How far a depth edge is felt, px; from the same.
-_EDGE_REACH_PX = 14
-# How far the surroundings matter, px: about twice the largest blur, where filters reach strongest.
-_SURROUNDINGS_PX = 41
-# Frames are extended by this margin, or by the width of the PSFs, before they are filtered.
-_MARGIN_PX = 40
 _NOISE_WINDOW_PX = 32
 _LEAST_SIDE_PX = 8
 # One bad pixel beyond these bounds would spoil the whole frame through its Fourier transform.
 _DARKEST, _BRIGHTEST = -1.0, 2.0
-# There is a basis for each of these noises; the nearest one is used.
-_NOISES = (0.001, 0.003, 0.01)
+# Colour differences have less texture than brightness, but as much noise: they are deblurred as if
+# they had so many times more.
+_COLOUR_NOISE = 2.0
+# The share of the places in a video that may have more noise than is reckoned with.
+_FEW = 0.1
+# Occlusion is reckoned with, unless told otherwise, where its weights fit into so much memory.
+_OCCLUSION_BYTES = 512 * 2**20
 
 
 class Deblurrer:
-    """Space-varying deblurring in closed form.
-
-    The inverse filters of all levels share a basis of a few kernels. A frame is filtered by the
-    kernels, and every pixel takes the combination for its own blur size: the cost does not depend
-    on the number of levels or on the relief of the scene.
+    """Makes the frames of a camera all-in-focus.
 
     Parameters
     ----------
@@ -53,16 +45,27 @@ class Deblurrer:
     def __init__(self, stack: PsfStack, config: DeblurConfig | None = None) -> None:
         self.stack = stack
         self.config = config or DeblurConfig()
-        self._margin_px = max(_MARGIN_PX, stack.psfs.shape[-1])
-        self._order = np.argsort(stack.blur_sizes_px)
-        self._basis = lru_cache(maxsize=len(_NOISES))(self._new_basis)
-        self._transforms = lru_cache(maxsize=len(_NOISES))(self._new_transforms)
-        self._lookup_table = lru_cache(maxsize=32)(self._new_lookup_table)
+        self._workers = Workers(self.config.threads)
+        rank = self.config.rank
+        self._inverse = InverseFilters(stack, rank, self._workers)
+        self._of_colour = InverseFilters(stack, max(rank // 2, 2), self._workers)
+        self._basis: PsfBasis | None = None
+        frames = self.config.temporal_frames
+        self._steady = SteadyFrames(frames) if frames else None
 
     def prepare(self, shape: tuple[int, int]) -> None:
         """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
-        for noise in _NOISES:
-            self._transforms(noise, self._padded_shape(shape))
+        self._inverse.prepare(shape)
+        self._of_colour.prepare(shape)
+
+    def reset(self) -> None:
+        """Forget the frames so far: the next one begins another video."""
+        if self._steady is not None:
+            self._steady.reset()
+
+    def close(self) -> None:
+        """End the threads that the work was shared among."""
+        self._workers.close()
 
     def deblur(
         self,
@@ -75,7 +78,7 @@ class Deblurrer:
         Parameters
         ----------
         frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
-            Coded frame in linear light; colour is filtered channel by channel.
+            Coded frame in linear light.
         blur_size_px : ndarray, float32 [map rows, map columns]
             Signed blur sizes in pixels of the frame. The map covers the whole frame, may be
             smaller, and is not finite where the depth is unknown.
@@ -94,121 +97,102 @@ class Deblurrer:
             If the frame or the map has a wrong shape or type, no blur size is known, or the frame
             is too small for its noise to be estimated.
         """
-        channels = _channels(frame)
-        blur = filled_blur_map(blur_size_px, channels.shape[1:])
-        if self.stack.in_pixels:
-            blur = _less_near_edges(blur)
-        noise = noise or self.config.noise or self._estimated_noise(channels)
-        noise *= np.sqrt(self.config.smoothness)
-        basis_noise = min(_NOISES, key=lambda known: abs(np.log(known / noise)))
-        transforms = self._transforms(basis_noise, self._padded_shape(blur.shape))
-        # Steps of a tenth of a decade: there are few different tables.
-        lookup = self._lookup_table(basis_noise, round(10 * np.log10(noise)))
-        index = self._lookup_index(blur, _model_error(blur))
-        weights = [np.take(column, index) for column in lookup]
-        filtered = [self._filter(channel, transforms, weights) for channel in channels]
-        sharp = _smoothed(np.dstack(filtered)).reshape(frame.shape)
-        return np.clip(sharp, 0, 1)
+        check_frame(frame)
+        usable, frame = _usable(frame)
+        blur = filled_blur_map(blur_size_px, frame)
+        if self.stack.in_pixels and self.config.edge_reach:
+            blur = sharper_near_edges(without_specks(blur), self.config.edge_reach)
+        noise = noise or self.config.noise or _estimated_noise(frame)
+        channels = opponents(frame)
+        frames = np.float32(1)
+        if self._steady is not None:
+            channels, frames = self._steady.add(channels, noise)
+        usable &= (frame if frame.ndim == 2 else frame.max(axis=2)) < self.config.saturation
+        if self.config.method == "fast":
+            # One noise for the whole frame: that of places with few frames, which would show it.
+            few = float(np.quantile(frames, _FEW))
+            noise *= float(np.sqrt(self.config.smoothness / few))
+            sharp = from_opponents(self._in_closed_form(channels, blur, noise))
+            return np.clip(smoothed(sharp), 0, 1)
+        restored = self._restored(channels, frames, blur, noise, usable)
+        return np.clip(from_opponents(restored), 0, 1)
 
-    def _filter(
+    def _restored(
         self,
-        channel: NDArray[np.float32],
-        transforms: NDArray[np.complex64],
-        weights: list[NDArray[np.float32]],
-    ) -> NDArray[np.float32]:
-        height, width = channel.shape
-        shape, margin = self._padded_shape(channel.shape), self._margin_px
-        # The last pixels go on: no dark rim, and nothing wraps around. Mirrored texture would not
-        # be blurred like the rest, and costs half of the gain near the border.
-        below, right = shape[0] - height - margin, shape[1] - width - margin
-        padded = cv2.copyMakeBorder(
-            channel, margin, below, margin, right, borderType=cv2.BORDER_REPLICATE
+        channels: list[NDArray[np.float32]],
+        frames: NDArray[np.float32] | np.float32,
+        blur: NDArray[np.float32],
+        noise: float,
+        usable: NDArray[np.bool_],
+    ) -> list[NDArray[np.float32]]:
+        """Solve for the whole frame, beginning with the last result or what the closed form gives.
+
+        `frames` says how many frames the channels are the mean of.
+        """
+        config = self.config
+        restore = restore_quadratic if config.method == "cg" else restore_sparse
+        most = float(np.max(frames))
+        noise /= float(np.sqrt(most))
+        # Edges that are too sharp are found and lost again more easily than blurred ones.
+        start = self._in_closed_form(channels, blur, noise / 3)
+        if self._steady is not None:
+            start = self._steady.start(start, np.broadcast_to(frames, blur.shape))
+        restored, _ = restore(
+            self._operator(blur),
+            channels,
+            model_weight(blur, noise) * usable * (frames / np.float32(most)),
+            start,
+            noise,
+            config.smoothness,
+            config.tolerance,
+            config.iterations,
         )
-        spectrum = scipy.fft.rfft2(padded)
-        sharp = np.zeros_like(channel)
-        inside = slice(margin, margin + height), slice(margin, margin + width)
-        for transform, weight in zip(transforms, weights, strict=True):
-            sharp += weight * scipy.fft.irfft2(spectrum * transform, shape)[inside]
-        return sharp
+        if self._steady is not None:
+            self._steady.keep(restored)
+        return restored
 
-    def _padded_shape(self, shape: tuple[int, ...]) -> tuple[int, int]:
-        margins = 2 * self._margin_px
-        height, width = (scipy.fft.next_fast_len(n + margins, real=True) for n in shape)
-        return height, width
+    def _in_closed_form(
+        self, channels: list[NDArray[np.float32]], blur: NDArray[np.float32], noise: float
+    ) -> list[NDArray[np.float32]]:
+        differences = channels[1:]
+        if differences:
+            differences = self._of_colour.apply(differences, blur, _COLOUR_NOISE * noise)
+        return self._inverse.apply(channels[:1], blur, noise) + differences
 
-    def _new_basis(self, noise: float) -> InverseBasis:
-        return InverseBasis.learn(self.stack, noise, self.config.rank)
-
-    def _new_transforms(self, noise: float, shape: tuple[int, int]) -> NDArray[np.complex64]:
-        return self._basis(noise).transforms(shape)
-
-    def _new_lookup_table(self, basis_noise: float, tenths: int) -> NDArray[np.float32]:
-        """Coefficients [R, steps of level * steps of model error], interpolated."""
-        table = self._basis(basis_noise).coefficients(_MODEL_ERRORS, 10 ** (tenths / 10))
-        table = table[self._order]
-        for axis, steps in ((0, _STEPS_PER_LEVEL), (1, _STEPS_PER_ERROR)):
-            table = np.moveaxis(table, axis, 0)
-            position = np.arange(steps * (len(table) - 1) + 1) / steps
-            lower = np.minimum(position.astype(np.intp), len(table) - 2)
-            above = (position - lower).astype(np.float32)[:, None, None]
-            table = np.moveaxis(table[lower] * (1 - above) + table[lower + 1] * above, 0, axis)
-        return np.ascontiguousarray(table.reshape(-1, table.shape[-1]).T)
-
-    def _lookup_index(
-        self, blur: NDArray[np.float32], model_error: NDArray[np.float32]
-    ) -> NDArray[np.intp]:
-        sizes = self.stack.blur_sizes_px[self._order]
-        level = np.interp(blur, sizes, np.arange(len(sizes)))
-        error = np.interp(np.log(model_error), np.log(_MODEL_ERRORS), np.arange(len(_MODEL_ERRORS)))
-        columns = _STEPS_PER_ERROR * (len(_MODEL_ERRORS) - 1) + 1
-        row = np.rint(level * _STEPS_PER_LEVEL).astype(np.intp)
-        return row * columns + np.rint(error * _STEPS_PER_ERROR).astype(np.intp)
-
-    def _estimated_noise(self, channels: NDArray[np.float32]) -> float:
-        # Sparse windows of one channel tell enough about the noise of a whole frame.
-        channel = channels[len(channels) // 2]
-        height, width = channel.shape
-        if min(height, width) < _LEAST_SIDE_PX:
-            raise InputError(
-                f"frame of {width}x{height} px is too small to estimate its noise, give the noise"
-            )
-        fourier = WindowedFourierBasis(min(_NOISE_WINDOW_PX, 2 * (min(channel.shape) // 2)))
-        high_power, _ = fourier.project(channel, _NOISE_WINDOW_PX, fourier.noise_weights[:, None])
-        return estimate_noise(high_power)
+    def _operator(self, blur: NDArray[np.float32]) -> BlurOperator:
+        if self._basis is None:
+            self._basis = PsfBasis.of(self.stack)
+        offsets = self._basis.kernels[0].size
+        occlusion = self.config.occlusion
+        fits = self.stack.in_pixels and 4 * offsets * blur.size <= _OCCLUSION_BYTES
+        if occlusion == "yes" or (occlusion == "auto" and fits):
+            return OccludedBlur(self._basis, blur, self._workers)
+        return SpreadingBlur(self._basis, blur, self._workers)
 
 
-def _less_near_edges(blur: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return blur sizes that near a depth edge are those of its sharper side.
-
-    Light of the foreground reaches into the background, and deconvolved with the background's
-    wider PSF it rings.
-    """
-    amount = np.abs(blur)
-    least = cv2.erode(amount, np.ones((2 * _EDGE_REACH_PX + 1,) * 2, np.uint8))
-    return np.where(amount - least > DEPTH_EDGE_PX, np.copysign(least, blur), blur)
-
-
-def _model_error(blur: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Model error of every pixel, from how much the blur size changes around it."""
-    side = (_SURROUNDINGS_PX, _SURROUNDINGS_PX)
-    # Variances of differences from the overall mean keep their digits in single precision.
-    centred = blur - blur.mean()
-    variance = cv2.blur(centred**2, side) - cv2.blur(centred, side) ** 2
-    return np.sqrt(_MODEL_ERRORS[0] ** 2 + _ERROR_PER_PX**2 * np.maximum(variance, 0))
-
-
-def _smoothed(sharp: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Take out what is left of noise and ringing between edges."""
-    # Gains 0.2 to 0.5 dB on ray-traced scenes; brightness differences of 0.04 count as edges.
-    return np.asarray(cv2.bilateralFilter(sharp, 9, 0.04, 3.0), np.float32)
-
-
-def _channels(frame: NDArray[np.float32]) -> NDArray[np.float32]:
-    check_frame(frame)
-    channels = frame[None] if frame.ndim == 2 else frame.transpose(2, 0, 1)
-    channels = np.ascontiguousarray(channels, np.float32)
+def _usable(frame: NDArray[np.float32]) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """Return which pixels are numbers that can be, and the frame with the others filled."""
     # A NaN makes both comparisons false.
-    usable = (channels > _DARKEST) & (channels < _BRIGHTEST)
-    if usable.all():
-        return channels
-    return np.stack([filled(*pair) for pair in zip(channels, usable, strict=True)])
+    usable = (frame > _DARKEST) & (frame < _BRIGHTEST)
+    if not usable.all():
+        channels = [np.ascontiguousarray(channel) for channel in np.atleast_3d(frame).T]
+        masks = np.atleast_3d(usable).T
+        frame = np.stack([filled(*pair) for pair in zip(channels, masks, strict=True)]).T.reshape(
+            frame.shape
+        )
+    return usable.reshape(*usable.shape[:2], -1).all(axis=2), np.ascontiguousarray(
+        frame, np.float32
+    )
+
+
+def _estimated_noise(frame: NDArray[np.float32]) -> float:
+    # Sparse windows of one channel tell enough about the noise of a whole frame.
+    channel = np.ascontiguousarray(frame if frame.ndim == 2 else frame[..., 1])
+    height, width = channel.shape
+    if min(height, width) < _LEAST_SIDE_PX:
+        raise InputError(
+            f"frame of {width}x{height} px is too small to estimate its noise, give the noise"
+        )
+    fourier = WindowedFourierBasis(min(_NOISE_WINDOW_PX, 2 * (min(channel.shape) // 2)))
+    high_power, _ = fourier.project(channel, _NOISE_WINDOW_PX, fourier.noise_weights[:, None])
+    return estimate_noise(high_power)

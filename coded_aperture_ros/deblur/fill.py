@@ -5,7 +5,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from coded_aperture_ros.depth import DEPTH_EDGE_PX
 from coded_aperture_ros.errors import InputError
+
+# A difference in brightness that counts as much as being one pixel of the small map away.
+_LIKE_ONE_PIXEL = 0.05
 
 
 def covers_frame(map_shape: tuple[int, ...], frame_shape: tuple[int, ...]) -> bool:
@@ -18,36 +22,79 @@ def covers_frame(map_shape: tuple[int, ...], frame_shape: tuple[int, ...]) -> bo
 
 
 def filled_blur_map(
-    blur_size_px: NDArray[np.float32], shape: tuple[int, int]
+    blur_size_px: NDArray[np.float32],
+    frame: NDArray[np.float32],
+    confidence: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
-    """Fill the gaps of a blur map from the nearest known pixel and bring it to `shape`.
+    """Fill the gaps of a blur map and bring it to the size of its frame.
+
+    Gaps take the value of the nearest known pixel; with a confidence, of the nearest one that is
+    at least as sure as half of those that are known.
 
     Parameters
     ----------
-    blur_size_px : ndarray, float32 [rows, columns]
+    blur_size_px : ndarray, float32 [map rows, map columns]
         Signed blur sizes in pixels of the frame; not finite where unknown.
-    shape : (int, int)
-        Rows and columns of the frame that the map covers.
+    frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
+        The frame that the map covers; it guides the edges of a smaller map.
+    confidence : ndarray, float32 [map rows, map columns], optional
 
     Returns
     -------
-    ndarray, float32 of `shape`
+    ndarray, float32 [rows, columns]
         Finite.
 
     Raises
     ------
     InputError
-        If the map is not two-dimensional or nothing in it is known.
+        If the map is not two-dimensional, has not the proportions of the frame, or nothing in it
+        is known.
     """
     if blur_size_px.ndim != 2 or blur_size_px.size == 0:
         raise InputError(f"blur map: expected [rows, columns], got {list(blur_size_px.shape)}")
-    unknown = ~np.isfinite(blur_size_px)
-    if unknown.all():
+    if not covers_frame(blur_size_px.shape, frame.shape):
+        raise InputError(
+            f"blur map of {blur_size_px.shape[1]}x{blur_size_px.shape[0]} px does not have the "
+            f"proportions of the frame of {frame.shape[1]}x{frame.shape[0]} px: give the map of "
+            "this frame, of its size or smaller"
+        )
+    known = np.isfinite(blur_size_px)
+    if not known.any():
         raise InputError("blur map: no pixel has a known depth, so there is nothing to deblur by")
     filled = np.ascontiguousarray(blur_size_px, np.float32)
-    if unknown.any():
-        _, (row, column) = ndimage.distance_transform_edt(unknown, return_indices=True)
-        filled = filled[row, column]
-    if filled.shape != shape:
-        filled = cv2.resize(filled, shape[::-1], interpolation=cv2.INTER_LINEAR)
-    return filled
+    if not known.all():
+        source = known
+        if confidence is not None:
+            source = known & (confidence >= np.median(confidence[known]))
+        _, (row, column) = ndimage.distance_transform_edt(~source, return_indices=True)
+        filled = np.where(known, filled, filled[row, column])
+    if filled.shape == frame.shape[:2]:
+        return filled
+    return _enlarged(filled, frame if frame.ndim == 2 else frame.mean(axis=2))
+
+
+def _enlarged(small: NDArray[np.float32], grey: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Interpolate a smaller map; across a depth edge each pixel joins the side it looks like."""
+    size = grey.shape[::-1]
+    smooth = cv2.resize(small, size, interpolation=cv2.INTER_LINEAR)
+    around = np.ones((3, 3), np.uint8)
+    relief = cv2.dilate(small, around) - cv2.erode(small, around)
+    edge = cv2.resize(relief, size, interpolation=cv2.INTER_NEAREST) > DEPTH_EDGE_PX
+    rows, columns = np.nonzero(edge)
+    if not rows.size:
+        return np.asarray(smooth, np.float32)
+    guide = cv2.resize(grey, small.shape[::-1], interpolation=cv2.INTER_AREA)
+    row = (rows + 0.5) * small.shape[0] / grey.shape[0] - 0.5
+    column = (columns + 0.5) * small.shape[1] / grey.shape[1] - 0.5
+    least = np.full(rows.size, np.inf, np.float32)
+    for down in (0, 1):
+        for right in (0, 1):
+            at = np.clip(np.floor(row).astype(np.intp) + down, 0, small.shape[0] - 1)
+            beside = np.clip(np.floor(column).astype(np.intp) + right, 0, small.shape[1] - 1)
+            distance = np.hypot(row - at, column - beside)
+            unlike = np.abs(guide[at, beside] - grey[rows, columns]) / _LIKE_ONE_PIXEL
+            cost = (distance + unlike).astype(np.float32)
+            better = cost < least
+            least[better] = cost[better]
+            smooth[rows[better], columns[better]] = small[at[better], beside[better]]
+    return np.asarray(smooth, np.float32)

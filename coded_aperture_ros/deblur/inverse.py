@@ -7,6 +7,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import power_spectrum
+from coded_aperture_ros.deblur.psf_basis import transfer_function
 from coded_aperture_ros.optics import PsfStack
 
 # Power spectrum of photographs in linear light: fall-off and contrast (variance).
@@ -17,14 +18,6 @@ MODEL_ERRORS = (0.06, 0.1, 0.3)
 _ROWS_AT_A_TIME = 16
 # A basis filter with less than this share of the power of the strongest one is rounding error.
 _LEAST_POWER = 1e-8
-
-
-def transfer_function(psf: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.complex64]:
-    """Return the transform of a centred PSF for images of `shape`, as by ``scipy.fft.rfft2``."""
-    width = len(psf)
-    padded = np.zeros(shape, np.float32)
-    padded[:width, :width] = psf
-    return scipy.fft.rfft2(np.roll(padded, (-(width // 2), -(width // 2)), axis=(0, 1)))
 
 
 def image_prior(shape: tuple[int, int]) -> NDArray[np.float32]:

@@ -10,6 +10,7 @@ from coded_aperture_ros.depth.frame import check_frame, filled
 from coded_aperture_ros.depth.noise import estimate_noise
 from coded_aperture_ros.depth.rims import DEPTH_EDGE_PX
 from coded_aperture_ros.depth.stages import Stages
+from coded_aperture_ros.depth.still import StillAverage
 from coded_aperture_ros.depth.video import estimate_video
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "DepthConfig",
     "DepthEstimate",
     "DepthEstimator",
+    "StillAverage",
     "Stages",
     "check_frame",
     "depths_are_measured",

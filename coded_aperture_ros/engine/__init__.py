@@ -3,5 +3,6 @@
 from coded_aperture_ros.engine.engine import BACKENDS, Engine, check_backend, plan_engine
 from coded_aperture_ros.engine.numpy_engine import NumpyEngine
 from coded_aperture_ros.engine.plan import Plan
+from coded_aperture_ros.engine.workers import Workers
 
-__all__ = ["BACKENDS", "Engine", "NumpyEngine", "Plan", "check_backend", "plan_engine"]
+__all__ = ["BACKENDS", "Engine", "NumpyEngine", "Plan", "check_backend", "Workers", "plan_engine"]

@@ -1,0 +1,144 @@
+"""The 3D pictures that `deblur` writes beside the all-in-focus ones."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from coded_aperture_ros.cli.checks import check_suffix
+from coded_aperture_ros.errors import InputError
+
+# Of the width. Wider views are hard to fuse on a screen that fills much of the field of view.
+_USUAL_PARALLAX = 0.03
+_OPTIONS = ("anaglyph", "stereo")
+
+
+def add_stereo_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of 3D pictures to a parser."""
+    group = parser.add_argument_group(
+        "3D pictures",
+        "8 bits, sRGB or as --gamma says; .npy: linear light. Folders where OUT is one.",
+    )
+    group.add_argument(
+        "--anaglyph", metavar="FILE", help="write a picture for red-cyan glasses, red on the left"
+    )
+    group.add_argument(
+        "--stereo", metavar="FILE", help="write the views of both eyes side by side, left on left"
+    )
+    group.add_argument(
+        "--parallax",
+        type=_parallax,
+        metavar="PX",
+        help="largest distance between the two views of a point; several frames share the scale "
+        f"of the first (default {_USUAL_PARALLAX:.0%} of the width)".replace("%", "%%"),
+    )
+
+
+def _parallax(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected a number of pixels above 0, got {text}")
+    return value
+
+
+class StereoOutput:
+    """What `--anaglyph` and `--stereo` ask for.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Of a parser with `add_stereo_options`, and with `output`, `gamma`, `depth` and `camera`.
+    stack : PsfStack
+        PSFs of the bank; says whether larger blur sizes are farther.
+    """
+
+    def __init__(self, args: argparse.Namespace, stack: Any) -> None:
+        self._given = {name: getattr(args, name) for name in _OPTIONS if getattr(args, name)}
+        if args.parallax and not self._given:
+            args.usage_error("--parallax only goes with --anaglyph or --stereo")
+        self._args = args
+        of_camera = args.camera and args.depth != "auto"
+        self._direction = 1 if of_camera else _direction(stack)
+        self._parallax: Any = None
+
+    def outputs(self, output: Path) -> list[Path]:
+        """Return all files that belong to the all-in-focus picture `output`, which is the first.
+
+        Raises
+        ------
+        InputError
+            If one is of an unknown format, two are the same, or a file is named where a folder is
+            needed.
+        """
+        paths = [output, *self._files(output).values()]
+        for index, path in enumerate(paths):
+            if path.resolve() in (other.resolve() for other in paths[:index]):
+                raise InputError(f"{path}: two results cannot go to one file: use another name")
+        return paths
+
+    def check(self, frame: Any) -> None:
+        """Check that the views of a frame can be as far apart as asked for.
+
+        Raises
+        ------
+        InputError
+            If they would have too little in common.
+        """
+        from coded_aperture_ros.deblur import check_parallax
+
+        if self._given:
+            check_parallax(self._shift_px(frame), frame.shape[1])
+
+    def write(self, output: Path, sharp: Any, blur_size_px: Any) -> dict[str, str]:
+        """Write the 3D pictures of one frame; return the name of each, by option."""
+        from coded_aperture_ros.deblur import Parallax, anaglyph, side_by_side, stereo_pair
+        from coded_aperture_ros.images import SRGB, write_image
+
+        if not self._given:
+            return {}
+        farness = self._direction * blur_size_px
+        if self._parallax is None:
+            self._parallax = Parallax.of_scene(farness, self._shift_px(sharp))
+        left, right = stereo_pair(sharp, farness, self._parallax)
+        join = {"anaglyph": anaglyph, "stereo": side_by_side}
+        # Unlike the all-in-focus picture these are to be looked at, not to be computed with.
+        gamma = SRGB if self._args.gamma == 1 else self._args.gamma
+        files = self._files(output)
+        for name, path in files.items():
+            write_image(path, join[name](left, right), bits=8, gamma=gamma)
+        return {name: str(path) for name, path in files.items()}
+
+    def _shift_px(self, frame: Any) -> float:
+        if self._parallax is not None:
+            return self._parallax.largest_px
+        return self._args.parallax or _USUAL_PARALLAX * frame.shape[1]
+
+    def _files(self, output: Path) -> dict[str, Path]:
+        from coded_aperture_ros.images import PICTURE_SUFFIXES
+
+        into_file = output == Path(self._args.output)
+        files = {}
+        for name, given in self._given.items():
+            path = Path(given)
+            if into_file:
+                check_suffix(given, PICTURE_SUFFIXES)
+            elif path.suffix.lower() in PICTURE_SUFFIXES and not given.endswith("/"):
+                raise InputError(
+                    f"{given}: the all-in-focus pictures go to a folder, name one for --{name} too"
+                )
+            files[name] = path if into_file else path / output.name
+        return files
+
+
+def _direction(stack: Any) -> int:
+    """Return 1 if larger blur sizes are farther, and -1 if they are nearer.
+
+    Signed sizes grow with the depth. Measured ones may have lost their sign, and indices of levels
+    have any order, which shows where their depths are known.
+    """
+    if stack.depths_m is None:
+        return 1
+    nearest, farthest = stack.depths_m.argmin(), stack.depths_m.argmax()
+    return 1 if stack.blur_sizes_px[farthest] >= stack.blur_sizes_px[nearest] else -1

@@ -1,0 +1,46 @@
+"""Blur sizes that are safe to deblur by, near depth edges and where the depth may be wrong."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.depth import DEPTH_EDGE_PX
+
+# Sharper specks narrower than this are outliers of the depth, px.
+_SPECK_PX = 9
+# How far from a depth edge the smaller blur size is used, px.
+_EDGE_REACH_PX = 10
+# What a change of blur size around a pixel leaves unexplained there, per pixel of its standard
+# deviation, linear light; and how far around.
+_ERROR_PER_PX, _AROUND_PX = 0.001, 15
+
+
+def without_specks(blur: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return blur sizes without small spots that are sharper than all around them."""
+    amount = np.abs(blur)
+    square = np.ones((_SPECK_PX, _SPECK_PX), np.uint8)
+    closed = cv2.morphologyEx(amount, cv2.MORPH_CLOSE, square)
+    return np.where(closed - amount > DEPTH_EDGE_PX, np.copysign(closed, blur), blur)
+
+
+def sharper_near_edges(
+    blur: NDArray[np.float32], reach_px: int = _EDGE_REACH_PX
+) -> NDArray[np.float32]:
+    """Return blur sizes that near a depth edge are those of its sharper side.
+
+    Where the edge is off, a pixel is deblurred with the PSF of the other side. One that is too
+    small leaves some blur, one that is too large rings.
+    """
+    amount = np.abs(blur)
+    least = cv2.erode(amount, np.ones((2 * reach_px + 1,) * 2, np.uint8))
+    return np.where(amount - least > DEPTH_EDGE_PX, np.copysign(least, blur), blur)
+
+
+def model_weight(blur: NDArray[np.float32], noise: float) -> NDArray[np.float32]:
+    """Return how far every pixel's data can be trusted, 0 to 1, from the relief around it."""
+    side = (_AROUND_PX, _AROUND_PX)
+    # Variances of differences from the overall mean keep their digits in single precision.
+    centred = blur - blur.mean()
+    variance = np.maximum(cv2.blur(centred**2, side) - cv2.blur(centred, side) ** 2, 0)
+    least = np.float32(max(noise, 1e-4) ** 2)
+    return least / (least + np.float32(_ERROR_PER_PX**2) * variance)

@@ -1,0 +1,144 @@
+"""Blur with occlusion: which points of the scene each part of the aperture sees."""
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from coded_aperture_ros.deblur.operator import frame_within, scene_around
+from coded_aperture_ros.deblur.psf_basis import PsfBasis
+from coded_aperture_ros.engine import Workers
+
+# A surface hides what is behind it if its blur is smaller by this than that of the ray there: less
+# is a slant, or an error of the depth.
+_IN_FRONT_PX = 0.5
+# Rows that a thread works on at once: their weights for one offset stay in the cache.
+_BAND_ROWS = 48
+
+
+class OccludedBlur:
+    """Every pixel collects the light of all rays through the aperture that nothing stops.
+
+    The ray of pixel ``x`` that meets a surface of blur size ``s`` at ``y`` passes, on its way, the
+    points ``x + t (y - x)``, ``0 < t < 1``, where it is as far from the surface in focus as blur
+    ``t s`` says. It is stopped if a surface there has a smaller blur. So with ``V(x, y)`` = 1
+    where nothing does::
+
+        (H_d f)(x) = sum_y h_d(y)(x - y) V(x, y) f(y)  /  sum_y h_d(y)(x - y) V(x, y)
+
+    Surfaces that the pinhole in the middle of the aperture does not see are not in the depth map;
+    the denominator leaves their light out. Exact near foregrounds that are sharper than what is
+    behind them. It needs memory for as many frames as the largest PSF has pixels.
+
+    Parameters
+    ----------
+    basis : PsfBasis
+    blur_size_px : ndarray, float32 [rows, columns]
+        Signed blur size of every pixel, finite.
+    workers : Workers, optional
+        Threads to share the work with.
+    """
+
+    def __init__(
+        self,
+        basis: PsfBasis,
+        blur_size_px: NDArray[np.float32],
+        workers: Workers | None = None,
+    ) -> None:
+        rows, columns = blur_size_px.shape
+        self.shape, self.margin_px = (rows, columns), basis.margin_px
+        self.scene_shape = (rows + 2 * self.margin_px, columns + 2 * self.margin_px)
+        self._workers = workers or Workers()
+        self._basis = basis
+        self._steps = scene_around(basis.steps_of(blur_size_px).astype(np.float32), self)
+        self._steps = self._steps.astype(np.int32)
+        amount = np.abs(basis.table_sizes_px).astype(np.float32)[self._steps]
+        psfs = np.maximum(basis.psfs(), 0)
+        psfs[psfs < 1e-3 * psfs.max(axis=(1, 2), keepdims=True)] = 0
+        offsets = [tuple(offset - self.margin_px) for offset in np.argwhere(psfs.max(axis=0) > 0)]
+        # The ray that reaches x from x + offset comes from the PSF at -offset.
+        taps = [psfs[:, self.margin_px - down, self.margin_px - right] for down, right in offsets]
+        self._offsets = offsets
+        self._weights = np.empty((len(offsets), rows, columns), np.float32)
+
+        def weigh(index: int, _: int) -> None:
+            seen = _visible(amount, self.margin_px, self.shape, offsets[index])
+            np.take(taps[index], self._part(self._steps, offsets[index]), out=self._weights[index])
+            self._weights[index] *= seen
+
+        self._workers.each(weigh, range(len(offsets)))
+        self._weights /= np.maximum(self._weights.sum(axis=0), np.float32(1e-6))
+
+    def _part(self, scene: NDArray[np.generic], offset: tuple[int, int]) -> NDArray[np.generic]:
+        """Return what lies `offset` (down, right) of every pixel of the frame."""
+        return _shifted(scene, self.margin_px, self.shape, offset)
+
+    def forward(self, scene: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Blur a scene."""
+        frame = np.zeros(self.shape, np.float32)
+
+        def add(top: int, _: int) -> None:
+            band = slice(top, top + _BAND_ROWS)
+            product = np.empty_like(frame[band])
+            for offset, weights in zip(self._offsets, self._weights, strict=True):
+                np.multiply(weights[band], self._part(scene, offset)[band], out=product)
+                frame[band] += product
+
+        self._workers.each(add, range(0, self.shape[0], _BAND_ROWS))
+        return frame
+
+    def adjoint(self, frame: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Apply the transpose."""
+        margin, (rows, _) = self.margin_px, self.shape
+        threads = self._workers.threads
+        # Each thread has its own scene: bands of rows overlap by the margin.
+        scenes = [np.zeros(self.scene_shape, np.float32) for _ in range(threads)]
+
+        def add(top: int, thread: int) -> None:
+            band = slice(top, min(top + _BAND_ROWS, rows))
+            product = np.empty_like(frame[band])
+            for offset, weights in zip(self._offsets, self._weights, strict=True):
+                np.multiply(weights[band], frame[band], out=product)
+                _shifted(scenes[thread], margin, self.shape, offset)[band] += product
+
+        self._workers.each(add, range(0, rows, _BAND_ROWS))
+        return np.sum(scenes, axis=0)
+
+    def mean_power(self) -> NDArray[np.float32]:
+        """Return the mean of ``|H|^2`` over the frame, as without occlusion."""
+        steps = frame_within(self._steps, self)
+        share = np.bincount(steps.ravel(), minlength=self._basis.table.shape[1]) / steps.size
+        table = self._basis.table
+        together = ((table * share) @ table.T).astype(np.float32)
+        transforms = np.array(
+            [_transform(kernel, self.scene_shape) for kernel in self._basis.kernels]
+        )
+        mixed = np.tensordot(together, transforms, axes=1)
+        return np.einsum("rij,rij->ij", transforms.conj(), mixed).real
+
+
+def _visible(
+    amount: NDArray[np.float32], margin: int, shape: tuple[int, int], offset: tuple[int, int]
+) -> NDArray[np.bool_]:
+    """Return for which pixels nothing is in front of the point `offset` of them."""
+    there = _shifted(amount, margin, shape, offset)
+    seen = np.ones(shape, bool)
+    length = int(np.max(np.abs(offset)))
+    for step in range(length):
+        share = np.float32(step / length)
+        between = (round(offset[0] * step / length), round(offset[1] * step / length))
+        seen &= _shifted(amount, margin, shape, between) >= share * there - _IN_FRONT_PX
+    return seen
+
+
+def _shifted(
+    scene: NDArray[np.generic], margin: int, shape: tuple[int, int], offset: tuple[int, int]
+) -> NDArray[np.generic]:
+    top, left = margin + offset[0], margin + offset[1]
+    return scene[top : top + shape[0], left : left + shape[1]]
+
+
+def _transform(kernel: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.complex64]:
+    width = len(kernel)
+    padded = np.zeros(shape, np.float32)
+    padded[:width, :width] = kernel
+    return scipy.fft.rfft2(padded)  # where it is centred does not matter for the power

@@ -1,0 +1,127 @@
+"""The blur of a whole frame as a linear operator, and its adjoint."""
+
+from typing import Protocol
+
+import cv2
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from coded_aperture_ros.deblur.psf_basis import PsfBasis, transfer_function
+from coded_aperture_ros.engine import Workers
+
+
+class BlurOperator(Protocol):
+    """``H_d`` of thesis eq. 3.27: from a sharp scene to the coded frame without noise.
+
+    The scene is larger than the frame by a margin on every side, for light that comes from beyond
+    the frame's border. The frame has only what was really measured: nothing wraps around.
+    """
+
+    shape: tuple[int, int]
+    scene_shape: tuple[int, int]
+    margin_px: int
+
+    def forward(self, scene: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Blur a scene, float32 of `scene_shape`; return the frame, float32 of `shape`."""
+
+    def adjoint(self, frame: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Apply the transpose of `forward` to a frame; return a scene."""
+
+    def mean_power(self) -> NDArray[np.float32]:
+        """Return ``|H|^2``, averaged over the frame, at the frequencies of ``rfft2`` of a scene."""
+
+
+def scene_around(
+    frame: NDArray[np.float32], operator: BlurOperator, border: int = cv2.BORDER_REPLICATE
+) -> NDArray[np.float32]:
+    """Extend a frame to a scene."""
+    margin = operator.margin_px
+    below = operator.scene_shape[0] - operator.shape[0] - margin
+    right = operator.scene_shape[1] - operator.shape[1] - margin
+    scene = cv2.copyMakeBorder(frame, margin, below, margin, right, borderType=border)
+    return np.asarray(scene, np.float32)
+
+
+def frame_within(scene: NDArray[np.float32], operator: BlurOperator) -> NDArray[np.float32]:
+    """Return the part of a scene that the frame shows."""
+    margin, (rows, columns) = operator.margin_px, operator.shape
+    return scene[margin : margin + rows, margin : margin + columns]
+
+
+class SpreadingBlur:
+    """Every point of the scene spreads its light by the PSF of its own depth.
+
+    The columns of the thesis' ``H_d`` (eq. 3.26) are those PSFs. With PSFs that are combinations
+    ``h_d = sum_r c_r(d) k_r`` of R kernels (see `PsfBasis`)::
+
+        H_d f = sum_r k_r * (c_r(d) f)  /  sum_r k_r * c_r(d)
+
+    one Fourier transform for each kernel, whatever the number of levels and the relief. The
+    denominator, which is 1 on a plane, keeps the brightness near depth edges, where light from
+    behind a foreground is missing and that of others takes its place.
+
+    Parameters
+    ----------
+    basis : PsfBasis
+    blur_size_px : ndarray, float32 [rows, columns]
+        Signed blur size of every pixel, finite.
+    workers : Workers, optional
+        Threads to share the work with.
+    """
+
+    def __init__(
+        self,
+        basis: PsfBasis,
+        blur_size_px: NDArray[np.float32],
+        workers: Workers | None = None,
+    ) -> None:
+        rows, columns = blur_size_px.shape
+        self.shape, self.margin_px = (rows, columns), basis.margin_px
+        self.scene_shape = _fast_shape(self.shape, self.margin_px)
+        self._workers = workers or Workers()
+        self._transforms = [transfer_function(k, self.scene_shape) for k in basis.kernels]
+        step = scene_around(basis.steps_of(blur_size_px).astype(np.float32), self).astype(np.intp)
+        self._shares = [np.take(of_kernel, step) for of_kernel in basis.table]
+        self._scale = np.float32(1)
+        self._scale = 1 / self.forward(np.ones(self.scene_shape, np.float32))
+
+    def forward(self, scene: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Blur a scene."""
+        sums = [np.float32(0)] * self._workers.threads
+
+        def add(kernel: int, thread: int) -> None:
+            spectrum = scipy.fft.rfft2(self._shares[kernel] * scene)
+            spectrum *= self._transforms[kernel]
+            sums[thread] = sums[thread] + spectrum
+
+        self._workers.each(add, range(len(self._shares)))
+        blurred = scipy.fft.irfft2(sum(sums), self.scene_shape)
+        return frame_within(blurred, self) * self._scale
+
+    def adjoint(self, frame: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Apply the transpose."""
+        spectrum = scipy.fft.rfft2(scene_around(frame * self._scale, self, cv2.BORDER_CONSTANT))
+        sums = [np.float32(0)] * self._workers.threads
+
+        def add(kernel: int, thread: int) -> None:
+            part = scipy.fft.irfft2(spectrum * self._transforms[kernel].conj(), self.scene_shape)
+            part *= self._shares[kernel]
+            sums[thread] = sums[thread] + part
+
+        self._workers.each(add, range(len(self._shares)))
+        total: NDArray[np.float32] = sum(sums)  # type: ignore[assignment]
+        return total
+
+    def mean_power(self) -> NDArray[np.float32]:
+        """Return the mean of ``|H|^2`` over the frame."""
+        flat = np.array([share.ravel() for share in self._shares])
+        together = (flat @ flat.T / flat.shape[1]).astype(np.float32)  # [R, R]
+        transforms = np.array(self._transforms)
+        mixed = np.tensordot(together, transforms, axes=1)
+        return np.einsum("rij,rij->ij", transforms.conj(), mixed).real
+
+
+def _fast_shape(shape: tuple[int, int], margin_px: int) -> tuple[int, int]:
+    rows, columns = (scipy.fft.next_fast_len(n + 2 * margin_px, real=True) for n in shape)
+    return rows, columns

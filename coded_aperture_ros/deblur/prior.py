@@ -1,0 +1,172 @@
+"""What sharp images look like: quadratic forms of small filters."""
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank import power_spectrum
+
+# Side of the patches that the high-order prior relates, px.
+_SIDE_PX = 5
+_SLOPE = 2.4
+# First and second differences of the sparse prior, and how much each counts.
+_SHARES = (1.0, 1.0, 0.25, 0.25, 0.25)
+# Exponent of the sparse prior, and the difference in linear light below which it is quadratic.
+_EXPONENT = 0.8
+_SMALL = 0.01
+
+
+def patch_covariance(images: list[NDArray[np.float32]], side_px: int) -> NDArray[np.float64]:
+    """Return the covariance of the patches of sharp images, whatever their mean.
+
+    Parameters
+    ----------
+    images : list of ndarray, float32 [rows, columns]
+        At least one, each at least `side_px` wide and high.
+    side_px : int
+        Side of a patch.
+
+    Returns
+    -------
+    ndarray, float64 [side_px**2, side_px**2]
+    """
+    total, count = np.zeros((side_px**2, side_px**2)), 0
+    for image in images:
+        patches = np.lib.stride_tricks.sliding_window_view(image, (side_px, side_px))
+        flat = patches.reshape(-1, side_px**2).astype(np.float64)
+        flat -= flat.mean(axis=1, keepdims=True)
+        total += flat.T @ flat
+        count += len(flat)
+    return total / count
+
+
+def natural_covariance(side_px: int) -> NDArray[np.float64]:
+    """Return `patch_covariance` as the natural-image prior has it, for unit contrast."""
+    period = 64
+    correlation = np.fft.irfft2(power_spectrum(_SLOPE, (period, period)), (period, period))
+    rows, columns = (index.ravel() for index in np.indices((side_px, side_px)))
+    covariance = correlation[
+        np.subtract.outer(rows, rows) % period, np.subtract.outer(columns, columns) % period
+    ]
+    no_mean = np.eye(side_px**2) - 1 / side_px**2
+    return no_mean @ covariance @ no_mean
+
+
+def high_order_filters(covariance: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return the filters to which sharp patches hardly respond.
+
+    ``Sigma`` of thesis eq. 6.3 is made of the singular directions of sharp patches that have small
+    singular values, all counted alike there. Here each counts by how small its own is, which
+    spares the choice of a number of directions: the cost of a patch is its negative logarithmic
+    likelihood.
+
+    Parameters
+    ----------
+    covariance : ndarray, float64 [side**2, side**2]
+        See `patch_covariance`.
+
+    Returns
+    -------
+    ndarray, float32 [side**2 - 1, side, side]
+        Scaled so that each, on sharp patches, has a response of variance one.
+    """
+    variances, directions = np.linalg.eigh(covariance)
+    side = round(len(covariance) ** 0.5)
+    # The last but one: a constant patch has no variance here, and is no direction of Sigma.
+    flat = np.abs(directions.sum(axis=0)) > 0.5 * side
+    kept = directions[:, ~flat] / np.sqrt(np.maximum(variances[~flat], 1e-9 * variances.max()))
+    return kept.T.reshape(-1, side, side).astype(np.float32)
+
+
+def quadratic_power(
+    shape: tuple[int, int], filters: NDArray[np.float32] | None = None
+) -> NDArray[np.float32]:
+    """Return the power spectrum of ``Sigma^T Sigma`` for images of `shape`.
+
+    Parameters
+    ----------
+    shape : (int, int)
+    filters : ndarray, float32 [F, side, side], optional
+        The high-order ones of natural images by default.
+
+    Returns
+    -------
+    ndarray, float32, laid out as by ``scipy.fft.rfft2``
+        Every pixel is in as many patches as they have pixels: of these the mean.
+    """
+    if filters is None:
+        filters = high_order_filters(natural_covariance(_SIDE_PX))
+    power = np.zeros((shape[0], shape[1] // 2 + 1))
+    for each in filters:
+        padded = np.zeros(shape, np.float32)
+        padded[: each.shape[0], : each.shape[1]] = each
+        power += np.abs(scipy.fft.rfft2(padded)) ** 2
+    return (power / filters[0].size).astype(np.float32)
+
+
+def differences(image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    """Return first and second differences of an image, each of its shape; 0 across its border."""
+    down, right = _difference(image, 0), _difference(image, 1)
+    return [
+        down,
+        right,
+        _difference(down, 0),
+        _difference(right, 1),
+        _difference(down, 1),
+    ]
+
+
+def differences_adjoint(parts: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """Apply the transpose of `differences`."""
+    down, right, down_down, right_right, down_right = parts
+    down = down + _adjoint(down_down, 0) + _adjoint(down_right, 1)
+    right = right + _adjoint(right_right, 1)
+    return _adjoint(down, 0) + _adjoint(right, 1)
+
+
+def sparse_weights(channels: list[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
+    """Return the weights that make a quadratic prior of the differences a sparse one.
+
+    The prior ``sum |D f|^0.8`` lets few large differences stand and presses many small ones down,
+    as edges and smooth areas in photographs are. It is minimised by a sequence of quadratic ones,
+    each with weights from the last solution. All channels of a colour image share their edges.
+
+    Parameters
+    ----------
+    channels : list of ndarray, float32 [rows, columns]
+        The last solution.
+
+    Returns
+    -------
+    list of ndarray, float32 [rows, columns]
+        For each of the `differences`; 1 for a small first difference.
+    """
+    power = [np.zeros_like(channels[0]) for _ in _SHARES]
+    for channel in channels:
+        for total, part in zip(power, differences(channel), strict=True):
+            total += part * part
+    return [
+        np.float32(share)
+        * (1 + total / np.float32(len(channels) * _SMALL**2)) ** (_EXPONENT / 2 - 1)
+        for share, total in zip(_SHARES, power, strict=True)
+    ]
+
+
+def _difference(image: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+    result = np.zeros_like(image)
+    if axis == 0:
+        np.subtract(image[1:], image[:-1], out=result[:-1])
+    else:
+        np.subtract(image[:, 1:], image[:, :-1], out=result[:, :-1])
+    return result
+
+
+def _adjoint(part: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+    result = np.zeros_like(part)
+    if axis == 0:
+        result[1:] = part[:-1]
+        result[:-1] -= part[:-1]
+    else:
+        result[:, 1:] = part[:, :-1]
+        result[:, :-1] -= part[:, :-1]
+    return result

@@ -1,0 +1,96 @@
+"""The PSFs of all blur sizes as combinations of a few kernels."""
+
+import dataclasses
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank import power_spectrum
+from coded_aperture_ros.optics import PsfStack
+
+# What the missing kernels may leave out of a blurred photograph, as a share of its contrast.
+_TOLERANCE = 0.002
+_SLOPE = 2.4
+# Blur sizes are looked up at so many steps between two levels of the stack.
+_STEPS = 16
+
+
+def transfer_function(psf: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.complex64]:
+    """Return the transform of a centred PSF for images of `shape`, as by ``scipy.fft.rfft2``."""
+    width = len(psf)
+    padded = np.zeros(shape, np.float32)
+    padded[:width, :width] = psf
+    return scipy.fft.rfft2(np.roll(padded, (-(width // 2), -(width // 2)), axis=(0, 1)))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PsfBasis:
+    """A few kernels whose combinations are the PSFs of all blur sizes, fractional ones too.
+
+    Attributes
+    ----------
+    kernels : ndarray, float32 [R, k, k]
+    table : ndarray, float32 [R, steps]
+        How much of each kernel there is in the PSFs of `table_sizes_px`.
+    table_sizes_px : ndarray, float64 [steps]
+        Signed blur sizes, ascending and equally many between all levels of the stack.
+    """
+
+    kernels: NDArray[np.float32]
+    table: NDArray[np.float32]
+    table_sizes_px: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, stack: PsfStack, tolerance: float = _TOLERANCE) -> "PsfBasis":
+        """Factor a stack: the smallest basis that blurs photographs as well as is asked for.
+
+        Parameters
+        ----------
+        stack : PsfStack
+            L levels. Between two of them PSFs are interpolated linearly.
+        tolerance : float, optional
+            Standard deviation of what a blurred photograph may lack, relative to the sharp one's.
+        """
+        order = np.argsort(stack.blur_sizes_px)
+        psfs = stack.psfs[order]
+        side = scipy.fft.next_fast_len(4 * psfs.shape[-1], real=True)
+        spectrum = power_spectrum(_SLOPE, (side, side))
+        seen = np.array([transfer_function(psf, (side, side)) for psf in psfs]) * np.sqrt(spectrum)
+        seen = seen.reshape(len(psfs), -1).astype(np.complex128).view(np.float64)
+        # What is seen of the PSFs in photographs, against each other [L, L].
+        gram = seen @ seen.T * 2 / side**2
+        powers, directions = np.linalg.eigh(gram)
+        powers, directions = powers[::-1], directions[:, ::-1]
+        left_out = np.array(
+            [
+                np.max(directions[:, rank:] ** 2 @ np.maximum(powers[rank:], 0))
+                for rank in range(1, len(psfs) + 1)
+            ]
+        )
+        rank = 1 + int(np.argmax(left_out <= tolerance**2))
+        mixture = directions[:, :rank]
+        kernels = np.tensordot(mixture.T, psfs.astype(np.float64), axes=1)
+        levels = mixture / (mixture @ kernels.sum(axis=(1, 2)))[:, None]  # unit sums
+        at = np.arange(len(psfs))
+        fine = np.linspace(0, len(psfs) - 1, _STEPS * (len(psfs) - 1) + 1)
+        table = np.array([np.interp(fine, at, of_kernel) for of_kernel in levels.T])
+        return cls(
+            kernels.astype(np.float32),
+            table.astype(np.float32),
+            np.interp(fine, at, stack.blur_sizes_px[order]),
+        )
+
+    @property
+    def margin_px(self) -> int:
+        """How far a PSF reaches from its centre."""
+        return self.kernels.shape[-1] // 2
+
+    def steps_of(self, blur_size_px: NDArray[np.float32]) -> NDArray[np.intp]:
+        """Return the column of `table` for every blur size; sizes beyond get the last ones."""
+        steps = np.arange(len(self.table_sizes_px))
+        return np.rint(np.interp(blur_size_px, self.table_sizes_px, steps)).astype(np.intp)
+
+    def psfs(self) -> NDArray[np.float32]:
+        """Return the PSFs of all `table_sizes_px` [steps, k, k]."""
+        return np.tensordot(self.table.T, self.kernels, axes=1)

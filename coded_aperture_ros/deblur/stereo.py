@@ -1,0 +1,329 @@
+"""3D pictures: what two eyes would see of an all-in-focus frame, given its depth."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.deblur.fill import filled_blur_map
+from coded_aperture_ros.depth import check_frame
+from coded_aperture_ros.errors import InputError
+
+# The few pixels beyond these percentiles of blur size, most of them wrong, do not set the scale.
+_EXTREMES = (1, 99)
+# Relief that is no more than the error of the blur size is not made any larger.
+_LEAST_RELIEF_PX = 1.0
+# Neighbouring pixels whose disparities differ by more belong to two surfaces.
+_TEAR_PX = 2.0
+# Pixels next to an edge have light of both sides. They stay with the foreground: left behind, they
+# would be its ghost, and holes would be filled with its colour.
+_RIM_PX = 2
+# Of red, green and blue light, ITU-R BT.709.
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+
+
+@dataclasses.dataclass(frozen=True)
+class Parallax:
+    """How disparity follows from blur size.
+
+    Both are linear in the inverse depth, so disparity is ``scale (screen - blur size)``. It is
+    what a stereo camera sees whose baseline is `scale` times as wide as the mask.
+
+    Attributes
+    ----------
+    screen_px : float
+        Signed blur size of what appears in the plane of the screen. What has a smaller one is
+        nearer, and appears in front of the screen.
+    scale : float
+        Pixels of disparity for each pixel of blur size.
+    largest_px : float
+        Disparity is kept within plus and minus this.
+    """
+
+    screen_px: float
+    scale: float
+    largest_px: float
+
+    @classmethod
+    def of_scene(cls, blur_size_px: NDArray[np.float32], shift_px: float) -> "Parallax":
+        """Put the median of a scene at the screen, and give what is farthest from it `shift_px`.
+
+        Parameters
+        ----------
+        blur_size_px : ndarray, float32 [rows, columns]
+            Signed blur sizes; not finite where unknown.
+        shift_px : float
+            Largest distance between the two views of one point, > 0; see `check_parallax`. A scene
+            that is almost flat, with a relief of less than 1 px of blur size, gets less.
+
+        Raises
+        ------
+        InputError
+            If no blur size is known.
+        """
+        known = blur_size_px[np.isfinite(blur_size_px)]
+        if known.size == 0:
+            raise InputError("blur map: no pixel has a known depth")
+        nearest, screen, farthest = np.percentile(known, (_EXTREMES[0], 50, _EXTREMES[1]))
+        relief = max(screen - nearest, farthest - screen, _LEAST_RELIEF_PX)
+        return cls(float(screen), float(shift_px / relief), float(shift_px))
+
+    def disparity_px(self, blur_size_px: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return how much farther to the right the left eye sees a point than the right eye."""
+        disparity = self.scale * (self.screen_px - blur_size_px)
+        return np.clip(disparity, -self.largest_px, self.largest_px).astype(np.float32)
+
+
+def stereo_pair(
+    sharp: NDArray[np.float32],
+    blur_size_px: NDArray[np.float32],
+    parallax: Parallax | float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Render the views of two eyes, at equal distances to the left and right of the given view.
+
+    Every pixel moves by half of its disparity. Surfaces are stretched and compressed without
+    cracks, what is nearer covers what is farther, and what appears from behind a foreground is
+    filled with the mirrored background beside it.
+
+    Parameters
+    ----------
+    sharp : ndarray, float32 [rows, columns] or [rows, columns, 3]
+        All-in-focus frame, finite, linear light in [0, 1].
+    blur_size_px : ndarray, float32 [map rows, map columns]
+        Signed blur sizes, as of `Camera.blur_size_px`: the larger, the farther. The map covers the
+        whole frame, may be smaller, and is not finite where the depth is unknown.
+    parallax : Parallax or float
+        A number is the largest distance between the two views of one point in px, and the rest is
+        chosen by `Parallax.of_scene`. A video keeps its scale if all frames share one `Parallax`.
+
+    Returns
+    -------
+    left, right : ndarray, float32, like `sharp`
+        In [0, 1].
+
+    Raises
+    ------
+    InputError
+        If the frame or the map has a wrong shape or type, no blur size is known, or the parallax is
+        not positive or more than half of the frame's width.
+    """
+    check_frame(sharp)
+    sharp = np.ascontiguousarray(sharp, np.float32)
+    blur = filled_blur_map(blur_size_px, sharp)
+    if not isinstance(parallax, Parallax):
+        parallax = Parallax.of_scene(blur_size_px, parallax)
+    check_parallax(parallax.largest_px, sharp.shape[1])
+    disparity = _with_rims(parallax.disparity_px(blur))
+    left = _left_view(sharp, disparity)
+    # What the right eye sees is what the left one would see in a mirror.
+    right = _left_view(np.ascontiguousarray(sharp[:, ::-1]), disparity[:, ::-1])
+    return left, np.ascontiguousarray(right[:, ::-1])
+
+
+def check_parallax(shift_px: float, width: int) -> None:
+    """Check that views of a frame of so many columns can be so far apart.
+
+    Raises
+    ------
+    InputError
+        If `shift_px` is not positive, or more than half of the width.
+    """
+    if not 0 < shift_px < np.inf:
+        raise InputError(f"parallax: expected more than 0 px, got {shift_px:g}")
+    if 2 * shift_px > width:
+        raise InputError(
+            f"parallax: {shift_px:g} px is more than half of the frame's width, {width} px"
+        )
+
+
+def anaglyph(left: NDArray[np.float32], right: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return one picture for glasses with a red filter on the left and a cyan one on the right.
+
+    Red is the luminance of the left view, green and blue are those of the right one: the "half
+    color" anaglyph of P. Wimmer, *Anaglyph Methods Comparison*, 3dtv.at. With the red of the left
+    view instead, whatever is red or blue would be bright for one eye and dark for the other.
+
+    Parameters
+    ----------
+    left, right : ndarray, float32 [rows, columns] or [rows, columns, 3]
+        Linear light in [0, 1], of one shape.
+
+    Returns
+    -------
+    ndarray, float32 [rows, columns, 3]
+
+    Raises
+    ------
+    InputError
+        If the views have different shapes.
+    """
+    _check_pair(left, right)
+    if left.ndim == 2:
+        return np.dstack([left, right, right])
+    return np.dstack([left @ _LUMINANCE, right[..., 1:]])
+
+
+def side_by_side(left: NDArray[np.float32], right: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return one picture of twice the width, with the left eye's view on the left.
+
+    Parameters
+    ----------
+    left, right : ndarray, float32 [rows, columns] or [rows, columns, 3]
+        Of one shape.
+
+    Raises
+    ------
+    InputError
+        If the views have different shapes.
+    """
+    _check_pair(left, right)
+    return np.concatenate([left, right], axis=1)
+
+
+def _check_pair(left: NDArray[np.float32], right: NDArray[np.float32]) -> None:
+    check_frame(left)
+    check_frame(right)
+    if left.shape != right.shape:
+        raise InputError(
+            f"the views of a stereo pair differ: left {_size(left)} px, {left[0, 0].size} "
+            f"channels, right {_size(right)} px, {right[0, 0].size} channels"
+        )
+
+
+def _size(image: NDArray[np.float32]) -> str:
+    return f"{image.shape[1]}x{image.shape[0]}"
+
+
+def _with_rims(disparity: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Let foregrounds take the pixels around them along."""
+    for _ in range(_RIM_PX):
+        nearer = cv2.dilate(disparity, np.ones((3, 3), np.uint8))
+        disparity = np.where(nearer - disparity > _TEAR_PX, nearer, disparity)
+    return disparity
+
+
+def _left_view(sharp: NDArray[np.float32], disparity: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Move every pixel to the right by half of its disparity."""
+    columns = _seen_columns(disparity / np.float32(2))
+    rows = np.repeat(np.arange(len(sharp), dtype=np.float32)[:, None], sharp.shape[1], axis=1)
+    view = cv2.remap(sharp, columns, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    return np.clip(view, 0, 1)
+
+
+def _seen_columns(shift: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return which column of the frame each pixel of a view shows.
+
+    Parameters
+    ----------
+    shift : ndarray, float32 [rows, columns]
+        How far each pixel of the frame moves to the right; the nearer, the farther.
+
+    Returns
+    -------
+    ndarray, float32 [rows, columns]
+        Fractional columns, finite.
+    """
+    height, width = shift.shape
+    column = np.arange(width, dtype=np.float32)
+    place = column + shift
+    step = np.diff(shift, axis=1)
+    torn = np.abs(step) > _TEAR_PX / 2
+    # A pixel reaches half-way to its neighbours; where the surface ends, half a pixel.
+    half_way = (place[:, 1:] + place[:, :-1]) / 2
+    start, stop = place - 0.5, place + 0.5
+    start[:, 1:] = np.where(torn, start[:, 1:], half_way)
+    stop[:, :-1] = np.where(torn, stop[:, :-1], half_way)
+
+    seen = np.tile(column, (height, 1))
+    _fill_holes(seen, shift, place, torn)
+    # Where several pixels land on one, the leftmost is the nearest: it has moved the most. So all
+    # are painted from right to left, and need no comparison of their depths.
+    row = np.repeat(np.arange(height), width)
+    start, stop = start[:, ::-1].ravel(), stop[:, ::-1].ravel()
+    pixel, target, distance, length = _painted(row, start, stop, width)
+    origin = np.tile(column[::-1], height)[pixel]
+    seen.reshape(-1)[target] = origin - np.float32(0.5) + distance / length
+    return seen
+
+
+def _fill_holes(
+    seen: NDArray[np.float32],
+    shift: NDArray[np.float32],
+    place: NDArray[np.float32],
+    torn: NDArray[np.bool_],
+) -> None:
+    """Paint what is behind all surfaces: backgrounds that go on, mirrored at their ends.
+
+    A hole opens to the right of a pixel that moves less than its right neighbour, and so is the
+    farther of the two; and at the borders of the view.
+    """
+    height, width = shift.shape
+    column = np.arange(width)
+    # The surface of each pixel begins at the last tear before it.
+    after_tear = np.pad(np.where(torn, column[1:], 0), ((0, 0), (1, 0)))
+    first = np.maximum.accumulate(after_tear, axis=1)
+    row, last = np.nonzero(torn & (np.diff(shift, axis=1) > 0))
+    every = np.arange(height)
+    end = np.full(height, width - 1)
+
+    row = np.concatenate([every, row])
+    last = np.concatenate([end, last])
+    start = place[row, last] + np.float32(0.5)
+    stop = np.full(len(row), width, np.float32)
+    stop[height:] = place[row[height:], last[height:] + 1] - np.float32(0.5)
+    hole, target, distance, _ = _painted(row, start, stop, width)
+    span = (last - first[row, last])[hole]
+    seen.reshape(-1)[target] = last[hole] - _mirrored(distance, span)
+
+    stop = place[:, 0] - np.float32(0.5)
+    hole, target, distance, _ = _painted(every, np.zeros_like(stop), stop, width)
+    ends = np.pad(torn, ((0, 0), (0, 1)), constant_values=True)
+    span = ends.argmax(axis=1)[hole]
+    seen.reshape(-1)[target] = _mirrored(stop[hole] - target % width, span)
+
+
+def _mirrored(distance: NDArray[np.float32], span: NDArray[np.intp]) -> NDArray[np.float32]:
+    """Return how far back to go for what lies beyond a surface's end, to and fro within it.
+
+    Parameters
+    ----------
+    distance : ndarray, float32 [N]
+        From the edge of the surface's last pixel, >= 0.
+    span : ndarray, int [N]
+        From the first to the last pixel of the surface, >= 0.
+    """
+    period = np.maximum(span, 1)
+    phase = np.maximum(distance - np.float32(0.5), 0) % (2 * period)
+    return np.minimum(period - np.abs(period - phase), span).astype(np.float32)
+
+
+def _painted(
+    row: NDArray[np.intp], start: NDArray[np.float32], stop: NDArray[np.float32], width: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
+    """Go through the pixels of a view that intervals of its rows cover.
+
+    Parameters
+    ----------
+    row : ndarray, int [N]
+    start, stop : ndarray, float32 [N]
+        Interval ``start <= column < stop``.
+    width : int
+        Of the view; what is beyond is left out.
+
+    Returns
+    -------
+    interval : ndarray, int [P]
+        Index of the interval that each covered pixel belongs to, in the order given.
+    target : ndarray, int [P]
+        Flat index of the pixel.
+    distance, length : ndarray, float32 [P]
+        From the interval's start to the pixel and to its stop.
+    """
+    first = np.maximum(np.ceil(start), 0).astype(np.intp)
+    counts = np.maximum(np.minimum(np.ceil(stop), width).astype(np.intp) - first, 0)
+    interval = np.repeat(np.arange(len(row)), counts)
+    column = np.arange(len(interval)) - np.repeat(np.cumsum(counts) - counts, counts)
+    column += first[interval]
+    distance = column.astype(np.float32) - start[interval]
+    return interval, row[interval] * width + column, distance, (stop - start)[interval]
