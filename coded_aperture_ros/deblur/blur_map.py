@@ -10,6 +10,9 @@ from coded_aperture_ros.depth import DEPTH_EDGE_PX
 _SPECK_PX = 9
 # How far from a depth edge the smaller blur size is used, px.
 _EDGE_REACH_PX = 10
+# What the model of blur leaves unexplained on a plane without noise: standard deviation, linear
+# light.
+MODEL_ERROR = 0.0015
 # What a change of blur size around a pixel leaves unexplained there, per pixel of its standard
 # deviation, linear light; and how far around.
 _ERROR_PER_PX, _AROUND_PX = 0.001, 15
@@ -42,5 +45,5 @@ def model_weight(blur: NDArray[np.float32], noise: float) -> NDArray[np.float32]
     # Variances of differences from the overall mean keep their digits in single precision.
     centred = blur - blur.mean()
     variance = np.maximum(cv2.blur(centred**2, side) - cv2.blur(centred, side) ** 2, 0)
-    least = np.float32(max(noise, 1e-4) ** 2)
+    least = np.float32(noise**2 + MODEL_ERROR**2)
     return least / (least + np.float32(_ERROR_PER_PX**2) * variance)

@@ -43,14 +43,14 @@ class DeblurConfig:
         choices=("auto", "yes", "no"),
     )
     iterations: int = option(
-        96,
+        56,
         "Conjugate-gradient steps of cg and sparse, at most.",
         minimum=1,
         maximum=10000,
     )
     tolerance: float = option(
-        1e-3,
-        "Norm of the gradient at which cg and sparse stop, relative to its first one.",
+        1e-5,
+        "Norm of the gradient at which cg and sparse stop, relative to that of a black picture.",
         minimum=0.0,
         maximum=1.0,
     )

@@ -28,6 +28,8 @@ _DARKEST, _BRIGHTEST = -1.0, 2.0
 _COLOUR_NOISE = 2.0
 # The share of the places in a video that may have more noise than is reckoned with.
 _FEW = 0.1
+# Residual, in units of the noise, from which a pixel's depth is taken for wrong.
+_MISFIT, _MISFIT_OF_EXACT_DEPTH = 2.0, 3.0
 # Occlusion is reckoned with, unless told otherwise, where its weights fit into so much memory.
 _OCCLUSION_BYTES = 512 * 2**20
 
@@ -130,14 +132,13 @@ class Deblurrer:
         `frames` says how many frames the channels are the mean of.
         """
         config = self.config
-        restore = restore_quadratic if config.method == "cg" else restore_sparse
         most = float(np.max(frames))
         noise /= float(np.sqrt(most))
         # Edges that are too sharp are found and lost again more easily than blurred ones.
         start = self._in_closed_form(channels, blur, noise / 3)
         if self._steady is not None:
             start = self._steady.start(start, np.broadcast_to(frames, blur.shape))
-        restored, _ = restore(
+        problem = (
             self._operator(blur),
             channels,
             model_weight(blur, noise) * usable * (frames / np.float32(most)),
@@ -147,6 +148,11 @@ class Deblurrer:
             config.tolerance,
             config.iterations,
         )
+        if config.method == "cg":
+            restored, _ = restore_quadratic(*problem)
+        else:
+            misfit = _MISFIT if config.edge_reach else _MISFIT_OF_EXACT_DEPTH
+            restored, _ = restore_sparse(*problem, misfit)
         if self._steady is not None:
             self._steady.keep(restored)
         return restored

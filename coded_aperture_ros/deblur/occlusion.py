@@ -1,16 +1,15 @@
 """Blur with occlusion: which points of the scene each part of the aperture sees."""
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.deblur.operator import frame_within, scene_around
+from coded_aperture_ros.deblur.operator import scene_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.engine import Workers
 
 # A surface hides what is behind it if its blur is smaller by this than that of the ray there: less
 # is a slant, or an error of the depth.
-_IN_FRONT_PX = 0.5
+_IN_FRONT_PX = 0.25
 # Rows that a thread works on at once: their weights for one offset stay in the cache.
 _BAND_ROWS = 48
 
@@ -49,8 +48,8 @@ class OccludedBlur:
         self.scene_shape = (rows + 2 * self.margin_px, columns + 2 * self.margin_px)
         self._workers = workers or Workers()
         self._basis = basis
-        self._steps = scene_around(basis.steps_of(blur_size_px).astype(np.float32), self)
-        self._steps = self._steps.astype(np.int32)
+        steps = scene_around(basis.steps_of(blur_size_px).astype(np.float32), self)
+        self._steps = steps.astype(np.intp)
         amount = np.abs(basis.table_sizes_px).astype(np.float32)[self._steps]
         psfs = np.maximum(basis.psfs(), 0)
         psfs[psfs < 1e-3 * psfs.max(axis=(1, 2), keepdims=True)] = 0
@@ -103,17 +102,9 @@ class OccludedBlur:
         self._workers.each(add, range(0, rows, _BAND_ROWS))
         return np.sum(scenes, axis=0)
 
-    def mean_power(self) -> NDArray[np.float32]:
-        """Return the mean of ``|H|^2`` over the frame, as without occlusion."""
-        steps = frame_within(self._steps, self)
-        share = np.bincount(steps.ravel(), minlength=self._basis.table.shape[1]) / steps.size
-        table = self._basis.table
-        together = ((table * share) @ table.T).astype(np.float32)
-        transforms = np.array(
-            [_transform(kernel, self.scene_shape) for kernel in self._basis.kernels]
-        )
-        mixed = np.tensordot(together, transforms, axes=1)
-        return np.einsum("rij,rij->ij", transforms.conj(), mixed).real
+    def ranges(self, count: int) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+        """Divide the scene among ranges of blur sizes."""
+        return self._basis.ranges(self._steps, count)
 
 
 def _visible(
@@ -135,10 +126,3 @@ def _shifted(
 ) -> NDArray[np.generic]:
     top, left = margin + offset[0], margin + offset[1]
     return scene[top : top + shape[0], left : left + shape[1]]
-
-
-def _transform(kernel: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.complex64]:
-    width = len(kernel)
-    padded = np.zeros(shape, np.float32)
-    padded[:width, :width] = kernel
-    return scipy.fft.rfft2(padded)  # where it is centred does not matter for the power

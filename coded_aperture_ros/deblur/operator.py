@@ -28,8 +28,8 @@ class BlurOperator(Protocol):
     def adjoint(self, frame: NDArray[np.float32]) -> NDArray[np.float32]:
         """Apply the transpose of `forward` to a frame; return a scene."""
 
-    def mean_power(self) -> NDArray[np.float32]:
-        """Return ``|H|^2``, averaged over the frame, at the frequencies of ``rfft2`` of a scene."""
+    def ranges(self, count: int) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+        """Divide the scene among ranges of blur sizes; see `PsfBasis.ranges`."""
 
 
 def scene_around(
@@ -81,8 +81,10 @@ class SpreadingBlur:
         self.scene_shape = _fast_shape(self.shape, self.margin_px)
         self._workers = workers or Workers()
         self._transforms = [transfer_function(k, self.scene_shape) for k in basis.kernels]
-        step = scene_around(basis.steps_of(blur_size_px).astype(np.float32), self).astype(np.intp)
-        self._shares = [np.take(of_kernel, step) for of_kernel in basis.table]
+        self._basis = basis
+        steps = scene_around(basis.steps_of(blur_size_px).astype(np.float32), self)
+        self._steps = steps.astype(np.intp)
+        self._shares = [np.take(of_kernel, self._steps) for of_kernel in basis.table]
         self._scale = np.float32(1)
         self._scale = 1 / self.forward(np.ones(self.scene_shape, np.float32))
 
@@ -113,13 +115,9 @@ class SpreadingBlur:
         total: NDArray[np.float32] = sum(sums)  # type: ignore[assignment]
         return total
 
-    def mean_power(self) -> NDArray[np.float32]:
-        """Return the mean of ``|H|^2`` over the frame."""
-        flat = np.array([share.ravel() for share in self._shares])
-        together = (flat @ flat.T / flat.shape[1]).astype(np.float32)  # [R, R]
-        transforms = np.array(self._transforms)
-        mixed = np.tensordot(together, transforms, axes=1)
-        return np.einsum("rij,rij->ij", transforms.conj(), mixed).real
+    def ranges(self, count: int) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+        """Divide the scene among ranges of blur sizes."""
+        return self._basis.ranges(self._steps, count)
 
 
 def _fast_shape(shape: tuple[int, int], margin_px: int) -> tuple[int, int]:

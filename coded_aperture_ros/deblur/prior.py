@@ -12,7 +12,7 @@ _SLOPE = 2.4
 # First and second differences of the sparse prior, and how much each counts.
 _SHARES = (1.0, 1.0, 0.25, 0.25, 0.25)
 # Exponent of the sparse prior, and the difference in linear light below which it is quadratic.
-_EXPONENT = 0.8
+_EXPONENT = 0.7
 _SMALL = 0.01
 
 
@@ -124,10 +124,19 @@ def differences_adjoint(parts: list[NDArray[np.float32]]) -> NDArray[np.float32]
     return _adjoint(down, 0) + _adjoint(right, 1)
 
 
+def difference_powers(shape: tuple[int, int]) -> list[NDArray[np.float32]]:
+    """Return the power spectra of the `differences` of periodic images, as by ``rfft2``."""
+    down = 2 - 2 * np.cos(2 * np.pi * np.fft.fftfreq(shape[0]))[:, None]
+    right = 2 - 2 * np.cos(2 * np.pi * np.fft.rfftfreq(shape[1]))[None, :]
+    down, right = np.broadcast_arrays(down, right)
+    powers = (down, right, down**2, right**2, down * right)
+    return [power.astype(np.float32) for power in powers]
+
+
 def sparse_weights(channels: list[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
     """Return the weights that make a quadratic prior of the differences a sparse one.
 
-    The prior ``sum |D f|^0.8`` lets few large differences stand and presses many small ones down,
+    The prior ``sum |D f|^0.7`` lets few large differences stand and presses many small ones down,
     as edges and smooth areas in photographs are. It is minimised by a sequence of quadratic ones,
     each with weights from the last solution. All channels of a colour image share their edges.
 

@@ -91,6 +91,41 @@ class PsfBasis:
         steps = np.arange(len(self.table_sizes_px))
         return np.rint(np.interp(blur_size_px, self.table_sizes_px, steps)).astype(np.intp)
 
+    def ranges(
+        self, steps: NDArray[np.intp], count: int
+    ) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+        """Divide a scene among ranges of blur sizes.
+
+        Parameters
+        ----------
+        steps : ndarray of int [rows, columns]
+            Of every pixel of the scene, see `steps_of`.
+        count : int
+            Ranges there may be, at most; those without pixels are left out.
+
+        Returns
+        -------
+        list of (share, power)
+            ``share``, float32 [rows, columns]: square root of how far a pixel belongs to the
+            range; the squares sum to one. ``power``, float32 as by ``rfft2`` of the scene: mean of
+            ``|H|^2`` over its pixels.
+        """
+        shape = (steps.shape[0], steps.shape[1])
+        transforms = np.array([transfer_function(kernel, shape) for kernel in self.kernels])
+        middles = np.linspace(steps.min(), steps.max(), count) if np.ptp(steps) else steps[:1, 0]
+        width = max(float(middles[-1] - middles[0]) / max(len(middles) - 1, 1), 1e-3)
+        divided = []
+        for middle in middles:
+            share = np.maximum(1 - np.abs(steps - np.float32(middle)) / np.float32(width), 0)
+            share = share.astype(np.float32)
+            if not share.any():
+                continue
+            weight = np.bincount(steps.ravel(), share.ravel(), minlength=self.table.shape[1])
+            together = ((self.table * (weight / weight.sum())) @ self.table.T).astype(np.float32)
+            power = np.einsum("rij,rs,sij->ij", transforms.conj(), together, transforms).real
+            divided.append((np.sqrt(share), power.astype(np.float32)))
+        return divided
+
     def psfs(self) -> NDArray[np.float32]:
         """Return the PSFs of all `table_sizes_px` [steps, k, k]."""
         return np.tensordot(self.table.T, self.kernels, axes=1)

@@ -5,9 +5,11 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.deblur.conjugate import conjugate_gradients
+from coded_aperture_ros.deblur.blur_map import MODEL_ERROR
+from coded_aperture_ros.deblur.conjugate import Linear, conjugate_gradients
 from coded_aperture_ros.deblur.operator import BlurOperator, frame_within, scene_around
 from coded_aperture_ros.deblur.prior import (
+    difference_powers,
     differences,
     differences_adjoint,
     quadratic_power,
@@ -16,16 +18,18 @@ from coded_aperture_ros.deblur.prior import (
 
 # Variance of photographs in linear light, for the quadratic prior.
 _CONTRAST = 0.02
-# alpha of the sparse prior, relative to the variance of what the model leaves unexplained.
-_SPARSE_ALPHA = 1600.0
-# What the model of blur leaves unexplained where there is no noise: standard deviation.
-_MODEL_ERROR = 0.0015
+# alpha of the sparse prior, relative to the standard deviation of what the model leaves unexplained.
+# It was best like this from 0.001 to 0.01, not proportional to the variance: the weights of a
+# sparse prior already follow the noise that is left in the solution.
+_SPARSE_ALPHA = 4.5
 # alpha of colour differences relative to that of brightness: they have less texture.
-_OF_COLOUR = 4.0
+_OF_COLOUR = 3.0
 # Iterations between two updates of the sparse prior's weights.
-_INNER = 24
-# Where the smoothed residual is beyond so many times the noise, the depth must be wrong.
-_MISFIT, _MISFIT_REACH_PX = 3.0, 2.0
+_INNER = 8
+# Ranges of blur sizes that the preconditioners tell apart.
+_RANGES = 4
+# How far around a pixel its residual is looked at, px.
+_MISFIT_REACH_PX = 2.0
 
 
 def restore_quadratic(
@@ -41,7 +45,7 @@ def restore_quadratic(
     """Minimise ``||g - H_d f||^2 + alpha ||Sigma f||^2`` by conjugate gradients.
 
     ``alpha`` is the variance of the noise, and of the model's error, over that of photographs. The
-    preconditioner solves the problem for the frame's mean PSF in the Fourier domain.
+    preconditioner solves the problem in the Fourier domain, for each of some ranges of blur sizes.
 
     Parameters
     ----------
@@ -69,35 +73,34 @@ def restore_quadratic(
         The most that a channel took.
     """
     shape = operator.scene_shape
-    alpha = smoothness * (noise**2 + _MODEL_ERROR**2) / _CONTRAST
-    power, data_power = quadratic_power(shape), operator.mean_power() * np.float32(weight.mean())
+    alpha = smoothness * (noise**2 + MODEL_ERROR**2) / _CONTRAST
+    power, ranges = quadratic_power(shape), operator.ranges(_RANGES)
     restored, most = [], 0
     for coded, begin, share in zip(channels, start, _shares(channels), strict=True):
         prior = np.float32(alpha * share) * power
-        inverse = 1 / (data_power + prior)
-
-        def system(
-            scene: NDArray[np.float32], prior: NDArray[np.float32] = prior
-        ) -> NDArray[np.float32]:
-            data = operator.adjoint(weight * operator.forward(scene))
-            return data + scipy.fft.irfft2(prior * scipy.fft.rfft2(scene), shape)
-
-        def precondition(
-            scene: NDArray[np.float32], inverse: NDArray[np.float32] = inverse
-        ) -> NDArray[np.float32]:
-            return np.asarray(scipy.fft.irfft2(inverse * scipy.fft.rfft2(scene), shape))
-
         scene, needed = conjugate_gradients(
-            system,
+            _quadratic_system(operator, weight, prior),
             operator.adjoint(weight * coded),
             scene_around(begin, operator),
-            precondition,
+            _preconditioner(ranges, float(weight.mean()), prior),
             tolerance,
             iterations,
         )
         restored.append(frame_within(scene, operator))
         most = max(most, needed)
     return restored, most
+
+
+def _quadratic_system(
+    operator: BlurOperator, weight: NDArray[np.float32], prior: NDArray[np.float32]
+) -> Linear:
+    """Return the gradient (thesis eq. 6.28) less its constant part."""
+
+    def system(scene: NDArray[np.float32]) -> NDArray[np.float32]:
+        data = operator.adjoint(weight * operator.forward(scene))
+        return data + scipy.fft.irfft2(prior * scipy.fft.rfft2(scene), scene.shape)
+
+    return system
 
 
 def restore_sparse(
@@ -109,51 +112,78 @@ def restore_sparse(
     smoothness: float,
     tolerance: float,
     iterations: int,
+    misfit: float = 3.0,
 ) -> tuple[list[NDArray[np.float32]], int]:
-    """Minimise ``||g - H_d f||^2 + alpha sum |D f|^0.8`` by reweighted least squares.
+    """Minimise ``||g - H_d f||^2 + alpha sum |D f|^0.7`` by reweighted least squares.
 
     Every few iterations the prior's weights follow the solution (see `sparse_weights`), and pixels
     that no sharp scene can explain, because their depth is wrong, lose their weight.
 
     Parameters and results are those of `restore_quadratic`; the channels share their edges. The
-    tolerance is for one set of weights.
+    tolerance is for one set of weights. `misfit` is the residual, in units of the noise, from which
+    a pixel's depth is rather taken for wrong.
     """
-    alpha = np.float32(smoothness * _SPARSE_ALPHA * (noise**2 + _MODEL_ERROR**2))
-    gain = np.float32(scipy.fft.irfft2(operator.mean_power(), operator.scene_shape)[0, 0])
-    right_sides: list[NDArray[np.float32]] = []
+    # What is seen of brightness in all channels together has less noise than each of them.
+    together = noise / float(np.sqrt(len(channels)))
+    alpha = smoothness * _SPARSE_ALPHA * float(np.hypot(together, MODEL_ERROR))
+    shape = operator.scene_shape
+    allowed = misfit * float(np.hypot(together, MODEL_ERROR / np.sqrt(2)))
+    ranges, powers = operator.ranges(_RANGES), difference_powers(shape)
     scenes = [scene_around(begin, operator) for begin in start]
-    done = 0
-    while done < iterations:
-        trusted = weight * _explained(operator, channels, scenes, noise) if done else weight
-        right_sides = [operator.adjoint(trusted * coded) for coded in channels]
-        shares = [alpha * share for share in sparse_weights(scenes)]
-        diagonal = sum(
-            np.float32(squares) * share
-            for squares, share in zip((2, 2, 6, 6, 4), shares, strict=True)
+    for done in range(0, iterations, _INNER):
+        trusted = (
+            weight * _explained(operator, channels, scenes, noise, allowed) if done else weight
         )
-        inverse = 1 / (gain * scene_around(trusted, operator, cv2.BORDER_CONSTANT) + diagonal)
+        edges = sparse_weights(scenes)
+        # The weights' typical size: between the arithmetic mean, of smooth areas, and the harmonic
+        # one, of edges.
+        typical = [np.sqrt(of_filter.mean() / (1 / of_filter).mean()) for of_filter in edges]
+        penalty = sum(size * power for size, power in zip(typical, powers, strict=True))
+        for channel, (coded, share) in enumerate(zip(channels, _shares(channels), strict=True)):
+            strength = np.float32(alpha * share)
+            scenes[channel], _ = conjugate_gradients(
+                _sparse_system(operator, trusted, [strength * of_filter for of_filter in edges]),
+                operator.adjoint(trusted * coded),
+                scenes[channel],
+                _preconditioner(ranges, float(trusted.mean()), strength * penalty),
+                tolerance,
+                min(_INNER, iterations - done),
+            )
+    return [frame_within(scene, operator) for scene in scenes], iterations
 
-        def system(
-            scene: NDArray[np.float32],
-            trusted: NDArray[np.float32] = trusted,
-            shares: list[NDArray[np.float32]] = shares,
-        ) -> NDArray[np.float32]:
-            data = operator.adjoint(trusted * operator.forward(scene))
-            parts = [share * part for share, part in zip(shares, differences(scene), strict=True)]
-            return data + differences_adjoint(parts)
 
-        def precondition(
-            scene: NDArray[np.float32], inverse: NDArray[np.float32] = inverse
-        ) -> NDArray[np.float32]:
-            return inverse * scene
+def _sparse_system(
+    operator: BlurOperator, weight: NDArray[np.float32], edges: list[NDArray[np.float32]]
+) -> Linear:
+    """Return the gradient (thesis eq. 6.28), for one set of weights, less its constant part."""
 
-        budget = min(_INNER, iterations - done)
-        scenes = [
-            conjugate_gradients(system, right, scene, precondition, tolerance, budget)[0]
-            for right, scene in zip(right_sides, scenes, strict=True)
-        ]
-        done += budget
-    return [frame_within(scene, operator) for scene in scenes], done
+    def system(scene: NDArray[np.float32]) -> NDArray[np.float32]:
+        data = operator.adjoint(weight * operator.forward(scene))
+        parts = [each * part for each, part in zip(edges, differences(scene), strict=True)]
+        return data + differences_adjoint(parts)
+
+    return system
+
+
+def _preconditioner(
+    ranges: list[tuple[NDArray[np.float32], NDArray[np.float32]]],
+    weight: float,
+    penalty: NDArray[np.float32],
+) -> Linear:
+    """Return what nearly solves a system: in each range of blur sizes by one Fourier transform."""
+    inverses = [
+        (share, (1 / (np.float32(weight) * power + penalty)).astype(np.float32))
+        for share, power in ranges
+    ]
+
+    def solve(scene: NDArray[np.float32]) -> NDArray[np.float32]:
+        total = np.zeros_like(scene)
+        for share, inverse in inverses:
+            solved = scipy.fft.irfft2(inverse * scipy.fft.rfft2(share * scene), scene.shape)
+            total += share * solved
+        return total
+
+    return solve
 
 
 def _shares(channels: list[NDArray[np.float32]]) -> list[float]:
@@ -166,11 +196,11 @@ def _explained(
     channels: list[NDArray[np.float32]],
     scenes: list[NDArray[np.float32]],
     noise: float,
+    allowed: float,
 ) -> NDArray[np.float32]:
     """Return how far the frame is explained at every pixel, 0 to 1."""
     misfit = np.zeros(operator.shape, np.float32)
     for coded, scene in zip(channels, scenes, strict=True):
         misfit += (coded - operator.forward(scene)) ** 2
     misfit = cv2.GaussianBlur(misfit / len(channels), (0, 0), _MISFIT_REACH_PX)
-    allowed = _MISFIT**2 * (noise**2 + _MODEL_ERROR**2 / 2)
-    return 1 / (1 + misfit / np.float32(allowed))
+    return 1 / (1 + np.maximum(misfit - np.float32(noise**2), 0) / np.float32(allowed**2))
