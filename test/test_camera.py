@@ -53,6 +53,15 @@ def test_number_of_levels_of_the_thesis(focus_m, side, near_m, far_m, levels, in
     assert camera.number_of_levels(near_m, far_m) == pytest.approx(in_thesis, abs=0.06)
 
 
+def test_noise_of_a_camera_file():
+    measured = camera_from_mapping({**THESIS, "noise": 0.001, "noise_gain": 0.0002})
+    assert (measured.noise, measured.noise_gain) == (0.001, 0.0002)
+    assert (camera_from_mapping(THESIS).noise, camera_from_mapping(THESIS).noise_gain) == (0, 0)
+    for name, value in (("noise", -0.1), ("noise", 0.6), ("noise_gain", 0.2), ("noise", "low")):
+        with pytest.raises(InputError, match=f"{name}: .*(range|expected)"):
+            camera_from_mapping({**THESIS, name: value})
+
+
 def test_finer_resolution_gives_more_levels():
     camera = thesis_camera(3.0, "far")
     assert camera.number_of_levels(6, 28, 0.5) == pytest.approx(2 * 3.9126 + 1, abs=1e-3)

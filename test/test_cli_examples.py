@@ -63,7 +63,7 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
     shutil.copy("coded.png", "frames/first.png")
 
     learn = examples(capsys, "learn")
-    assert len(learn) == 6
+    assert len(learn) == 7
     for arguments in reversed(learn):  # the first one's bank fits the simulated camera
         type_in(arguments)
 

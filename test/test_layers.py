@@ -18,6 +18,7 @@ LAYERS = (
     ("engine",),
     ("depth",),
     ("deblur",),
+    ("calibration",),
     ("evaluation",),
     ("sources",),
     ("nodes",),

@@ -150,7 +150,7 @@ def test_blur_wider_than_half_the_window_is_told(planes, caplog, monkeypatch, wi
 
 def few_steps(monkeypatch):
     """Learn quickly: for tests of what is around the fit."""
-    for name in ("_COARSE_STEPS", "_FINE_STEPS", "_SINGLE_STEPS"):
+    for name in ("_FIRST_STEPS", "_COARSE_STEPS", "_FINE_STEPS", "_SINGLE_STEPS"):
         monkeypatch.setattr(f"coded_aperture_ros.bank.mask_search.{name}", 1)
     monkeypatch.setattr("coded_aperture_ros.bank.phase_retrieval._STARTS", 4)
 

@@ -10,7 +10,8 @@ from coded_aperture_ros.bank.learn import (
     learn_bank_for_camera,
     textures_of,
 )
-from coded_aperture_ros.bank.learn_planes import learn_bank_from_planes
+from coded_aperture_ros.bank.learn_planes import learn_bank_for_pattern, learn_bank_from_planes
+from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.bank.planes import Planes
 from coded_aperture_ros.bank.prior import NaturalImagePrior, power_spectrum
 from coded_aperture_ros.bank.subspace import SubspaceBank, learn_subspace_bank
@@ -19,6 +20,7 @@ __all__ = [
     "EmpiricalPrior",
     "FilterBank",
     "LearnConfig",
+    "LearnedPattern",
     "NaturalImagePrior",
     "PatchGrid",
     "Planes",
@@ -27,6 +29,7 @@ __all__ = [
     "WindowedFourierBasis",
     "learn_bank",
     "learn_bank_for_camera",
+    "learn_bank_for_pattern",
     "learn_bank_from_planes",
     "learn_subspace_bank",
     "load_bank",

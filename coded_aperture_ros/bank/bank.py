@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.fourier import PatchGrid, WindowedFourierBasis
+from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.bank.prior import NaturalImagePrior
 from coded_aperture_ros.optics import PsfStack
 
@@ -73,6 +74,8 @@ class FilterBank:
         Distance between patches that the bank was tuned for.
     level_error : float
         Mean error, in levels, on simulated planes with this distance; NaN if it was not tuned.
+    pattern : LearnedPattern or None
+        Mask and thin lens as found from planes: what a bank for another focus is made of.
     """
 
     stack: PsfStack
@@ -89,6 +92,7 @@ class FilterBank:
     highest_frequency: float = 1.0
     stride_px: int = 8
     level_error: float = float("nan")
+    pattern: LearnedPattern | None = None
 
     @property
     def blur_sizes_px(self) -> NDArray[np.float64]:

@@ -10,9 +10,10 @@ from coded_aperture_ros.archive import read_archive, write_archive
 from coded_aperture_ros.bank.bank import FilterBank
 from coded_aperture_ros.bank.empirical import EmpiricalPrior
 from coded_aperture_ros.bank.learn import check_levels
+from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.bank.prior import NaturalImagePrior
 from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.optics import PsfStack
+from coded_aperture_ros.optics import Mask, PsfStack
 
 SCHEMA = "coded-aperture filter bank"
 # Version 2 may leave out high frequencies, and knows its stride.
@@ -53,6 +54,8 @@ def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
         arrays["depths_m"] = bank.stack.depths_m
     if isinstance(bank.prior, EmpiricalPrior):
         arrays["prior_deviations"] = bank.prior.deviations
+    if bank.pattern is not None:
+        arrays |= _pattern_arrays(bank.pattern)
     write_archive(path, SCHEMA, VERSION, arrays)
 
 
@@ -87,6 +90,7 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
             highest_frequency=float(arrays.get("highest_frequency", 1.0)),
             stride_px=int(arrays.get("stride_px", 8)),
             level_error=float(arrays.get("level_error", np.nan)),
+            pattern=_pattern(arrays),
         )
         _check_shapes(bank)
     except KeyError as error:
@@ -94,6 +98,31 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
     except (InputError, TypeError, ValueError) as error:
         raise InputError(f"{path}: damaged {SCHEMA}: {error}") from error
     return bank
+
+
+def _pattern_arrays(pattern: LearnedPattern) -> dict[str, Any]:
+    return {
+        "pattern_mask": pattern.mask.transmission,
+        "pattern_mask_name": pattern.mask.name,
+        "pattern_parts": pattern.parts,
+        "pattern_parts_extent": pattern.parts_extent,
+        "pattern_slope_px_m": pattern.slope_px_m,
+        "pattern_inverse_focus": pattern.inverse_focus,
+        "pattern_image_width": pattern.image_width,
+    }
+
+
+def _pattern(arrays: dict[str, NDArray[Any]]) -> LearnedPattern | None:
+    if "pattern_mask" not in arrays:  # not learned from planes, or by an older version
+        return None
+    return LearnedPattern(
+        mask=Mask(str(arrays["pattern_mask_name"]), arrays["pattern_mask"]),
+        parts=arrays["pattern_parts"],
+        parts_extent=float(arrays["pattern_parts_extent"]),
+        slope_px_m=float(arrays["pattern_slope_px_m"]),
+        inverse_focus=float(arrays["pattern_inverse_focus"]),
+        image_width=int(arrays["pattern_image_width"]),
+    )
 
 
 def _prior(arrays: dict[str, NDArray[Any]]) -> NaturalImagePrior:

@@ -17,14 +17,14 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.bank import FilterBank
 from coded_aperture_ros.bank.learn import LearnConfig, check_levels, learn_bank
 from coded_aperture_ros.bank.mask_search import MaskSearch
+from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.bank.planes import Planes
 from coded_aperture_ros.bank.prior import NaturalImagePrior
-from coded_aperture_ros.optics import Mask, render_psf_stack
+from coded_aperture_ros.optics import render_psf_stack
 
 
 def learn_bank_from_planes(
@@ -69,23 +69,61 @@ def learn_bank_from_planes(
     search = MaskSearch(planes, config.window_px, progress)
     mixture = search.mixture()
     mask, extent_px = search.single(mixture)
-    sizes_px = np.linspace(*mixture.size_range_px, levels)
-    own_sizes_px = mixture.sign * sizes_px * (extent_px / mixture.extent_px)
-    stack = render_psf_stack(mask, own_sizes_px)
-    return learn_bank(
-        dataclasses.replace(stack, depths_m=mixture.depths_m(sizes_px)),
-        config,
-        prior,
-        learned_from=f"{len(planes.names)} planes at {planes.depths_m[0]:g} to "
-        f"{planes.depths_m[-1]:g} m, focus found at {mixture.focus_distance_m:.3g} m",
-        components=_components(mixture.parts, sizes_px),
+    pattern = LearnedPattern.of_fit(mixture, mask, extent_px, planes.images[0].shape[1])
+    near_m, far_m = planes.depths_m[[0, -1]]
+    return learn_bank_for_pattern(
+        pattern, near_m, far_m, levels, config, prior, learned_from_planes(planes, pattern)
     )
 
 
-def _components(parts: NDArray[np.float64], sizes_px: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the parts' PSFs at every level [R, L, k, k], as bright as the parts are."""
-    psfs = [
-        render_psf_stack(Mask("part", part / part.max()), sizes_px).psfs * part.sum()
-        for part in parts
-    ]
-    return np.array(psfs)
+def learned_from_planes(planes: Planes, pattern: LearnedPattern) -> str:
+    """Say in a few words which planes a bank comes from."""
+    return (
+        f"{len(planes.names)} planes at {planes.depths_m[0]:g} to {planes.depths_m[-1]:g} m, "
+        f"focus found at {pattern.focus_distance_m:.3g} m"
+    )
+
+
+def learn_bank_for_pattern(
+    pattern: LearnedPattern,
+    near_m: float,
+    far_m: float,
+    levels: int = 30,
+    config: LearnConfig | None = None,
+    prior: NaturalImagePrior | None = None,
+    learned_from: str = "planes",
+) -> FilterBank:
+    """Learn the bank of a mask that is known from planes, for a depth range.
+
+    Parameters
+    ----------
+    pattern : LearnedPattern
+    near_m, far_m : float
+        Depths of the first and of the last level, metres.
+    levels : int, optional
+        Number of levels, equally spaced in blur size; at least 2.
+    config, prior, learned_from
+        See `learn_bank`.
+
+    Returns
+    -------
+    FilterBank
+        With depths, which hold whatever a camera file says.
+
+    Raises
+    ------
+    InputError
+        If the focus lies within the range, there are fewer than two levels, or a blur size does
+        not fit the window.
+    """
+    check_levels(levels)
+    sizes_px = np.linspace(*pattern.blur_range_px(near_m, far_m), levels)
+    stack = render_psf_stack(pattern.mask, sizes_px)
+    bank = learn_bank(
+        dataclasses.replace(stack, depths_m=pattern.depth_m(sizes_px)),
+        config,
+        prior,
+        learned_from=learned_from,
+        components=pattern.components(sizes_px),
+    )
+    return dataclasses.replace(bank, pattern=pattern)

@@ -21,7 +21,9 @@ from coded_aperture_ros.optics import Mask
 _WIDEST = 0.5
 _COARSE_CELL_PX, _FINE_CELL_PX = 2.0, 1.0
 _COARSE_PARTS, _FINE_PARTS = 2, 3
-_COARSE_STEPS, _FINE_STEPS, _FINE_ROUNDS = 30, 100, 3
+_FIRST_STEPS, _COARSE_STEPS, _FINE_STEPS, _FINE_ROUNDS = 12, 18, 100, 3
+# Of the first guesses so many are worth more than the first steps.
+_PROMISING = 3
 _NEAREST_TO_FOCUS = (0.03, 0.15, 0.35, 0.6)
 # The best of the masks from phase retrieval are worth some steps each.
 _CANDIDATES, _SINGLE_STEPS = 4, 60
@@ -60,23 +62,28 @@ class MaskSearch:
         """Find the mask (as a mixture) and the focus under which the planes are likeliest.
 
         Coarse masks first, from several focus distances on both sides of the planes; the
-        likeliest is refined.
+        likelier ones go on, and the likeliest is refined.
         """
         starts = [(sign, ratio) for sign in (1, -1) for ratio in _NEAREST_TO_FOCUS]
+        coarse: list[MaskFit] = []
         best: MaskFit | None = None
         for step in self.progress([*starts, *range(_FINE_ROUNDS)]):
             if isinstance(step, tuple):
                 start = self.start(_COARSE_PARTS, _COARSE_CELL_PX, *step)
-                found = start.climb(self.likelihood, _COARSE_STEPS)
-                if best is None or found.score < best.score:
-                    best = found
-            elif best is not None:
+                coarse.append(start.climb(self.likelihood, _FIRST_STEPS))
+            elif best is None:
                 # The finer masks start afresh: the coarse ones' cells would stay visible.
-                if step == 0:
-                    best = self.start(_FINE_PARTS, _FINE_CELL_PX, best.sign, best.near_ratio)
+                found = self._most_promising(coarse)
+                best = self.start(_FINE_PARTS, _FINE_CELL_PX, found.sign, found.near_ratio)
                 best = best.climb(self.likelihood, _FINE_STEPS)
-        assert best is not None  # there are starts
-        return best
+            else:
+                best = best.climb(self.likelihood, _FINE_STEPS)
+        return self._most_promising(coarse) if best is None else best
+
+    def _most_promising(self, coarse: list[MaskFit]) -> MaskFit:
+        coarse = sorted(coarse, key=lambda fit: fit.score)[:_PROMISING]
+        further = [fit.climb(self.likelihood, _COARSE_STEPS) for fit in coarse]
+        return min(further, key=lambda fit: fit.score)
 
     def start(self, parts: int, cell_px: float, sign: int, near_ratio: float) -> MaskFit:
         """Return a first guess: random masks."""

@@ -173,6 +173,7 @@ def deblur(
     stack: "PsfStack",
     strength: float | None = None,
     noise: float | None = None,
+    exact_depth: bool = False,
 ) -> Deblurred:
     """Deblur a frame.
 
@@ -188,6 +189,8 @@ def deblur(
         Of a reference method, see `best_strengths`.
     noise : float, optional
         Tells our own methods the noise, which they estimate otherwise.
+    exact_depth : bool, optional
+        Whether our own methods may rely on the blur sizes near depth edges.
 
     Returns
     -------
@@ -196,7 +199,7 @@ def deblur(
     import numpy as np
 
     if method in own_methods():
-        deblurrer = _own(method, stack, noise)
+        deblurrer = _own(method, stack, noise, exact_depth)
         deblurrer.prepare(coded.shape[:2])
         blur = np.asarray(blur_size_px, np.float32)
         start = time.perf_counter()
@@ -221,14 +224,14 @@ def nearest_level(blur_size_px: "NDArray[np.floating]", stack: "PsfStack") -> "N
     return np.asarray(order[np.rint(at).astype(np.intp)])
 
 
-def _own(method: str, stack: "PsfStack", noise: float | None) -> Any:
-    from coded_aperture_ros.configuration import options_of
+def _own(method: str, stack: "PsfStack", noise: float | None, exact_depth: bool) -> Any:
     from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
     from coded_aperture_ros.depth.noise import NOISE_FLOOR
 
     # In no frame of the benchmarks is anything clipped, however bright.
-    wanted: dict[str, Any] = {"method": method, "saturation": 2.0}
-    settings = {name: wanted[name] for name in options_of(DeblurConfig) if name in wanted}
+    settings: dict[str, Any] = {"method": method, "saturation": 2.0}
+    if exact_depth:
+        settings["edge_reach"] = 0
     if noise is not None:
         # To the deblurring, 0 means that it is not known.
         settings["noise"] = max(noise, NOISE_FLOOR)

@@ -208,7 +208,14 @@ def measure_cell(cell: Cell) -> Measured:
     rows, sharp = [], {}
     for depth, blur in seen.blur_size_px.items():
         done = {
-            strength: deblur(cell.method, seen.coded, blur, seen.stack, strength)
+            strength: deblur(
+                cell.method,
+                seen.coded,
+                blur,
+                seen.stack,
+                strength,
+                exact_depth=depth == TRUE,
+            )
             for strength in dict.fromkeys(strengths.values())
         }
         rows.append(

@@ -306,7 +306,9 @@ def _repeat(cell: Cell, seed: int, strengths: dict[str, float | None]) -> _Repea
         cell.methods, ((TRUE, stair.level), (ESTIMATED, estimated))
     ):
         blur = np.interp(level, np.arange(cell.levels), stair.stack.blur_sizes_px)
-        done = deblur(method, stair.coded, blur, stair.stack, strengths[method], told)
+        done = deblur(
+            method, stair.coded, blur, stair.stack, strengths[method], told, depth == TRUE
+        )
         pictures[method, depth], seconds[method, depth] = done.sharp, done.seconds
     mistaken = level_error(np.rint(estimated), stair.level, cell.levels)
     return _Repeat(stair, pictures, seconds, mistaken.mean)

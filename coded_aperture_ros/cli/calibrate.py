@@ -1,4 +1,7 @@
-"""`coded_aperture calibrate`: what a lens, a mask and a focus can tell over a depth range."""
+"""`coded_aperture calibrate`: what a lens, a mask and a focus can tell over a depth range.
+
+With an action's name after it, the command measures a camera instead: see `ACTIONS`.
+"""
 
 import argparse
 import dataclasses
@@ -6,12 +9,19 @@ import json
 import logging
 import math
 from contextlib import ExitStack
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, naming
-from coded_aperture_ros.cli.options import add_config_options, config_from
+from coded_aperture_ros.cli.options import add_commands, add_config_options, config_from
 from coded_aperture_ros.errors import InputError
+
+# What is measured from pictures; without an action, the command designs.
+ACTIONS: dict[str, Any] = {
+    name: import_module(f"coded_aperture_ros.cli.calibrate_{name}")
+    for name in ("psf", "noise", "planes")
+}
 
 _EPILOG = """examples:
   the numbers of a camera, and the best focus distance and mask size:
@@ -37,12 +47,12 @@ def add_parser(subparsers: Any) -> None:
         help="show how finely a camera tells depths apart, and the best focus and mask size",
         description="Show how many depths a camera tells apart in a depth range, how finely, and "
         "what the mask costs in light and sharpness; and search for the focus distance and the "
-        "mask size that tell most depths apart. Nothing is photographed for it.",
+        "mask size that tell most depths apart. Nothing is photographed for it. With an action, "
+        "measure a camera from its pictures: 'coded_aperture calibrate ACTION --help'.",
         epilog=_EPILOG,
     )
     parser.add_argument(
         "--camera",
-        required=True,
         metavar="YAML",
         help="camera file, as config/example_camera.yaml, which explains every entry",
     )
@@ -50,7 +60,6 @@ def add_parser(subparsers: Any) -> None:
         "--depth-range",
         nargs=2,
         type=float,
-        required=True,
         metavar=("NEAR", "FAR"),
         help="where the objects of interest are, in m",
     )
@@ -72,6 +81,7 @@ def add_parser(subparsers: Any) -> None:
         "--output", metavar="DIR", help=f"folder for {_NUMBERS}, {_PAGE} and {_PICTURE}"
     )
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    add_commands(parser, "action", ACTIONS.values(), required=False)
     parser.add_late_options = _add_config_options
 
 
@@ -82,7 +92,14 @@ def _add_config_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the sub-command; return its exit status."""
+    """Run the sub-command, or one of its actions; return its exit status."""
+    if args.action is not None:
+        status: int = ACTIONS[args.action].run(args)
+        return status
+    return _design(args)
+
+
+def _design(args: argparse.Namespace) -> int:
     from coded_aperture_ros.design import (
         DesignConfig,
         best_settings,
@@ -93,6 +110,14 @@ def run(args: argparse.Namespace) -> int:
     )
     from coded_aperture_ros.optics import load_camera
 
+    # Not required by the parser, which would also ask the actions for them.
+    missing = [
+        f"--{name.replace('_', '-')}"
+        for name in ("camera", "depth_range")
+        if getattr(args, name) is None
+    ]
+    if missing:
+        args.usage_error(f"the following arguments are required: {', '.join(missing)}")
     near_m, far_m = args.depth_range
     try:
         config = config_from(args, DesignConfig)

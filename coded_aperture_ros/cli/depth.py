@@ -36,7 +36,10 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--bank", required=True, metavar="NPZ", help="filter bank, see learn")
     parser.add_argument(
-        "--camera", metavar="YAML", help="camera file, for a bank that does not know its depths"
+        "--camera",
+        metavar="YAML",
+        help="camera file, for a bank that does not know its depths; its noise, where it has any, "
+        "stands in for --noise and --noise-gain",
     )
     parser.add_argument(
         "--levels", action="store_true", help="write fractional level indices instead of metres"
@@ -60,6 +63,7 @@ def run(args: argparse.Namespace) -> int:
     import numpy as np
 
     from coded_aperture_ros.bank import load_bank
+    from coded_aperture_ros.calibration import with_noise_of
     from coded_aperture_ros.depth import DepthConfig, DepthEstimator
     from coded_aperture_ros.optics import load_camera
 
@@ -73,7 +77,8 @@ def run(args: argparse.Namespace) -> int:
             "--levels for level indices"
         )
     with naming(args.camera or args.bank):
-        estimator = DepthEstimator(bank, config_from(args, DepthConfig), camera)
+        config = with_noise_of(camera, config_from(args, DepthConfig))
+        estimator = DepthEstimator(bank, config, camera)
     summaries: list[dict[str, Any]] = []
     frames = named_frames(args, ".npy", _SUFFIXES, lambda path: _outputs(path, args.pictures))
     for frame in frames:

@@ -17,6 +17,9 @@ _EPILOG = """examples:
   from a camera file:
     coded_aperture learn --camera config/demo_camera.yaml --depth-range 2.1 5.1 --levels 30 \\
         -o bank.npz
+  for another focus or depth range of the same lens and mask, without new pictures:
+    coded_aperture learn --remap bank.npz --camera config/demo_camera.yaml --depth-range 2.3 6 \\
+        -o new_bank.npz
   from a mask and a range of blur sizes in px, without a camera:
     coded_aperture learn --mask levin --blur-sizes 7 30 39 -o bank.npz
   from measured PSFs (.npz with psfs [N, k, k]), optionally at known depths in m:
@@ -70,6 +73,12 @@ def add_parser(subparsers: Any) -> None:
         "--planes", metavar="DIR", help="pictures of planes (16-bit linear) and planes.json"
     )
     parser.add_argument(
+        "--remap",
+        metavar="BANK",
+        help="make the bank of the camera file's focus from this bank of the same lens and mask; "
+        "without --depth-range the same filters get new depths",
+    )
+    parser.add_argument(
         "--depth-range", nargs=2, type=float, metavar=("NEAR", "FAR"), help="with --camera, in m"
     )
     parser.add_argument(
@@ -120,10 +129,13 @@ def run(args: argparse.Namespace) -> int:
 
     _check_usage(args)
     check_suffix(args.output, [".npz"])
-    check_output(args.output, [Path(name) for name in (args.camera, args.psfs) if name])
+    check_output(args.output, [Path(name) for name in (args.camera, args.psfs, args.remap) if name])
     start = time.perf_counter()
     trials: list[Any] = []
-    bank = _learned(args) if args.budget_ms is None else _tuned(args, trials)
+    if args.remap is not None:
+        bank = _remapped(args)
+    else:
+        bank = _learned(args) if args.budget_ms is None else _tuned(args, trials)
     save_bank(bank, args.output)
     summary = {
         "output": args.output,
@@ -168,7 +180,15 @@ def _check_usage(args: argparse.Namespace) -> None:
         given = any(getattr(args, source) is not None for source in sources)
         if getattr(args, name) is not None and not given:
             args.usage_error(f"{_option(name)} only goes with {' or '.join(map(_option, sources))}")
-    if args.camera and args.depth_range is None:
+    if args.remap is not None:
+        if not args.camera:
+            args.usage_error("--remap needs --camera, which says what the new setting is")
+        for name in ("images", "budget_ms"):
+            if getattr(args, name) is not None:
+                args.usage_error(f"{_option(name)} does not go with --remap")
+        if args.levels is not None and args.depth_range is None:
+            args.usage_error("--levels with --remap needs --depth-range")
+    elif args.camera and args.depth_range is None:
         args.usage_error("--camera needs --depth-range NEAR FAR")
     if args.planes and args.images:
         args.usage_error("--images does not go with --planes, whose textures are their own")
@@ -224,6 +244,17 @@ def _learned(args: argparse.Namespace) -> Any:
             mask=mask,
             progress=progress,
         )
+
+
+def _remapped(args: argparse.Namespace) -> Any:
+    from coded_aperture_ros.bank import load_bank
+    from coded_aperture_ros.calibration.planes_remap import remap_bank
+    from coded_aperture_ros.optics import load_camera
+
+    camera, bank = load_camera(args.camera), load_bank(args.remap)
+    near_m, far_m = args.depth_range or (None, None)
+    with naming(args.remap):
+        return remap_bank(bank, camera, near_m, far_m, args.levels)
 
 
 def _tuned(args: argparse.Namespace, trials: list[Any]) -> Any:

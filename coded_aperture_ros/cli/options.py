@@ -36,10 +36,12 @@ class CommandParser(argparse.ArgumentParser):
         return super().parse_known_args(args, namespace)
 
 
-def add_commands(parser: argparse.ArgumentParser, dest: str, commands: Iterable[Any]) -> None:
-    """Let a parser choose among modules, each with `add_parser(subparsers)`; one is required."""
+def add_commands(
+    parser: argparse.ArgumentParser, dest: str, commands: Iterable[Any], *, required: bool = True
+) -> None:
+    """Let a parser choose among modules, each with `add_parser(subparsers)`."""
     subparsers = parser.add_subparsers(
-        dest=dest, metavar=dest.upper(), required=True, parser_class=CommandParser
+        dest=dest, metavar=dest.upper(), required=required, parser_class=CommandParser
     )
     for command in commands:
         command.add_parser(subparsers)

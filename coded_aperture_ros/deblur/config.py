@@ -43,13 +43,13 @@ class DeblurConfig:
         choices=("auto", "yes", "no"),
     )
     iterations: int = option(
-        56,
+        112,
         "Conjugate-gradient steps of cg and sparse, at most.",
         minimum=1,
         maximum=10000,
     )
     tolerance: float = option(
-        1e-5,
+        1e-3,
         "Norm of the gradient at which cg and sparse stop, relative to that of a black picture.",
         minimum=0.0,
         maximum=1.0,

@@ -26,6 +26,8 @@ _DARKEST, _BRIGHTEST = -1.0, 2.0
 # Colour differences have less texture than brightness, but as much noise: they are deblurred as if
 # they had so many times more.
 _COLOUR_NOISE = 2.0
+# The closed form cannot leave out pixels whose depth is wrong: it keeps farther from edges.
+_FAST_REACH = 1.4
 # The share of the places in a video that may have more noise than is reckoned with.
 _FEW = 0.1
 # Residual, in units of the noise, from which a pixel's depth is taken for wrong.
@@ -103,10 +105,11 @@ class Deblurrer:
         usable, frame = _usable(frame)
         blur = filled_blur_map(blur_size_px, frame)
         if self.stack.in_pixels and self.config.edge_reach:
-            blur = sharper_near_edges(without_specks(blur), self.config.edge_reach)
+            share = _FAST_REACH if self.config.method == "fast" else 1.0
+            blur = sharper_near_edges(without_specks(blur), round(share * self.config.edge_reach))
         noise = noise or self.config.noise or _estimated_noise(frame)
         channels = opponents(frame)
-        frames = np.float32(1)
+        frames = np.ones((1, 1), np.float32)
         if self._steady is not None:
             channels, frames = self._steady.add(channels, noise)
         usable &= (frame if frame.ndim == 2 else frame.max(axis=2)) < self.config.saturation
@@ -122,7 +125,7 @@ class Deblurrer:
     def _restored(
         self,
         channels: list[NDArray[np.float32]],
-        frames: NDArray[np.float32] | np.float32,
+        frames: NDArray[np.float32],
         blur: NDArray[np.float32],
         noise: float,
         usable: NDArray[np.bool_],
@@ -186,9 +189,8 @@ def _usable(frame: NDArray[np.float32]) -> tuple[NDArray[np.bool_], NDArray[np.f
         frame = np.stack([filled(*pair) for pair in zip(channels, masks, strict=True)]).T.reshape(
             frame.shape
         )
-    return usable.reshape(*usable.shape[:2], -1).all(axis=2), np.ascontiguousarray(
-        frame, np.float32
-    )
+    everywhere = np.asarray(usable.reshape(*usable.shape[:2], -1).all(axis=2))
+    return everywhere, np.ascontiguousarray(frame, np.float32)
 
 
 def _estimated_noise(frame: NDArray[np.float32]) -> float:

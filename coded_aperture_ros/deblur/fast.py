@@ -18,10 +18,11 @@ _STEPS_PER_ERROR = 4
 # The error that a change of blur size within reach of the filters makes, per pixel of its standard
 # deviation; from the best choice on ray-traced scenes.
 _ERROR_PER_PX = 0.03
-# How far the surroundings matter, px: about twice the largest blur, where filters reach strongest.
-_SURROUNDINGS_PX = 41
+# How far the surroundings matter, in px of half the frame's size: about the largest blur, where
+# filters reach strongest.
+_SURROUNDINGS_PX = 21
 # Frames are extended by this margin, or by the width of the PSFs, before they are filtered.
-_MARGIN_PX = 24
+_MARGIN_PX = 16
 # There is a basis for each of these noises; the nearest one is used.
 _NOISES = (0.001, 0.003, 0.01, 0.03)
 
@@ -45,7 +46,7 @@ class InverseFilters:
 
     def __init__(self, stack: PsfStack, rank: int, workers: Workers) -> None:
         self._stack, self._rank, self._workers = stack, rank, workers
-        self._margin_px = max(_MARGIN_PX, stack.psfs.shape[-1])
+        self._margin_px = max(_MARGIN_PX, stack.psfs.shape[-1] // 2)
         self._order = np.argsort(stack.blur_sizes_px)
         self._basis = lru_cache(maxsize=len(_NOISES))(self._new_basis)
         self._transforms = lru_cache(maxsize=len(_NOISES))(self._new_transforms)
@@ -74,8 +75,13 @@ class InverseFilters:
         transforms = self._transforms(basis_noise, self._padded_shape(blur.shape))
         # Steps of a tenth of a decade: there are few different tables.
         lookup = self._lookup_table(basis_noise, round(10 * np.log10(noise)))
-        index = self._lookup_index(blur, _model_error(blur))
-        weights = [np.take(column, index) for column in lookup]
+        # Weights change slowly: half of the rows and columns tell them.
+        size = blur.shape[::-1]
+        coarse = cv2.resize(
+            blur, (-(-size[0] // 2), -(-size[1] // 2)), interpolation=cv2.INTER_AREA
+        )
+        index = self._lookup_index(coarse, _model_error(coarse))
+        weights = [cv2.resize(np.take(column, index), size) for column in lookup]
         return [self._filter(channel, transforms, weights) for channel in channels]
 
     def _filter(
@@ -97,8 +103,8 @@ class InverseFilters:
         sums = [np.zeros_like(channel) for _ in range(self._workers.threads)]
 
         def add(kernel: int, thread: int) -> None:
-            filtered = scipy.fft.irfft2(spectrum * transforms[kernel], shape)[inside]
-            sums[thread] += weights[kernel] * filtered
+            filtered = scipy.fft.irfft2(spectrum * transforms[kernel], shape, overwrite_x=True)
+            cv2.accumulateProduct(filtered[inside], weights[kernel], sums[thread])
 
         self._workers.each(add, range(len(weights)))
         return np.sum(sums, axis=0) if len(sums) > 1 else sums[0]

@@ -1,11 +1,15 @@
 """Blur with occlusion: which points of the scene each part of the aperture sees."""
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.deblur.operator import scene_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.engine import Workers
+
+Value = TypeVar("Value", bound=np.generic)
 
 # A surface hides what is behind it if its blur is smaller by this than that of the ray there: less
 # is a slant, or an error of the depth.
@@ -67,7 +71,7 @@ class OccludedBlur:
         self._workers.each(weigh, range(len(offsets)))
         self._weights /= np.maximum(self._weights.sum(axis=0), np.float32(1e-6))
 
-    def _part(self, scene: NDArray[np.generic], offset: tuple[int, int]) -> NDArray[np.generic]:
+    def _part(self, scene: NDArray[Value], offset: tuple[int, int]) -> NDArray[Value]:
         """Return what lies `offset` (down, right) of every pixel of the frame."""
         return _shifted(scene, self.margin_px, self.shape, offset)
 
@@ -122,7 +126,7 @@ def _visible(
 
 
 def _shifted(
-    scene: NDArray[np.generic], margin: int, shape: tuple[int, int], offset: tuple[int, int]
-) -> NDArray[np.generic]:
+    scene: NDArray[Value], margin: int, shape: tuple[int, int], offset: tuple[int, int]
+) -> NDArray[Value]:
     top, left = margin + offset[0], margin + offset[1]
     return scene[top : top + shape[0], left : left + shape[1]]

@@ -85,35 +85,34 @@ class SpreadingBlur:
         steps = scene_around(basis.steps_of(blur_size_px).astype(np.float32), self)
         self._steps = steps.astype(np.intp)
         self._shares = [np.take(of_kernel, self._steps) for of_kernel in basis.table]
-        self._scale = np.float32(1)
-        self._scale = 1 / self.forward(np.ones(self.scene_shape, np.float32))
+        self._scale = np.ones(self.shape, np.float32)
+        self._scale /= self.forward(np.ones(self.scene_shape, np.float32))
 
     def forward(self, scene: NDArray[np.float32]) -> NDArray[np.float32]:
         """Blur a scene."""
-        sums = [np.float32(0)] * self._workers.threads
+        like = self._transforms[0]
+        sums = [np.zeros_like(like) for _ in range(self._workers.threads)]
 
         def add(kernel: int, thread: int) -> None:
             spectrum = scipy.fft.rfft2(self._shares[kernel] * scene)
             spectrum *= self._transforms[kernel]
-            sums[thread] = sums[thread] + spectrum
+            sums[thread] += spectrum
 
         self._workers.each(add, range(len(self._shares)))
-        blurred = scipy.fft.irfft2(sum(sums), self.scene_shape)
+        blurred = scipy.fft.irfft2(np.sum(sums, axis=0), self.scene_shape)
         return frame_within(blurred, self) * self._scale
 
     def adjoint(self, frame: NDArray[np.float32]) -> NDArray[np.float32]:
         """Apply the transpose."""
         spectrum = scipy.fft.rfft2(scene_around(frame * self._scale, self, cv2.BORDER_CONSTANT))
-        sums = [np.float32(0)] * self._workers.threads
+        sums = [np.zeros(self.scene_shape, np.float32) for _ in range(self._workers.threads)]
 
         def add(kernel: int, thread: int) -> None:
             part = scipy.fft.irfft2(spectrum * self._transforms[kernel].conj(), self.scene_shape)
-            part *= self._shares[kernel]
-            sums[thread] = sums[thread] + part
+            cv2.accumulateProduct(part, self._shares[kernel], sums[thread])
 
         self._workers.each(add, range(len(self._shares)))
-        total: NDArray[np.float32] = sum(sums)  # type: ignore[assignment]
-        return total
+        return np.sum(sums, axis=0)
 
     def ranges(self, count: int) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
         """Divide the scene among ranges of blur sizes."""

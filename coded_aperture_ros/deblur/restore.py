@@ -18,7 +18,8 @@ from coded_aperture_ros.deblur.prior import (
 
 # Variance of photographs in linear light, for the quadratic prior.
 _CONTRAST = 0.02
-# alpha of the sparse prior, relative to the standard deviation of what the model leaves unexplained.
+# alpha of the sparse prior, relative to the standard deviation of what the model leaves
+# unexplained.
 # It was best like this from 0.001 to 0.01, not proportional to the variance: the weights of a
 # sparse prior already follow the noise that is left in the solution.
 _SPARSE_ALPHA = 4.5
@@ -26,6 +27,8 @@ _SPARSE_ALPHA = 4.5
 _OF_COLOUR = 3.0
 # Iterations between two updates of the sparse prior's weights.
 _INNER = 8
+# Tolerance for one set of weights, relative to the configured one.
+_OF_ONE_SET = 0.01
 # Ranges of blur sizes that the preconditioners tell apart.
 _RANGES = 4
 # How far around a pixel its residual is looked at, px.
@@ -119,9 +122,9 @@ def restore_sparse(
     Every few iterations the prior's weights follow the solution (see `sparse_weights`), and pixels
     that no sharp scene can explain, because their depth is wrong, lose their weight.
 
-    Parameters and results are those of `restore_quadratic`; the channels share their edges. The
-    tolerance is for one set of weights. `misfit` is the residual, in units of the noise, from which
-    a pixel's depth is rather taken for wrong.
+    Parameters and results are those of `restore_quadratic`; the channels share their edges. A
+    hundredth of the tolerance is for one set of weights, which begins near its solution. `misfit`
+    is the residual, in units of the noise, from which a pixel's depth is rather taken for wrong.
     """
     # What is seen of brightness in all channels together has less noise than each of them.
     together = noise / float(np.sqrt(len(channels)))
@@ -146,7 +149,7 @@ def restore_sparse(
                 operator.adjoint(trusted * coded),
                 scenes[channel],
                 _preconditioner(ranges, float(trusted.mean()), strength * penalty),
-                tolerance,
+                _OF_ONE_SET * tolerance,
                 min(_INNER, iterations - done),
             )
     return [frame_within(scene, operator) for scene in scenes], iterations

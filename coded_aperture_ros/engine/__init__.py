@@ -5,4 +5,4 @@ from coded_aperture_ros.engine.numpy_engine import NumpyEngine
 from coded_aperture_ros.engine.plan import Plan
 from coded_aperture_ros.engine.workers import Workers
 
-__all__ = ["BACKENDS", "Engine", "NumpyEngine", "Plan", "check_backend", "Workers", "plan_engine"]
+__all__ = ["BACKENDS", "Engine", "NumpyEngine", "Plan", "Workers", "check_backend", "plan_engine"]

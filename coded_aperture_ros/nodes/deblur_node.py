@@ -43,7 +43,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
             **node_options,
         )
         self._range = self.configs[ModelConfig]
-        self._model = FrameModel(self, self._range, self.configs[LearnConfig])
+        self._model = FrameModel(self, self.configs)
         self._deblurrer = self._new_deblurrer()
         self._info = CameraModel()
         self._pairs: StampPairs[Image, Image] = StampPairs(

@@ -10,6 +10,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from coded_aperture_ros.bank import LearnConfig
 from coded_aperture_ros.blas import slow_blas_warning
+from coded_aperture_ros.calibration import with_noise_of
 from coded_aperture_ros.configuration import check_options, option
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.errors import InputError
@@ -62,7 +63,7 @@ class DepthNode(FrameNode[Image]):
         if warning:
             self.get_logger().warning(warning)
         self._range = self.configs[ModelConfig]
-        self._model = FrameModel(self, self._range, self.configs[LearnConfig])
+        self._model = FrameModel(self, self.configs)
         self._estimator = self._new_estimator()
         self._info = CameraModel()
         self.advertise("depth/image", Image)
@@ -108,7 +109,7 @@ class DepthNode(FrameNode[Image]):
         if (
             made.bank is not model.bank
             or made.camera is not model.camera
-            or made.config is not self.configs[DepthConfig]
+            or self._made_for is not self.configs[DepthConfig]
         ):
             estimator = self._new_estimator()
             made.close()
@@ -116,7 +117,9 @@ class DepthNode(FrameNode[Image]):
         return self._estimator
 
     def _new_estimator(self) -> DepthEstimator:
-        return DepthEstimator(self._model.bank, self.configs[DepthConfig], self._model.camera)
+        # The estimator's own configuration may be another one: with the camera file's noise.
+        self._made_for, camera = self.configs[DepthConfig], self._model.camera
+        return DepthEstimator(self._model.bank, with_noise_of(camera, self._made_for), camera)
 
 
 def output_size(frame_size: tuple[int, int], choice: str) -> tuple[int, int]:

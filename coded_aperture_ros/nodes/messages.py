@@ -248,18 +248,14 @@ def millimetres_from_depth(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 
 def camera_info_from_camera(camera: Camera, header: Header) -> CameraInfo:
-    """Return the pinhole model of a camera file: no distortion, principal point in the middle.
-
-    Pixel centres have whole coordinates, so the middle of a row of w pixels is (w - 1) / 2.
-    """
-    info = CameraInfo(header=copied_header(header), distortion_model="plumb_bob")
+    """Return the pinhole model of a camera file; see `Camera.intrinsics`."""
+    model = camera.intrinsics
+    info = CameraInfo(header=copied_header(header), distortion_model=model.distortion_model)
     info.width, info.height = camera.image_width, camera.image_height
-    f = float(camera.focal_length_px)
-    cx, cy = (info.width - 1) / 2.0, (info.height - 1) / 2.0
-    info.d = [0.0] * 5
-    info.k = [f, 0.0, cx, 0.0, f, cy, 0.0, 0.0, 1.0]
-    info.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-    info.p = [f, 0.0, cx, 0.0, 0.0, f, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    info.d = list(model.distortion_coefficients)
+    info.k = list(model.camera_matrix)
+    info.r = list(model.rectification_matrix)
+    info.p = list(model.projection_matrix)
     return info
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, TypeVar
 
@@ -56,12 +56,26 @@ class NodeParameters:
             self._declare(node, config, "", read_only=False)
         for prefix, config in fixed.items():
             self._declare(node, config, prefix, read_only=True)
+        self._listeners: dict[type, tuple[Callable[[Any], None], Callable[[Any], None]]] = {}
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
 
     def __getitem__(self, config_type: type[Config]) -> Config:
         """Return the present configuration of this type."""
         return self._configs[config_type]
+
+    def on_change(
+        self,
+        config_type: type[Config],
+        prepare: Callable[[Config], None],
+        take_over: Callable[[Config], None],
+    ) -> None:
+        """Let a change of a configuration depend on more than its values.
+
+        `prepare` gets the new configuration before it holds, and may refuse it with an
+        `InputError`; `take_over` gets it once it holds.
+        """
+        self._listeners[config_type] = prepare, take_over
 
     def _declare(self, node: Node, config: Any, prefix: str, read_only: bool) -> None:
         values = {}
@@ -75,13 +89,19 @@ class NodeParameters:
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
-            self._changed(parameters)
+            for owner, config in self._changed(parameters).items():
+                if owner in self._listeners and config != self._configs[owner]:
+                    self._listeners[owner][0](config)
         except InputError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _apply(self, parameters: list[Parameter]) -> None:
-        self._configs.update(self._changed(parameters))
+        for owner, config in self._changed(parameters).items():
+            changed = config != self._configs[owner]
+            self._configs[owner] = config
+            if changed and owner in self._listeners:
+                self._listeners[owner][1](config)
 
     def _changed(self, parameters: list[Parameter]) -> dict[type, Any]:
         values: dict[type, dict[str, Any]] = {}

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from coded_aperture_ros.configuration import Option, check_option
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import lens
+from coded_aperture_ros.optics.intrinsics import Intrinsics, load_intrinsics
 from coded_aperture_ros.optics.mask import Mask
 
 # Every number of a camera file, with the values that a camera can have.
@@ -30,11 +31,13 @@ _NUMBERS: dict[str, tuple[type, Option]] = {
         float,
         Option("How far the mask sits in front of the lens", "mm", -1_000, 1_000),
     ),
+    "noise": (float, Option("Noise of one channel in the dark, linear light", "", 0, 0.5)),
+    "noise_gain": (float, Option("Variance of shot noise per unit of light", "", 0, 0.1)),
 }
 _SIDE = Option("Side of the focal plane that the scene is on", choices=("far", "near"))
 _PHYSICAL = ("focal_length_mm", "pixel_pitch_um")
-_OPTIONAL = ("lens_mask_distance_mm", "side")
-_KEYS = (*_NUMBERS, "side", "mask")
+_OPTIONAL = ("lens_mask_distance_mm", "side", "camera_info", "noise", "noise_gain")
+_KEYS = (*_NUMBERS, "side", "mask", "camera_info")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,6 +63,14 @@ class Camera:
     focal_length_mm : float or None
         Focal length of the lens, where it is known: f-numbers need it, and what becomes of the
         image distance when the focus is moved.
+    measured : Intrinsics or None
+        Principal point, focal lengths and distortion for `CameraInfo`, as a calibration found
+        them; by default the focal length, the middle of the image and no distortion. Depth and
+        blur do not depend on them.
+    noise : float
+        Standard deviation of one channel's noise in the dark, linear light; 0 where not measured.
+    noise_gain : float
+        Variance of one channel's shot noise per unit of light; 0 where not measured.
 
     Raises
     ------
@@ -76,6 +87,9 @@ class Camera:
     lens_mask_distance_mm: float = 0.0
     side: str = "far"
     focal_length_mm: float | None = None
+    measured: Intrinsics | None = None
+    noise: float = 0.0
+    noise_gain: float = 0.0
 
     def __post_init__(self) -> None:
         for name, (expected, described) in _NUMBERS.items():
@@ -87,6 +101,12 @@ class Camera:
         check_option("side", self.side, str, _SIDE)
         if not isinstance(self.mask, Mask):
             raise InputError(f"mask: expected a Mask, got {self.mask!r}")
+        size = self.image_width, self.image_height
+        if self.measured and (self.measured.image_width, self.measured.image_height) != size:
+            raise InputError(
+                f"camera_info: for images of {self.measured.image_width}x"
+                f"{self.measured.image_height}, this camera's have {size[0]}x{size[1]}"
+            )
         if self._lens_mask_distance_m >= self.focus_distance_m:
             raise InputError(
                 f"lens_mask_distance_mm: {self.lens_mask_distance_mm!r} puts the mask beyond the "
@@ -122,6 +142,13 @@ class Camera:
     @property
     def _lens_mask_distance_m(self) -> float:
         return self.lens_mask_distance_mm * 1e-3
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """The pinhole model: as measured, or from the focal length."""
+        if self.measured is not None:
+            return self.measured
+        return Intrinsics.pinhole(self.focal_length_px, self.image_width, self.image_height)
 
     @property
     def blur_at_infinity_px(self) -> float:
@@ -217,11 +244,14 @@ class Camera:
         """Return the camera of the image resized by `factor` (0.5 halves its width)."""
         if not (factor > 0 and math.isfinite(factor)):
             raise InputError(f"scale factor: expected a positive number, got {factor!r}")
+        width = max(1, round(self.image_width * factor))
+        height = max(1, round(self.image_height * factor))
         return dataclasses.replace(
             self,
             focal_length_px=self.focal_length_px * factor,
-            image_width=max(1, round(self.image_width * factor)),
-            image_height=max(1, round(self.image_height * factor)),
+            image_width=width,
+            image_height=height,
+            measured=self.measured and self.measured.scaled(width, height),
         )
 
 
@@ -263,11 +293,12 @@ def camera_from_mapping(
     mapping : mapping
         `focal_length_mm` and `pixel_pitch_um`, or `focal_length_px`; `focus_distance_m`,
         `image_width`, `image_height`, `mask` (`{name: ...}` or `{file: ...}`),
-        `mask_extent_mm`; optionally `lens_mask_distance_mm` and `side`.
+        `mask_extent_mm`; optionally `lens_mask_distance_mm`, `side`, `noise`, `noise_gain`
+        and `camera_info` (a calibration file, see `load_intrinsics`).
     where : str
         What to call the mapping in error messages.
     folder : path-like
-        What a relative mask file is relative to.
+        What relative file names are relative to.
 
     Raises
     ------
@@ -278,6 +309,11 @@ def camera_from_mapping(
         _check_keys(mapping)
         values = dict(mapping)
         values["mask"] = _mask_from(values["mask"], Path(folder))
+        info = values.pop("camera_info", None)
+        if info is not None:
+            if not isinstance(info, str):
+                raise InputError(f"camera_info: expected the name of a file, got {info!r}")
+            values["measured"] = load_intrinsics(Path(folder) / info)
         if "focal_length_px" in values:
             return Camera(**values)
         return Camera.from_lens(**values)

@@ -1,0 +1,131 @@
+"""How exact a camera is known after calibration from planes of known depth.
+
+From 16 ray-traced planes with noise, with and without telling the mask: blur sizes, focus, time,
+and the depth error of the bank on another scene of that camera, beside the bank of the true mask.
+"""
+
+import argparse
+import dataclasses
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank_for_camera
+from coded_aperture_ros.calibration.planes import calibrate_planes
+from coded_aperture_ros.calibration.planes_folder import load_planes
+from coded_aperture_ros.calibration.planes_remap import remap_bank
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.evaluation import RayTracedScene
+from coded_aperture_ros.evaluation.ray_traced import scene_camera
+
+NOISE = 0.002
+LEVELS = 40
+FRAMES = 8
+
+
+def open_part(camera: Any) -> float:
+    """Return the width of a mask's open part over that of its grid."""
+    cells = camera.mask.transmission > 0
+    spans = [np.ptp(np.flatnonzero(cells.any(axis=axis))) + 1 for axis in (0, 1)]
+    return float(max(spans) / max(cells.shape))
+
+
+def median_depth_error(bank: FilterBank, views: list[RayTracedScene]) -> float:
+    """Median relative error of all pixels of some frames with noise."""
+    random = np.random.default_rng(1)
+    errors = []
+    for view in views:
+        coded = view.coded + random.normal(0, NOISE, view.coded.shape).astype(np.float32)
+        estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0.0), view.camera)
+        found = estimator.estimate(coded).depth_m
+        assert found is not None  # the bank has depths
+        errors.append(np.abs(found / view.depth_m - 1).ravel())
+    return float(np.nanmedian(np.concatenate(errors)))
+
+
+def measure(data: Path, seed: int, told_mask: bool) -> dict[str, Any]:
+    """Calibrate once."""
+    folder = data / "rendered" / "calib"
+    planes = load_planes([folder])
+    random = np.random.default_rng(seed)
+    planes = dataclasses.replace(
+        planes,
+        images=tuple(
+            (image + random.normal(0, NOISE, image.shape)).astype(np.float32)
+            for image in planes.images
+        ),
+    )
+    camera = scene_camera(folder, "levin")
+    started_s, processor_s = time.perf_counter(), time.process_time()
+    found = calibrate_planes(planes, LEVELS, LearnConfig(), mask=camera.mask if told_mask else None)
+    took_s = time.perf_counter() - started_s
+    took_processor_s = time.process_time() - processor_s
+    listed = json.loads((folder / "planes.json").read_text())
+    true_px = np.array([entry["psf_width_px"] for entry in listed])
+    # A mask by its name is the open part of the rendered mask, which has a closed rim.
+    true_px = true_px * (1.0 if told_mask else open_part(camera))
+    error_px = found.pattern.blur_size_px(planes.depths_m) - true_px
+    measured_px = np.array([plane.size_px for plane in found.measured]) - true_px
+    near_m, far_m = planes.depths_m[[0, -1]]
+    views = RayTracedScene.load_views(data / "rendered" / "video", "levin", FRAMES)
+    of_planes = median_depth_error(found.bank, views)
+    of_mask = median_depth_error(learn_bank_for_camera(camera, near_m, far_m, LEVELS), views)
+    remapped = remap_bank(found.bank, camera, near_m, far_m, LEVELS)
+    return {
+        "mask": "told" if told_mask else f"found: {found.pattern.mask.name}",
+        "seconds": round(took_s, 1),
+        "processor_seconds": round(took_processor_s, 1),
+        "blur_rms_px": round(float(np.sqrt(np.mean(error_px**2))), 3),
+        "blur_measured_rms_px": round(float(np.sqrt(np.mean(measured_px**2))), 3),
+        "focus_m": round(found.pattern.focus_distance_m, 4),
+        "focus_error_percent": round(
+            100 * abs(found.pattern.focus_distance_m / camera.focus_distance_m - 1), 2
+        ),
+        "left_out_error_percent": round(100 * float(np.median(found.left_out.errors)), 2),
+        "left_out_window_error_percent": round(
+            100 * float(np.median(found.left_out.window_errors)), 2
+        ),
+        "video_error_percent": round(100 * of_planes, 2),
+        "video_error_true_mask_percent": round(100 * of_mask, 2),
+        "video_error_remapped_percent": round(100 * median_depth_error(remapped, views), 2),
+    }
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "--data",
+        default=os.environ.get("CODED_APERTURE_DATA"),
+        help="folder that holds rendered/ (default: $CODED_APERTURE_DATA)",
+    )
+    parser.add_argument("--seeds", type=int, default=1, help="how many draws of noise (default 1)")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    args = parser.parse_args()
+    if args.data is None:
+        parser.error("say where the data are: --data, or set CODED_APERTURE_DATA")
+    try:
+        rows = [
+            measure(Path(args.data), seed, told_mask)
+            for seed in range(args.seeds)
+            for told_mask in (False, True)
+        ]
+    except (InputError, OSError) as error:
+        print(f"calibration_accuracy: error: {error}", file=sys.stderr)
+        return 1
+    if args.json:
+        print(json.dumps(rows, indent=2))
+        return 0
+    for name in rows[0]:
+        print(f"| {name} | " + " | ".join(str(row[name]) for row in rows) + " |")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,165 @@
+"""What pictures of planes tell about a camera: its mask, and how blur grows with depth."""
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coded_aperture_ros.bank.mask_fit import MaskFit
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.optics import Mask, lens, render_psf_stack
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LearnedPattern:
+    """A mask as learned from planes, with the line of the thin lens.
+
+    The signed blur size of a point at depth ``z`` is ``slope (1 / z_focus - 1 / z)``, with the
+    slope ``M f_px`` (thesis eq. 3.28). Mask extent and focal length occur in this product only, so
+    planes alone cannot tell the one from the other.
+
+    Attributes
+    ----------
+    mask : Mask
+        A single mask: the PSFs are its. Blur sizes are the extent of its grid.
+    parts : ndarray, float64 [R, m, m]
+        Masks whose autocorrelations add up to that of the mask; the filters are theirs.
+    parts_extent : float
+        Width of the parts' grid over that of the mask's.
+    slope_px_m : float
+        ``M f_px``, pixels times metres, positive.
+    inverse_focus : float
+        ``1 / z_focus``, 1/m; 0 or less where the blur vanishes nowhere in front of the camera.
+    image_width : int
+        Width of the pictures, px.
+    """
+
+    mask: Mask
+    parts: NDArray[np.float64]
+    parts_extent: float
+    slope_px_m: float
+    inverse_focus: float
+    image_width: int
+
+    def __post_init__(self) -> None:
+        parts = np.asarray(self.parts, np.float64)
+        if parts.ndim != 3 or parts.shape[1] != parts.shape[2] or not parts.size:
+            raise InputError(f"parts: expected the shape [R, m, m], got {list(parts.shape)}")
+        if not (np.isfinite(parts).all() and (parts >= 0).all() and parts.any(axis=(1, 2)).all()):
+            raise InputError("parts: expected finite numbers from 0, not all of them 0")
+        for name in ("parts_extent", "slope_px_m", "image_width"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise InputError(f"{name}: expected more than 0, got {getattr(self, name)!r}")
+        if not np.isfinite(self.inverse_focus):
+            raise InputError(f"inverse_focus: expected a number, got {self.inverse_focus!r}")
+        object.__setattr__(self, "parts", parts)
+
+    @classmethod
+    def of_fit(
+        cls, fit: MaskFit, mask: Mask, extent_px: float, image_width: int
+    ) -> "LearnedPattern":
+        """Take the line of the thin lens from a fit.
+
+        Parameters
+        ----------
+        fit : MaskFit
+        mask : Mask
+            Instead of the fit's mixture.
+        extent_px : float
+            Extent of its grid at the most blurred plane.
+        image_width : int
+        """
+        v = fit.inverse_depths
+        reach = np.ptp(v) / (1 - fit.near_ratio)
+        return cls(
+            mask=mask,
+            parts=fit.parts,
+            parts_extent=fit.extent_px / extent_px,
+            slope_px_m=extent_px / float(reach),
+            inverse_focus=float(v.min() + reach if fit.sign > 0 else v.max() - reach),
+            image_width=image_width,
+        )
+
+    @property
+    def focus_distance_m(self) -> float:
+        """Distance of the plane in focus; infinite where there is none."""
+        return 1 / self.inverse_focus if self.inverse_focus > 0 else np.inf
+
+    def blur_size_px(self, depth_m: ArrayLike) -> NDArray[np.float64]:
+        """Return the signed blur size at depths in metres."""
+        return self.slope_px_m * (self.inverse_focus - 1 / np.asarray(depth_m, np.float64))
+
+    def depth_m(self, blur_size_px: ArrayLike) -> NDArray[np.float64]:
+        """Return the depth at signed blur sizes; infinite at and beyond that of infinity."""
+        inverse = self.inverse_focus - np.asarray(blur_size_px, np.float64) / self.slope_px_m
+        positive = inverse > 0
+        return np.where(positive, 1 / np.where(positive, inverse, 1.0), np.inf)
+
+    def blur_range_px(self, near_m: float, far_m: float) -> tuple[float, float]:
+        """Return the signed blur sizes at the ends of a depth range, the smaller one first.
+
+        Raises
+        ------
+        InputError
+            If the range is not one, or has the focus inside.
+        """
+        if not 0 < near_m < far_m < np.inf:
+            raise InputError(
+                f"depth range {near_m:g} to {far_m:g} m: expected two increasing distances"
+            )
+        smallest, largest = self.blur_size_px([near_m, far_m])
+        if smallest < 0 < largest:
+            raise InputError(
+                f"the focus at {self.focus_distance_m:.3g} m lies inside the depth range "
+                f"{near_m:g} to {far_m:g} m: points on its two sides have the same blur; focus "
+                "before or beyond the range, or narrow the range to one side"
+            )
+        return float(smallest), float(largest)
+
+    def components(self, blur_sizes_px: ArrayLike) -> NDArray[np.float32]:
+        """Return the PSFs of the parts at blur sizes of the mask [R, L, k, k].
+
+        They are as bright as the parts are.
+        """
+        sizes = np.abs(np.asarray(blur_sizes_px, np.float64)) * self.parts_extent
+        psfs = [
+            render_psf_stack(Mask("part", part / part.max()), sizes).psfs * part.sum()
+            for part in self.parts
+        ]
+        return np.array(psfs)
+
+    def refocused(
+        self, focus_distance_m: float, image_width: int, focal_length_mm: float | None = None
+    ) -> "LearnedPattern":
+        """Return the pattern of the same lens and mask, focused elsewhere (thesis eq. 3.14, 3.28).
+
+        Parameters
+        ----------
+        focus_distance_m : float
+        image_width : int
+            Of pictures of the same view; all sizes in px scale with it.
+        focal_length_mm : float, optional
+            With it the image distance follows the focus; without, it stays, which is off by about
+            the focal length over the distance.
+
+        Raises
+        ------
+        InputError
+            If the lens cannot be focused there, or has no focus to start from.
+        """
+        slope = self.slope_px_m * image_width / self.image_width
+        if focal_length_mm is not None and np.isfinite(self.focus_distance_m):
+            for distance_m in (self.focus_distance_m, focus_distance_m):
+                if distance_m * 1e3 <= focal_length_mm:
+                    raise InputError(
+                        f"focus at {distance_m:.3g} m is not beyond the focal length of "
+                        f"{focal_length_mm:g} mm"
+                    )
+            before, after = (
+                lens.image_distance(focal_length_mm, distance_m * 1e3)
+                for distance_m in (self.focus_distance_m, focus_distance_m)
+            )
+            slope *= after / before
+        return dataclasses.replace(
+            self, slope_px_m=slope, inverse_focus=1 / focus_distance_m, image_width=image_width
+        )

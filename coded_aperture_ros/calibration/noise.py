@@ -1,0 +1,206 @@
+"""A sensor's noise from frames of something that does not move: the photon transfer method.
+
+The difference of two frames of the same has no texture, only the noise of both. Its variance grows
+with the light: a line whose height in the dark is the noise of reading out, and whose slope is the
+shot noise per unit of light.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.optics import Camera
+
+_BINS = 48
+_FEWEST_PIXELS = 2_000
+_SATURATED = 0.95
+_CLIP = 4.0
+_ROUNDS = 20
+# Brightest over darkest twentieth, in light, from which the slope of the line can be told.
+_LEAST_SPREAD = 0.05
+# Variance where the picture is steep over that where it is even, from which something has moved.
+_MOVED = 1.5
+# Noise in the dark below this share of the shot noise at the darkest place is lost in it.
+_HIDDEN = 0.2
+
+
+@dataclasses.dataclass(frozen=True)
+class SensorNoise:
+    """Noise of one channel in linear light, as `DepthConfig` wants it.
+
+    Attributes
+    ----------
+    noise : float
+        Standard deviation in the dark.
+    noise_gain : float
+        Variance of the shot noise per unit of light; 0 where the frames cannot tell it.
+    darkest, brightest : float
+        Light that the line was fitted between.
+    gain_is_known : bool
+        Whether light varies enough over the frames; if not, `noise` is that at their brightness.
+    fit_error : float
+        Typical distance of the variances from the line, relative.
+    """
+
+    noise: float
+    noise_gain: float
+    darkest: float
+    brightest: float
+    gain_is_known: bool
+    fit_error: float
+
+    @property
+    def dark_is_extrapolated(self) -> bool:
+        """Whether shot noise hides the noise in the dark wherever the frames have light."""
+        return self.noise**2 < _HIDDEN * self.noise_gain * self.darkest
+
+
+def noise_from_frames(frames: Sequence[NDArray[np.floating]]) -> SensorNoise:
+    """Measure the noise from two or more frames of a scene that does not move.
+
+    Parameters
+    ----------
+    frames : sequence of ndarray of float, shape [rows, columns] or [rows, columns, 3]
+        Linear light in [0, 1], of one size, with the same exposure. Textured or flat; the more
+        the light varies over them, the better. Each is compared with the next.
+
+    Returns
+    -------
+    SensorNoise
+
+    Raises
+    ------
+    InputError
+        If there is one frame only, sizes differ, nearly all is dark or saturated, frames are equal,
+        or something moved.
+    """
+    if len(frames) < 2:
+        raise InputError("one frame does not tell noise from texture: give two or more of the same")
+    arrays = [np.asarray(frame, np.float64) for frame in frames]
+    for number, array in enumerate(arrays[1:], start=2):
+        if array.shape != arrays[0].shape:
+            raise InputError(
+                f"frame {number} has the shape {list(array.shape)}, the first one "
+                f"{list(arrays[0].shape)}: frames of one camera are needed"
+            )
+    light, variance, steep = (
+        np.concatenate(parts)
+        for parts in zip(*(_compared(*pair) for pair in itertools.pairwise(arrays)), strict=True)
+    )
+    if len(light) < _FEWEST_PIXELS:
+        raise InputError(
+            f"only {len(light)} pixels are neither black nor saturated, {_FEWEST_PIXELS} are "
+            "needed: change the exposure"
+        )
+    if not variance.any():
+        raise InputError("the frames are equal: take each one anew")
+    light, variance = _binned(light, variance, steep)
+    line, fit_error = _robust_line(light, variance)
+    darkest, brightest = float(light[0]), float(light[-1])
+    known = brightest - darkest >= _LEAST_SPREAD
+    if not known:
+        return SensorNoise(
+            float(np.sqrt(np.median(variance))), 0.0, darkest, brightest, False, fit_error
+        )
+    noise, gain = line
+    return SensorNoise(float(np.sqrt(noise)), gain, darkest, brightest, True, fit_error)
+
+
+def with_noise_of(camera: Camera | None, config: Any) -> Any:
+    """Return settings with the noise of the camera file wherever they leave it at 0.
+
+    Parameters
+    ----------
+    camera : Camera or None
+    config : dataclass instance with `noise` and `noise_gain`
+        As `DepthConfig`.
+    """
+    if camera is None:
+        return config
+    return dataclasses.replace(
+        config,
+        noise=config.noise or camera.noise,
+        noise_gain=config.noise_gain or camera.noise_gain,
+    )
+
+
+def _compared(
+    one: NDArray[np.float64], two: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return light, variance and steepness of the usable pixels of two frames."""
+    usable = np.isfinite(one) & np.isfinite(two) & (np.minimum(one, two) > 0)
+    usable &= np.maximum(one, two) < _SATURATED
+    if not usable.any():
+        return (np.empty(0),) * 3
+    # Lamps flicker: the frames may differ in brightness as a whole.
+    ratio = np.median(two[usable]) / np.median(one[usable])
+    mean = (one + two / ratio) / 2
+    difference = one - two / ratio
+    even = ndimage.uniform_filter(mean, (3, 3, 1)[: mean.ndim])
+    slopes = np.hypot(*(np.gradient(even, axis=axis) for axis in (0, 1)))
+    squares = difference**2 / (1 + 1 / ratio**2)
+    # Sum and difference of the same noise are independent: sorted by the sum, the squares are fair.
+    return mean[usable], squares[usable], slopes[usable]
+
+
+def _binned(
+    light: NDArray[np.float64], squares: NDArray[np.float64], steep: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return mean light and variance of groups of equally many pixels, darkest first."""
+    order = np.argsort(light, kind="stable")
+    bins = np.array_split(order, _BINS)
+    means = np.array([light[group].mean() for group in bins])
+    variances = np.array([_clipped_mean(squares[group]) for group in bins])
+    even, uneven = [], []
+    for group in bins:
+        middle = np.median(steep[group])
+        even.append(squares[group][steep[group] <= middle].mean())
+        uneven.append(squares[group][steep[group] > middle].mean())
+    if np.median(uneven) > _MOVED * np.median(even):
+        raise InputError(
+            "the frames differ where the picture is steep: something moved between them; fix "
+            "camera and scene, and use a remote release"
+        )
+    return means, variances
+
+
+def _clipped_mean(squares: NDArray[np.float64]) -> float:
+    """Return the mean square without what noise does not explain: sparks, dead pixels."""
+    mean = float(squares.mean())
+    for _ in range(3):
+        kept = squares[squares <= _CLIP**2 * mean]
+        mean = float(kept.mean()) if kept.size else mean
+    return mean
+
+
+def _robust_line(
+    light: NDArray[np.float64], variance: NDArray[np.float64]
+) -> tuple[tuple[float, float], float]:
+    """Fit variance over light by a line that is never negative; return it and its relative error.
+
+    Groups far off the line count less (Huber's weights); all errors are relative, as those of
+    variances are.
+    """
+    weights = np.ones_like(light)
+    dark, slope = float(np.median(variance)), 0.0
+    scale = np.maximum(variance, 1e-3 * variance.mean() + 1e-30)
+    for _ in range(_ROUNDS):
+        matrix = np.stack([np.ones_like(light), light], axis=1) * (weights / scale)[:, None]
+        target = variance * weights / scale
+        dark, slope = np.linalg.lstsq(matrix, target, rcond=None)[0]
+        if dark < 0:
+            dark, slope = 0.0, float(matrix[:, 1] @ target / (matrix[:, 1] @ matrix[:, 1]))
+        if slope < 0:
+            dark, slope = float(matrix[:, 0] @ target / (matrix[:, 0] @ matrix[:, 0])), 0.0
+        fitted = dark + slope * light
+        scale = np.maximum(fitted, 1e-3 * variance.mean() + 1e-30)
+        rest = np.abs(variance - fitted) / scale
+        usual = max(1.4826 * float(np.median(rest)), 1e-12)
+        weights = np.sqrt(np.minimum(1, 1.345 * usual / np.maximum(rest, 1e-12)))
+    return (float(dark), float(slope)), float(np.median(rest))

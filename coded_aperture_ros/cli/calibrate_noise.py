@@ -1,0 +1,78 @@
+"""`coded_aperture calibrate noise`: noise of a sensor from frames of something that is still."""
+
+import argparse
+import dataclasses
+import json
+import logging
+from typing import Any
+
+from coded_aperture_ros.cli.checks import naming
+from coded_aperture_ros.cli.options import add_gamma_option
+from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.errors import InputError
+
+_EPILOG = """example:
+    coded_aperture calibrate noise frame1.png frame2.png frame3.png
+
+Then: put noise and noise_gain into the camera file, or give them to depth with --noise and
+--noise-gain.
+"""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the action to the sub-command's parser."""
+    parser = subparsers.add_parser(
+        "noise",
+        help="measure the noise of a sensor from two or more frames of something still",
+        description="Measure the noise of a sensor from two or more frames of one scene, taken "
+        "with camera and scene unmoved and equal exposures. Textured or flat, with parts as dark "
+        "and as bright as possible. Frames have to be linear.",
+        epilog=_EPILOG,
+    )
+    parser.add_argument("frames", nargs="+", metavar="FRAME", help="two or more pictures")
+    add_gamma_option(parser)
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the action; return its exit status."""
+    from coded_aperture_ros.calibration import noise_from_frames
+    from coded_aperture_ros.images import read_image
+
+    if len(args.frames) < 2:
+        args.usage_error("give two or more frames of one scene")
+    frames: list[Any] = []
+    for name in progress(args.frames, len(args.frames), "frame"):
+        frames.append(read_image(name, args.gamma))
+        if frames[-1].shape != frames[0].shape:
+            raise InputError(
+                f"{name}: has the shape {list(frames[-1].shape)}, {args.frames[0]} "
+                f"{list(frames[0].shape)}: frames of one camera are needed"
+            )
+    with naming(f"{args.frames[0]} to {args.frames[-1]}"):
+        found = noise_from_frames(frames)
+    warnings = []
+    if not found.gain_is_known:
+        warnings.append(
+            f"the light is {found.darkest:.3f} to {found.brightest:.3f} only, which does not tell "
+            "noise in the dark from shot noise: photograph something with dark and bright parts"
+        )
+    elif found.dark_is_extrapolated:
+        warnings.append(
+            f"nothing is darker than {found.darkest:.3f}, where shot noise hides the noise in the "
+            "dark: photograph something that has black parts, too"
+        )
+    for warning in warnings:
+        logging.warning(warning)
+    if args.json:
+        print(
+            json.dumps({"frames": len(frames), **dataclasses.asdict(found), "warnings": warnings})
+        )
+    else:
+        print(
+            f"noise: {found.noise:.6f}        # standard deviation in the dark, linear light\n"
+            f"noise_gain: {found.noise_gain:.7f}  # variance of shot noise per unit of light\n"
+            f"# from {len(frames)} frames, light {found.darkest:.3f} to {found.brightest:.3f}; "
+            f"variances lie {found.fit_error:.1%} off the line"
+        )
+    return 0

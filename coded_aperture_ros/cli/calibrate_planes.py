@@ -1,0 +1,375 @@
+"""`coded_aperture calibrate planes`: a bank, focus and blur slope from planes of known depth."""
+
+import argparse
+import dataclasses
+import json
+import math
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, config_from
+from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.errors import InputError
+
+_EPILOG = """examples:
+  a folder of pictures with planes.json or planes.csv (file, depth_m):
+    coded_aperture calibrate planes planes -o bank.npz
+  pictures and their depths in m:
+    coded_aperture calibrate planes a.png b.png c.png d.png --depths 0.8,1.0,1.4,2.4 -o bank.npz
+  with the camera file, for a bank of another depth range, and a camera file with what was found:
+    coded_aperture calibrate planes planes --camera camera.yaml --depth-range 0.9 3 \\
+        --output calibration -o bank.npz
+  from a running camera, plane by plane (the distance is asked for; an empty line ends):
+    coded_aperture calibrate planes planes --topic image_raw -o bank.npz
+  one distance for each call, and the learning in the end:
+    coded_aperture calibrate planes planes --topic image_raw --depth 1.20
+
+Take 10 to 16 planes parallel to the sensor, all on one side of the focus, equally spaced in inverse
+depth, with fine texture all over. --json prints planes, focus_distance_m, slope_px_m, mask,
+residual_px, left_out_error and more.
+"""
+_REPORT, _CAMERA, _MASK = "calibrate_planes.json", "camera.yaml", "mask.npy"
+_LEVELS, _FRAMES, _TIMEOUT_S = 40, 8, 10.0
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the action to the parser of `calibrate`."""
+    parser = subparsers.add_parser(
+        "planes",
+        help="learn a bank from pictures of planes at known depths, and say how good it is",
+        description="Check pictures of textured planes at known depths, learn a filter bank from "
+        "them, fit the focus distance and the slope of blur over inverse depth, and estimate the "
+        "depth error by leaving out one plane after the other. The mask need not be known.",
+        epilog=_EPILOG,
+    )
+    parser.add_argument(
+        "inputs",
+        nargs="+",
+        metavar="FOLDER|PICTURE",
+        help="folder with planes.json or planes.csv, or pictures with --depths",
+    )
+    parser.add_argument(
+        "--depths", metavar="Z1,Z2,...", help="depth in m of each picture, by name in a folder"
+    )
+    parser.add_argument(
+        "--depth-range",
+        nargs=2,
+        type=float,
+        metavar=("NEAR", "FAR"),
+        help="of the bank, in m (default: nearest to farthest plane)",
+    )
+    parser.add_argument(
+        "--levels", type=int, default=_LEVELS, metavar="N", help=f"of the bank (default {_LEVELS})"
+    )
+    parser.add_argument(
+        "--camera",
+        metavar="YAML",
+        help="camera file: its mask is taken for granted, its focus is compared",
+    )
+    parser.add_argument("--topic", metavar="NAME", help="take pictures from this ROS topic first")
+    parser.add_argument(
+        "--depth", type=float, metavar="Z", help="with --topic: distance of the plane in m"
+    )
+    parser.add_argument(
+        "--frames",
+        type=int,
+        default=_FRAMES,
+        metavar="N",
+        help=f"with --topic: a picture is the mean of so many frames (default {_FRAMES})",
+    )
+    parser.add_argument(
+        "--timeout",
+        type=float,
+        default=_TIMEOUT_S,
+        metavar="S",
+        help=f"with --topic: longest wait for the frames in s (default {_TIMEOUT_S:g})",
+    )
+    add_gamma_option(parser)
+    parser.add_argument("-o", metavar="FILE", dest="bank", help="bank (.npz)")
+    parser.add_argument(
+        "--output", metavar="DIR", help=f"folder for {_REPORT} and, with --camera, {_CAMERA}"
+    )
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser.add_late_options = _add_config_options
+
+
+def _add_config_options(parser: argparse.ArgumentParser) -> None:
+    from coded_aperture_ros.bank import LearnConfig
+
+    add_config_options(parser, LearnConfig, "filters")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the action; return its exit status."""
+    depths_m = _check_usage(args)
+    if args.topic is not None:
+        _capture(args)
+        if args.bank is None:
+            return 0
+    return _calibrate(args, depths_m)
+
+
+def _check_usage(args: argparse.Namespace) -> list[float] | None:
+    if args.topic is None:
+        if args.depth is not None:
+            args.usage_error("--depth needs --topic; the depths of pictures are given by --depths")
+        if args.bank is None:
+            args.usage_error("say where the bank goes with -o bank.npz")
+    else:
+        if len(args.inputs) != 1 or args.depths is not None:
+            args.usage_error("--topic needs one folder, and no --depths")
+        if args.frames < 1:
+            args.usage_error(f"--frames: at least 1 is needed, got {args.frames}")
+        if not 0 < args.timeout < math.inf:
+            args.usage_error(f"--timeout: expected a positive time, got {args.timeout:g}")
+        if args.depth is not None and not 0 < args.depth < math.inf:
+            args.usage_error(f"--depth: expected a positive distance in m, got {args.depth:g}")
+        if args.depth is None and not sys.stdin.isatty():
+            args.usage_error("--topic without a terminal needs --depth")
+    if args.levels < 2:
+        args.usage_error(f"--levels: at least 2 are needed, got {args.levels}")
+    if args.depths is None:
+        return None
+    try:
+        return [float(text) for text in args.depths.split(",")]
+    except ValueError:
+        args.usage_error(f"--depths: expected numbers with commas between, got {args.depths!r}")
+        raise
+
+
+def _capture(args: argparse.Namespace) -> None:
+    """Take pictures of planes into the folder, one or as many as the user asks for."""
+    from coded_aperture_ros.calibration.planes_folder import add_plane, listed_depths_m
+
+    folder = Path(args.inputs[0])
+    check_output(folder / "planes.json")
+    there = listed_depths_m(folder)
+    if there:
+        _say(f"{folder}: has planes at {', '.join(f'{depth:g}' for depth in there)} m")
+    from coded_aperture_ros.nodes.plane_capture import FrameGrabber
+
+    with FrameGrabber(args.topic, args.gamma if isinstance(args.gamma, float) else 1.0) as grabber:
+
+        def take(depth_m: float) -> None:
+            image = grabber.mean_frame(args.frames, args.timeout)
+            picture = add_plane(folder, image, depth_m, args.frames)
+            _say(f"{picture}: mean of {args.frames} frames, {_light(image)}")
+
+        if args.depth is not None:
+            take(args.depth)
+            return
+        while (depth_m := _asked_depth()) is not None:
+            try:
+                take(depth_m)
+            except InputError as error:
+                _say(str(error))
+
+
+def _light(image: Any) -> str:
+    import numpy as np
+
+    saturated = float(np.mean(image >= 0.995))
+    return f"99 % of the pixels below {np.quantile(image, 0.99):.2f}, {saturated:.1%} saturated"
+
+
+def _asked_depth() -> float | None:
+    """Ask for the next distance; None at an empty line or the end of the input."""
+    while True:
+        print("distance of the plane in m (empty: done): ", end="", file=sys.stderr, flush=True)
+        line = sys.stdin.readline().strip()
+        if not line:
+            return None
+        try:
+            depth_m = float(line)
+        except ValueError:
+            depth_m = math.nan
+        if 0 < depth_m < math.inf:
+            return depth_m
+        _say(f"{line}: not a distance, type one such as 1.2")
+
+
+def _say(text: str) -> None:
+    # Not on stdout, where --json has its numbers.
+    print(text, file=sys.stderr, flush=True)
+
+
+def _calibrate(args: argparse.Namespace, depths_m: list[float] | None) -> int:
+    from coded_aperture_ros.bank import LearnConfig
+    from coded_aperture_ros.calibration.planes import calibrate_planes
+    from coded_aperture_ros.calibration.planes_folder import load_planes
+    from coded_aperture_ros.optics import load_camera
+
+    try:
+        config = config_from(args, LearnConfig)
+    except InputError as error:
+        args.usage_error(f"--{error}".replace("window_px", "window-px"))
+    check_suffix(args.bank, [".npz"])
+    inputs = [Path(name) for name in args.inputs]
+    check_output(args.bank, [path for path in inputs if path.is_file()])
+    if args.output is not None:
+        check_output(Path(args.output) / _REPORT)
+    camera = None if args.camera is None else load_camera(args.camera)
+    start = time.perf_counter()
+    planes = load_planes(inputs, depths_m, args.gamma)
+    if camera is not None:
+        _check_size(args.camera, camera, planes)
+    found = calibrate_planes(
+        planes,
+        args.levels,
+        config,
+        None if args.depth_range is None else tuple(args.depth_range),
+        None if camera is None else camera.mask,
+        progress,
+    )
+    summary = _summary(args, found, camera, round(time.perf_counter() - start, 3))
+    _write_files(args, found, camera, summary)
+    print(json.dumps(summary, allow_nan=False) if args.json else _table(summary))
+    return 0
+
+
+def _check_size(path: str, camera: Any, planes: Any) -> None:
+    height, width = planes.images[0].shape[:2]
+    if (camera.image_width, camera.image_height) != (width, height):
+        raise InputError(
+            f"{path}: for images of {camera.image_width}x{camera.image_height}, the pictures have "
+            f"{width}x{height}: set image_width and image_height"
+        )
+
+
+def _summary(args: argparse.Namespace, found: Any, camera: Any, seconds: float) -> dict[str, Any]:
+    import numpy as np
+
+    pattern, bank, left_out = found.pattern, found.bank, found.left_out
+    fitted = pattern.blur_size_px(found.planes.depths_m)
+    planes = [
+        {
+            **dataclasses.asdict(check),
+            "blur_size_px": round(float(size), 3),
+            "measured_px": round(plane.size_px, 3),
+            "tilt_px": [round(tilt, 3) for tilt in plane.tilt_px],
+            "left_out_depth_m": _finite(depth),
+            "left_out_error": round(float(error), 5),
+            "left_out_window_error": round(float(window_error), 5),
+        }
+        for check, size, plane, depth, error, window_error in zip(
+            found.checks,
+            fitted,
+            found.measured,
+            left_out.depths_m,
+            left_out.errors,
+            left_out.window_errors,
+            strict=True,
+        )
+    ]
+    summary = {
+        "bank": args.bank,
+        "output": args.output,
+        "levels": bank.levels,
+        "near_m": float(bank.stack.depths_m.min()),
+        "far_m": float(bank.stack.depths_m.max()),
+        "mask": pattern.mask.name,
+        "mask_is_known": found.mask_is_known,
+        "focus_distance_m": _finite(pattern.focus_distance_m),
+        "slope_px_m": round(pattern.slope_px_m, 5),
+        "side": "far" if np.median(fitted) > 0 else "near",
+        "residual_px": round(found.residual_px, 4),
+        "left_out_error": round(float(np.median(left_out.errors)), 5),
+        "left_out_window_error": round(float(np.median(left_out.window_errors)), 5),
+        "planes": planes,
+        "advice": [str(advice) for advice in found.advice],
+        "seconds": seconds,
+    }
+    if camera is not None:
+        summary["camera"] = args.camera
+        summary["camera_focus_distance_m"] = camera.focus_distance_m
+        summary["camera_slope_px_m"] = camera.mask_extent_mm * 1e-3 * camera.focal_length_px
+        summary["mask_extent_mm"] = round(pattern.slope_px_m / camera.focal_length_px * 1e3, 4)
+    return summary
+
+
+def _finite(value: float) -> float | None:
+    return round(float(value), 5) if math.isfinite(value) else None
+
+
+def _write_files(args: argparse.Namespace, found: Any, camera: Any, summary: Any) -> None:
+    """Write the bank and all files of the output folder, or none."""
+    import numpy as np
+
+    from coded_aperture_ros.bank import save_bank
+    from coded_aperture_ros.files import atomic_output
+
+    with ExitStack() as stack:
+
+        def output(name: str) -> Path:
+            return stack.enter_context(atomic_output(Path(args.output) / name))
+
+        if args.output is not None:
+            report = json.dumps(summary, indent=1, allow_nan=False)
+            output(_REPORT).write_text(report + "\n", encoding="utf-8")
+            with output(_MASK).open("wb") as file:
+                np.save(file, found.pattern.mask.transmission)
+            if camera is not None and math.isfinite(found.pattern.focus_distance_m):
+                output(_CAMERA).write_text(_camera_text(summary, camera), encoding="utf-8")
+        save_bank(found.bank, stack.enter_context(atomic_output(args.bank)))
+
+
+def _camera_text(summary: Any, camera: Any) -> str:
+    """Return the camera file with the focus and the mask size that were found."""
+    import yaml
+
+    content = {
+        "focal_length_px": float(camera.focal_length_px),
+        "focus_distance_m": summary["focus_distance_m"],
+        "image_width": camera.image_width,
+        "image_height": camera.image_height,
+        "side": summary["side"],
+        "mask": {"file": _MASK},
+        "mask_extent_mm": summary["mask_extent_mm"],
+    }
+    return str(yaml.safe_dump(content, sort_keys=False))
+
+
+def _table(summary: Any) -> str:
+    lines = [
+        f"{len(summary['planes'])} planes; blur as measured, and by the lens that fits all",
+        f"  {'':28}{'depth m':>9}{'bright':>8}{'noise':>8}{'texture':>9}"
+        f"{'blur px':>9}{'fit px':>8}{'left out m':>12}{'error':>8}",
+    ]
+    for plane in summary["planes"]:
+        left_out = plane["left_out_depth_m"]
+        lines.append(
+            f"  {Path(plane['file']).name[-28:]:28}{plane['depth_m']:9.4g}"
+            f"{plane['brightest']:8.2f}{plane['noise']:8.4f}{plane['textured']:9.0%}"
+            f"{plane['measured_px']:9.2f}{abs(plane['blur_size_px']):8.2f}"
+            f"{'beyond' if left_out is None else format(left_out, '.4g'):>12}"
+            f"{plane['left_out_error']:8.1%}"
+        )
+    focus = summary["focus_distance_m"]
+    known = "known" if summary["mask_is_known"] else "found from the pictures, its size is rough"
+    lines += [
+        f"mask: {summary['mask']} ({known})",
+        f"focus at {'infinity' if focus is None else f'{focus:.4g} m'}, the planes "
+        f"{'beyond' if summary['side'] == 'far' else 'in front of'} it; blur of the mask: "
+        f"{summary['slope_px_m']:.4g} px m (1/focus - 1/z), to {summary['residual_px']:.2f} px",
+    ]
+    if "camera" in summary:
+        lines.append(
+            f"{summary['camera']}: says focus at {summary['camera_focus_distance_m']:.4g} m and "
+            f"{summary['camera_slope_px_m']:.4g} px m; with its focal length the mask is "
+            f"{summary['mask_extent_mm']:.4g} mm wide"
+        )
+    lines.append(
+        f"expected depth error: {summary['left_out_error']:.1%} of a plane, "
+        f"{summary['left_out_window_error']:.1%} of a single window (medians; each plane by focus "
+        "and slope of the others, the mask of all)"
+    )
+    lines += [f"advice: {text}" for text in summary["advice"]]
+    lines.append(
+        f"{summary['bank']}: {summary['levels']} levels, {summary['near_m']:.4g} to "
+        f"{summary['far_m']:.4g} m; {summary['seconds']:.0f} s"
+    )
+    return "\n".join(lines)

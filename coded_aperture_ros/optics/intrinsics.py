@@ -1,0 +1,216 @@
+"""The pinhole model of a camera, and the YAML file in which ROS tools keep it.
+
+That is the format of `camera_calibration` and `camera_info_manager`: `image_width`, `image_height`,
+`camera_name`, `distortion_model`, and matrices with `rows`, `cols` and `data`.
+"""
+
+import dataclasses
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.files import atomic_output
+
+_IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+# How many coefficients the models of ROS have.
+_COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,)}
+_MATRICES = {
+    "camera_matrix": (3, 3),
+    "rectification_matrix": (3, 3),
+    "projection_matrix": (3, 4),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Intrinsics:
+    """What `sensor_msgs/CameraInfo` says about a camera.
+
+    Attributes
+    ----------
+    image_width, image_height : int
+    camera_matrix : tuple of 9 float
+        K, row by row: focal lengths and principal point in px. Pixel centres are whole numbers.
+    distortion_coefficients : tuple of float
+        D; empty if there is no distortion.
+    distortion_model : str
+    rectification_matrix : tuple of 9 float
+        R.
+    projection_matrix : tuple of 12 float
+        P, row by row.
+    camera_name : str
+
+    Raises
+    ------
+    InputError
+        Naming the value that no camera can have.
+    """
+
+    image_width: int
+    image_height: int
+    camera_matrix: tuple[float, ...]
+    distortion_coefficients: tuple[float, ...] = (0.0,) * 5
+    distortion_model: str = "plumb_bob"
+    rectification_matrix: tuple[float, ...] = _IDENTITY
+    projection_matrix: tuple[float, ...] = ()
+    camera_name: str = "camera"
+
+    def __post_init__(self) -> None:
+        for name in ("image_width", "image_height"):
+            value = getattr(self, name)
+            if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+                raise InputError(f"{name}: expected a whole number of pixels, got {value!r}")
+        if not self.projection_matrix:
+            k = self.camera_matrix
+            rows = (*k[:3], 0.0, *k[3:6], 0.0, *k[6:9], 0.0)
+            object.__setattr__(self, "projection_matrix", rows)
+        for name, (rows_, columns) in _MATRICES.items():
+            values = getattr(self, name)
+            if len(values) != rows_ * columns or not all(map(math.isfinite, values)):
+                raise InputError(f"{name}: expected {rows_ * columns} finite numbers")
+        k, p = self.camera_matrix, self.projection_matrix
+        if not (k[0] > 0 and k[4] > 0 and p[0] > 0 and p[5] > 0):
+            raise InputError("camera_matrix: the focal lengths have to be more than 0 px")
+        d = self.distortion_coefficients
+        expected = _COEFFICIENTS.get(self.distortion_model)
+        if expected is None:
+            raise InputError(
+                f"distortion_model: {self.distortion_model!r} is not known, use one of "
+                f"{', '.join(_COEFFICIENTS)}"
+            )
+        if (d and len(d) not in expected) or not all(map(math.isfinite, d)):
+            counts = " or ".join(map(str, expected))
+            raise InputError(
+                f"distortion_coefficients: {self.distortion_model} has {counts} finite numbers, "
+                f"got {len(d)}"
+            )
+
+    @classmethod
+    def pinhole(
+        cls, focal_length_px: float, image_width: int, image_height: int, name: str = "camera"
+    ) -> "Intrinsics":
+        """Return the model without distortion, with the principal point in the middle.
+
+        Pixel centres have whole coordinates, so the middle of a row of w pixels is (w - 1) / 2.
+        """
+        f = float(focal_length_px)
+        cx, cy = (image_width - 1) / 2.0, (image_height - 1) / 2.0
+        matrix = (f, 0.0, cx, 0.0, f, cy, 0.0, 0.0, 1.0)
+        return cls(image_width, image_height, matrix, camera_name=name)
+
+    def scaled(self, width: int, height: int) -> "Intrinsics":
+        """Return the model of the same view resized.
+
+        A scale s moves x to s (x + 1/2) - 1/2. Distortion acts on normalised coordinates.
+        """
+        x, y = width / self.image_width, height / self.image_height
+        k, p = self.camera_matrix, self.projection_matrix
+        return dataclasses.replace(
+            self,
+            image_width=width,
+            image_height=height,
+            camera_matrix=(
+                *(k[0] * x, k[1] * x, x * (k[2] + 0.5) - 0.5),
+                *(k[3] * y, k[4] * y, y * (k[5] + 0.5) - 0.5),
+                *k[6:],
+            ),
+            projection_matrix=(
+                *(p[0] * x, p[1] * x, x * (p[2] + 0.5) - 0.5, p[3] * x),
+                *(p[4] * y, p[5] * y, y * (p[6] + 0.5) - 0.5, p[7] * y),
+                *p[8:],
+            ),
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the file; it appears whole or not at all.
+
+        Raises
+        ------
+        InputError
+            If it cannot be written.
+        """
+        content = {
+            "image_width": self.image_width,
+            "image_height": self.image_height,
+            "camera_name": self.camera_name,
+            "camera_matrix": _matrix(self.camera_matrix, 3, 3),
+            "distortion_model": self.distortion_model,
+            "distortion_coefficients": _matrix(
+                self.distortion_coefficients, 1, len(self.distortion_coefficients)
+            ),
+            "rectification_matrix": _matrix(self.rectification_matrix, 3, 3),
+            "projection_matrix": _matrix(self.projection_matrix, 3, 4),
+        }
+        with atomic_output(path) as temporary:
+            text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
+            temporary.write_text(text, encoding="utf-8")
+
+
+def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
+    """Read a camera calibration as ROS tools write it.
+
+    Raises
+    ------
+    InputError
+        One line that names the file and the key.
+    """
+    path = Path(path)
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f" in line {mark.line + 1}" if mark else ""
+        raise InputError(f"{path}: not valid YAML{line}") from error
+    try:
+        return _from_mapping(content)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _from_mapping(content: Any) -> Intrinsics:
+    if not isinstance(content, dict):
+        raise InputError("expected the keys of a camera calibration, such as image_width: 640")
+    for key in ("image_width", "image_height", "camera_matrix", "distortion_coefficients"):
+        if key not in content:
+            raise InputError(f"missing {key}")
+    values: dict[str, Any] = {
+        key: content[key] for key in ("image_width", "image_height") if key in content
+    }
+    for key in ("camera_name", "distortion_model"):
+        if key in content:
+            values[key] = str(content[key])
+    for key, (rows, columns) in _MATRICES.items():
+        if key in content:
+            values[key] = _data(key, content[key], rows, columns)
+    values["distortion_coefficients"] = _data(
+        "distortion_coefficients", content["distortion_coefficients"], 1, None
+    )
+    return Intrinsics(**values)
+
+
+def _data(key: str, entry: Any, rows: int, columns: int | None) -> tuple[float, ...]:
+    if not isinstance(entry, dict):
+        raise InputError(f"{key}: expected rows, cols and data, got {entry!r}")
+    for part in ("rows", "cols", "data"):
+        if part not in entry:
+            raise InputError(f"{key}: missing {part}")
+    shape = entry["rows"], entry["cols"]
+    if shape[0] != rows or (columns is not None and shape[1] != columns):
+        wanted = f"{rows} rows" + ("" if columns is None else f" and {columns} cols")
+        raise InputError(f"{key}: expected {wanted}, got {shape[0]!r} and {shape[1]!r}")
+    data = entry["data"]
+    numbers = isinstance(data, list) and all(
+        isinstance(value, (int, float)) and not isinstance(value, bool) for value in data
+    )
+    if not numbers or len(data) != rows * shape[1]:
+        raise InputError(f"{key}: data: expected {rows} x {shape[1]!r} numbers, got {data!r}")
+    return tuple(float(value) for value in data)
+
+
+def _matrix(values: tuple[float, ...], rows: int, columns: int) -> dict[str, Any]:
+    return {"rows": rows, "cols": columns, "data": [float(value) for value in values]}
