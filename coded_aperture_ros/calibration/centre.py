@@ -8,17 +8,16 @@ of its light; the others have the same proportions.
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from coded_aperture_ros.calibration.effective import Model
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import Mask, psf_width, render_psf
-
-# A PSF and the variance of its values, at whole pixels from a place (down, right) of its window.
-PsfAt = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], float]]
 
 _ROUNDS = 8
 _SIZE_STEP_PX = 0.05
@@ -30,6 +29,15 @@ _FINER = 8
 _OUTLINE_ERROR_PX = 0.15
 _PIXEL_VARIANCE = 1 / 12
 _LARGEST_MISFIT = 0.5
+
+
+class PsfAt(Protocol):
+    """A PSF that can be asked for at whole pixels from a place (down, right) of its window."""
+
+    def __call__(
+        self, place: NDArray[np.float64], model: Model | None = None
+    ) -> tuple[NDArray[np.float64], float]:
+        """Return values and their variance; `model` is what the PSF is about."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -89,7 +97,12 @@ def centred_on_mask(at: PsfAt, mask: Mask, blur_size_px: float | None = None) ->
             f"the PSF differs from that of mask {mask.name} by {misfit:.0%}: check which mask is "
             "in the lens, its orientation, and the depth"
         )
-    psf, snr = _finished(at, place, size)
+
+    def model(from_place: NDArray[np.float64], width: int) -> NDArray[np.float64]:
+        down, right = place - from_place
+        return render_psf(mask, size, width, (down, right)).astype(np.float64)
+
+    psf, snr = _finished(at, place, size, model)
     return CentredPsf(psf, size, misfit, snr)
 
 
@@ -143,8 +156,8 @@ def _fitted(at: PsfAt, mask: Mask, size: float) -> tuple[NDArray[np.float64], fl
 
 
 def _rendered(mask: Mask, size: float, width: int) -> NDArray[np.float64]:
-    psf = render_psf(mask, float(np.clip(size, -width, width))).astype(np.float64)
-    return _resized(psf, width)
+    size = float(np.clip(size, -width, width))
+    return render_psf(mask, size, width).astype(np.float64)
 
 
 def _resized(psf: NDArray[np.float64], width: int) -> NDArray[np.float64]:
@@ -156,11 +169,11 @@ def _resized(psf: NDArray[np.float64], width: int) -> NDArray[np.float64]:
 
 
 def _finished(
-    at: PsfAt, place: NDArray[np.float64], size: float
+    at: PsfAt, place: NDArray[np.float64], size: float, model: Model | None = None
 ) -> tuple[NDArray[np.float64], float]:
     """Return the PSF about a place, cut to its blur size, and its signal-to-noise ratio."""
     whole = np.rint(place)
-    psf, variance = at(place - whole)
+    psf, variance = at(place - whole, model)
     psf = ndimage.shift(psf, -whole, order=0)
     width = min(psf_width(size) + 2 * _MARGIN_PX, len(psf))
     psf = _resized(psf, width)

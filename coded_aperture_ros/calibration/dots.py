@@ -7,7 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from coded_aperture_ros.calibration.effective import REACH_PX, Samples, fine_psf, predict
+from coded_aperture_ros.calibration.effective import (
+    REACH_PX,
+    Model,
+    Samples,
+    fine_psf,
+    predict,
+)
 from coded_aperture_ros.calibration.lattice import DotGrid, above_background, find_grid
 from coded_aperture_ros.errors import InputError
 
@@ -17,7 +23,7 @@ _SATURATED = 0.995
 # Steps per px at which the PSF is tabulated while the dots are registered.
 _FINER = 3
 # How wrong the places of the dots may still be after each round, in px.
-_MISPLACED_PX = (0.4, 0.3, 0.2, 0.1, 0.05, 0.02)
+_MISPLACED_PX = (0.4, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01)
 # Thickness of the rim of a dot's window that shows the background only.
 _RING_PX = 3
 _LARGEST_MOVE_PX = 0.5
@@ -68,9 +74,14 @@ class DotPsf:
     missing: int
     dark: bool
 
-    def at(self, place: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-        """Return the PSF at whole pixels from a place, and the variance of its values."""
-        return predict(self.samples, place, self.misplaced_px)
+    def at(
+        self, place: NDArray[np.float64], model: Model | None = None
+    ) -> tuple[NDArray[np.float64], float]:
+        """Return the PSF at whole pixels from a place, and the variance of its values.
+
+        `model` helps between the samples; see `predict`.
+        """
+        return predict(self.samples, place, self.misplaced_px, model)
 
 
 def psf_from_dots(picture: NDArray[np.floating], largest_blur_px: float | None = None) -> DotPsf:
@@ -131,8 +142,8 @@ def _window_width(grid: DotGrid, largest_blur_px: float | None) -> int:
     size = abs(largest_blur_px)
     if np.ceil(size) + 2 * _RING_PX > room:
         raise InputError(
-            f"the dots overlap: they are {grid.spacing_px:.1f} px apart, and a PSF of {size:.1f} px "
-            f"needs {np.ceil(size) + 2 * _RING_PX + 2:.0f} px: use a grid with wider gaps"
+            f"the dots overlap: they are {grid.spacing_px:.1f} px apart, and a PSF of {size:.1f} "
+            f"px needs {np.ceil(size) + 2 * _RING_PX + 2:.0f} px: use a grid with wider gaps"
         )
     # The grid goes through the dots' centres of light, which may lie aside of the mask's middle.
     return min(room, 2 * int(np.ceil(0.65 * size + 2)) + 2 * _RING_PX + 1)

@@ -8,6 +8,7 @@ straight edges, integrated over pixels.
 """
 
 import dataclasses
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -21,6 +22,10 @@ _SAMPLES = 400
 _FARTHEST_PX = 2.0
 _STEP_PX = 0.005
 REACH_PX = int(_FARTHEST_PX) + 1
+
+
+# A PSF that is about right: its values at whole pixels from a place, for a width.
+Model = Callable[[NDArray[np.float64], int], NDArray[np.float64]]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -43,7 +48,10 @@ class Samples:
 
 
 def predict(
-    samples: Samples, place: NDArray[np.floating], misplaced_px: float = 0.0
+    samples: Samples,
+    place: NDArray[np.floating],
+    misplaced_px: float = 0.0,
+    model: Model | None = None,
 ) -> tuple[NDArray[np.float64], float]:
     """Predict the PSF at whole pixels from a place beside its origin.
 
@@ -55,6 +63,8 @@ def predict(
         ``(i - middle, j - middle) + place``.
     misplaced_px : float
         Standard deviation of the errors of the offsets: they act like noise.
+    model : callable, optional
+        What the PSF is about: only the difference from it is predicted.
 
     Returns
     -------
@@ -75,10 +85,14 @@ def predict(
     system[:-1, :-1] = between
     system[-1, -1] = 0
     weights = linalg.solve(system, np.append(_covariance(distances), 1.0), assume_a="sym")[:-1]
-    width = samples.windows.shape[1] - 2 * REACH_PX
+    windows = samples.windows
+    width = windows.shape[1] - 2 * REACH_PX
     psf = np.zeros((width, width))
+    if model is not None:
+        windows = windows - np.stack([model(-one, windows.shape[1]) for one in samples.offsets])
+        psf += model(np.asarray(place, np.float64), width)
     for weight, dot, (down, right) in zip(weights, which, shifts + REACH_PX, strict=True):
-        psf += weight * samples.windows[dot, down : down + width, right : right + width]
+        psf += weight * windows[dot, down : down + width, right : right + width]
     return psf, float(weights**2 @ noise)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, linalg, ndimage
 
+from coded_aperture_ros.calibration.effective import Model
 from coded_aperture_ros.errors import InputError
 
 _SATURATED = 0.995
@@ -45,8 +46,13 @@ class PairPsf:
         default_factory=dict, repr=False
     )
 
-    def at(self, place: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-        """Return the PSF at whole pixels from a place, and the variance of its values."""
+    def at(
+        self, place: NDArray[np.float64], model: Model | None = None
+    ) -> tuple[NDArray[np.float64], float]:
+        """Return the PSF at whole pixels from a place, and the variance of its values.
+
+        Every place is measured, so that no model is needed.
+        """
         key = tuple(np.round(place, 4))
         if key not in self._known:
             moved = _shifted(self.sharp, np.array(key))

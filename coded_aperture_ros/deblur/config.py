@@ -69,7 +69,7 @@ class DeblurConfig:
         maximum=1000.0,
     )
     rank: int = option(
-        12,
+        10,
         "Kernels in the common basis of the inverse filters of fast. Fewer is faster and less "
         "accurate.",
         minimum=2,

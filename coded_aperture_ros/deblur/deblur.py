@@ -112,13 +112,13 @@ class Deblurrer:
         frames = np.ones((1, 1), np.float32)
         if self._steady is not None:
             channels, frames = self._steady.add(channels, noise)
-        usable &= (frame if frame.ndim == 2 else frame.max(axis=2)) < self.config.saturation
         if self.config.method == "fast":
             # One noise for the whole frame: that of places with few frames, which would show it.
             few = float(np.quantile(frames, _FEW))
             noise *= float(np.sqrt(self.config.smoothness / few))
             sharp = from_opponents(self._in_closed_form(channels, blur, noise))
             return np.clip(smoothed(sharp), 0, 1)
+        usable &= _everywhere(frame < self.config.saturation)
         restored = self._restored(channels, frames, blur, noise, usable)
         return np.clip(from_opponents(restored), 0, 1)
 
@@ -189,8 +189,15 @@ def _usable(frame: NDArray[np.float32]) -> tuple[NDArray[np.bool_], NDArray[np.f
         frame = np.stack([filled(*pair) for pair in zip(channels, masks, strict=True)]).T.reshape(
             frame.shape
         )
-    everywhere = np.asarray(usable.reshape(*usable.shape[:2], -1).all(axis=2))
-    return everywhere, np.ascontiguousarray(frame, np.float32)
+    return _everywhere(usable), np.ascontiguousarray(frame, np.float32)
+
+
+def _everywhere(condition: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return where all channels meet a condition [rows, columns]."""
+    if condition.ndim == 2:
+        return condition
+    # Much faster than a reduction along so short an axis.
+    return condition[..., 0] & condition[..., 1] & condition[..., 2]
 
 
 def _estimated_noise(frame: NDArray[np.float32]) -> float:

@@ -50,7 +50,7 @@ class OccludedBlur:
         rows, columns = blur_size_px.shape
         self.shape, self.margin_px = (rows, columns), basis.margin_px
         self.scene_shape = (rows + 2 * self.margin_px, columns + 2 * self.margin_px)
-        self._workers = workers or Workers()
+        self.workers = workers or Workers()
         self._basis = basis
         steps = scene_around(basis.steps_of(blur_size_px).astype(np.float32), self)
         self._steps = steps.astype(np.intp)
@@ -68,7 +68,7 @@ class OccludedBlur:
             np.take(taps[index], self._part(self._steps, offsets[index]), out=self._weights[index])
             self._weights[index] *= seen
 
-        self._workers.each(weigh, range(len(offsets)))
+        self.workers.each(weigh, range(len(offsets)))
         self._weights /= np.maximum(self._weights.sum(axis=0), np.float32(1e-6))
 
     def _part(self, scene: NDArray[Value], offset: tuple[int, int]) -> NDArray[Value]:
@@ -86,13 +86,13 @@ class OccludedBlur:
                 np.multiply(weights[band], self._part(scene, offset)[band], out=product)
                 frame[band] += product
 
-        self._workers.each(add, range(0, self.shape[0], _BAND_ROWS))
+        self.workers.each(add, range(0, self.shape[0], _BAND_ROWS))
         return frame
 
     def adjoint(self, frame: NDArray[np.float32]) -> NDArray[np.float32]:
         """Apply the transpose."""
         margin, (rows, _) = self.margin_px, self.shape
-        threads = self._workers.threads
+        threads = self.workers.threads
         # Each thread has its own scene: bands of rows overlap by the margin.
         scenes = [np.zeros(self.scene_shape, np.float32) for _ in range(threads)]
 
@@ -103,7 +103,7 @@ class OccludedBlur:
                 np.multiply(weights[band], frame[band], out=product)
                 _shifted(scenes[thread], margin, self.shape, offset)[band] += product
 
-        self._workers.each(add, range(0, rows, _BAND_ROWS))
+        self.workers.each(add, range(0, rows, _BAND_ROWS))
         return np.sum(scenes, axis=0)
 
     def ranges(self, count: int) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:

@@ -21,6 +21,7 @@ class BlurOperator(Protocol):
     shape: tuple[int, int]
     scene_shape: tuple[int, int]
     margin_px: int
+    workers: Workers
 
     def forward(self, scene: NDArray[np.float32]) -> NDArray[np.float32]:
         """Blur a scene, float32 of `scene_shape`; return the frame, float32 of `shape`."""
@@ -79,7 +80,7 @@ class SpreadingBlur:
         rows, columns = blur_size_px.shape
         self.shape, self.margin_px = (rows, columns), basis.margin_px
         self.scene_shape = _fast_shape(self.shape, self.margin_px)
-        self._workers = workers or Workers()
+        self.workers = workers or Workers()
         self._transforms = [transfer_function(k, self.scene_shape) for k in basis.kernels]
         self._basis = basis
         steps = scene_around(basis.steps_of(blur_size_px).astype(np.float32), self)
@@ -91,27 +92,27 @@ class SpreadingBlur:
     def forward(self, scene: NDArray[np.float32]) -> NDArray[np.float32]:
         """Blur a scene."""
         like = self._transforms[0]
-        sums = [np.zeros_like(like) for _ in range(self._workers.threads)]
+        sums = [np.zeros_like(like) for _ in range(self.workers.threads)]
 
         def add(kernel: int, thread: int) -> None:
             spectrum = scipy.fft.rfft2(self._shares[kernel] * scene)
             spectrum *= self._transforms[kernel]
             sums[thread] += spectrum
 
-        self._workers.each(add, range(len(self._shares)))
+        self.workers.each(add, range(len(self._shares)))
         blurred = scipy.fft.irfft2(np.sum(sums, axis=0), self.scene_shape)
         return frame_within(blurred, self) * self._scale
 
     def adjoint(self, frame: NDArray[np.float32]) -> NDArray[np.float32]:
         """Apply the transpose."""
         spectrum = scipy.fft.rfft2(scene_around(frame * self._scale, self, cv2.BORDER_CONSTANT))
-        sums = [np.zeros(self.scene_shape, np.float32) for _ in range(self._workers.threads)]
+        sums = [np.zeros(self.scene_shape, np.float32) for _ in range(self.workers.threads)]
 
         def add(kernel: int, thread: int) -> None:
             part = scipy.fft.irfft2(spectrum * self._transforms[kernel].conj(), self.scene_shape)
             cv2.accumulateProduct(part, self._shares[kernel], sums[thread])
 
-        self._workers.each(add, range(len(self._shares)))
+        self.workers.each(add, range(len(self._shares)))
         return np.sum(sums, axis=0)
 
     def ranges(self, count: int) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:

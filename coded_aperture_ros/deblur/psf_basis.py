@@ -122,8 +122,9 @@ class PsfBasis:
                 continue
             weight = np.bincount(steps.ravel(), share.ravel(), minlength=self.table.shape[1])
             together = ((self.table * (weight / weight.sum())) @ self.table.T).astype(np.float32)
-            power = np.einsum("rij,rs,sij->ij", transforms.conj(), together, transforms).real
-            divided.append((np.sqrt(share), power.astype(np.float32)))
+            mixed = np.tensordot(together, transforms, axes=1)
+            power = np.sum(mixed.real * transforms.real + mixed.imag * transforms.imag, axis=0)
+            divided.append((np.sqrt(share), power))
         return divided
 
     def psfs(self) -> NDArray[np.float32]:

@@ -15,6 +15,7 @@ from coded_aperture_ros.deblur.prior import (
     quadratic_power,
     sparse_weights,
 )
+from coded_aperture_ros.engine import Workers
 
 # Variance of photographs in linear light, for the quadratic prior.
 _CONTRAST = 0.02
@@ -85,7 +86,7 @@ def restore_quadratic(
             _quadratic_system(operator, weight, prior),
             operator.adjoint(weight * coded),
             scene_around(begin, operator),
-            _preconditioner(ranges, float(weight.mean()), prior),
+            _preconditioner(ranges, float(weight.mean()), prior, operator.workers),
             tolerance,
             iterations,
         )
@@ -148,7 +149,9 @@ def restore_sparse(
                 _sparse_system(operator, trusted, [strength * of_filter for of_filter in edges]),
                 operator.adjoint(trusted * coded),
                 scenes[channel],
-                _preconditioner(ranges, float(trusted.mean()), strength * penalty),
+                _preconditioner(
+                    ranges, float(trusted.mean()), strength * penalty, operator.workers
+                ),
                 _OF_ONE_SET * tolerance,
                 min(_INNER, iterations - done),
             )
@@ -172,6 +175,7 @@ def _preconditioner(
     ranges: list[tuple[NDArray[np.float32], NDArray[np.float32]]],
     weight: float,
     penalty: NDArray[np.float32],
+    workers: Workers,
 ) -> Linear:
     """Return what nearly solves a system: in each range of blur sizes by one Fourier transform."""
     inverses = [
@@ -180,11 +184,15 @@ def _preconditioner(
     ]
 
     def solve(scene: NDArray[np.float32]) -> NDArray[np.float32]:
-        total = np.zeros_like(scene)
-        for share, inverse in inverses:
+        sums = [np.zeros_like(scene) for _ in range(workers.threads)]
+
+        def add(of_range: tuple[NDArray[np.float32], NDArray[np.float32]], thread: int) -> None:
+            share, inverse = of_range
             solved = scipy.fft.irfft2(inverse * scipy.fft.rfft2(share * scene), scene.shape)
-            total += share * solved
-        return total
+            sums[thread] += share * solved
+
+        workers.each(add, inverses)
+        return np.sum(sums, axis=0)
 
     return solve
 

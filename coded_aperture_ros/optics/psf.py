@@ -17,7 +17,12 @@ _SCHEMA_VERSION = 1
 _SMALLEST_SIZE_PX = 1e-6
 
 
-def render_psf(mask: Mask, blur_size_px: float) -> NDArray[np.float32]:
+def render_psf(
+    mask: Mask,
+    blur_size_px: float,
+    width_px: int | None = None,
+    centre_px: tuple[float, float] = (0.0, 0.0),
+) -> NDArray[np.float32]:
     """Render the PSF of a mask whose extent is `blur_size_px` wide in the image.
 
     A pixel's value is the mask's transmission integrated over the pixel's square, divided by the
@@ -30,11 +35,20 @@ def render_psf(mask: Mask, blur_size_px: float) -> NDArray[np.float32]:
     blur_size_px : float
         Signed; a negative size, of a point in front of the focal plane, gives the mask rotated
         by 180 degrees.
+    width_px : int, optional
+        Odd width of the result; by default the smallest that holds the centred PSF.
+    centre_px : tuple of float
+        How far down and right of the middle of the result the middle of the mask's extent lies.
 
     Returns
     -------
     ndarray of float32, shape [k, k]
-        Smallest odd `k` that holds the PSF; centred, unit sum.
+        Unit sum.
+
+    Raises
+    ------
+    InputError
+        If the blur size is not finite, or nothing of the PSF lies within the width.
     """
     size = abs(float(blur_size_px))
     if not np.isfinite(size):
@@ -42,11 +56,13 @@ def render_psf(mask: Mask, blur_size_px: float) -> NDArray[np.float32]:
     cells = mask.transmission.astype(np.float64)
     if blur_size_px < 0:
         cells = cells[::-1, ::-1]
-    pixels = psf_width(size)
+    pixels = psf_width(size) if width_px is None else width_px
     cell_px = max(size, _SMALLEST_SIZE_PX) / max(cells.shape)
-    rows = _overlap(pixels, cells.shape[0], cell_px)
-    columns = _overlap(pixels, cells.shape[1], cell_px)
+    rows = _overlap(pixels, cells.shape[0], cell_px, centre_px[0])
+    columns = _overlap(pixels, cells.shape[1], cell_px, centre_px[1])
     psf = rows @ cells @ columns.T
+    if not psf.any():
+        raise InputError(f"blur size {blur_size_px:g} px: nothing lies within {pixels} px")
     return (psf / psf.sum()).astype(np.float32)
 
 
@@ -55,10 +71,10 @@ def psf_width(blur_size_px: float) -> int:
     return 2 * int(np.ceil(max(abs(blur_size_px) - 1.0, 0.0) / 2.0)) + 1
 
 
-def _overlap(pixels: int, cells: int, cell_px: float) -> NDArray[np.float64]:
-    """Overlap of each pixel with each cell, both rows centred on zero; shape [pixels, cells]."""
+def _overlap(pixels: int, cells: int, cell_px: float, centre_px: float) -> NDArray[np.float64]:
+    """Overlap of each pixel with each cell, the pixels centred on zero; shape [pixels, cells]."""
     pixel_edges = np.arange(pixels + 1)[:, None] - pixels / 2.0
-    cell_edges = (np.arange(cells + 1)[None, :] - cells / 2.0) * cell_px
+    cell_edges = (np.arange(cells + 1)[None, :] - cells / 2.0) * cell_px + centre_px
     covered = np.clip(pixel_edges, cell_edges[:, :-1], cell_edges[:, 1:])
     return np.diff(covered, axis=0)
 
