@@ -25,7 +25,8 @@ from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.deblur.restore import restore_quadratic, restore_sparse
 from coded_aperture_ros.engine import Workers
 from coded_aperture_ros.evaluation import psnr_db
-from coded_aperture_ros.optics import Mask, render_psf, render_psf_stack
+from coded_aperture_ros.evaluation.restoration import residual_rms
+from coded_aperture_ros.optics import Mask, PsfStack, render_psf, render_psf_stack
 from coded_aperture_ros.threads import processors
 
 SIZES = np.linspace(1.0, 11.0, 11)
@@ -207,6 +208,17 @@ def test_sparse_restoration_beats_the_quadratic_one(operator, basis, sharp):
     assert psnr_db(sparse[0], sharp) > psnr_db(quadratic[0], sharp) + 1
     residual = blur.forward(scene_around(sparse[0], blur)) - coded
     assert residual[12:-12, 12:-12].std() < 0.003
+
+
+def test_frame_of_little_noise_is_explained_up_to_it(stack, sharp):
+    """Smoothness for the usual error of the model would leave 1.8 times the noise."""
+    noise, psf = 0.0002, stack.psfs[-1]
+    blurred = signal.convolve(sharp, psf, mode="valid")
+    coded = blurred + np.random.default_rng(2).normal(0, noise, blurred.shape)
+    one = PsfStack(np.zeros(1), psf[None], in_pixels=False)
+    deblurrer = Deblurrer(one, DeblurConfig(method="sparse", noise=noise))
+    found = deblurrer.deblur(coded.astype(np.float32), np.zeros(coded.shape, np.float32))
+    assert residual_rms(found, coded, psf) < 1.2 * noise
 
 
 @pytest.mark.parametrize("method", ["cg", "sparse"])

@@ -15,7 +15,7 @@ _EDGE_REACH_PX = 10
 MODEL_ERROR = 0.0015
 # What a change of blur size around a pixel leaves unexplained there, per pixel of its standard
 # deviation, linear light; and how far around.
-_ERROR_PER_PX, _AROUND_PX = 0.001, 15
+_ERROR_PER_PX, _AROUND_PX = 0.0014, 15
 
 
 def without_specks(blur: NDArray[np.float32]) -> NDArray[np.float32]:

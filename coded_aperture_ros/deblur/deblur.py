@@ -31,7 +31,7 @@ _FAST_REACH = 1.4
 # The share of the places in a video that may have more noise than is reckoned with.
 _FEW = 0.1
 # Residual, in units of the noise, from which a pixel's depth is taken for wrong.
-_MISFIT, _MISFIT_OF_EXACT_DEPTH = 2.0, 3.0
+_MISFIT, _MISFIT_OF_EXACT_DEPTH = 2.0, 2.5
 # Occlusion is reckoned with, unless told otherwise, where its weights fit into so much memory.
 _OCCLUSION_BYTES = 512 * 2**20
 

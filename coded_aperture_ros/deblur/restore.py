@@ -25,7 +25,7 @@ _CONTRAST = 0.02
 # sparse prior already follow the noise that is left in the solution.
 _SPARSE_ALPHA = 4.5
 # alpha of colour differences relative to that of brightness: they have less texture.
-_OF_COLOUR = 3.0
+_OF_COLOUR = 2.0
 # Iterations between two updates of the sparse prior's weights.
 _INNER = 8
 # Tolerance for one set of weights, relative to the configured one.
@@ -33,7 +33,14 @@ _OF_ONE_SET = 0.01
 # Ranges of blur sizes that the preconditioners tell apart.
 _RANGES = 4
 # How far around a pixel its residual is looked at, px.
-_MISFIT_REACH_PX = 2.0
+_MISFIT_REACH_PX = 1.2
+# Discrepancy principle: while more is left unexplained than so many times the noise, alpha is too
+# large, and becomes so much smaller with every set of weights, as far as the noise alone asks for.
+_DISCREPANCY, _LESS = 1.2, 0.7
+# Rounding of a frame to 8 bits, about: the least noise that is reckoned with.
+_LEAST_NOISE = 0.0002
+# Turns the median absolute value of a normal distribution into its standard deviation.
+_MEDIAN_TO_STD = 1.4826
 
 
 def restore_quadratic(
@@ -116,7 +123,7 @@ def restore_sparse(
     smoothness: float,
     tolerance: float,
     iterations: int,
-    misfit: float = 3.0,
+    misfit: float = 2.5,
 ) -> tuple[list[NDArray[np.float32]], int]:
     """Minimise ``||g - H_d f||^2 + alpha sum |D f|^0.7`` by reweighted least squares.
 
@@ -130,14 +137,21 @@ def restore_sparse(
     # What is seen of brightness in all channels together has less noise than each of them.
     together = noise / float(np.sqrt(len(channels)))
     alpha = smoothness * _SPARSE_ALPHA * float(np.hypot(together, MODEL_ERROR))
+    least = smoothness * _SPARSE_ALPHA * float(np.hypot(together, _LEAST_NOISE))
     shape = operator.scene_shape
     allowed = misfit * float(np.hypot(together, MODEL_ERROR / np.sqrt(2)))
     ranges, powers = operator.ranges(_RANGES), difference_powers(shape)
     scenes = [scene_around(begin, operator) for begin in start]
+    trusted = weight
     for done in range(0, iterations, _INNER):
-        trusted = (
-            weight * _explained(operator, channels, scenes, noise, allowed) if done else weight
-        )
+        if done:
+            left = [
+                coded - operator.forward(scene)
+                for coded, scene in zip(channels, scenes, strict=True)
+            ]
+            trusted = weight * _explained(left, noise, allowed)
+            if _MEDIAN_TO_STD * np.median(np.abs(left[0])) > _DISCREPANCY * noise:
+                alpha = max(least, _LESS * alpha)
         edges = sparse_weights(scenes)
         # The weights' typical size: between the arithmetic mean, of smooth areas, and the harmonic
         # one, of edges.
@@ -203,15 +217,9 @@ def _shares(channels: list[NDArray[np.float32]]) -> list[float]:
 
 
 def _explained(
-    operator: BlurOperator,
-    channels: list[NDArray[np.float32]],
-    scenes: list[NDArray[np.float32]],
-    noise: float,
-    allowed: float,
+    residuals: list[NDArray[np.float32]], noise: float, allowed: float
 ) -> NDArray[np.float32]:
     """Return how far the frame is explained at every pixel, 0 to 1."""
-    misfit = np.zeros(operator.shape, np.float32)
-    for coded, scene in zip(channels, scenes, strict=True):
-        misfit += (coded - operator.forward(scene)) ** 2
-    misfit = cv2.GaussianBlur(misfit / len(channels), (0, 0), _MISFIT_REACH_PX)
+    squared = np.mean([residual**2 for residual in residuals], axis=0)
+    misfit = cv2.GaussianBlur(squared, (0, 0), _MISFIT_REACH_PX)
     return 1 / (1 + np.maximum(misfit - np.float32(noise**2), 0) / np.float32(allowed**2))
