@@ -2,6 +2,7 @@
 
 From 16 ray-traced planes with noise, with and without telling the mask: blur sizes, focus, time,
 and the depth error of the bank on another scene of that camera, beside the bank of the true mask.
+With --psf instead: the error of PSFs from simulated pictures of dots.
 """
 
 import argparse
@@ -19,14 +20,17 @@ from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank_for_came
 from coded_aperture_ros.calibration.planes import calibrate_planes
 from coded_aperture_ros.calibration.planes_folder import load_planes
 from coded_aperture_ros.calibration.planes_remap import remap_bank
+from coded_aperture_ros.calibration.psf import centre_psf, psf_from_dots
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.evaluation import RayTracedScene
 from coded_aperture_ros.evaluation.ray_traced import scene_camera
+from coded_aperture_ros.optics import Mask, render_psf
 
 NOISE = 0.002
 LEVELS = 40
 FRAMES = 8
+PSF_SIZES = (3.0, 4.0, 5.0, 7.3, 10.0, 16.0)
 
 
 def open_part(camera: Any) -> float:
@@ -97,6 +101,44 @@ def measure(data: Path, seed: int, told_mask: bool) -> dict[str, Any]:
     }
 
 
+def dot_picture(mask: Mask, blur_size_px: float, seed: int) -> np.ndarray:
+    """Simulate a grid of lights: 0.3 px off it, noise, vignetting, uneven background light."""
+    random = np.random.default_rng(seed)
+    height, width, margin, half = 480, 640, 60, 20
+    turn = np.deg2rad(1.7)
+    basis = 44.3 * np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    points = np.mgrid[-14:15, -14:15].reshape(2, -1).T @ basis + [height / 2, width / 2]
+    points = points[((points > -half) & (points < [height + half, width + half])).all(axis=1)]
+    points += 0.3 * random.standard_normal(points.shape)
+    light = np.zeros((height + 2 * margin, width + 2 * margin))
+    strength = 0.5 / render_psf(mask, blur_size_px, 2 * half + 1, (0.25, 0.25)).max()
+    for y, x in points:
+        row, column = round(y), round(x)
+        top, left = row + margin - half, column + margin - half
+        psf = render_psf(mask, blur_size_px, 2 * half + 1, (y - row, x - column))
+        light[top : top + 2 * half + 1, left : left + 2 * half + 1] += strength * psf
+    light = light[margin:-margin, margin:-margin]
+    rows, columns = np.meshgrid(
+        np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij"
+    )
+    scene = (light + 0.04) * (1 - 0.15 * (rows**2 + columns**2)) + 0.01 * columns
+    return np.clip(scene + NOISE * random.standard_normal(scene.shape), 0, 1)
+
+
+def measure_psfs(name: str, seed: int) -> dict[str, Any]:
+    """Return the errors of a mask's PSFs of several blur sizes from dots, in percent."""
+    mask = Mask.named(name)
+    row: dict[str, Any] = {"mask": name}
+    for size in PSF_SIZES:
+        measured = psf_from_dots(dot_picture(mask, size, seed), mask)
+        centred = centre_psf(measured, mask)
+        true = render_psf(mask, size, 25)
+        error = np.linalg.norm(centred.psf(25) - true) / np.linalg.norm(true)
+        row[f"{size:g} px"] = round(100 * float(error), 2)
+        row[f"field at {size:g} px"] = round(100 * measured.field_variation, 2)
+    return row
+
+
 def main() -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -106,16 +148,21 @@ def main() -> int:
         help="folder that holds rendered/ (default: $CODED_APERTURE_DATA)",
     )
     parser.add_argument("--seeds", type=int, default=1, help="how many draws of noise (default 1)")
+    parser.add_argument("--psf", action="store_true", help="measure PSFs from dots instead")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     args = parser.parse_args()
-    if args.data is None:
+    if args.data is None and not args.psf:
         parser.error("say where the data are: --data, or set CODED_APERTURE_DATA")
     try:
-        rows = [
-            measure(Path(args.data), seed, told_mask)
-            for seed in range(args.seeds)
-            for told_mask in (False, True)
-        ]
+        if args.psf:
+            names = ("levin", "zhou", "four_hole", "disc")
+            rows = [measure_psfs(name, seed) for seed in range(args.seeds) for name in names]
+        else:
+            rows = [
+                measure(Path(args.data), seed, told_mask)
+                for seed in range(args.seeds)
+                for told_mask in (False, True)
+            ]
     except (InputError, OSError) as error:
         print(f"calibration_accuracy: error: {error}", file=sys.stderr)
         return 1

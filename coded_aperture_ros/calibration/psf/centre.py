@@ -1,0 +1,157 @@
+"""Where the middle of a measured PSF is, and how wide the mask's extent is in the picture.
+
+Dots tell a PSF up to a shift. In a PSF stack, the middle of the mask's extent is the centre. With a
+known mask, its rendered PSF is laid over the measured one. Without, the centre of light has to do:
+the same for a mask that looks the same turned by 180 degrees; for another one, all-in-focus frames
+are shifted in proportion to the blur, and depth is not affected.
+"""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.optics import Mask, render_psf
+
+# What a PSF is at whole pixels, its origin at a place (down, right) from their middle.
+PsfAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+_ROUNDS = 4
+_CLOSE_PX = 1e-3
+_LARGEST_MISFIT = 0.5
+_PIXEL_VARIANCE = 1 / 12
+# Dots are compared at several places on the pixels: at one, two blur sizes may look the same.
+PHASES = np.array([(0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5)])
+_LARGE_PX = 63.0
+_GUESSES = np.linspace(0.7, 1.4, 15)
+# How much better a turned mask has to fit to be taken.
+_TURNED = 0.95
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Centred:
+    """How a measured PSF lies.
+
+    Attributes
+    ----------
+    place : ndarray of float64, shape [2]
+        Place of the PSF's origin (down, right) for which it is centred, px.
+    blur_size_px : float
+        Signed width of the mask's extent; without a mask, the width of what is seen, positive.
+    misfit : float
+        Relative difference (norm) from the mask's rendered PSF; NaN without a mask.
+    """
+
+    place: NDArray[np.float64]
+    blur_size_px: float
+    misfit: float
+
+
+def centred(
+    at: PsfAt, mask: Mask | None = None, sign: float | None = None, phases: NDArray = PHASES
+) -> Centred:
+    """Find the middle and the blur size of a measured PSF.
+
+    Parameters
+    ----------
+    at : callable
+        The measured PSF at a place.
+    mask : Mask, optional
+        What is in the lens.
+    sign : float, optional
+        Of the blur size, where the side of the focus is known; by default the mask tells.
+    phases : ndarray of float, shape [N, 2], optional
+        Places on the pixels at which the PSF is looked at.
+
+    Raises
+    ------
+    InputError
+        If the PSF does not look like the mask.
+    """
+    place, size, misfit = np.zeros(2), 0.0, np.nan
+    for _ in range(_ROUNDS):
+        psfs = np.stack([at(place + phase) for phase in phases])
+        centres, spreads = zip(*(_moments(psf) for psf in psfs), strict=True)
+        # The centre of light in pixels errs with the place on them; over half a pixel, it cancels.
+        move = np.mean(centres - phases, axis=0)
+        spread = float(np.mean(spreads))
+        if mask is None:
+            size = max(float(np.sqrt(12)) * spread, 1.0)
+        else:
+            misfit, size, move = _like(psfs, phases, move, spread, mask, sign)
+            sign = size  # the side of the focus that was found first stays
+        place = place - move
+        if np.abs(move).max() < _CLOSE_PX:
+            break
+    if mask is not None:
+        check_misfit(misfit, mask)
+    return Centred(place, size, misfit)
+
+
+def check_misfit(misfit: float, mask: Mask) -> None:
+    """Refuse a PSF that does not look like the mask.
+
+    Raises
+    ------
+    InputError
+    """
+    if not misfit <= _LARGEST_MISFIT:
+        raise InputError(
+            f"the PSF differs from that of mask {mask.name} by {misfit:.0%}: check which mask is "
+            "in the lens, and its orientation"
+        )
+
+
+def _like(
+    psfs: NDArray[np.float64],
+    phases: NDArray[np.float64],
+    centroid: NDArray[np.float64],
+    spread: float,
+    mask: Mask,
+    sign: float | None,
+) -> tuple[float, float, NDArray[np.float64]]:
+    """Return how different a PSF is from the mask's, at least, for which blur size and middle."""
+    width = psfs.shape[1]
+    flat = psfs.ravel()
+    aside, mask_spread = _moments(render_psf(mask, _LARGE_PX).astype(np.float64))
+
+    def difference(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        models = [render_psf(mask, x[2], width, tuple(x[:2] + phase)) for phase in phases]
+        model = np.stack(models).ravel().astype(np.float64)
+        return np.asarray(flat - model * (flat @ model) / (model @ model))
+
+    fits = []
+    for side in (1.0, -1.0) if sign is None else (float(np.sign(sign)),):
+        sizes = side * np.clip(spread * _LARGE_PX / mask_spread * _GUESSES, 1.0, width)
+        starts = [np.array([*(centroid - aside * size / _LARGE_PX), size]) for size in sizes]
+        start = min(starts, key=lambda x: float(np.linalg.norm(difference(x))))
+        fit = optimize.least_squares(difference, start, method="lm", diff_step=1e-3)
+        misfit = float(np.sqrt(2 * fit.cost) / np.linalg.norm(flat))
+        # A mask that looks the same turned does not tell the side: positive then.
+        fits.append((misfit * (_TURNED if side > 0 else 1.0), misfit, fit.x))
+    _, misfit, found = min(fits, key=lambda fit: fit[0])
+    return misfit, float(found[2]), found[:2]
+
+
+def _moments(psf: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Return the centre of light from the middle, and the spread about it without the pixel's."""
+    steps = np.arange(len(psf)) - len(psf) // 2
+    shares = [psf.sum(axis=axis) / psf.sum() for axis in (1, 0)]
+    centre = np.array([share @ steps for share in shares])
+    variances = [share @ (steps - c) ** 2 for share, c in zip(shares, centre, strict=True)]
+    return centre, float(np.sqrt(max(np.mean(variances) - _PIXEL_VARIANCE, 1e-4)))
+
+
+def finished(psf: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the nearest PSF that is nowhere negative and has the sum 1.
+
+    Setting negative values to 0 alone would leave the positive half of the noise, and too large a
+    sum: here all values are lowered by as much as the sum asks for, none below 0.
+    """
+    values = np.sort(psf.ravel())[::-1]
+    lowered = (np.cumsum(values) - 1) / np.arange(1, values.size + 1)
+    last = np.flatnonzero(values > lowered)[-1]
+    return np.maximum(psf - lowered[last], 0)

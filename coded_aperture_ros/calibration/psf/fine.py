@@ -1,0 +1,140 @@
+"""A PSF on cells finer than the pixels: what dots tell together that lie differently on the pixels.
+
+A dot a third of a pixel off shows the same PSF, cut into pixels elsewhere. Light on a fine grid,
+moved and integrated over pixels, has to give all dots at once: least squares, in which no light is
+negative. Without that, a grid that is wrong by a bit on each pixel would give as good a PSF.
+"""
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coded_aperture_ros.optics import Mask
+
+_ITERATIONS = 60
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FinePsf:
+    """Light on square cells around an origin.
+
+    Attributes
+    ----------
+    light : ndarray of float64, shape [n, n]
+        Sum 1; the origin is the middle.
+    cell_px : float
+        Width of a cell in px.
+    """
+
+    light: NDArray[np.float64]
+    cell_px: float
+
+    def at(
+        self, width: int, centre: ArrayLike = (0.0, 0.0), scale: float = 1.0
+    ) -> NDArray[np.float64]:
+        """Return what `width` pixels a side record if the origin lies `centre` off their middle.
+
+        Parameters
+        ----------
+        width : int
+            Odd.
+        centre : array of 2 floats, optional
+            Down and right, px.
+        scale : float, optional
+            How many times as wide as measured.
+
+        Returns
+        -------
+        ndarray of float64, shape [width, width]
+        """
+        down, right = np.asarray(centre, np.float64)
+        rows = coverage(down, width, len(self.light), self.cell_px * scale)
+        columns = coverage(right, width, len(self.light), self.cell_px * scale)
+        return np.asarray(rows @ self.light @ columns.T)
+
+
+def mask_psf(mask: Mask, blur_size_px: float) -> FinePsf:
+    """Return the PSF of a mask whose extent is so wide: its cells, turned if that is negative."""
+    cells: NDArray[np.float64] = mask.transmission.astype(np.float64)
+    side = max(cells.shape)
+    if min(cells.shape) < side:
+        # Two cells for one, so that an odd difference of the sides can be halved.
+        cells = cells.repeat(2, axis=0).repeat(2, axis=1)
+        side *= 2
+        margins = [(side - length) // 2 for length in cells.shape]
+        cells = np.pad(cells, [(margin, margin) for margin in margins])
+    if blur_size_px < 0:
+        cells = cells[::-1, ::-1]
+    return FinePsf(cells / cells.sum(), abs(blur_size_px) / side)
+
+
+def coverage(offset: ArrayLike, width: int, cells: int, cell_px: float) -> NDArray[np.float64]:
+    """Return the share of each cell that each pixel covers, along one axis.
+
+    Parameters
+    ----------
+    offset : array of float, any shape
+        How far the middle of the cells lies from the middle of the pixels, in px.
+
+    Returns
+    -------
+    ndarray of float64, shape [*offset.shape, width, cells]
+    """
+    pixels = np.arange(width + 1)[:, None] - width / 2
+    edges = (np.arange(cells + 1) - cells / 2) * cell_px + np.asarray(offset)[..., None, None]
+    covered = np.clip(pixels, edges[..., :-1], edges[..., 1:])
+    return np.asarray(np.diff(covered, axis=-2) / cell_px)
+
+
+def fit_fine(
+    windows: NDArray[np.float64],
+    offsets: NDArray[np.float64],
+    strengths: NDArray[np.float64],
+    ridge: float,
+    start: FinePsf,
+) -> FinePsf:
+    """Fit light on fine cells to pictures of dots, by projected gradients (FISTA with restarts).
+
+    Parameters
+    ----------
+    windows : ndarray of float64, shape [N, k, k]
+        Without background.
+    offsets : ndarray of float64, shape [N, 2]
+        Where the dots lie, from the middle of the windows, px.
+    strengths : ndarray of float64, shape [N]
+        Light of each dot.
+    ridge : float
+        Variance of a pixel's noise, for light whose cells have the mean square of `start`.
+    start : FinePsf
+        Also tells the cells.
+
+    Returns
+    -------
+    FinePsf
+        Of sum 1.
+    """
+    width, cells = windows.shape[-1], len(start.light)
+    rows, columns = (coverage(offsets[:, axis], width, cells, start.cell_px) for axis in (0, 1))
+    rows = rows * strengths[:, None, None]
+    damping = ridge / max(float((start.light**2).mean()), 1e-30)
+
+    def normal(light: NDArray[np.float64]) -> NDArray[np.float64]:
+        seen = rows @ light @ columns.transpose(0, 2, 1)
+        back = (rows.transpose(0, 2, 1) @ seen @ columns).sum(axis=0)
+        return np.asarray(back + damping * light)
+
+    wanted = (rows.transpose(0, 2, 1) @ windows @ columns).sum(axis=0)
+    # Nothing in the matrix is negative: no eigenvalue is larger than its largest sum of a row.
+    largest = float(normal(np.ones_like(start.light)).max())
+    light = ahead = start.light
+    momentum = 1.0
+    for _ in range(_ITERATIONS):
+        before = light
+        light = np.maximum(ahead - (normal(ahead) - wanted) / largest, 0)
+        following = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
+        if ((ahead - light) * (light - before)).sum() > 0:
+            following = 1.0  # past the minimum: gather speed anew
+        ahead = light + (momentum - 1) / following * (light - before)
+        momentum = following
+    return FinePsf(light / max(light.sum(), 1e-30), start.cell_px)

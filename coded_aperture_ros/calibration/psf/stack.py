@@ -1,0 +1,191 @@
+"""From PSFs measured at some depths to a stack of equally spaced blur sizes, and a picture."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coded_aperture_ros.calibration.psf.centre import PHASES, centred, check_misfit, finished
+from coded_aperture_ros.calibration.psf.dots import DotPsf
+from coded_aperture_ros.calibration.psf.fine import FinePsf
+from coded_aperture_ros.calibration.psf.pair import PairPsf
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.optics import Mask, PsfStack, render_psf
+
+# PSFs whose blur sizes differ less are one: a level between them is not told apart.
+_CLOSEST_PX = 0.02
+_WIDTH_PX = 120
+_GAP_PX = 6
+_PER_ROW = 8
+_GAP_LIGHT = 0.25
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class CentredPsf:
+    """A measured PSF whose middle and width are known.
+
+    Attributes
+    ----------
+    fine : FinePsf
+    place : ndarray of float64, shape [2]
+        Where its origin has to be (down, right), in px, so that the mask's extent is centred.
+    width_px : int
+        Odd; it is not wider.
+    blur_size_px : float
+        Signed width of the mask's extent. Without a mask, that of an even square with the same
+        spread: right in proportion.
+    misfit : float
+        Relative difference (norm) from the mask's rendered PSF; NaN without a mask.
+    """
+
+    fine: FinePsf
+    place: NDArray[np.float64]
+    width_px: int
+    blur_size_px: float
+    misfit: float
+
+    def psf(self, width: int, scale: float = 1.0) -> NDArray[np.float64]:
+        """Return the PSF as pixels record it [width, width], `scale` times as wide as measured."""
+        return finished(self.fine.at(width, self.place * scale, scale))
+
+
+def centre_psf(
+    measured: DotPsf | PairPsf, mask: Mask | None = None, sign: float | None = None
+) -> CentredPsf:
+    """Centre a measured PSF in the middle of the mask's extent, and tell its blur size.
+
+    Parameters
+    ----------
+    measured : DotPsf or PairPsf
+    mask : Mask, optional
+        What is in the lens. Without it, the centre of light is the centre.
+    sign : float, optional
+        Of the blur size: which side of the focus. By default the mask tells, and positive if not.
+
+    Raises
+    ------
+    InputError
+        If the PSF does not look like the mask.
+    """
+    if isinstance(measured, DotPsf):
+        fine, width = measured.fine, measured.width_px + 2
+        found = centred(lambda place: fine.at(width, place), mask, sign)
+        return CentredPsf(fine, found.place, width, found.blur_size_px, found.misfit)
+    width = measured.width_px
+    if mask is None:
+        found = centred(measured.at, phases=PHASES[:1])
+        fine = FinePsf(measured.at(found.place), 1.0)
+        return CentredPsf(fine, np.zeros(2), width, found.blur_size_px, np.nan)
+    place, size = measured.like_mask(mask, sign)
+    psf = measured.at(place)
+    misfit = float(np.linalg.norm(psf - render_psf(mask, size, width)) / np.linalg.norm(psf))
+    check_misfit(misfit, mask)
+    return CentredPsf(FinePsf(psf, 1.0), np.zeros(2), width, size, misfit)
+
+
+def psf_stack(
+    measured: Sequence[CentredPsf],
+    levels: int | None = None,
+    depths_m: ArrayLike | None = None,
+    names: Sequence[str] | None = None,
+) -> PsfStack:
+    """Interpolate measured PSFs to equally spaced blur sizes.
+
+    A PSF between two measured ones is both, widened or narrowed to its size, each weighted by how
+    near its size is.
+
+    Parameters
+    ----------
+    measured : sequence of CentredPsf
+        In any order.
+    levels : int, optional
+        By default as many as there are PSFs.
+    depths_m : array of float, shape [N], optional
+        The stack then knows its depths: between two, the inverse depth is linear in blur size.
+    names : sequence of str, optional
+        What messages call each PSF.
+
+    Returns
+    -------
+    PsfStack
+        Blur sizes from the smallest to the largest measured.
+
+    Raises
+    ------
+    InputError
+        If two PSFs have one blur size, they lie on both sides of the focus, or depths and blur
+        sizes do not go up or down together.
+    """
+    order = np.argsort([one.blur_size_px for one in measured])
+    ranked = [measured[number] for number in order]
+    called = [f"PSF {number}" if names is None else names[number] for number in order]
+    sizes = np.array([one.blur_size_px for one in ranked])
+    if sizes[0] < 0 < sizes[-1]:
+        raise InputError(
+            f"{called[0]} has a blur size of {sizes[0]:.2f} px, {called[-1]} one of "
+            f"{sizes[-1]:.2f} px: they are from both sides of the focus, measure each side alone"
+        )
+    for number in np.flatnonzero(np.diff(sizes) < _CLOSEST_PX):
+        raise InputError(
+            f"{called[number]} and {called[number + 1]} have the same blur size of "
+            f"{sizes[number]:.2f} px: take one picture for each depth"
+        )
+    inverse = None
+    if depths_m is not None:
+        inverse = 1 / np.asarray(depths_m, np.float64)[order]
+        slopes = np.diff(inverse)
+        for number in np.flatnonzero(slopes * np.sum(slopes) <= 0):
+            raise InputError(
+                f"{called[number]} at {1 / inverse[number]:g} m has a blur size of "
+                f"{sizes[number]:.2f} px, {called[number + 1]} at {1 / inverse[number + 1]:g} m "
+                f"one of {sizes[number + 1]:.2f} px, unlike the others: check the depths, and that "
+                "all lie on one side of the focus"
+            )
+    count = len(sizes) if levels is None else levels
+    wanted = np.linspace(sizes[0], sizes[-1], count) if count > 1 else sizes[:1]
+    width = max(one.width_px for one in measured)
+    psfs = np.stack([_between(ranked, sizes, size, width) for size in wanted])
+    return PsfStack(
+        wanted,
+        psfs.astype(np.float32),
+        None if inverse is None else 1 / np.interp(wanted, sizes, inverse),
+    )
+
+
+def _between(
+    ranked: list[CentredPsf], sizes: NDArray[np.float64], size: float, width: int
+) -> NDArray[np.float64]:
+    if len(sizes) == 1:
+        return ranked[0].psf(width)
+    above = int(np.clip(np.searchsorted(sizes, size), 1, len(sizes) - 1))
+    share = (size - sizes[above - 1]) / (sizes[above] - sizes[above - 1])
+    return np.asarray(
+        (1 - share) * ranked[above - 1].psf(width, size / sizes[above - 1])
+        + share * ranked[above].psf(width, size / sizes[above])
+    )
+
+
+def psf_picture(psfs: Sequence[NDArray[np.floating]]) -> NDArray[np.float32]:
+    """Draw PSFs in rows of eight, all at one scale, each up to its own brightest value.
+
+    Parameters
+    ----------
+    psfs : sequence of ndarray of float, shape [k, k]
+
+    Returns
+    -------
+    ndarray of float32, shape [rows, columns]
+        Linear light, 0 to 1; the gaps are grey.
+    """
+    width = max(len(psf) for psf in psfs)
+    factor = max(1, _WIDTH_PX // width)
+    step = width * factor + _GAP_PX
+    rows, columns = -(-len(psfs) // _PER_ROW), min(len(psfs), _PER_ROW)
+    drawn = np.full((rows * step + _GAP_PX, columns * step + _GAP_PX), _GAP_LIGHT, np.float32)
+    for number, psf in enumerate(psfs):
+        padded = np.pad(np.maximum(psf, 0), (width - len(psf)) // 2)
+        tile = np.kron(padded / max(float(padded.max()), 1e-12), np.ones((factor, factor)))
+        top, left = (_GAP_PX + step * place for place in divmod(number, _PER_ROW))
+        drawn[top : top + len(tile), left : left + len(tile)] = tile
+    return drawn

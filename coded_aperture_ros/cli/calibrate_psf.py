@@ -1,0 +1,322 @@
+"""`coded_aperture calibrate psf`: PSFs from photographs of dots, or of a page sharp and coded."""
+
+import argparse
+import json
+import logging
+import math
+import re
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
+from coded_aperture_ros.cli.options import add_gamma_option
+from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.errors import InputError
+
+_EPILOG = """examples:
+  from pictures of a grid of dots, one for each depth, with the depth in the name:
+    coded_aperture calibrate psf dots_2.3m.png dots_2.9m.png dots_4.0m.png \\
+        --camera config/demo_camera.yaml -o psfs.npz --picture psfs.png
+  from a folder of such pictures, with 20 levels between them:
+    coded_aperture calibrate psf dots --mask levin --levels 20 -o psfs.npz
+  from a coded and a sharp picture of one page:
+    coded_aperture calibrate psf coded_page.png --sharp sharp_page.png --depths 2.9 \\
+        --camera config/demo_camera.yaml -o page.npz
+
+Then: coded_aperture learn --psfs psfs.npz -o bank.npz
+"""
+_FAIR_SNR = 20.0
+_UNEVEN = 0.1
+_UNLIKE = 0.15
+_WRONG_SIZE = 0.05
+_WIDEST_PX = 31.0
+_DEPTH_IN_NAME = re.compile(r"(\d+(?:\.\d+)?)m$")
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the action to the sub-command's parser."""
+    parser = subparsers.add_parser(
+        "psf",
+        help="measure PSFs from pictures of dots, or from a sharp and a coded picture",
+        description="Measure the PSFs of a camera, for a stack of equally spaced blur sizes. Dots: "
+        "one picture for each depth of a square grid of equal small lights on black, parallel to "
+        "the sensor. With --sharp: a page with fine texture, with the mask, and once more with a "
+        "small aperture instead. Pictures have to be linear. The middle of the mask's extent is "
+        "that of the PSF; the mask is that of --camera or --mask.",
+        epilog=_EPILOG,
+    )
+    parser.add_argument(
+        "inputs", nargs="+", metavar="FOLDER|PICTURE", help="coded pictures, or a folder of them"
+    )
+    parser.add_argument(
+        "--sharp", nargs="+", metavar="PICTURE", help="sharp picture for each coded one, of pages"
+    )
+    parser.add_argument(
+        "--depths",
+        metavar="Z1,Z2,...",
+        help="depth in m of each picture, by name in a folder (default: as the names end, "
+        "such as a_1.25m.png)",
+    )
+    parser.add_argument(
+        "--camera",
+        metavar="YAML",
+        help="camera file: its mask and its side; with depths, its blur sizes are compared",
+    )
+    parser.add_argument(
+        "--mask",
+        metavar="NAME|FILE",
+        help="the mask (default: the camera file's; without either, a PSF's centre of light is its "
+        "centre, and blur sizes are right in proportion only)",
+    )
+    parser.add_argument(
+        "--levels", type=int, metavar="N", help="PSFs to write (default: one for each picture)"
+    )
+    parser.add_argument(
+        "--largest-blur-px",
+        type=float,
+        metavar="PX",
+        help=f"with --sharp: widest PSF looked for (default {_WIDEST_PX:g})",
+    )
+    add_gamma_option(parser)
+    parser.add_argument("-o", "--output", required=True, metavar="FILE", help="PSF stack (.npz)")
+    parser.add_argument("--picture", metavar="PNG", help="picture of the measured PSFs to write")
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the action; return its exit status."""
+    from coded_aperture_ros.calibration.psf import centre_psf, psf_stack
+    from coded_aperture_ros.optics import load_camera
+
+    depths_m = _check_usage(args)
+    check_suffix(args.output, [".npz"])
+    if args.picture is not None:
+        check_suffix(args.picture, [".png"])
+    names = _pictures(args.inputs)
+    if args.sharp is not None and len(args.sharp) != len(names):
+        args.usage_error(f"--sharp: {len(args.sharp)} for {len(names)} coded pictures")
+    if args.levels is not None and args.levels > 1 and len(names) == 1:
+        args.usage_error("--levels: one PSF cannot be interpolated, give pictures of more depths")
+    if args.levels is not None and args.levels < min(2, len(names)):
+        args.usage_error(f"--levels: at least {min(2, len(names))}, got {args.levels}")
+    for output in filter(None, (args.output, args.picture)):
+        given = (*names, *(args.sharp or ()), args.camera, args.mask)
+        check_output(output, [Path(name) for name in given if name])
+    if depths_m is None:
+        depths_m = _depths_in_names(names)
+    elif len(depths_m) != len(names):
+        args.usage_error(f"--depths: {len(depths_m)} for {len(names)} pictures: give one for each")
+    camera = None if args.camera is None else load_camera(args.camera)
+    mask = _mask(args.mask) if args.mask is not None else camera.mask if camera else None
+    sign = None if camera is None else 1.0 if camera.side == "far" else -1.0
+    expected = None if camera is None or depths_m is None else camera.blur_size_px(depths_m)
+    start = time.perf_counter()
+    size: tuple[int, ...] | None = None
+    measured, centred = [], []
+    for number, name in enumerate(progress(names, len(names), "picture")):
+        picture = _picture(name, args.gamma, names[0], size)
+        size = picture.shape[:2]
+        with naming(name):
+            measured.append(_measured(args, number, picture, mask, sign))
+            centred.append(centre_psf(measured[-1], mask, sign))
+    stack = psf_stack(centred, args.levels, depths_m, names)
+    _write(args, stack, centred)
+    rows = [
+        {
+            "picture": name,
+            "depth_m": None if depths_m is None else depths_m[number],
+            "blur_size_px": round(centred[number].blur_size_px, 4),
+            "camera_blur_size_px": None if expected is None else round(float(expected[number]), 4),
+            "mask_misfit": _number(centred[number].misfit),
+            **_row(measured[number]),
+        }
+        for number, name in enumerate(names)
+    ]
+    warnings = [warning for row in rows for warning in _warnings(row)]
+    summary = {
+        "output": args.output,
+        "picture": args.picture,
+        "levels": len(stack),
+        "blur_sizes_px": [round(float(size), 4) for size in stack.blur_sizes_px],
+        "psf_width_px": stack.psfs.shape[1],
+        "pictures": rows,
+        "warnings": warnings,
+        "seconds": round(time.perf_counter() - start, 3),
+    }
+    for warning in warnings:
+        logging.warning(warning)
+    print(json.dumps(summary, allow_nan=False) if args.json else _table(summary))
+    return 0
+
+
+def _check_usage(args: argparse.Namespace) -> list[float] | None:
+    widest = args.largest_blur_px
+    if widest is not None and args.sharp is None:
+        args.usage_error("--largest-blur-px needs --sharp: dots show how wide they are")
+    if widest is not None and not 1 <= widest < math.inf:
+        args.usage_error(f"--largest-blur-px: expected 1 px or more, got {widest:g}")
+    if args.depths is None:
+        return None
+    try:
+        depths_m = [float(text) for text in args.depths.split(",")]
+    except ValueError:
+        args.usage_error(f"--depths: expected numbers with commas between, got {args.depths!r}")
+        raise
+    if not all(0 < depth < math.inf for depth in depths_m):
+        args.usage_error(f"--depths: expected distances of more than 0 m, got {args.depths}")
+    return depths_m
+
+
+def _pictures(inputs: list[str]) -> list[str]:
+    from coded_aperture_ros.images import open_sequence
+
+    if len(inputs) > 1 or not Path(inputs[0]).is_dir():
+        return inputs
+    return [str(path) for path in open_sequence(inputs[0]).pictures]
+
+
+def _depths_in_names(names: list[str]) -> list[float] | None:
+    """Return the depths that all names end in, or None if none does."""
+    found = [_DEPTH_IN_NAME.search(Path(name).stem) for name in names]
+    if not any(found):
+        return None
+    for name, match in zip(names, found, strict=True):
+        if match is None or not float(match[1]) > 0:
+            raise InputError(
+                f"{name}: no depth at the end of its name, as others have: rename it, such as "
+                "a_1.25m.png, or give all with --depths"
+            )
+    return [float(match[1]) for match in found if match is not None]
+
+
+def _mask(name: str) -> Any:
+    from coded_aperture_ros.optics import MASK_NAMES, Mask
+
+    if name not in MASK_NAMES and Path(name).exists():
+        return Mask.from_file(name)
+    return Mask.named(name)
+
+
+def _picture(name: str, gamma: Any, first: str, size: tuple[int, ...] | None) -> Any:
+    from coded_aperture_ros.images import read_image
+
+    picture = read_image(name, gamma)
+    if size is not None and picture.shape[:2] != size:
+        raise InputError(
+            f"{name}: has {picture.shape[1]}x{picture.shape[0]} px, but {first} has "
+            f"{size[1]}x{size[0]} px: take all pictures with one camera"
+        )
+    return picture
+
+
+def _measured(args: argparse.Namespace, number: int, picture: Any, mask: Any, sign: Any) -> Any:
+    from coded_aperture_ros.calibration.psf import psf_from_dots, psf_from_pair
+    from coded_aperture_ros.images import read_image
+
+    if args.sharp is None:
+        return psf_from_dots(picture, mask, sign)
+    sharp = read_image(args.sharp[number], args.gamma)
+    with naming(f"with {args.sharp[number]}"):
+        return psf_from_pair(sharp, picture, args.largest_blur_px or _WIDEST_PX)
+
+
+def _write(args: argparse.Namespace, stack: Any, centred: Any) -> None:
+    """Write the stack and the picture, or neither."""
+    from coded_aperture_ros.calibration.psf import psf_picture
+    from coded_aperture_ros.files import atomic_output
+    from coded_aperture_ros.images import write_image
+
+    width = max(one.width_px for one in centred)
+    with ExitStack() as files:
+        if args.picture is not None:
+            drawn = psf_picture([one.psf(width) for one in centred])
+            write_image(files.enter_context(atomic_output(args.picture)), drawn, 8, 2.2)
+        stack.save(files.enter_context(atomic_output(args.output)))
+
+
+def _row(measured: Any) -> dict[str, Any]:
+    row = {"snr": round(measured.snr, 2)}
+    if hasattr(measured, "explained"):
+        return row | {
+            "explained": round(measured.explained, 4),
+            "shift_px": list(measured.shift_px),
+        }
+    return row | {
+        "field_variation": _number(measured.field_variation),
+        "spacing_px": round(measured.spacing_px, 3),
+        "dots_used": measured.used,
+        "dots_saturated": measured.saturated,
+        "dots_rejected": measured.rejected,
+        "dots_missing": measured.missing,
+    }
+
+
+def _number(value: float) -> float | None:
+    return round(value, 4) if math.isfinite(value) else None
+
+
+def _warnings(row: dict[str, Any]) -> list[str]:
+    name, size, expected = row["picture"], row["blur_size_px"], row["camera_blur_size_px"]
+    warnings = []
+    if row["snr"] < _FAIR_SNR:
+        warnings.append(
+            f"{name}: noise is {1 / row['snr']:.0%} of the PSF: expose for longer, or average "
+            "several pictures"
+        )
+    if (row.get("field_variation") or 0) > _UNEVEN:
+        warnings.append(
+            f"{name}: the PSF differs by {row['field_variation']:.0%} over the picture: check that "
+            "the grid is parallel to the sensor; else the lens is the cause"
+        )
+    if (row["mask_misfit"] or 0) > _UNLIKE:
+        warnings.append(
+            f"{name}: the PSF differs from the mask's by {row['mask_misfit']:.0%}: check the mask, "
+            "its orientation, and that the lights are small"
+        )
+    if row.get("dots_missing") or row.get("dots_saturated"):
+        warnings.append(
+            f"{name}: {row['dots_missing']} dots are missing, {row['dots_saturated']} saturated "
+            "ones left out"
+        )
+    if expected is not None and abs(size - expected) > max(_WRONG_SIZE * abs(expected), 0.2):
+        warnings.append(
+            f"{name}: the blur is {size:.2f} px, by the camera file {expected:.2f} px: check "
+            "depths, focus_distance_m and mask_extent_mm"
+        )
+    return warnings
+
+
+def _table(summary: dict[str, Any]) -> str:
+    rows = summary["pictures"]
+    dots = "dots_used" in rows[0]
+    width = max(7, *(len(row["picture"]) for row in rows))
+    last = "  field  dots  saturated  unlike  missing" if dots else "  explained  shift px"
+    lines = [f"{'picture':{width}}  depth m  blur px  camera px  misfit    SNR{last}"]
+    for row in rows:
+        line = (
+            f"{row['picture']:{width}}{_cell(row['depth_m'], 9, '.3f')}"
+            f"{_cell(row['blur_size_px'], 9, '.2f')}"
+            f"{_cell(row['camera_blur_size_px'], 11, '.2f')}"
+            f"{_cell(row['mask_misfit'], 8, '.1%')}{_cell(row['snr'], 7, '.0f')}"
+        )
+        if dots:
+            line += (
+                f"{_cell(row['field_variation'], 7, '.1%')}{row['dots_used']:6}"
+                f"{row['dots_saturated']:11}{row['dots_rejected']:8}{row['dots_missing']:9}"
+            )
+        else:
+            down, right = row["shift_px"]
+            line += f"{_cell(row['explained'], 11, '.1%')}{f'{down}, {right}':>10}"
+        lines.append(line)
+    sizes, count = summary["blur_sizes_px"], summary["levels"]
+    lines.append(
+        f"{summary['output']}: {count} PSF{'s' if count > 1 else ''} of {sizes[0]:.2f} to "
+        f"{sizes[-1]:.2f} px; {summary['seconds']:.1f} s"
+    )
+    return "\n".join(lines)
+
+
+def _cell(value: float | None, width: int, form: str) -> str:
+    return f"{'-' if value is None else format(value, form):>{width}}"
