@@ -150,7 +150,9 @@ def restore_sparse(
                 for coded, scene in zip(channels, scenes, strict=True)
             ]
             trusted = weight * _explained(left, noise, allowed)
-            if _MEDIAN_TO_STD * np.median(np.abs(left[0])) > _DISCREPANCY * noise:
+            # Not before the larger alpha has nearly been solved, which takes fewer iterations.
+            unexplained = _MEDIAN_TO_STD * np.median(np.abs(left[0])) > _DISCREPANCY * noise
+            if unexplained and done >= iterations // 2:
                 alpha = max(least, _LESS * alpha)
         edges = sparse_weights(scenes)
         # The weights' typical size: between the arithmetic mean, of smooth areas, and the harmonic
