@@ -416,3 +416,14 @@ def test_help_shows_examples(capsys, words):
     examples = text.partition("examples:")[2]
     assert " ".join(("coded_aperture bench deblur", *words)) in examples
     assert max(map(len, text.splitlines())) <= 100
+
+
+def test_speed_tells_time_of_grey_and_colour(capsys):
+    small = ("bench", "deblur", "speed", "--size", "160x120", "--count", 2)
+    cells = json_of(capsys, *small, "--methods", "fast")["cells"]
+    assert [(cell["method"], cell["channels"]) for cell in cells] == [("fast", 1), ("fast", 3)]
+    assert all(0 < cell["p50_ms"] <= cell["p99_ms"] for cell in cells)
+    assert "frames/s" in call(capsys, *small, "--methods", "cg").out
+    wrong = call(capsys, *small, "--methods", "best")
+    assert wrong.status == 2
+    assert "unknown method 'best', use some of fast, cg, sparse" in wrong.err

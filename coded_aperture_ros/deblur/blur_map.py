@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.depth import DEPTH_EDGE_PX
 
-# Sharper specks narrower than this are outliers of the depth, px.
+# Sharper specks narrower than this are outliers of the depth, px of the frame.
 _SPECK_PX = 9
 # How far from a depth edge the smaller blur size is used, px.
 _EDGE_REACH_PX = 10
@@ -18,10 +18,14 @@ MODEL_ERROR = 0.0015
 _ERROR_PER_PX, _AROUND_PX = 0.0014, 15
 
 
-def without_specks(blur: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return blur sizes without small spots that are sharper than all around them."""
+def without_specks(blur: NDArray[np.float32], reduction: int = 1) -> NDArray[np.float32]:
+    """Return blur sizes without small spots that are sharper than all around them.
+
+    `reduction` says how many times smaller than the frame the map is.
+    """
     amount = np.abs(blur)
-    square = np.ones((_SPECK_PX, _SPECK_PX), np.uint8)
+    side = _SPECK_PX // reduction | 1
+    square = np.ones((side, side), np.uint8)
     closed = cv2.morphologyEx(amount, cv2.MORPH_CLOSE, square)
     return np.where(closed - amount > DEPTH_EDGE_PX, np.copysign(closed, blur), blur)
 

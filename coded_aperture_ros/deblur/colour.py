@@ -1,5 +1,6 @@
 """Colour as one brightness and two differences that share their edges."""
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,12 +29,11 @@ def opponents(image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
     """
     if image.ndim == 2:
         return [image]
-    mixed = image @ _OPPONENTS.T
-    return [np.ascontiguousarray(mixed[..., channel]) for channel in range(3)]
+    return list(cv2.split(cv2.transform(image, _OPPONENTS)))
 
 
 def from_opponents(channels: list[NDArray[np.float32]]) -> NDArray[np.float32]:
     """Undo `opponents`."""
     if len(channels) == 1:
         return channels[0]
-    return np.dstack(channels) @ _OPPONENTS
+    return np.asarray(cv2.transform(cv2.merge(channels), _OPPONENTS.T), np.float32)

@@ -18,7 +18,9 @@ _STEPS_PER_ERROR = 4
 # The error that a change of blur size within reach of the filters makes, per pixel of its standard
 # deviation; from the best choice on ray-traced scenes.
 _ERROR_PER_PX = 0.03
-# How far the surroundings matter, in px of half the frame's size: about the largest blur, where
+# Weights change slowly: a map of so many times fewer rows and columns tells them.
+REDUCTION = 2
+# How far the surroundings matter, in px of that map: about the largest blur, where
 # filters reach strongest.
 _SURROUNDINGS_PX = 21
 # Frames are extended by this margin, or by the width of the PSFs, before they are filtered.
@@ -57,8 +59,24 @@ class InverseFilters:
         for noise in _NOISES[:-1]:
             self._transforms(noise, self._padded_shape(shape))
 
+    def places(self, blur: NDArray[np.float32]) -> NDArray[np.intp]:
+        """Return the place of every pixel in the tables of coefficients, of any rank and noise.
+
+        Parameters
+        ----------
+        blur : ndarray, float32 [rows / 2, columns / 2], rounded up (`REDUCTION`)
+            Signed blur sizes in px of the frame, finite.
+        """
+        sizes = self._stack.blur_sizes_px[self._order]
+        level = np.interp(blur, sizes, np.arange(len(sizes)))
+        errors = np.arange(len(_MODEL_ERRORS))
+        error = np.interp(np.log(_model_error(blur)), np.log(_MODEL_ERRORS), errors)
+        columns = _STEPS_PER_ERROR * (len(_MODEL_ERRORS) - 1) + 1
+        row = np.rint(level * _STEPS_PER_LEVEL).astype(np.intp)
+        return row * columns + np.rint(error * _STEPS_PER_ERROR).astype(np.intp)
+
     def apply(
-        self, channels: list[NDArray[np.float32]], blur: NDArray[np.float32], noise: float
+        self, channels: list[NDArray[np.float32]], places: NDArray[np.intp], noise: float
     ) -> list[NDArray[np.float32]]:
         """Deblur the channels of a frame.
 
@@ -66,22 +84,22 @@ class InverseFilters:
         ----------
         channels : list of ndarray, float32 [rows, columns]
             Finite.
-        blur : ndarray, float32 [rows, columns]
-            Signed blur sizes in px, finite.
+        places : ndarray, intp [rows / 2, columns / 2]
+            See `places`.
         noise : float
             Standard deviation, > 0.
         """
         basis_noise = min(_NOISES, key=lambda known: abs(np.log(known / noise)))
-        transforms = self._transforms(basis_noise, self._padded_shape(blur.shape))
+        height, width = channels[0].shape
+        transforms = self._transforms(basis_noise, self._padded_shape((height, width)))
         # Steps of a tenth of a decade: there are few different tables.
         lookup = self._lookup_table(basis_noise, round(10 * np.log10(noise)))
-        # Weights change slowly: half of the rows and columns tell them.
-        size = blur.shape[::-1]
-        coarse = cv2.resize(
-            blur, (-(-size[0] // 2), -(-size[1] // 2)), interpolation=cv2.INTER_AREA
-        )
-        index = self._lookup_index(coarse, _model_error(coarse))
-        weights = [cv2.resize(np.take(column, index), size) for column in lookup]
+        weights = [np.empty(0, np.float32)] * len(lookup)
+
+        def weigh(kernel: int, thread: int) -> None:
+            weights[kernel] = cv2.resize(np.take(lookup[kernel], places), (width, height))
+
+        self._workers.each(weigh, range(len(lookup)))
         return [self._filter(channel, transforms, weights) for channel in channels]
 
     def _filter(
@@ -98,7 +116,7 @@ class InverseFilters:
         padded = cv2.copyMakeBorder(
             channel, margin, below, margin, right, borderType=cv2.BORDER_REPLICATE
         )
-        spectrum = scipy.fft.rfft2(padded)
+        spectrum = scipy.fft.rfft2(padded, workers=self._workers.threads)
         inside = slice(margin, margin + height), slice(margin, margin + width)
         sums = [np.zeros_like(channel) for _ in range(self._workers.threads)]
 
@@ -131,16 +149,6 @@ class InverseFilters:
             above = (position - lower).astype(np.float32)[:, None, None]
             table = np.moveaxis(table[lower] * (1 - above) + table[lower + 1] * above, 0, axis)
         return np.ascontiguousarray(table.reshape(-1, table.shape[-1]).T)
-
-    def _lookup_index(
-        self, blur: NDArray[np.float32], model_error: NDArray[np.float32]
-    ) -> NDArray[np.intp]:
-        sizes = self._stack.blur_sizes_px[self._order]
-        level = np.interp(blur, sizes, np.arange(len(sizes)))
-        error = np.interp(np.log(model_error), np.log(_MODEL_ERRORS), np.arange(len(_MODEL_ERRORS)))
-        columns = _STEPS_PER_ERROR * (len(_MODEL_ERRORS) - 1) + 1
-        row = np.rint(level * _STEPS_PER_LEVEL).astype(np.intp)
-        return row * columns + np.rint(error * _STEPS_PER_ERROR).astype(np.intp)
 
 
 def smoothed(sharp: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -25,8 +25,9 @@ def filled_blur_map(
     blur_size_px: NDArray[np.float32],
     frame: NDArray[np.float32],
     confidence: NDArray[np.float32] | None = None,
+    reduction: int = 1,
 ) -> NDArray[np.float32]:
-    """Fill the gaps of a blur map and bring it to the size of its frame.
+    """Fill the gaps of a blur map and bring it to the size of its frame, or a part of that.
 
     Gaps take the value of the nearest known pixel; with a confidence, of the nearest one that is
     at least as sure as half of those that are known.
@@ -38,11 +39,13 @@ def filled_blur_map(
     frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
         The frame that the map covers; it guides the edges of a smaller map.
     confidence : ndarray, float32 [map rows, map columns], optional
+    reduction : int, optional
+        So many times smaller than the frame the map shall be.
 
     Returns
     -------
-    ndarray, float32 [rows, columns]
-        Finite.
+    ndarray, float32 [rows / reduction, columns / reduction], rounded up
+        Finite; still in pixels of the frame.
 
     Raises
     ------
@@ -68,9 +71,13 @@ def filled_blur_map(
             source = known & (confidence >= np.median(confidence[known]))
         _, (row, column) = ndimage.distance_transform_edt(~source, return_indices=True)
         filled = np.where(known, filled, filled[row, column])
-    if filled.shape == frame.shape[:2]:
+    rows, columns = (-(-length // reduction) for length in frame.shape[:2])
+    if filled.shape == (rows, columns):
         return filled
-    return _enlarged(filled, frame if frame.ndim == 2 else frame.mean(axis=2))
+    if len(filled) > rows:
+        return np.asarray(cv2.resize(filled, (columns, rows), interpolation=cv2.INTER_AREA))
+    guide = cv2.resize(frame, (columns, rows), interpolation=cv2.INTER_AREA)
+    return _enlarged(filled, guide if guide.ndim == 2 else guide.mean(axis=2))
 
 
 def _enlarged(small: NDArray[np.float32], grey: NDArray[np.float32]) -> NDArray[np.float32]:

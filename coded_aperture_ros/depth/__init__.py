@@ -7,7 +7,7 @@ from coded_aperture_ros.depth.estimate import (
     depths_are_measured,
 )
 from coded_aperture_ros.depth.frame import check_frame, filled
-from coded_aperture_ros.depth.noise import estimate_noise
+from coded_aperture_ros.depth.noise import estimate_noise, high_power
 from coded_aperture_ros.depth.rims import DEPTH_EDGE_PX
 from coded_aperture_ros.depth.stages import Stages
 from coded_aperture_ros.depth.still import StillAverage
@@ -25,4 +25,5 @@ __all__ = [
     "estimate_noise",
     "estimate_video",
     "filled",
+    "high_power",
 ]

@@ -49,7 +49,7 @@ def estimate_noise(
     Parameters
     ----------
     high_power : ndarray, float32
-        Of each of a frame's windows; see `high_power`, or `WindowedFourierBasis.noise_weights`.
+        Of each of a frame's windows; see `high_power`.
     shot_variance : ndarray, float32 of the same shape, optional
         Variance of what is known of the noise, and left out of the estimate: its shot noise.
 
