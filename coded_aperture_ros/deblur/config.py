@@ -39,7 +39,7 @@ class DeblurConfig:
     occlusion: str = option(
         "auto",
         "Whether cg and sparse reckon with foregrounds that hide a part of what is behind them; "
-        "auto: where the PSFs are small enough for the memory.",
+        "auto: sparse does, where the PSFs are small enough for the memory.",
         choices=("auto", "yes", "no"),
     )
     iterations: int = option(
