@@ -64,6 +64,12 @@ def add_parser(subparsers: Any) -> None:
         metavar="N",
         help=f"frames to measure (default: {_FRAMES['fast']} for fast, {_FRAMES['cg']} for others)",
     )
+    parser.add_argument(
+        "--backend",
+        default="numpy",
+        metavar="NAME",
+        help="what cg computes with: numpy, torch, cuda or auto (default numpy)",
+    )
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
 
@@ -74,7 +80,10 @@ def run(args: argparse.Namespace) -> int:
             args.usage_error(
                 f"--methods: unknown method {method!r}, use some of {', '.join(own_methods())}"
             )
+    from coded_aperture_ros.engine import check_backend
     from coded_aperture_ros.evaluation.speed.machine import opencv_threads
+
+    check_backend(args.backend)
 
     cases = [(method, colour) for method in args.methods for colour in (False, True)]
     with opencv_threads(args.threads):
@@ -83,6 +92,7 @@ def run(args: argparse.Namespace) -> int:
         "benchmark": "deblur speed",
         "size": list(args.size),
         "threads": args.threads,
+        "backend": args.backend,
         "cells": rows,
     }
     print(json.dumps(results, indent=1) if args.json else _table(results))
@@ -107,7 +117,8 @@ def _measure(args: argparse.Namespace, method: str, colour: bool) -> dict[str, A
     bands = np.arange(columns) * 4 // columns
     blur = stack.blur_sizes_px[np.linspace(0, _LEVELS - 1, 4).round().astype(int)][bands]
     blur_map = np.tile(blur.astype(np.float32), (rows, 1))
-    deblurrer = Deblurrer(stack, DeblurConfig(method=method, threads=args.threads))
+    config = DeblurConfig(method=method, threads=args.threads, backend=args.backend)
+    deblurrer = Deblurrer(stack, config)
     seconds = []
     count = args.count or _FRAMES.get(method, _FRAMES["cg"])
     for number in range(count + 1):

@@ -3,6 +3,7 @@
 import dataclasses
 
 from coded_aperture_ros.configuration import check_options, option
+from coded_aperture_ros.engine import BACKENDS, check_backend
 from coded_aperture_ros.threads import check_threads
 
 
@@ -76,6 +77,12 @@ class DeblurConfig:
         maximum=64,
         read_only=True,
     )
+    backend: str = option(
+        "numpy",
+        "What cg computes with: torch needs PyTorch, cuda a GPU beside; auto takes the GPU where "
+        "there is one.",
+        choices=BACKENDS,
+    )
     threads: int = option(
         1,
         "Threads of the processor for the filters; at most as many as it has cores.",
@@ -86,4 +93,5 @@ class DeblurConfig:
 
     def __post_init__(self) -> None:
         check_options(self)
+        check_backend(self.backend)
         check_threads(self.threads)

@@ -1,21 +1,20 @@
 """Conjugate gradients, preconditioned, for symmetric positive definite systems."""
 
 from collections.abc import Callable
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-Linear = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+# Arrays of NumPy, or tensors of PyTorch on any device: only what both can do is done to them.
+Linear = Callable[[Any], Any]
 
 
 def conjugate_gradients(
     system: Linear,
-    right_side: NDArray[np.float32],
-    start: NDArray[np.float32],
+    right_side: Any,
+    start: Any,
     preconditioner: Linear,
     tolerance: float,
     iterations: int,
-) -> tuple[NDArray[np.float32], int]:
+) -> tuple[Any, int]:
     """Solve ``system(x) = right_side``.
 
     Stops when the gradient (thesis eq. 6.28) is below `tolerance` times the right side's norm, or
@@ -25,32 +24,36 @@ def conjugate_gradients(
     ----------
     system, preconditioner : callable
         Linear, symmetric, positive definite; the second is near the first one's inverse.
-    right_side, start : ndarray, float32
+    right_side, start : ndarray or torch.Tensor, float32
         Of one shape.
     tolerance : float
     iterations : int
 
     Returns
     -------
-    solution : ndarray, float32
+    solution : ndarray or torch.Tensor, float32
     iterations : int
         That were needed.
     """
-    solution = start.copy()
+    solution = start + 0
     residual = right_side - system(solution)
-    enough = tolerance * float(np.linalg.norm(right_side))
-    direction = np.zeros_like(solution)
+    enough = tolerance**2 * _product(right_side, right_side)
+    direction = 0 * solution
     last = 1.0
     for iteration in range(iterations):
-        if float(np.linalg.norm(residual)) <= enough:
+        if _product(residual, residual) <= enough:
             return solution, iteration
         conditioned = preconditioner(residual)
-        product = float(np.vdot(residual, conditioned))
-        direction *= np.float32(product / last if iteration else 0)
+        product = _product(residual, conditioned)
+        direction *= product / last if iteration else 0
         direction += conditioned
         last = product
         image = system(direction)
-        step = np.float32(product / float(np.vdot(direction, image)))
+        step = product / _product(direction, image)
         solution += step * direction
         residual -= step * image
     return solution, iterations
+
+
+def _product(first: Any, second: Any) -> float:
+    return float((first * second).sum())

@@ -15,7 +15,7 @@ from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.deblur.restore import restore_quadratic, restore_sparse
 from coded_aperture_ros.deblur.steady import SteadyFrames
 from coded_aperture_ros.depth import check_frame, estimate_noise, filled, high_power
-from coded_aperture_ros.engine import Workers
+from coded_aperture_ros.engine import Workers, torch_device
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import PsfStack
 
@@ -31,7 +31,7 @@ _FAST_REACH = 1.4
 # The share of the places in a video that may have more noise than is reckoned with.
 _FEW = 0.1
 # Residual, in units of the noise, from which a pixel's depth is taken for wrong.
-_MISFIT, _MISFIT_OF_EXACT_DEPTH = 2.0, 2.5
+_MISFIT, _MISFIT_OF_EXACT_DEPTH = 2.0, 2.8
 # Occlusion is reckoned with, unless told otherwise, where its weights fit into so much memory.
 _OCCLUSION_BYTES = 512 * 2**20
 
@@ -182,6 +182,11 @@ class Deblurrer:
     def _operator(self, blur: NDArray[np.float32]) -> BlurOperator:
         if self._basis is None:
             self._basis = PsfBasis.of(self.stack)
+        device = torch_device(self.config.backend) if self.config.method == "cg" else None
+        if device is not None:
+            from coded_aperture_ros.deblur.torch_blur import TorchBlur
+
+            return TorchBlur(self._basis, blur, device, self._workers.threads)
         offsets = self._basis.kernels[0].size
         occlusion = self.config.occlusion
         fits = self.stack.in_pixels and 4 * offsets * blur.size <= _OCCLUSION_BYTES

@@ -5,7 +5,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.deblur.operator import scene_around
+from coded_aperture_ros.deblur.operator import OnProcessor, scene_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.engine import Workers
 
@@ -18,7 +18,7 @@ _IN_FRONT_PX = 0.25
 _BAND_ROWS = 48
 
 
-class OccludedBlur:
+class OccludedBlur(OnProcessor):
     """Every pixel collects the light of all rays through the aperture that nothing stops.
 
     The ray of pixel ``x`` that meets a surface of blur size ``s`` at ``y`` passes, on its way, the

@@ -1,13 +1,13 @@
 """The blur of a whole frame as a linear operator, and its adjoint."""
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.deblur.psf_basis import PsfBasis, transfer_function
+from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.engine import Workers
 
 
@@ -22,15 +22,36 @@ class BlurOperator(Protocol):
     scene_shape: tuple[int, int]
     margin_px: int
     workers: Workers
+    fft: Any
 
-    def forward(self, scene: NDArray[np.float32]) -> NDArray[np.float32]:
+    def array(self, values: NDArray[np.float32]) -> Any:
+        """Bring an array to where the operator computes."""
+
+    def to_numpy(self, values: Any) -> NDArray[np.float32]:
+        """Bring a result back."""
+
+    def forward(self, scene: Any) -> Any:
         """Blur a scene, float32 of `scene_shape`; return the frame, float32 of `shape`."""
 
-    def adjoint(self, frame: NDArray[np.float32]) -> NDArray[np.float32]:
+    def adjoint(self, frame: Any) -> Any:
         """Apply the transpose of `forward` to a frame; return a scene."""
 
-    def ranges(self, count: int) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    def ranges(self, count: int) -> list[tuple[Any, Any]]:
         """Divide the scene among ranges of blur sizes; see `PsfBasis.ranges`."""
+
+
+class OnProcessor:
+    """An operator on arrays of NumPy, with the Fourier transforms of SciPy."""
+
+    fft: Any = scipy.fft
+
+    def array(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the array itself."""
+        return values
+
+    def to_numpy(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the array itself."""
+        return values
 
 
 def scene_around(
@@ -50,7 +71,7 @@ def frame_within(scene: NDArray[np.float32], operator: BlurOperator) -> NDArray[
     return scene[margin : margin + rows, margin : margin + columns]
 
 
-class SpreadingBlur:
+class SpreadingBlur(OnProcessor):
     """Every point of the scene spreads its light by the PSF of its own depth.
 
     The columns of the thesis' ``H_d`` (eq. 3.26) are those PSFs. With PSFs that are combinations
@@ -79,9 +100,9 @@ class SpreadingBlur:
     ) -> None:
         rows, columns = blur_size_px.shape
         self.shape, self.margin_px = (rows, columns), basis.margin_px
-        self.scene_shape = _fast_shape(self.shape, self.margin_px)
+        self.scene_shape = fast_shape(self.shape, self.margin_px)
         self.workers = workers or Workers()
-        self._transforms = [transfer_function(k, self.scene_shape) for k in basis.kernels]
+        self._transforms = basis.transforms(self.scene_shape)
         self._basis = basis
         steps = scene_around(basis.steps_of(blur_size_px).astype(np.float32), self)
         self._steps = steps.astype(np.intp)
@@ -120,6 +141,7 @@ class SpreadingBlur:
         return self._basis.ranges(self._steps, count)
 
 
-def _fast_shape(shape: tuple[int, int], margin_px: int) -> tuple[int, int]:
+def fast_shape(shape: tuple[int, int], margin_px: int) -> tuple[int, int]:
+    """Return the size of a scene that has a margin and suits Fourier transforms."""
     rows, columns = (scipy.fft.next_fast_len(n + 2 * margin_px, real=True) for n in shape)
     return rows, columns

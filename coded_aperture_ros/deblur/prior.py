@@ -1,5 +1,7 @@
 """What sharp images look like: quadratic forms of small filters."""
 
+from functools import lru_cache
+
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
@@ -78,24 +80,21 @@ def high_order_filters(covariance: NDArray[np.float64]) -> NDArray[np.float32]:
     return kept.T.reshape(-1, side, side).astype(np.float32)
 
 
-def quadratic_power(
-    shape: tuple[int, int], filters: NDArray[np.float32] | None = None
-) -> NDArray[np.float32]:
-    """Return the power spectrum of ``Sigma^T Sigma`` for images of `shape`.
+@lru_cache(maxsize=2)
+def quadratic_power(shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Return the power spectrum of ``Sigma^T Sigma`` of natural images; do not write to it.
 
     Parameters
     ----------
     shape : (int, int)
-    filters : ndarray, float32 [F, side, side], optional
-        The high-order ones of natural images by default.
+        Of the images.
 
     Returns
     -------
     ndarray, float32, laid out as by ``scipy.fft.rfft2``
         Every pixel is in as many patches as they have pixels: of these the mean.
     """
-    if filters is None:
-        filters = high_order_filters(natural_covariance(_SIDE_PX))
+    filters = high_order_filters(natural_covariance(_SIDE_PX))
     power = np.zeros((shape[0], shape[1] // 2 + 1))
     for each in filters:
         padded = np.zeros(shape, np.float32)

@@ -1,6 +1,7 @@
 """The PSFs of all blur sizes as combinations of a few kernels."""
 
 import dataclasses
+from functools import lru_cache
 
 import numpy as np
 import scipy.fft
@@ -81,6 +82,11 @@ class PsfBasis:
             np.interp(fine, at, stack.blur_sizes_px[order]),
         )
 
+    @lru_cache(maxsize=2)  # noqa: B019 - as many sizes of frames as a camera has
+    def transforms(self, shape: tuple[int, int]) -> list[NDArray[np.complex64]]:
+        """Return the transforms of the kernels for images of a shape; see `transfer_function`."""
+        return [transfer_function(kernel, shape) for kernel in self.kernels]
+
     @property
     def margin_px(self) -> int:
         """How far a PSF reaches from its centre."""
@@ -111,7 +117,10 @@ class PsfBasis:
             ``|H|^2`` over its pixels.
         """
         shape = (steps.shape[0], steps.shape[1])
-        transforms = np.array([transfer_function(kernel, shape) for kernel in self.kernels])
+        # Powers are the transforms of autocorrelations, which are small images.
+        reach = self.kernels.shape[-1] - 1
+        side = scipy.fft.next_fast_len(2 * reach + 1, real=True)
+        transforms = np.array([transfer_function(kernel, (side, side)) for kernel in self.kernels])
         middles = np.linspace(steps.min(), steps.max(), count) if np.ptp(steps) else steps[:1, 0]
         width = max(float(middles[-1] - middles[0]) / max(len(middles) - 1, 1), 1e-3)
         divided = []
@@ -124,7 +133,10 @@ class PsfBasis:
             together = ((self.table * (weight / weight.sum())) @ self.table.T).astype(np.float32)
             mixed = np.tensordot(together, transforms, axes=1)
             power = np.sum(mixed.real * transforms.real + mixed.imag * transforms.imag, axis=0)
-            divided.append((np.sqrt(share), power))
+            correlation = scipy.fft.fftshift(scipy.fft.irfft2(power, (side, side)))
+            inside = slice(side // 2 - reach, side // 2 + reach + 1)
+            power = transfer_function(correlation[inside, inside], shape).real
+            divided.append((np.sqrt(share), np.maximum(power, 0)))
         return divided
 
     def psfs(self) -> NDArray[np.float32]:

@@ -71,14 +71,19 @@ def plan_engine(
     check_backend(backend)
     if not isinstance(bank, FilterBank):
         return PlainEngine(bank, shape, stride_px)
-    if backend == "auto":
-        backend = "cuda" if _has_cuda() else "numpy"
-    if backend == "numpy":
+    device = torch_device(backend)
+    if device is None:
         return NumpyEngine(bank, shape, stride_px, threads)
     from coded_aperture_ros.engine.torch_engine import TorchEngine
 
-    device = "cuda" if backend == "cuda" else "cpu"
     return TorchEngine(bank, shape, stride_px, threads, device)
+
+
+def torch_device(backend: str) -> str | None:
+    """Return PyTorch's name of the device of a backend that is there; None for NumPy."""
+    if backend == "auto":
+        backend = "cuda" if _has_cuda() else "numpy"
+    return {"torch": "cpu", "cuda": "cuda"}.get(backend)
 
 
 def check_backend(backend: str) -> None:

@@ -1,0 +1,92 @@
+"""The blur of a whole frame on PyTorch, for the processor or a GPU."""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from coded_aperture_ros.deblur.operator import fast_shape, scene_around
+from coded_aperture_ros.deblur.psf_basis import PsfBasis
+from coded_aperture_ros.engine import Workers
+
+
+class TorchBlur:
+    """The operator of `SpreadingBlur`, all kernels at once.
+
+    Parameters
+    ----------
+    basis : PsfBasis
+    blur_size_px : ndarray, float32 [rows, columns]
+        Signed blur size of every pixel, finite.
+    device : str
+        `cpu` or `cuda`.
+    threads : int, optional
+        Of the processor.
+    """
+
+    fft = torch.fft
+
+    def __init__(
+        self, basis: PsfBasis, blur_size_px: NDArray[np.float32], device: str, threads: int = 1
+    ) -> None:
+        # PyTorch's for the whole process.
+        torch.set_num_threads(threads)
+        rows, columns = blur_size_px.shape
+        self.shape, self.margin_px = (rows, columns), basis.margin_px
+        self.scene_shape = fast_shape(self.shape, self.margin_px)
+        # Operations on whole stacks of images: PyTorch shares them among threads by itself.
+        self.workers = Workers()
+        self._device = device
+        side = basis.kernels.shape[-1]
+        padded = torch.zeros(len(basis.kernels), *self.scene_shape, device=device)
+        padded[:, :side, :side] = self.array(basis.kernels)
+        middle = (-(side // 2), -(side // 2))
+        self._transforms = torch.fft.rfft2(padded.roll(middle, dims=(1, 2)))
+        steps = scene_around(basis.steps_of(blur_size_px).astype(np.float32), self)
+        self._steps, self._table = self.array(steps).long(), self.array(basis.table)
+        self._shares = self._table[:, self._steps]
+        self._scale = torch.ones(self.shape, device=device)
+        self._scale /= self.forward(torch.ones(self.scene_shape, device=device))
+
+    def array(self, values: NDArray[np.float32]) -> torch.Tensor:
+        """Bring an array to the device."""
+        return torch.from_numpy(np.ascontiguousarray(values)).to(self._device)
+
+    def to_numpy(self, values: torch.Tensor) -> NDArray[np.float32]:
+        """Bring a result back."""
+        result: NDArray[np.float32] = values.cpu().numpy()
+        return result
+
+    def forward(self, scene: torch.Tensor) -> torch.Tensor:
+        """Blur a scene."""
+        spectrum = (torch.fft.rfft2(self._shares * scene) * self._transforms).sum(dim=0)
+        return self._within(torch.fft.irfft2(spectrum, self.scene_shape)) * self._scale
+
+    def adjoint(self, frame: torch.Tensor) -> torch.Tensor:
+        """Apply the transpose."""
+        scene = torch.zeros(self.scene_shape, device=self._device)
+        self._within(scene).copy_(frame * self._scale)
+        spectra = torch.fft.rfft2(scene) * self._transforms.conj()
+        return (torch.fft.irfft2(spectra, self.scene_shape) * self._shares).sum(dim=0)
+
+    def ranges(self, count: int) -> list[tuple[torch.Tensor, torch.Tensor]]:
+        """Divide the scene among ranges of blur sizes; see `PsfBasis.ranges`."""
+        steps = self._steps.float()
+        first, last = float(steps.min()), float(steps.max())
+        middles = np.linspace(first, last, count if last > first else 1)
+        width = max((last - first) / max(len(middles) - 1, 1), 1e-3)
+        divided = []
+        for middle in middles:
+            share = (1 - (steps - float(middle)).abs() / width).clamp(min=0)
+            weight = torch.bincount(self._steps.ravel(), share.ravel(), self._table.shape[1])
+            if not weight.sum() > 0:
+                continue
+            together = (self._table * (weight / weight.sum())) @ self._table.T
+            mixed = torch.tensordot(together.to(self._transforms.dtype), self._transforms, dims=1)
+            power = (mixed * self._transforms.conj()).real.sum(dim=0)
+            divided.append((share.sqrt(), power))
+        return divided
+
+    def _within(self, scene: torch.Tensor) -> torch.Tensor:
+        """Return the part of a scene that the frame shows."""
+        margin, (rows, columns) = self.margin_px, self.shape
+        return scene[margin : margin + rows, margin : margin + columns]
