@@ -17,6 +17,7 @@ LAYERS = (
     ("bank",),
     ("engine",),
     ("depth",),
+    ("simple",),
     ("deblur",),
     ("calibration",),
     ("evaluation",),

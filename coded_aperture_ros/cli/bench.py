@@ -7,8 +7,8 @@ from typing import Any
 from coded_aperture_ros.cli.options import add_commands
 
 BENCHMARKS: dict[str, Any] = {
-    name: import_module(f"coded_aperture_ros.cli.bench_{name}")
-    for name in ("accuracy", "deblur", "speed")
+    name: import_module(f"coded_aperture_ros.cli.bench_{name.replace('-', '_')}")
+    for name in ("accuracy", "deblur", "speed", "simple-speed")
 }
 _EPILOG = """examples:
   blur identification on the thesis' stair of blur sizes, next to the numbers of the thesis:
@@ -17,6 +17,8 @@ _EPILOG = """examples:
     coded_aperture bench deblur scenes desk/ corridor/
   time of a frame and of its stages, next to what the machine could do and to other methods:
     coded_aperture bench speed
+  the same for masks of a few equal holes:
+    coded_aperture bench simple-speed
   what each benchmark is, and its options:
     coded_aperture bench accuracy --help
 """

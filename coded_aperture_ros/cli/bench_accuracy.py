@@ -8,7 +8,7 @@ from coded_aperture_ros.cli.options import add_commands
 
 FRAMES: dict[str, Any] = {
     name: import_module(f"coded_aperture_ros.cli.bench_{name.replace('-', '_')}")
-    for name in ("stair", "two-plane", "scenes", "video")
+    for name in ("stair", "two-plane", "simple", "scenes", "video")
 }
 _EPILOG = """examples:
   all of the thesis' masks we have, with and without regularisation:
@@ -16,6 +16,8 @@ _EPILOG = """examples:
         zhou mura --methods bank bank-graphcut
   what happens at an occluding edge:
     coded_aperture bench accuracy two-plane
+  masks of a few equal holes, next to table 5.1 of the thesis:
+    coded_aperture bench accuracy simple
   metric depth of ray-traced scenes:
     coded_aperture bench accuracy scenes desk/ corridor/
   how much steadier the depth of a video is when it is filtered over time:

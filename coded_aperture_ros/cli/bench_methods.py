@@ -24,6 +24,10 @@ _PLAIN_WINDOW_PX = 48
 _BARE: dict[str, Any] = {"regularize": "none", "rim": 0.0}
 # The thesis' own method.
 SUBSPACE = "subspace"
+# The method for masks of a few equal holes; `simple-graphcut` and so on are regularised.
+SIMPLE = "simple"
+# What the thesis has in its place.
+CONDITIONAL = "conditional"
 # Reference methods learn a weight for every level. One stair has a single texture for each.
 _TRAINING_STAIRS = 4
 # The seed decides the noise too: it has to be another one than in any test.
@@ -97,6 +101,11 @@ def bank_methods() -> dict[str, str]:
     return {BANK: "none"} | {f"{BANK}-{how}": how for how in ways}
 
 
+def simple_methods() -> dict[str, str]:
+    """Return the methods for simple masks, and how each is regularised."""
+    return {method.replace(BANK, SIMPLE): how for method, how in bank_methods().items()}
+
+
 def reference_methods() -> tuple[str, ...]:
     """Return the names of the reference methods."""
     from coded_aperture_ros.evaluation.reference import REFERENCE_METHODS
@@ -106,7 +115,14 @@ def reference_methods() -> tuple[str, ...]:
 
 def method_names() -> tuple[str, ...]:
     """Return the names of all methods."""
-    return (*bank_methods(), PLAIN, SUBSPACE, *reference_methods())
+    return (
+        *bank_methods(),
+        PLAIN,
+        SUBSPACE,
+        *simple_methods(),
+        CONDITIONAL,
+        *reference_methods(),
+    )
 
 
 def identify(
@@ -137,6 +153,12 @@ def identify(
         return _by_bank(bank, _BARE, coded, setting)
     if method == SUBSPACE:
         return _by_bank(_subspace_bank(setting.mask, setting.levels), _BARE, coded, setting)
+    if method in simple_methods():
+        model = _neighbour_model(setting.mask, setting.levels, setting.window_px)
+        how = {"regularize": simple_methods()[method]}
+        return _by_bank(model, _BARE if method == SIMPLE else how, coded, setting)
+    if method == CONDITIONAL:
+        return _timed(lambda: (_conditional(coded, setting), None, None))
     if method in reference_methods():
         planes = _reference(method, setting.mask, setting.levels, setting.sigma, noise)
         return _timed(lambda: (planes.levels(coded), None, None))
@@ -155,6 +177,7 @@ def _by_bank(
 ) -> Identified:
     from coded_aperture_ros.depth import DepthConfig, DepthEstimator
     from coded_aperture_ros.depth.noise import NOISE_FLOOR
+    from coded_aperture_ros.simple import NeighbourModel, SimpleEstimator
 
     # Every pixel is scored, so none is left out for lack of confidence. Nothing is clipped.
     config = DepthConfig(confidence_threshold=0.0, saturation=2.0, **options)
@@ -163,7 +186,8 @@ def _by_bank(
     if setting.noise is not None:
         # To the estimator, 0 means that it is not known.
         config = dataclasses.replace(config, noise=max(setting.noise, NOISE_FLOOR))
-    estimator = DepthEstimator(bank, config)
+    simple = isinstance(bank, NeighbourModel)
+    estimator = SimpleEstimator(bank, config) if simple else DepthEstimator(bank, config)
 
     def run() -> Any:
         estimate = estimator.estimate(coded)
@@ -191,6 +215,20 @@ def _bank(mask: str, levels: int, window_px: int, rank: int) -> "FilterBank":
 
     config = LearnConfig(window_px=window_px, rank=rank)
     return learn_bank(_stack(mask, levels), config, mask=mask_of(mask))
+
+
+@lru_cache(maxsize=4)
+def _neighbour_model(mask: str, levels: int, window_px: int) -> Any:
+    from coded_aperture_ros.simple import SimpleConfig, neighbour_model
+
+    return neighbour_model(_stack(mask, levels), mask_of(mask), SimpleConfig(window_px=window_px))
+
+
+def _conditional(coded: "NDArray[np.float32]", setting: Setting) -> Any:
+    from coded_aperture_ros.simple import conditional_levels, find_holes
+
+    sizes = _stack(setting.mask, setting.levels).blur_sizes_px
+    return conditional_levels(coded, find_holes(mask_of(setting.mask)), sizes, setting.window_px)
 
 
 @lru_cache(maxsize=2)

@@ -68,7 +68,9 @@ def add_cell_options(
         default=list(methods),
         metavar="METHOD",
         help="bank (not regularised), bank-tv and so on (see --regularize of the command depth), "
-        "plain-48 (bank with a bare window of 48 px), subspace (the thesis' own), wiener, levin "
+        "plain-48 (bank with a bare window of 48 px), subspace (the thesis' own), simple and "
+        "simple-tv and so on (masks of a few equal holes), conditional (their data term in the "
+        "thesis), wiener, levin "
         "and other reference methods; an unknown name lists them all "
         f"(default {' '.join(methods)})",
     )

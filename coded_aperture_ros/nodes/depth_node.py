@@ -4,11 +4,11 @@ import dataclasses
 import math
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 from sensor_msgs.msg import CameraInfo, Image
 
-from coded_aperture_ros.bank import LearnConfig
+from coded_aperture_ros.bank import FilterBank, LearnConfig
 from coded_aperture_ros.blas import slow_blas_warning
 from coded_aperture_ros.calibration import with_noise_of
 from coded_aperture_ros.configuration import check_options, option
@@ -24,6 +24,13 @@ from coded_aperture_ros.nodes.messages import (
     millimetres_from_depth,
 )
 from coded_aperture_ros.nodes.running import run_nodes
+from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.simple import (
+    NeighbourModel,
+    SimpleConfig,
+    SimpleEstimator,
+    neighbour_model_for_camera,
+)
 
 # Best-effort messages larger than these float images are lost with default DDS settings.
 _LARGEST_AUTO = (240, 320)
@@ -42,6 +49,13 @@ class DepthNodeConfig:
         "that fits in 320x240",
         choices=("auto", *_DIVISORS),
     )
+    method: str = option(
+        "bank",
+        "bank: a filter bank, for any mask; simple: a pixel and its neighbours, without a bank, "
+        "for a mask of 2 to 8 equal holes",
+        choices=("bank", "simple"),
+        read_only=True,
+    )
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -56,14 +70,19 @@ class DepthNode(FrameNode[Image]):
             ModelConfig(),
             DepthNodeConfig(),
             DepthConfig(stride_px=_STRIDE_PX),
-            fixed={"learn.": LearnConfig(rank=_RANK)},
+            fixed={"learn.": LearnConfig(rank=_RANK), "simple.": SimpleConfig()},
             **node_options,
         )
         warning = slow_blas_warning()
         if warning:
             self.get_logger().warning(warning)
         self._range = self.configs[ModelConfig]
-        self._model = FrameModel(self, self.configs)
+        learn = None
+        if self.configs[DepthNodeConfig].method == "simple":
+            if self._range.bank:
+                raise InputError("method: simple has no bank: leave the parameter bank empty")
+            learn = self._neighbour_model
+        self._model = FrameModel(self, self.configs, learn)
         self._estimator = self._new_estimator()
         self._info = CameraModel()
         self.advertise("depth/image", Image)
@@ -119,7 +138,17 @@ class DepthNode(FrameNode[Image]):
     def _new_estimator(self) -> DepthEstimator:
         # The estimator's own configuration may be another one: with the camera file's noise.
         self._made_for, camera = self.configs[DepthConfig], self._model.camera
-        return DepthEstimator(self._model.bank, with_noise_of(camera, self._made_for), camera)
+        config, bank = with_noise_of(camera, self._made_for), self._model.bank
+        if isinstance(bank, NeighbourModel):
+            return SimpleEstimator(bank, config, camera)
+        return DepthEstimator(bank, config, camera)
+
+    def _neighbour_model(
+        self, camera: Camera, near_m: float, far_m: float, levels: int
+    ) -> FilterBank:
+        """Make what stands in for a bank with the method for simple masks."""
+        config = self.configs[SimpleConfig]
+        return cast(FilterBank, neighbour_model_for_camera(camera, near_m, far_m, levels, config))
 
 
 def output_size(frame_size: tuple[int, int], choice: str) -> tuple[int, int]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +72,9 @@ class FrameModel:
         To log with.
     parameters : NodeParameters
         Of the node, with `ModelConfig` and `LearnConfig`.
+    learn : callable, optional
+        Makes what stands in for a bank from a camera, its nearest and farthest depth and the number
+        of levels; by default a bank is learned.
 
     Raises
     ------
@@ -78,10 +82,16 @@ class FrameModel:
         If a file does not load, or the bank can be neither loaded nor learned.
     """
 
-    def __init__(self, node: Node, parameters: NodeParameters) -> None:
+    def __init__(
+        self,
+        node: Node,
+        parameters: NodeParameters,
+        learn: Callable[[Camera, float, float, int], FilterBank] | None = None,
+    ) -> None:
         self._logger = node.get_logger()
         self._config = config = parameters[ModelConfig]
         self._learn_config = parameters[LearnConfig]
+        self._learn = learn
         self._frame_size: tuple[int, int] | None = None
         camera = required_camera(config.camera_file)
         self._first_camera = camera
@@ -205,6 +215,8 @@ class FrameModel:
         return bank
 
     def _learned_for(self, camera: Camera, near_m: float, far_m: float, levels: int) -> FilterBank:
+        if self._learn is not None:
+            return self._learn(camera, near_m, far_m, levels)
         return learn_bank_for_camera(camera, near_m, far_m, levels, self._learn_config)
 
 

@@ -1,0 +1,64 @@
+"""High-pass channels of a frame (thesis eq. 5.2), and their spectra."""
+
+import numpy as np
+import scipy.signal
+from numpy.typing import NDArray
+
+# Differences to the right, downward, and along the two diagonals; P = 2 in the thesis.
+_DIFFERENCES = (
+    np.array([[-1.0, 1.0]]),
+    np.array([[-1.0], [1.0]]),
+    np.array([[-1.0, 0.0], [0.0, 1.0]]),
+    np.array([[0.0, -1.0], [1.0, 0.0]]),
+)
+# Directions (row, column) that are nearer to an axis than this have the other axis across them.
+_NEARLY_AXIS = np.tan(np.pi / 8)
+
+
+def channel_kernel(
+    channel: int, direction: NDArray[np.floating] | None = None, smoothing: int = 0
+) -> NDArray[np.float32]:
+    """Return the kernel of a derivative that is smoothed across a direction.
+
+    Smoothing across a line leaves what is on it as it is, but for the noise: the texture that the
+    blur has left changes slowly from line to line.
+
+    Parameters
+    ----------
+    channel : int
+        0 to 3: the difference to the right, downward, or along a diagonal.
+    direction : ndarray [2], optional
+        Row and column.
+    smoothing : int, optional
+        How many times neighbours across the direction are averaged; even.
+
+    Returns
+    -------
+    ndarray, float32 [k, k]
+        Odd k; to be correlated with a frame, as by ``cv2.filter2D``.
+    """
+    kernel = _DIFFERENCES[channel]
+    if direction is not None and smoothing:
+        weights = np.ones(1)
+        for _ in range(smoothing):
+            weights = np.convolve(weights, [0.5, 0.5])
+        down, right = (float(part) for part in direction)
+        if abs(down) <= _NEARLY_AXIS * abs(right):
+            across = weights[:, None]
+        elif abs(right) <= _NEARLY_AXIS * abs(down):
+            across = weights[None, :]
+        else:
+            across = np.diag(weights)
+            if down * right > 0:
+                across = across[:, ::-1]
+        kernel = scipy.signal.convolve2d(kernel, across)
+    side = max(kernel.shape) // 2 * 2 + 1
+    odd = np.zeros((side, side), np.float32)
+    odd[: kernel.shape[0], : kernel.shape[1]] = kernel
+    return odd
+
+
+def passed_power(kernel: NDArray[np.float32], period: int) -> NDArray[np.float64]:
+    """Return the power that a kernel passes [period, period // 2 + 1], as of `rfft2`."""
+    passed: NDArray[np.float64] = np.abs(np.fft.rfft2(kernel, (period, period))) ** 2
+    return passed
