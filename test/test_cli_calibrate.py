@@ -210,29 +210,23 @@ def test_nothing_is_half_written(tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.parametrize("draws", [True, False])
-def test_it_answers_in_two_seconds(tmp_path, draws):
-    """Processor time of the whole program, which a busy machine does not lengthen much."""
+def test_it_loads_matplotlib_only_to_draw(tmp_path, draws):
+    """Most of the time of the whole program would be that import."""
     pytest.importorskip("matplotlib")
     code = (
-        "import sys, time\n"
+        "import sys\n"
         "from coded_aperture_ros.cli.main import main\n"
-        "status = main(sys.argv[1:])\n"
-        "print(status, 'matplotlib' in sys.modules, time.process_time(), file=sys.stderr)\n"
+        "print(main(sys.argv[1:]), 'matplotlib' in sys.modules, file=sys.stderr)\n"
     )
     arguments = ["calibrate", "--camera", camera_file(tmp_path), "--depth-range", 6, 28]
     arguments += ["--output", tmp_path / "design"] if draws else []
-    for _ in range(3):
-        result = subprocess.run(
-            [sys.executable, "-c", code, *map(str, arguments)],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        status, drew, seconds = result.stderr.split()
-        assert (status, drew) == ("0", str(draws))
-        if float(seconds) < 2.0:
-            return
-    pytest.fail(f"it took {seconds} s of processor time")
+    result = subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert result.stderr.split() == ["0", str(draws)]
 
 
 # ---- the page ----

@@ -85,17 +85,38 @@ def learn_bank_for_camera(
         If the range does not lie on the camera's side of the focal plane or ends at infinity,
         there are fewer than two levels, or a blur size does not fit the window.
     """
+    stack = stack_for_camera(camera, near_m, far_m, levels)
+    learned_from = f"mask {camera.mask.name}, {near_m:g} to {far_m:g} m, {textures_of(prior)}"
+    return learn_bank(stack, config, prior, learned_from, camera.mask, progress)
+
+
+def stack_for_camera(
+    camera: Camera, near_m: float, far_m: float, levels: int, whose: str = "a bank"
+) -> PsfStack:
+    """Render the PSFs of a camera for a depth range, equally spaced in blur size.
+
+    Parameters
+    ----------
+    camera, near_m, far_m, levels
+        See `learn_bank_for_camera`.
+    whose : str, optional
+        What they are for, for messages.
+
+    Raises
+    ------
+    InputError
+        If the range does not lie on the camera's side of the focal plane or ends at infinity, or
+        there are fewer than two levels.
+    """
     check_levels(levels)
     blur_sizes = np.linspace(*camera.blur_range_px(near_m, far_m), levels)
     depths_m = camera.depth_m(blur_sizes)
     if not np.isfinite(depths_m).all():
         raise InputError(
-            f"depth range {near_m:g} to {far_m:g} m: a bank needs finite depths; far away they "
+            f"depth range {near_m:g} to {far_m:g} m: {whose} needs finite depths; far away they "
             "differ little in blur, 100 times the distance of the focus is enough"
         )
-    stack = dataclasses.replace(render_psf_stack(camera.mask, blur_sizes), depths_m=depths_m)
-    learned_from = f"mask {camera.mask.name}, {near_m:g} to {far_m:g} m, {textures_of(prior)}"
-    return learn_bank(stack, config, prior, learned_from, camera.mask, progress)
+    return dataclasses.replace(render_psf_stack(camera.mask, blur_sizes), depths_m=depths_m)
 
 
 def learn_bank(

@@ -3,7 +3,6 @@
 import dataclasses
 
 import numpy as np
-import scipy.optimize
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.mask_likelihood import Groups, MaskLikelihood
@@ -82,6 +81,9 @@ class MaskFit:
 
     def climb(self, likelihood: MaskLikelihood, steps: int) -> "MaskFit":
         """Choose hypotheses for the windows, then make mask, focus and noise likelier."""
+        # Here: it is slow to import, and the nodes, which read a fit in a bank, make none.
+        import scipy.optimize
+
         groups = likelihood.group(self.parts, self.blur_sizes_px, self.log_noise)
         variables = [
             (self.parts / self.parts.max()).ravel(),

@@ -7,10 +7,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from coded_aperture_ros.cli.bench_deblur_methods import own_methods
-from coded_aperture_ros.cli.bench_options import at_least, table
-from coded_aperture_ros.cli.bench_speed import frame_size
+from coded_aperture_ros.cli.bench_options import (
+    add_size_option,
+    add_threads_option,
+    at_least,
+    table,
+)
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.threads import processors
 
 _SIZE = (480, 640)
 # Of the demo's camera: what a robot meets from 2 to 5 m.
@@ -44,20 +47,8 @@ def add_parser(subparsers: Any) -> None:
         metavar="METHOD",
         help=f"as of the command deblur (default {' '.join(_METHODS)})",
     )
-    parser.add_argument(
-        "--size",
-        type=frame_size,
-        default=_SIZE,
-        metavar="WxH",
-        help=f"of the frames, px (default {_SIZE[1]}x{_SIZE[0]})",
-    )
-    parser.add_argument(
-        "--threads",
-        type=at_least(1),
-        default=processors(),
-        metavar="N",
-        help=f"threads of the processor (default: all, here {processors()})",
-    )
+    add_size_option(parser, _SIZE)
+    add_threads_option(parser)
     parser.add_argument(
         "--count",
         type=at_least(1),

@@ -37,6 +37,48 @@ def noise_level(text: str) -> float:
     return value
 
 
+def add_numbers(parser: argparse.ArgumentParser, *numbers: tuple[str, int, int, str]) -> None:
+    """Add options that are whole numbers: name, least, default, and what each is."""
+    for name, least, default, what in numbers:
+        parser.add_argument(
+            f"--{name}",
+            type=at_least(least),
+            default=default,
+            metavar="N",
+            help=f"{what} (default {default})",
+        )
+
+
+def frame_size(text: str) -> tuple[int, int]:
+    """Parse WxH; return rows and columns."""
+    width, times, height = text.lower().partition("x")
+    if not (times and width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+        raise argparse.ArgumentTypeError(f"expected a size like 640x480, got {text!r}")
+    return int(height), int(width)
+
+
+def add_size_option(parser: argparse.ArgumentParser, size: tuple[int, int]) -> None:
+    """Add the size of the frames; `size` is the default, rows and columns."""
+    parser.add_argument(
+        "--size",
+        type=frame_size,
+        default=size,
+        metavar="WxH",
+        help=f"of the frames, px (default {size[1]}x{size[0]})",
+    )
+
+
+def add_threads_option(parser: argparse.ArgumentParser) -> None:
+    """Add how many threads work on a frame."""
+    parser.add_argument(
+        "--threads",
+        type=at_least(1),
+        default=processors(),
+        metavar="N",
+        help=f"threads of the processor (default: all, here {processors()})",
+    )
+
+
 def add_cell_options(
     parser: argparse.ArgumentParser,
     sigmas: Sequence[float],
@@ -185,7 +227,7 @@ def report(
     args: argparse.Namespace,
     results: dict[str, Any],
     text: Callable[[], str],
-    draw: Callable[[Path], None],
+    draw: Callable[[Path], None] | None = None,
 ) -> None:
     """Write and print the results in the forms that were asked for.
 
@@ -197,8 +239,8 @@ def report(
         NaN becomes null.
     text : callable
         Returns the results as tables.
-    draw : callable
-        Draws figures into a folder.
+    draw : callable, optional
+        Draws figures into a folder. Tables that are small enough to be read have none.
     """
     as_json = json.dumps(_without_nan(results), indent=1, allow_nan=False)
     folder = None if args.output is None else Path(args.output)
@@ -207,12 +249,12 @@ def report(
             path.write_text(as_json + "\n")
     if args.json:
         print(as_json)
-    if folder is not None:
+    if folder is not None and draw is not None:
         draw(folder)
     if not args.json:
         print(text())
         if folder is not None:
-            print(f"figures and {RESULTS}: {folder}")
+            print(f"{'figures and ' if draw else ''}{RESULTS}: {folder}")
 
 
 def _without_nan(value: Any) -> Any:

@@ -21,8 +21,8 @@ from coded_aperture_ros.cli.bench_methods import (
     simple_methods,
 )
 from coded_aperture_ros.cli.bench_options import (
+    add_numbers,
     add_result_options,
-    at_least,
     check_result_options,
     folder_of,
     noise_level,
@@ -98,21 +98,15 @@ def add_parser(subparsers: Any) -> None:
         f"of the frames stair, or {_REFERENCES}: all reference methods "
         f"(default {' '.join(_METHODS)})",
     )
-    for name, least, default, what in (
+    add_numbers(
+        parser,
         ("levels", 2, 33, "blur sizes, equally spaced from 7 to 30 px"),
         ("window", 16, _WINDOW_PX, "side of the windows, a multiple of 8, px"),
         ("rank", 1, _RANK, "vectors in the bank's common basis"),
         ("side", 64, _SIDE_PX, "side of a plane, px; its inner quarter is scored"),
         ("repeats", 1, 1, "planes of every level, with other crops and noise"),
         ("seed", 0, 0, "of the first repeat"),
-    ):
-        parser.add_argument(
-            f"--{name}",
-            type=at_least(least),
-            default=default,
-            metavar="N",
-            help=f"{what} (default {default})",
-        )
+    )
     parser.add_argument(
         "--images", metavar="DIR", help="pictures of this folder instead of the built-in ones"
     )
@@ -169,7 +163,6 @@ def run(args: argparse.Namespace) -> int:
             "cells": rows,
         },
         lambda: _table(rows),
-        lambda folder: _draw(rows, folder),
     )
     return 0
 
@@ -287,7 +280,3 @@ def _text(row: dict[str, Any]) -> str:
         text += f" / {row['over_bank']:.2f}"
     thesis = row["thesis_mean_error"]
     return text if thesis is None else f"{text} [{thesis:.1f}]"
-
-
-def _draw(rows: Sequence[dict[str, Any]], folder: Path) -> None:
-    """Draw nothing: the table is small enough to be read."""

@@ -3,12 +3,16 @@
 import argparse
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.bench_methods import mask_of
-from coded_aperture_ros.cli.bench_options import at_least, check_result_options, report, table
-from coded_aperture_ros.cli.bench_speed import frame_size
+from coded_aperture_ros.cli.bench_options import (
+    add_numbers,
+    add_size_option,
+    check_result_options,
+    report,
+    table,
+)
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.threads import processors
 
@@ -37,30 +41,18 @@ def add_parser(subparsers: Any) -> None:
         "number of holes and with the window.",
         epilog=_EPILOG,
     )
-    parser.add_argument(
-        "--size",
-        type=frame_size,
-        default=_SIZE,
-        metavar="WxH",
-        help=f"of the frames, px (default {_SIZE[1]}x{_SIZE[0]})",
-    )
+    add_size_option(parser, _SIZE)
     parser.add_argument(
         "--mask", default=_MASK, metavar="MASK", help=f"name or file (default {_MASK})"
     )
-    for name, least, default, what in (
+    add_numbers(
+        parser,
         ("levels", 2, _LEVELS, "blur levels, from 7 to 30 px"),
         ("window", 32, _WINDOW, "side of the windows, a multiple of 8, px"),
         ("stride", 1, _STRIDE, "distance between the windows, px"),
         ("threads", 1, processors(), "threads of the processor"),
         ("frames", 1, _FRAMES, "frames for every measurement"),
-    ):
-        parser.add_argument(
-            f"--{name}",
-            type=at_least(least),
-            default=default,
-            metavar="N",
-            help=f"{what} (default {default})",
-        )
+    )
     parser.add_argument(
         "--full-size",
         action="store_true",
@@ -101,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
     for kind, value in progress(steps, len(steps), "step"):
         results[kind].append(_MEASURED[kind](args, value))
     results["seconds"] = round(time.perf_counter() - start, 1)
-    report(args, results, lambda: _tables(results), lambda folder: _draw(results, folder))
+    report(args, results, lambda: _tables(results))
     return 0
 
 
@@ -200,7 +192,3 @@ def _tables(results: dict[str, Any]) -> str:
         ]
         parts.append(f"{title}\n{table(header, lines)}")
     return "\n\n".join(parts)
-
-
-def _draw(results: dict[str, Any], folder: Path) -> None:
-    """Draw nothing: the tables are small enough to be read."""

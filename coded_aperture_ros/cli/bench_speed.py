@@ -8,6 +8,9 @@ from typing import Any
 
 from coded_aperture_ros.cli.bench_options import (
     RESULTS,
+    add_numbers,
+    add_size_option,
+    add_threads_option,
     at_least,
     check_result_options,
     report,
@@ -71,26 +74,14 @@ def add_parser(subparsers: Any) -> None:
         "time grows with the size, the levels and the threads; and what other methods take.",
         epilog=_EPILOG,
     )
-    parser.add_argument(
-        "--size",
-        type=frame_size,
-        default=_SIZE,
-        metavar="WxH",
-        help=f"of the frames, px (default {_SIZE[1]}x{_SIZE[0]})",
-    )
-    for name, least, default, what in (
+    add_size_option(parser, _SIZE)
+    add_numbers(
+        parser,
         ("levels", 2, _LEVELS, "blur levels, from 7 to 30 px"),
         ("window", 16, _WINDOW, "side of the bank's patches, px"),
         ("rank", 1, _RANK, "vectors in the bank's common basis"),
         ("stride", 1, _STRIDE, "distance between patches, px"),
-    ):
-        parser.add_argument(
-            f"--{name}",
-            type=at_least(least),
-            default=default,
-            metavar="N",
-            help=f"{what} (default {default})",
-        )
+    )
     parser.add_argument(
         "--highest-frequency",
         type=float,
@@ -99,13 +90,7 @@ def add_parser(subparsers: Any) -> None:
         help="frequencies above this, in cycles/px, are left out; 1: all count "
         f"(default {_HIGHEST_FREQUENCY:g})",
     )
-    parser.add_argument(
-        "--threads",
-        type=at_least(1),
-        default=processors(),
-        metavar="N",
-        help=f"threads of the processor (default: all, here {processors()})",
-    )
+    add_threads_option(parser)
     parser.add_argument(
         "--temporal",
         type=_not_negative,
@@ -145,14 +130,6 @@ def _add_backend(parser: argparse.ArgumentParser) -> None:
         help="what computes the energies: torch needs PyTorch, cuda a GPU beside; auto takes the "
         f"GPU where there is one (default {_BACKEND})",
     )
-
-
-def frame_size(text: str) -> tuple[int, int]:
-    """Parse WxH; return rows and columns."""
-    width, times, height = text.lower().partition("x")
-    if not (times and width.isdecimal() and height.isdecimal() and int(width) and int(height)):
-        raise argparse.ArgumentTypeError(f"expected a size like 640x480, got {text!r}")
-    return int(height), int(width)
 
 
 def _not_negative(text: str) -> float:

@@ -65,7 +65,7 @@ def scene_around(
     return np.asarray(scene, np.float32)
 
 
-def frame_within(scene: NDArray[np.float32], operator: BlurOperator) -> NDArray[np.float32]:
+def frame_within(scene: Any, operator: BlurOperator) -> Any:
     """Return the part of a scene that the frame shows."""
     margin, (rows, columns) = operator.margin_px, operator.shape
     return scene[margin : margin + rows, margin : margin + columns]

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from coded_aperture_ros.deblur.operator import fast_shape, scene_around
+from coded_aperture_ros.deblur.operator import fast_shape, frame_within, scene_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.engine import Workers
 
@@ -59,12 +59,13 @@ class TorchBlur:
     def forward(self, scene: torch.Tensor) -> torch.Tensor:
         """Blur a scene."""
         spectrum = (torch.fft.rfft2(self._shares * scene) * self._transforms).sum(dim=0)
-        return self._within(torch.fft.irfft2(spectrum, self.scene_shape)) * self._scale
+        blurred = torch.fft.irfft2(spectrum, self.scene_shape)
+        return frame_within(blurred, self) * self._scale
 
     def adjoint(self, frame: torch.Tensor) -> torch.Tensor:
         """Apply the transpose."""
         scene = torch.zeros(self.scene_shape, device=self._device)
-        self._within(scene).copy_(frame * self._scale)
+        frame_within(scene, self).copy_(frame * self._scale)
         spectra = torch.fft.rfft2(scene) * self._transforms.conj()
         return (torch.fft.irfft2(spectra, self.scene_shape) * self._shares).sum(dim=0)
 
@@ -85,8 +86,3 @@ class TorchBlur:
             power = (mixed * self._transforms.conj()).real.sum(dim=0)
             divided.append((share.sqrt(), power))
         return divided
-
-    def _within(self, scene: torch.Tensor) -> torch.Tensor:
-        """Return the part of a scene that the frame shows."""
-        margin, (rows, columns) = self.margin_px, self.shape
-        return scene[margin : margin + rows, margin : margin + columns]

@@ -318,13 +318,16 @@ class DepthEstimator:
         """Return the engine for frames of a size; another size starts another video."""
         if self._engine is None or shape != self._shape:
             config = self.config
-            stride_px = config.stride_px or self.bank.stride_px
-            engine = plan_engine(self.bank, shape, stride_px, config.backend, config.threads)
+            engine = self._new_engine(shape, config.stride_px or self.bank.stride_px)
             # Only now: a frame that does not suit leaves the old plan as it is.
             self.close()
             self.reset()
             self._engine, self._shape = engine, shape
         return self._engine
+
+    def _new_engine(self, shape: tuple[int, ...], stride_px: int) -> Engine:
+        """Return what computes the energies of frames of a size."""
+        return plan_engine(self.bank, shape, stride_px, self.config.backend, self.config.threads)
 
     def _trimmed(self, level: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
         """Take the rims off foregrounds; `scale` is that of the map."""

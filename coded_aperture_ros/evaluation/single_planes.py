@@ -6,8 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.evaluation.stair import blur_stack, noise_behind
+from coded_aperture_ros.evaluation.stair import (
+    blur_stack,
+    check_frame_options,
+    crops_generator,
+    with_noise,
+)
 from coded_aperture_ros.evaluation.textures import Textures
 from coded_aperture_ros.optics import Mask
 
@@ -24,8 +28,6 @@ TABLE_5_1 = {
     "simple": {"two_hole": 8.7, "three_hole": 9.3, "four_hole": 8.7},
     "conditional": {"two_hole": 8.7, "three_hole": 9.3, "four_hole": 8.7},
 }
-# Crops and noise come from generators of their own: the crops stay when the noise changes.
-_CROPS, _NOISE = 0, 1
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -70,16 +72,11 @@ def make_planes(
     InputError
         If the noise is negative, the side below one pixel, or no picture is large enough.
     """
-    if not (sigma >= 0 and np.isfinite(sigma)):
-        raise InputError(f"noise: expected 0 or more, got {sigma}")
-    if side_px < 1:
-        raise InputError(f"side of a plane: expected at least 1 px, got {side_px}")
+    check_frame_options(sigma, side_px, "plane")
     stack = blur_stack(mask, levels)
     whole = side_px + stack.psfs.shape[-1] - 1
-    crops = textures.crops(levels, whole, whole, np.random.default_rng([seed, _CROPS]))
+    crops = textures.crops(levels, whole, whole, crops_generator(seed))
     coded = np.stack(
         [fftconvolve(crop, psf, mode="valid") for crop, psf in zip(crops, stack.psfs, strict=True)]
     )
-    noise = noise_behind(mask, sigma)
-    white = np.random.default_rng([seed, _NOISE]).standard_normal(coded.shape, dtype=np.float32)
-    return Planes((coded + np.float32(noise) * white).astype(np.float32), noise)
+    return Planes(*with_noise(coded, mask, sigma, seed))

@@ -58,6 +58,37 @@ def noise_behind(mask: Mask, sigma: float) -> float:
     return sigma / mask.open_fraction
 
 
+def check_frame_options(sigma: float, side_px: int, part: str) -> None:
+    """Check the noise, and the side of a part (such as a step) of what is made.
+
+    Raises
+    ------
+    InputError
+        If the noise is negative or the side below one pixel.
+    """
+    if not (sigma >= 0 and np.isfinite(sigma)):
+        raise InputError(f"noise: expected 0 or more, got {sigma}")
+    if side_px < 1:
+        raise InputError(f"side of a {part}: expected at least 1 px, got {side_px}")
+
+
+def crops_generator(seed: int) -> np.random.Generator:
+    """Return the generator of crops, which is not that of noise: see `with_noise`."""
+    return np.random.default_rng([seed, _CROPS])
+
+
+def with_noise(
+    coded: NDArray[np.floating], mask: Mask, sigma: float, seed: int
+) -> tuple[NDArray[np.float32], float]:
+    """Return a frame with noise, float32, and the standard deviation of that; see `noise_behind`.
+
+    Noise has a generator of its own: the crops stay when the noise changes.
+    """
+    noise = noise_behind(mask, sigma)
+    white = np.random.default_rng([seed, _NOISE]).standard_normal(coded.shape, dtype=np.float32)
+    return (coded + np.float32(noise) * white).astype(np.float32), noise
+
+
 def make_stair(
     mask: Mask,
     textures: Textures,
@@ -88,14 +119,11 @@ def make_stair(
     InputError
         If the noise is negative, the side below one pixel, or no picture is large enough.
     """
-    if not (sigma >= 0 and np.isfinite(sigma)):
-        raise InputError(f"noise: expected 0 or more, got {sigma}")
-    if side_px < 1:
-        raise InputError(f"side of a step: expected at least 1 px, got {side_px}")
+    check_frame_options(sigma, side_px, "step")
     stack = blur_stack(mask, levels)
     reach = stack.psfs.shape[-1] // 2
     crop_px = side_px + 2 * reach
-    crops = textures.crops(levels, crop_px, crop_px, np.random.default_rng([seed, _CROPS]))
+    crops = textures.crops(levels, crop_px, crop_px, crops_generator(seed))
     steps = crops[:, reach : reach + side_px].reshape(levels * side_px, crop_px)
     sharp = np.concatenate([crops[0, :reach], steps, crops[-1, reach + side_px :]])
     coded = np.concatenate(
@@ -104,11 +132,10 @@ def make_stair(
             for step, psf in enumerate(stack.psfs)
         ]
     )
-    noise = noise_behind(mask, sigma)
-    white = np.random.default_rng([seed, _NOISE]).standard_normal(coded.shape, dtype=np.float32)
+    coded, noise = with_noise(coded, mask, sigma, seed)
     level = np.repeat(np.arange(levels, dtype=np.float32), side_px)
     return Stair(
-        coded=(coded + np.float32(noise) * white).astype(np.float32),
+        coded=coded,
         sharp=sharp[reach : reach + levels * side_px, reach : reach + side_px].copy(),
         level=np.broadcast_to(level[:, None], coded.shape),
         stack=stack,

@@ -1,7 +1,7 @@
 """High-pass channels of a frame (thesis eq. 5.2), and their spectra."""
 
 import numpy as np
-import scipy.signal
+import scipy.ndimage
 from numpy.typing import NDArray
 
 # Differences to the right, downward, and along the two diagonals; P = 2 in the thesis.
@@ -51,7 +51,8 @@ def channel_kernel(
             across = np.diag(weights)
             if down * right > 0:
                 across = across[:, ::-1]
-        kernel = scipy.signal.convolve2d(kernel, across)
+        wider = np.pad(kernel, [(side // 2, side // 2) for side in across.shape])
+        kernel = scipy.ndimage.convolve(wider, across, mode="constant")
     side = max(kernel.shape) // 2 * 2 + 1
     odd = np.zeros((side, side), np.float32)
     odd[: kernel.shape[0], : kernel.shape[1]] = kernel

@@ -48,13 +48,6 @@ class SimpleEstimator(DepthEstimator):
         super().__init__(cast(FilterBank, model), config, camera)
         self.model = model
 
-    def _planned(self, shape: tuple[int, ...]) -> Engine:
-        """Return the engine for frames of a size; another size starts another video."""
-        if self._engine is None or shape != self._shape:
-            stride_px = self.config.stride_px or self.model.stride_px
-            engine = SimpleEngine(self.model, shape, stride_px, self.config.threads)
-            # Only now: a frame that does not suit leaves the old plan as it is.
-            self.close()
-            self.reset()
-            self._engine, self._shape = engine, shape
-        return self._engine
+    def _new_engine(self, shape: tuple[int, ...], stride_px: int) -> Engine:
+        """Return what computes the energies of frames of a size."""
+        return SimpleEngine(self.model, shape, stride_px, self.config.threads)

@@ -7,9 +7,9 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import NaturalImagePrior, power_spectrum
-from coded_aperture_ros.bank.learn import RATIOS, check_levels
+from coded_aperture_ros.bank.learn import RATIOS, check_levels, stack_for_camera
 from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
+from coded_aperture_ros.optics import Camera, Mask, PsfStack
 from coded_aperture_ros.simple.config import SimpleConfig
 from coded_aperture_ros.simple.derivatives import channel_kernel, passed_power
 from coded_aperture_ros.simple.holes import Holes, find_holes
@@ -155,14 +155,7 @@ def neighbour_model_for_camera(
     """
     check_levels(levels)
     find_holes(camera.mask)  # what is wrong with the mask is told first: no range helps it
-    blur_sizes = np.linspace(*camera.blur_range_px(near_m, far_m), levels)
-    depths_m = camera.depth_m(blur_sizes)
-    if not np.isfinite(depths_m).all():
-        raise InputError(
-            f"depth range {near_m:g} to {far_m:g} m: finite depths are needed; far away they "
-            "differ little in blur, 100 times the distance of the focus is enough"
-        )
-    stack = dataclasses.replace(render_psf_stack(camera.mask, blur_sizes), depths_m=depths_m)
+    stack = stack_for_camera(camera, near_m, far_m, levels, "the method for simple masks")
     return neighbour_model(stack, camera.mask, config)
 
 
