@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import scipy.fft
-import scipy.optimize
 from numpy.typing import NDArray
 
 # Many starts are cheap; those that are behind after some steps seldom catch up.
@@ -20,6 +19,9 @@ def retrieved_masks(parts: NDArray[np.float64], count: int) -> list[NDArray[np.f
 
     Phase retrieval for a non-negative mask of limited support, the best of many random starts.
     """
+    # Here: it is slow to import, and the nodes, which load this module, never call it.
+    import scipy.optimize
+
     cells = parts.shape[-1]
     torus = (2 * cells, 2 * cells)
     wanted = scipy.fft.irfft2((np.abs(scipy.fft.rfft2(parts, torus)) ** 2).sum(axis=0), torus)
