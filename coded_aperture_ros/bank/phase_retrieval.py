@@ -6,7 +6,6 @@ Power spectra leave it open whether a mask is turned by 180 degrees, and so is w
 from typing import Any
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 # Many starts are cheap; those that are behind after some steps seldom catch up.
