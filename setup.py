@@ -54,6 +54,8 @@ setup(
             "ros-jazzy-diagnostic-msgs==5.3.6",
             "ros-jazzy-rcl-interfaces==2.0.3",
             "ros-jazzy-rosgraph-msgs==2.0.3",
+            "ros-lifecycle-msgs==2.0.3",
+            "ros-ament-index-python==1.8.1",
         ],
         "eval": [
             "rosbags>=0.10",

@@ -28,7 +28,8 @@ LAYERS = (
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
 ROS = {
     "rclpy", "sensor_msgs", "std_msgs", "geometry_msgs", "diagnostic_msgs", "rcl_interfaces",
-    "rosgraph_msgs", "builtin_interfaces", "tf2_msgs", "tf2_ros", "ament_index_python",
+    "rosgraph_msgs", "builtin_interfaces", "lifecycle_msgs", "tf2_msgs", "tf2_ros",
+    "ament_index_python",
     "launch", "launch_ros",
 }  # fmt: skip
 

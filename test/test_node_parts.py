@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Header
 
 from coded_aperture_ros.nodes.deblur_node import depth_of_frame
-from coded_aperture_ros.nodes.diagnostics import Statistics, status_of
+from coded_aperture_ros.nodes.diagnostics import DiagnosticsConfig, Statistics, status_of
 from coded_aperture_ros.nodes.messages import MessageError, image_from_array
 from coded_aperture_ros.nodes.newest import NewestWorker
 from coded_aperture_ros.nodes.pairing import StampPairs
@@ -131,7 +131,7 @@ def test_statistics_count_and_measure():
         statistics.count_processed(latency, 0.01)
     statistics.count_processed(-5.0, 0.01)  # a stamp from the future
     statistics.count_processed(1e9, 0.01)  # a stamp of another clock
-    statistics.count_dropped()
+    statistics.count_dropped("busy")
     statistics.count_rejected("step")
     statistics.count_rejected("step")
     summary = statistics.summary()
@@ -156,15 +156,44 @@ def test_the_rate_forgets_what_is_long_ago():
 
 
 def test_status_tells_what_is_wrong():
-    statistics = Statistics()
-    good = status_of("/robot/depth_node", statistics.summary(), 0, stalled=False)
+    statistics, config = Statistics(), DiagnosticsConfig()
+    before = statistics.summary()
+    good = status_of("/robot/depth_node", before, before, config)
     assert (good.name, good.level) == ("robot/depth_node: frames", DiagnosticStatus.OK)
-    waiting = status_of("depth_node", statistics.summary(), 0, stalled=True)
+    waiting = status_of("depth_node", before, before, config, waiting=True)
     assert (waiting.level, waiting.message) == (DiagnosticStatus.WARN, "waiting for frames")
-    statistics.count_rejected("data")
-    bad = status_of("depth_node", statistics.summary(), 1, stalled=False)
+    resting = status_of("depth_node", before, before, config, waiting=True, active=False)
+    assert (resting.level, resting.message) == (DiagnosticStatus.OK, "not active")
+    statistics.count_rejected("data", "image data has 3 bytes")
+    bad = status_of("depth_node", statistics.summary(), before, config)
     assert bad.level == DiagnosticStatus.WARN
-    assert {pair.key: pair.value for pair in bad.values}["rejected_data"] == "1"
+    values = {pair.key: pair.value for pair in bad.values}
+    assert values["rejected_data"] == "1"
+    assert values["last_error"] == "image data has 3 bytes"
+
+
+def test_status_warns_at_the_thresholds_that_were_set():
+    statistics = Statistics()
+    before = statistics.summary()
+    for _ in range(10):
+        statistics.count_received()
+        statistics.count_processed(0.08, 0.01, figures={"nearest_obstacle_m": 0.75})
+    for _ in range(3):
+        statistics.count_dropped("busy")
+    now = statistics.summary()
+    assert status_of("n", now, before, DiagnosticsConfig()).level == DiagnosticStatus.OK
+    for config, text in (
+        (DiagnosticsConfig(warn_latency_ms=70.0), "latency 80 ms, more than 70"),
+        (DiagnosticsConfig(warn_rate_hz=1000.0), "fewer than 1000"),
+        (DiagnosticsConfig(warn_dropped_share=0.2), "3 of 10 frames dropped"),
+    ):
+        status = status_of("n", now, before, config, identity={"bank": "bank.npz"})
+        assert status.level == DiagnosticStatus.WARN
+        assert text in status.message
+    values = {pair.key: pair.value for pair in status.values}
+    assert values["nearest_obstacle_m"] == "0.750"
+    assert values["bank"] == "bank.npz"
+    assert values["dropped_busy"] == "3"
 
 
 def rotated(transform, vector):

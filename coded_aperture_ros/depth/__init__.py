@@ -8,6 +8,7 @@ from coded_aperture_ros.depth.estimate import (
 )
 from coded_aperture_ros.depth.frame import check_frame, filled
 from coded_aperture_ros.depth.noise import estimate_noise, high_power
+from coded_aperture_ros.depth.points import nearest_obstacle_m, points_of_depth
 from coded_aperture_ros.depth.rims import DEPTH_EDGE_PX
 from coded_aperture_ros.depth.stages import Stages
 from coded_aperture_ros.depth.still import StillAverage
@@ -26,4 +27,6 @@ __all__ = [
     "estimate_video",
     "filled",
     "high_power",
+    "nearest_obstacle_m",
+    "points_of_depth",
 ]

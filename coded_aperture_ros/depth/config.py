@@ -60,6 +60,12 @@ class DepthConfig:
         minimum=0.0,
         maximum=1.0,
     )
+    unknown: str = option(
+        "nan",
+        "What stands where depth is unknown: nan, or nearest: the nearest depth that is plausible, "
+        "for whoever must not run into anything.",
+        choices=("nan", "nearest"),
+    )
 
     temporal_frames: float = option(
         0.0,

@@ -15,6 +15,7 @@ from coded_aperture_ros.depth.levels import (
     knows_nothing,
     level_evidence,
     level_probability,
+    nearest_plausible_level,
 )
 from coded_aperture_ros.depth.noise import estimate_noise, high_power
 from coded_aperture_ros.depth.regularize import regularized_level
@@ -44,7 +45,8 @@ class DepthEstimate:
     blur_size_px : ndarray
         Signed blur size in pixels of the frame; NaN where unknown.
     depth_m : ndarray or None
-        Depth along the optical axis in metres; NaN where unknown, +inf for a level at or beyond
+        Depth along the optical axis in metres; NaN where unknown (unless the configuration says
+        otherwise), +inf for a level at or beyond
         the camera's blur size of infinity. None if neither a camera nor the bank says how far the
         levels are.
     confidence : ndarray
@@ -169,6 +171,8 @@ class DepthEstimator:
         self.stages = Stages()
         self._agreement = agreeing_levels(bank, self._level_depths_m())
         self._blur_sizes_px, self._depths_m = self._tables()
+        at_levels = self._blur_sizes_px if self._depths_m is None else self._depths_m
+        self._nearest_first = np.argsort(at_levels[::_STEPS], kind="stable")
         self._engine: Engine | None = None
         self._shape: tuple[int, ...] = ()
         frames = self.config.temporal_frames
@@ -309,8 +313,14 @@ class DepthEstimator:
         if unknown.any():
             confidence[unknown[np.ix_(*patches)]] = 0
         noise = seen.noise * float(np.sqrt(seen.channels))
-        estimate = self._in_metres(level, confidence, noise)
-        estimate = estimate.where_confident(config.confidence_threshold).enlarged(size)
+        if config.unknown == "nearest":
+            nearest = nearest_plausible_level(probability, self._nearest_first)[np.ix_(*patches)]
+            unsure = ~(confidence >= config.confidence_threshold) | (confidence == 0)
+            level = np.where(unsure, self._nearer(level, nearest), level)
+            estimate = self._in_metres(level, confidence, noise).enlarged(size)
+        else:
+            estimate = self._in_metres(level, confidence, noise)
+            estimate = estimate.where_confident(config.confidence_threshold).enlarged(size)
         self.stages.lap("map")
         return estimate
 
@@ -344,6 +354,12 @@ class DepthEstimator:
             speck_px=2 * round(window_px / 4) - 1,  # odd: centred on its pixel
             jump_levels=DEPTH_EDGE_PX / float(np.abs(steps).mean()),
         )
+
+    def _nearer(self, level: NDArray[np.float32], other: NDArray[np.intp]) -> NDArray[np.float32]:
+        """Return the nearer one of two maps of levels."""
+        # Depth grows or falls with the level's index.
+        nearer = np.minimum if self._nearest_first[0] == 0 else np.maximum
+        return np.asarray(nearer(level, other.astype(np.float32)))
 
     def _in_metres(
         self, level: NDArray[np.float32], confidence: NDArray[np.float32], noise: float

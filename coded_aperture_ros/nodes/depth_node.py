@@ -4,26 +4,35 @@ import dataclasses
 import math
 import sys
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from coded_aperture_ros.bank import FilterBank, LearnConfig
 from coded_aperture_ros.blas import slow_blas_warning
 from coded_aperture_ros.calibration import with_noise_of
 from coded_aperture_ros.configuration import check_options, option
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth import (
+    DepthConfig,
+    DepthEstimator,
+    nearest_obstacle_m,
+    points_of_depth,
+)
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.nodes.camera_model import CameraModel
 from coded_aperture_ros.nodes.frame_model import FrameModel, ModelConfig
 from coded_aperture_ros.nodes.frame_node import FrameNode
 from coded_aperture_ros.nodes.messages import (
+    MessageError,
+    cloud_from_points,
     frame_from_image,
     image_from_array,
     limit_depth,
     millimetres_from_depth,
+    stamp_ns,
 )
 from coded_aperture_ros.nodes.running import run_nodes
+from coded_aperture_ros.nodes.stamp_order import StampOrder
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.simple import (
     NeighbourModel,
@@ -56,6 +65,20 @@ class DepthNodeConfig:
         choices=("bank", "simple"),
         read_only=True,
     )
+    points_far_m: float = option(
+        0.0,
+        "Where depth/points puts what is surely beyond far_m, so that it clears an obstacle map; "
+        "0: it has no point",
+        unit="m",
+        minimum=0.0,
+        maximum=10_000.0,
+    )
+    obstacle_share: float = option(
+        0.005,
+        "Part of the depth image that is taken up by what /diagnostics calls the nearest obstacle",
+        minimum=0.0,
+        maximum=1.0,
+    )
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -63,6 +86,14 @@ class DepthNodeConfig:
 
 class DepthNode(FrameNode[Image]):
     """Subscribes to coded frames and publishes depth, confidence and the matching camera model."""
+
+    outputs: ClassVar = {
+        "depth/image": Image,
+        "depth/image_raw": Image,
+        "depth/confidence": Image,
+        "depth/camera_info": CameraInfo,
+        "depth/points": PointCloud2,
+    }
 
     def __init__(self, **node_options: Any) -> None:
         super().__init__(
@@ -76,22 +107,42 @@ class DepthNode(FrameNode[Image]):
         warning = slow_blas_warning()
         if warning:
             self.get_logger().warning(warning)
-        self._range = self.configs[ModelConfig]
+        self._info = CameraModel()
+        self._order = StampOrder()
+        self._restarting = False
+        self._estimator: DepthEstimator | None = None
+        self.listen_to_frames("image_raw", self._on_image)
+        self.listen("camera_info", CameraInfo, self._info.receive)
+        self.begin()
+
+    def load(self) -> None:
+        """Load the camera file and load or learn the bank."""
         learn = None
+        self._range = self.configs[ModelConfig]
         if self.configs[DepthNodeConfig].method == "simple":
             if self._range.bank:
                 raise InputError("method: simple has no bank: leave the parameter bank empty")
             learn = self._neighbour_model
         self._model = FrameModel(self, self.configs, learn)
         self._estimator = self._new_estimator()
-        self._info = CameraModel()
-        self.advertise("depth/image", Image)
-        self.advertise("depth/image_raw", Image)
-        self.advertise("depth/confidence", Image)
-        self.advertise("depth/camera_info", CameraInfo)
-        self.listen("image_raw", Image, self._on_image)
-        self.listen("camera_info", CameraInfo, self._info.receive)
-        self.start()
+
+    def unload(self) -> None:
+        """End the estimator's threads."""
+        estimator, self._estimator = self._estimator, None
+        if estimator is not None:
+            estimator.close()
+
+    def rest(self) -> None:
+        """Forget the frames so far: what comes after a pause is another video."""
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin another video with the next frame."""
+        self._restarting = True
+
+    def identity(self) -> dict[str, str]:
+        """Return which camera and bank the node works with."""
+        return self._model.identity()
 
     def process(self, item: Image) -> None:
         """Estimate and publish the depth of one frame."""
@@ -101,6 +152,7 @@ class DepthNode(FrameNode[Image]):
         size = output_size(frame_size, self.configs[DepthNodeConfig].output_size)
         self._model.fit(item.width, item.height)
         estimator = self._present_estimator()
+        self._keep_order(item, estimator)
         estimate = estimator.estimate(frame, size)
         if estimate.depth_m is None:
             raise InputError("the bank and the camera file give no depth")
@@ -113,10 +165,29 @@ class DepthNode(FrameNode[Image]):
         if self.wants("depth/confidence"):
             confidence = image_from_array(estimate.confidence, "32FC1", header)
             self.send("depth/confidence", confidence)
+        info = self._info.info(self._model.camera, frame_size, size, header)
         if self.wants("depth/camera_info"):
-            info = self._info.info(self._model.camera, frame_size, size, header)
             self.send("depth/camera_info", info)
-        self.sent(header, estimator.stages.seconds)
+        config = self.configs[DepthNodeConfig]
+        if self.wants("depth/points"):
+            points = points_of_depth(
+                depth_m, estimate.confidence, info.p, self._range.near_m, config.points_far_m
+            )
+            self.send("depth/points", cloud_from_points(points, header))
+        obstacle_m = nearest_obstacle_m(depth_m, config.obstacle_share)
+        self.sent(header, estimator.stages.seconds, {"nearest_obstacle_m": obstacle_m})
+
+    def _keep_order(self, item: Image, estimator: DepthEstimator) -> None:
+        """Begin anew where time has gone back; refuse a frame that a later one has overtaken."""
+        if self._restarting:
+            self._restarting = False
+            self._order.forget()
+            estimator.reset()
+        order = self._order.follow(stamp_ns(item.header))
+        if order == "restart":
+            estimator.reset()
+        elif order == "late" and self.configs[DepthConfig].temporal_frames:
+            raise MessageError("late", "a frame is older than the one before it")
 
     def _on_image(self, message: Image) -> None:
         self.statistics.count_received()
@@ -125,6 +196,8 @@ class DepthNode(FrameNode[Image]):
     def _present_estimator(self) -> DepthEstimator:
         """Return the estimator for the present camera, bank and parameters."""
         made, model = self._estimator, self._model
+        if made is None:  # cleaned up while this frame was in work
+            raise InputError("the node is being cleaned up")
         if (
             made.bank is not model.bank
             or made.camera is not model.camera
@@ -132,8 +205,8 @@ class DepthNode(FrameNode[Image]):
         ):
             estimator = self._new_estimator()
             made.close()
-            self._estimator = estimator
-        return self._estimator
+            self._estimator = made = estimator
+        return made
 
     def _new_estimator(self) -> DepthEstimator:
         # The estimator's own configuration may be another one: with the camera file's noise.

@@ -3,18 +3,49 @@
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+
+from coded_aperture_ros.configuration import check_options, option
 
 _WINDOW_S = 10.0
 # A latency beyond this is not one: the stamp comes from another clock than ours.
 _PLAUSIBLE_LATENCY_S = 3600.0
+
+
+@dataclass(frozen=True)
+class DiagnosticsConfig:
+    """From when on /diagnostics warns."""
+
+    warn_latency_ms: float = option(
+        0.0,
+        "Warn if the 99th percentile of the latency exceeds this; 0: never",
+        unit="ms",
+        minimum=0.0,
+        maximum=1e6,
+    )
+    warn_rate_hz: float = option(
+        0.0,
+        "Warn if fewer frames than this are worked on per second; 0: never",
+        unit="Hz",
+        minimum=0.0,
+        maximum=10_000.0,
+    )
+    warn_dropped_share: float = option(
+        1.0,
+        "Warn if more than this share of the last second's frames was dropped; 1: never",
+        minimum=0.0,
+        maximum=1.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
 
 @dataclass(frozen=True)
@@ -23,12 +54,19 @@ class Summary:
 
     received: int
     processed: int
-    dropped: int
+    dropped_by: dict[str, int]
     rejected: dict[str, int]
     rate_hz: float
     latency_s: tuple[float, float, float] | None  # median, 99th percentile, maximum
     work_s: tuple[float, float, float] | None
     stages_s: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    figures: dict[str, float] = field(default_factory=dict)
+    last_error: str = ""
+
+    @property
+    def dropped(self) -> int:
+        """Return the number of frames that were given up, for whatever cause."""
+        return sum(self.dropped_by.values())
 
     @property
     def rejected_total(self) -> int:
@@ -50,13 +88,15 @@ class Statistics:
         self._lock = threading.Lock()
         self._received = 0
         self._processed = 0
-        self._dropped = 0
+        self._dropped: Counter[str] = Counter()
         self._rejected: Counter[str] = Counter()
         # When each frame was done, its latency, the time spent on it and that of its stages.
         self._recent: deque[tuple[float, float | None, float, Mapping[str, float]]] = deque(
             maxlen=2000
         )
         self._started_s: float | None = None
+        self._figures: Mapping[str, float] = {}
+        self._last_error = ""
 
     def count_received(self) -> None:
         """Count a frame that arrived."""
@@ -65,18 +105,23 @@ class Statistics:
             if self._started_s is None:
                 self._started_s = self._now()
 
-    def count_dropped(self) -> None:
-        """Count a frame given up for a newer one."""
+    def count_dropped(self, cause: str) -> None:
+        """Count a frame that was not worked on though nothing was wrong with it."""
         with self._lock:
-            self._dropped += 1
+            self._dropped[cause] += 1
 
-    def count_rejected(self, kind: str) -> None:
-        """Count a message that cannot be used, by the kind of its fault."""
+    def count_rejected(self, kind: str, reason: str = "") -> None:
+        """Count a message that cannot be used, by the kind of its fault; remember the reason."""
         with self._lock:
             self._rejected[kind] += 1
+            self._last_error = reason or kind
 
     def count_processed(
-        self, latency_s: float | None, work_s: float, stages_s: Mapping[str, float] | None = None
+        self,
+        latency_s: float | None,
+        work_s: float,
+        stages_s: Mapping[str, float] | None = None,
+        figures: Mapping[str, float] | None = None,
     ) -> None:
         """Count a frame done.
 
@@ -89,11 +134,14 @@ class Statistics:
             From taking up the frame to the publication of its last result.
         stages_s : mapping, optional
             Time of each stage of that work.
+        figures : mapping, optional
+            What else there is to tell of the frame, by names with their units.
         """
         if latency_s is not None and not 0.0 <= latency_s <= _PLAUSIBLE_LATENCY_S:
             latency_s = None
         with self._lock:
             self._processed += 1
+            self._figures = figures or {}
             self._recent.append((self._now(), latency_s, work_s, stages_s or {}))
 
     def summary(self) -> Summary:
@@ -106,12 +154,14 @@ class Statistics:
             return Summary(
                 self._received,
                 self._processed,
-                self._dropped,
+                dict(self._dropped),
                 dict(self._rejected),
                 len(recent) / span_s,
                 percentiles([latency for _, latency, _, _ in recent if latency is not None]),
                 percentiles([work for _, _, work, _ in recent]),
                 _by_stage([stages for _, _, _, stages in recent]),
+                dict(self._figures),
+                self._last_error,
             )
 
 
@@ -133,7 +183,14 @@ def percentiles(values: list[float]) -> tuple[float, float, float] | None:
 
 
 def status_of(
-    name: str, summary: Summary, newly_rejected: int, stalled: bool, fruitless: bool = False
+    name: str,
+    summary: Summary,
+    last: Summary,
+    config: DiagnosticsConfig,
+    *,
+    waiting: bool = False,
+    active: bool = True,
+    identity: Mapping[str, str] = MappingProxyType({}),
 ) -> DiagnosticStatus:
     """Return the diagnostic status of a node's work.
 
@@ -141,23 +198,21 @@ def status_of(
     ----------
     name : str
         Of the node, with its namespace.
-    summary : Summary
-    newly_rejected : int
-        Messages that could not be used since the last status.
-    stalled : bool
-        Frames are waited for and none has come since the last status.
-    fruitless : bool
-        Frames have come since the last status and before, and nothing has been made of them.
+    summary, last : Summary
+        Now, and when the status was told before.
+    config : DiagnosticsConfig
+    waiting : bool
+        The node listens for frames.
+    active : bool
+        The node has been activated.
+    identity : mapping
+        What the node works with.
     """
     status = DiagnosticStatus(name=f"{name.lstrip('/')}: frames", level=DiagnosticStatus.OK)
-    status.message = f"{summary.rate_hz:.1f} frames/s"
-    if stalled:
-        status.level, status.message = DiagnosticStatus.WARN, "waiting for frames"
-    if fruitless:
-        status.level, status.message = DiagnosticStatus.WARN, "frames come in, no results go out"
-    if newly_rejected:
-        status.level = DiagnosticStatus.WARN
-        status.message = f"{newly_rejected} unusable message(s) in the last second"
+    status.message = f"{summary.rate_hz:.1f} frames/s" if active else "not active"
+    warnings = list(_warnings(summary, last, config, waiting)) if active else []
+    if warnings:
+        status.level, status.message = DiagnosticStatus.WARN, "; ".join(warnings)
     values = {
         "rate_hz": f"{summary.rate_hz:.2f}",
         "received": str(summary.received),
@@ -165,6 +220,8 @@ def status_of(
         "dropped": str(summary.dropped),
         "rejected": str(summary.rejected_total),
     }
+    for cause, count in sorted(summary.dropped_by.items()):
+        values[f"dropped_{cause}"] = str(count)
     for kind, count in sorted(summary.rejected.items()):
         values[f"rejected_{kind}"] = str(count)
     stages = [(f"stage_{stage}", figures) for stage, figures in summary.stages_s.items()]
@@ -172,38 +229,54 @@ def status_of(
         if figures is not None:
             for part, value in zip(("median", "p99", "max"), figures, strict=True):
                 values[f"{label}_{part}_ms"] = f"{value * 1000:.1f}"
+    values.update({name: f"{value:.3f}" for name, value in summary.figures.items()})
+    values.update(identity)
+    values["last_error"] = summary.last_error or "none"
     status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
     return status
 
 
+def _warnings(
+    summary: Summary, last: Summary, config: DiagnosticsConfig, waiting: bool
+) -> Iterator[str]:
+    received = summary.received - last.received
+    rejected = summary.rejected_total - last.rejected_total
+    dropped = summary.dropped - last.dropped
+    if rejected:
+        yield f"{rejected} unusable message(s) in the last second"
+    if waiting and not received:
+        yield "waiting for frames"
+    elif received and last.received and summary.rate_hz == 0:
+        yield "frames come in, no results go out"
+    elif received and summary.rate_hz < config.warn_rate_hz:
+        yield f"{summary.rate_hz:.1f} frames/s, fewer than {config.warn_rate_hz:g}"
+    if received and dropped > config.warn_dropped_share * received:
+        yield f"{dropped} of {received} frames dropped"
+    late_ms = summary.latency_s[1] * 1000 if summary.latency_s else 0.0
+    if config.warn_latency_ms and late_ms > config.warn_latency_ms:
+        yield f"latency {late_ms:.0f} ms, more than {config.warn_latency_ms:g}"
+
+
 class DiagnosticsPublisher:
-    """Publishes a node's statistics on /diagnostics once a second.
+    """Publishes a node's status on /diagnostics; the node calls `publish` once a second.
 
     By a steady clock: under `use_sim_time` a timer of the node's own clock would stand still
     until a /clock comes.
     """
 
-    def __init__(self, node: Node, statistics: Statistics, expecting: Callable[[], bool]) -> None:
+    def __init__(self, node: Node, status: Callable[[], DiagnosticStatus]) -> None:
         self._node = node
-        self._statistics = statistics
-        self._expecting = expecting
-        self._last = statistics.summary()
+        self._status = status
         self._publisher = node.create_publisher(
             DiagnosticArray, "/diagnostics", QoSProfile(depth=5)
         )
-        node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def publish(self) -> None:
         """Publish the present state."""
-        summary = self._statistics.summary()
-        status = status_of(
-            self._node.get_fully_qualified_name(),
-            summary,
-            summary.rejected_total - self._last.rejected_total,
-            self._expecting() and summary.received == self._last.received,
-            summary.rate_hz == 0 and summary.received > self._last.received > 0,
-        )
-        self._last = summary
-        message = DiagnosticArray(status=[status])
+        message = DiagnosticArray(status=[self._status()])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
+
+    def close(self) -> None:
+        """Destroy the publisher."""
+        self._node.destroy_publisher(self._publisher)

@@ -116,6 +116,16 @@ class FrameModel:
         """The bank for them."""
         return self._state.bank
 
+    def identity(self) -> dict[str, str]:
+        """Return which camera and bank these are, in words."""
+        bank = self._config.bank or "learned at start"
+        digest = self.bank.mask_digest[:12] or "not known"
+        return {
+            "camera_file": self._config.camera_file,
+            "bank": f"{bank}, {self.bank.levels} levels from {self.bank.learned_from}",
+            "mask_digest": digest,
+        }
+
     def _prepare(self, config: ModelConfig) -> None:
         """Make everything for a new camera file, or raise an `InputError`."""
         file_camera = required_camera(config.camera_file)

@@ -2,26 +2,29 @@
 
 import dataclasses
 import time
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from typing import Any, Generic, TypeVar
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, Generic, TypeVar
 
-from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import ParameterException
-from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
+from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
+from rclpy.duration import Duration
+from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 
 from coded_aperture_ros.configuration import check_options, option
 from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.nodes.diagnostics import DiagnosticsPublisher, Statistics
-from coded_aperture_ros.nodes.messages import MessageError, stamp_ns
+from coded_aperture_ros.nodes.diagnostics import (
+    DiagnosticsConfig,
+    DiagnosticsPublisher,
+    Statistics,
+    status_of,
+)
+from coded_aperture_ros.nodes.local_topics import LocalTopics
+from coded_aperture_ros.nodes.managed_node import ManagedNode
+from coded_aperture_ros.nodes.messages import MessageError, image_from_compressed, stamp_ns
 from coded_aperture_ros.nodes.newest import NewestWorker
-from coded_aperture_ros.nodes.parameters import NodeParameters
 from coded_aperture_ros.nodes.rate_limit import RateLimit
-from coded_aperture_ros.nodes.running import publish
+from coded_aperture_ros.nodes.topics import Inputs, Outputs
 
 Item = TypeVar("Item")
 
@@ -40,16 +43,22 @@ class FrameNodeConfig:
         0.0, "Most frames to process per second; 0: no limit", unit="Hz", minimum=0, maximum=10_000
     )
     lazy: bool = option(True, "Work only while someone subscribes to an output")
+    image_transport: str = option(
+        "raw",
+        "compressed: take frames from image_raw/compressed instead of image_raw",
+        choices=("raw", "compressed"),
+        read_only=True,
+    )
 
     def __post_init__(self) -> None:
         check_options(self)
 
 
-class FrameNode(ABC, Node, Generic[Item]):
+class FrameNode(ManagedNode, Generic[Item]):
     """A node that works on the newest frame, in a thread of its own, while someone listens.
 
-    A node that derives from this one calls `advertise` for each output and `listen` for each
-    input, implements `process`, and ends its constructor with `start`.
+    A node that derives from this one names its outputs, calls `listen` for each input,
+    implements `load`, `unload` and `process`, and ends its constructor with `begin`.
 
     Parameters
     ----------
@@ -59,44 +68,69 @@ class FrameNode(ABC, Node, Generic[Item]):
         The defaults of the node's parameters; see `NodeParameters`.
     fixed : dict
         Further ones that cannot change while the node runs, by the prefix of their names.
+    local : LocalTopics, optional
+        Of the process that the node shares with others.
     **node_options
         Those of `rclpy.node.Node`, such as `context` and `namespace`.
     """
 
+    outputs: ClassVar[Mapping[str, type]]
+
     def __init__(
-        self, name: str, *configs: Any, fixed: Mapping[str, Any], **node_options: Any
+        self,
+        name: str,
+        *configs: Any,
+        fixed: Mapping[str, Any],
+        local: LocalTopics | None = None,
+        **node_options: Any,
     ) -> None:
-        super().__init__(name, **node_options)
-        self.configs = NodeParameters(self, FrameNodeConfig(), *configs, fixed=fixed)
+        configs = FrameNodeConfig(), DiagnosticsConfig(), *configs
+        super().__init__(name, *configs, fixed=fixed, **node_options)
         self.statistics = Statistics()
-        self._outputs: dict[str, Any] = {}
-        self._inputs: list[Callable[[], Any]] = []
-        self._listening: list[Any] = []
+        self._outputs = Outputs(self, self.outputs, local)
+        self._inputs = Inputs(self, local)
         self._logged_s: dict[str, float] = {}
         self._taken_up_s = 0.0
         self._rate_limit = RateLimit()
         self._worker: NewestWorker[Item] | None = None
-
-    def advertise(self, topic: str, message_type: type) -> None:
-        """Create the publisher of an output."""
-        self._outputs[topic] = overridable_publisher(self, message_type, topic)
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timers: list[Any] = []
+        self._diagnostics: DiagnosticsPublisher | None = None
+        self._jumps = self.get_clock().create_jump_callback(
+            JumpThreshold(
+                min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
+            ),
+            post_callback=self._on_jump,
+        )
 
     def listen(self, topic: str, message_type: type, callback: Callable[[Any], None]) -> None:
         """Subscribe to an input; under `lazy` only while some output has a subscriber."""
-        self._inputs.append(lambda: overridable_subscription(self, message_type, topic, callback))
+        self._inputs.add(topic, message_type, callback)
 
-    def start(self) -> None:
-        """Begin to work; the last thing that a constructor does."""
-        self._worker = NewestWorker(
-            self._process_safely, self.statistics.count_dropped, self.get_name()
-        )
-        # Subscribed at once, so that a QoS override that cannot be met is found at start.
-        self._listening = [subscribe() for subscribe in self._inputs]
-        self._update_listening()
-        self.create_timer(
-            _LAZY_PERIOD_S, self._update_listening, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
-        DiagnosticsPublisher(self, self.statistics, lambda: bool(self._listening))
+    def listen_to_frames(self, topic: str, callback: Callable[[Image], None]) -> None:
+        """Subscribe to frames, raw or compressed as the parameter `image_transport` says."""
+        if self.frame_config.image_transport == "raw":
+            self.listen(topic, Image, callback)
+            return
+
+        def decompress(message: CompressedImage) -> None:
+            try:
+                image = image_from_compressed(message)
+            except MessageError as error:
+                self.statistics.count_received()
+                self.reject(error.kind, str(error))
+            else:
+                callback(image)
+
+        self.listen(f"{topic}/compressed", CompressedImage, decompress)
+
+    @abstractmethod
+    def load(self) -> None:
+        """Load files and plan the work; an `InputError` says why that cannot be done."""
+
+    @abstractmethod
+    def unload(self) -> None:
+        """Let go of what `load` made, as far as it got."""
 
     @abstractmethod
     def process(self, item: Item) -> None:
@@ -105,52 +139,101 @@ class FrameNode(ABC, Node, Generic[Item]):
     def rest(self) -> None:
         """Let go of what waits for more input; called when nobody listens any more."""
 
+    def restart(self) -> None:
+        """Forget the frames so far; called, in any thread, when time has gone back."""
+
+    def identity(self) -> dict[str, str]:
+        """Return what /diagnostics says the node works with."""
+        return {}
+
     @property
     def frame_config(self) -> FrameNodeConfig:
         """The present parameters about frames."""
         return self.configs[FrameNodeConfig]
 
+    def set_up(self) -> None:
+        """Load, create the publishers, and tell about the node from now on."""
+        self.load()
+        self._outputs.open()
+        self._last = self.statistics.summary()
+        self._diagnostics = DiagnosticsPublisher(self, self._status)
+        self._timers = [
+            self.create_timer(_LAZY_PERIOD_S, self._update_listening, clock=self._steady),
+            self.create_timer(1.0, self._diagnostics.publish, clock=self._steady),
+        ]
+
+    def clean_up(self) -> None:
+        """Undo `set_up`."""
+        for timer in self._timers:
+            self.destroy_timer(timer)
+        self._timers = []
+        if self._diagnostics is not None:
+            self._diagnostics.close()
+            self._diagnostics = None
+        self.configs.forget_listeners()
+        self._outputs.close()
+        self.unload()
+
+    def start_work(self) -> None:
+        """Begin to listen and to work."""
+        self._worker = NewestWorker(
+            self._process_safely, lambda: self.statistics.count_dropped("busy"), self.get_name()
+        )
+        # Subscribed at once, so that a QoS override that cannot be met is found at start.
+        self._inputs.open()
+        self._update_listening()
+
+    def stop_work(self) -> None:
+        """Listen no more, and wait for the frame in work."""
+        self._inputs.close()
+        worker, self._worker = self._worker, None
+        if worker is not None:
+            worker.stop()
+        self.rest()
+
     def offer(self, item: Item) -> None:
         """Hand an item to the worker, unless the rate is limited; what still waits is dropped."""
-        if self._worker is None:
+        worker = self._worker
+        if worker is None:
             return
         if self._rate_limit.takes(self.frame_config.max_rate_hz):
-            self._worker.offer(item)
+            worker.offer(item)
         else:
-            self.statistics.count_dropped()
+            self.statistics.count_dropped("max_rate")
 
     def wants(self, topic: str) -> bool:
         """Return whether an output has to be made."""
-        return not self.frame_config.lazy or self._outputs[topic].get_subscription_count() > 0
+        return not self.frame_config.lazy or self._outputs.listened(topic)
 
     def send(self, topic: str, message: Any) -> None:
         """Publish an output."""
-        publish(self, self._outputs[topic], message)
+        self._outputs.send(topic, message)
 
-    def sent(self, header: Header, stages_s: Mapping[str, float] | None = None) -> None:
+    def sent(
+        self,
+        header: Header,
+        stages_s: Mapping[str, float] | None = None,
+        figures: Mapping[str, float] | None = None,
+    ) -> None:
         """Count a frame as done.
 
         `header` is that of the frame that the outputs came from, `stages_s` the time that each
-        stage of the work took, if it is known.
+        stage of the work took, if it is known, `figures` what else /diagnostics tells of it.
         """
         stamp = stamp_ns(header)
         # A stamp of zero is no time at all: simulated time had not begun, or nobody set it.
         now = self.get_clock().now().nanoseconds
         latency_s = (now - stamp) * 1e-9 if stamp else None
-        self.statistics.count_processed(latency_s, time.monotonic() - self._taken_up_s, stages_s)
+        work_s = time.monotonic() - self._taken_up_s
+        self.statistics.count_processed(latency_s, work_s, stages_s, figures)
 
     def reject(self, kind: str, reason: str) -> None:
         """Count a message that cannot be used, and say why at most every ten seconds a kind."""
-        self.statistics.count_rejected(kind)
+        self.statistics.count_rejected(kind, reason)
         now_s = time.monotonic()
         if now_s - self._logged_s.get(kind, -_LOG_PERIOD_S) >= _LOG_PERIOD_S:
             self._logged_s[kind] = now_s
             self.get_logger().warning(f"skipped: {reason}")
-
-    def close(self) -> None:
-        """End the worker; the node can then be destroyed."""
-        if self._worker is not None:
-            self._worker.stop()
 
     def _process_safely(self, item: Item) -> None:
         self._taken_up_s = time.monotonic()
@@ -165,56 +248,27 @@ class FrameNode(ABC, Node, Generic[Item]):
             self.reject("internal", f"internal error {type(error).__name__}: {error}")
 
     def _update_listening(self) -> None:
-        wanted = any(self.wants(topic) for topic in self._outputs)
-        if wanted and not self._listening:
-            self._listening = [subscribe() for subscribe in self._inputs]
-        elif not wanted and self._listening:
-            for subscription in self._listening:
-                self.destroy_subscription(subscription)
-            self._listening = []
+        if self._worker is None:
+            return
+        wanted = not self.frame_config.lazy or self._outputs.listened()
+        if wanted and not self._inputs.are_open:
+            self._inputs.open()
+        elif not wanted and self._inputs.are_open:
+            self._inputs.close()
             self.rest()
 
+    def _on_jump(self, jump: TimeJump) -> None:
+        self.get_logger().info("time was set back: beginning anew")
+        self.restart()
 
-def overridable_publisher(node: Node, message_type: type, topic: str) -> Any:
-    """Create a publisher of results whose QoS users can change by parameters.
-
-    Reliable, because such a publisher serves every kind of subscriber.
-    """
-    qos = QoSProfile(
-        depth=5, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE
-    )
-    with _readable_qos_errors(topic):
-        return node.create_publisher(
-            message_type,
-            topic,
-            qos,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+    def _status(self) -> Any:
+        last, self._last = self._last, self.statistics.summary()
+        return status_of(
+            self.get_fully_qualified_name(),
+            self._last,
+            last,
+            self.configs[DiagnosticsConfig],
+            waiting=self._inputs.are_open,
+            active=self._worker is not None,
+            identity=self.identity(),
         )
-
-
-def overridable_subscription(
-    node: Node, message_type: type, topic: str, callback: Callable[[Any], None]
-) -> Any:
-    """Create a subscription to frames whose QoS users can change by parameters.
-
-    For sensor data of which only the newest matters.
-    """
-    qos = QoSProfile(
-        depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT
-    )
-    with _readable_qos_errors(topic):
-        return node.create_subscription(
-            message_type,
-            topic,
-            callback,
-            qos,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
-
-
-@contextmanager
-def _readable_qos_errors(topic: str) -> Iterator[None]:
-    try:
-        yield
-    except (RuntimeError, ParameterException, InvalidQosOverridesError) as error:
-        raise InputError(f"topic {topic}: {error}") from error

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.images import linear_from_pixels, pixels_from_linear
-from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics import Camera, Intrinsics
 
 # Weights of linear red, green and blue in luminance (ITU-R BT.709).
 _LUMINANCE = np.array([[0.2126, 0.7152, 0.0722]], np.float32)
@@ -109,6 +109,28 @@ def array_from_image(message: Image) -> NDArray:
         return pixels
     pixels = pixels.reshape(height, width, encoding.channels)
     return pixels if encoding.to_rgb is None else cv2.cvtColor(pixels, encoding.to_rgb)
+
+
+def image_from_compressed(message: CompressedImage) -> Image:
+    """Return the image that a compressed one (JPEG, PNG and others) holds, with its header.
+
+    Raises
+    ------
+    MessageError
+        Of kind "data", where it cannot be decompressed.
+    """
+    data = np.frombuffer(message.data, np.uint8)
+    try:
+        pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    except cv2.error:  # a size that no memory holds, say
+        pixels = None
+    encodings = {(np.uint8, 2): "mono8", (np.uint16, 2): "mono16", (np.uint8, 3): "bgr8"}
+    encoding = None if pixels is None else encodings.get((pixels.dtype.type, pixels.ndim))
+    if pixels is None or encoding is None or pixels.shape[2:] not in ((), (3,)):
+        raise MessageError(
+            "data", f"compressed image of format {message.format[:40]!r} cannot be decompressed"
+        )
+    return image_from_array(pixels, encoding, message.header)
 
 
 def frame_from_image(message: Image, gamma: float = 1.0) -> NDArray[np.float32]:
@@ -247,11 +269,39 @@ def millimetres_from_depth(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
     return np.where(known, np.clip(millimetres, 1, 65535), 0).astype(np.uint16)
 
 
+def cloud_from_points(points: NDArray[np.float32], header: Header) -> PointCloud2:
+    """Return an organised cloud with the fields x, y, z and confidence.
+
+    Parameters
+    ----------
+    points : float32, [row, column, 4]
+        See `points_of_depth`.
+    header : std_msgs.msg.Header
+        Copied.
+    """
+    names = ("x", "y", "z", "confidence")
+    cloud = PointCloud2(header=copied_header(header), is_dense=False)
+    cloud.height, cloud.width = points.shape[:2]
+    cloud.fields = [
+        PointField(name=name, offset=4 * index, datatype=PointField.FLOAT32, count=1)
+        for index, name in enumerate(names)
+    ]
+    cloud.point_step = 4 * len(names)
+    cloud.row_step = cloud.width * cloud.point_step
+    cloud.is_bigendian = sys.byteorder == "big"
+    cloud.data = points.tobytes()
+    return cloud
+
+
 def camera_info_from_camera(camera: Camera, header: Header) -> CameraInfo:
     """Return the pinhole model of a camera file; see `Camera.intrinsics`."""
-    model = camera.intrinsics
+    return camera_info_from_intrinsics(camera.intrinsics, header)
+
+
+def camera_info_from_intrinsics(model: Intrinsics, header: Header) -> CameraInfo:
+    """Return a camera model as a message."""
     info = CameraInfo(header=copied_header(header), distortion_model=model.distortion_model)
-    info.width, info.height = camera.image_width, camera.image_height
+    info.width, info.height = model.image_width, model.image_height
     info.d = list(model.distortion_coefficients)
     info.k = list(model.camera_matrix)
     info.r = list(model.rectification_matrix)

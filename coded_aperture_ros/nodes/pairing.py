@@ -1,6 +1,7 @@
 """Pairs of messages that come from the same frame."""
 
 import math
+import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
@@ -12,7 +13,7 @@ class StampPairs(Generic[First, Second]):
     """Pairs messages of two topics by their exact stamps, in a buffer that cannot grow.
 
     A pair makes everything older than it obsolete: stamps increase, and results are wanted for
-    the newest frame only.
+    the newest frame only. Safe to use from several threads.
 
     Parameters
     ----------
@@ -37,24 +38,28 @@ class StampPairs(Generic[First, Second]):
         self._dropped = dropped
         self._capacity_bytes = capacity_bytes
         self._size_bytes = size_bytes
+        self._lock = threading.Lock()
         self._first: dict[int, First] = {}
         self._second: dict[int, Second] = {}
 
     def add_first(self, stamp_ns: int, message: First) -> tuple[First, Second] | None:
         """Add a message of the first topic; return the pair that it completes."""
-        self._keep(self._first, stamp_ns, message)
-        return self._pair(stamp_ns)
+        with self._lock:
+            self._keep(self._first, stamp_ns, message)
+            return self._pair(stamp_ns)
 
     def add_second(self, stamp_ns: int, message: Second) -> tuple[First, Second] | None:
         """Add a message of the second topic; return the pair that it completes."""
-        self._keep(self._second, stamp_ns, message)
-        return self._pair(stamp_ns)
+        with self._lock:
+            self._keep(self._second, stamp_ns, message)
+            return self._pair(stamp_ns)
 
     def clear(self) -> None:
         """Give up everything that waits."""
-        for waiting in (self._first, self._second):
-            for stamp in list(waiting):
-                self._forget(waiting, stamp)
+        with self._lock:
+            for waiting in (self._first, self._second):
+                for stamp in list(waiting):
+                    self._forget(waiting, stamp)
 
     def __len__(self) -> int:
         """Return how many messages wait for their partner."""

@@ -77,6 +77,10 @@ class NodeParameters:
         """
         self._listeners[config_type] = prepare, take_over
 
+    def forget_listeners(self) -> None:
+        """Let changes of all configurations depend on their values alone again."""
+        self._listeners.clear()
+
     def _declare(self, node: Node, config: Any, prefix: str, read_only: bool) -> None:
         values = {}
         for name, (field, described) in options_of(config).items():

@@ -1,11 +1,13 @@
 """Camera driver, depth and deblurring in one process."""
 
+import functools
 import sys
 from collections.abc import Sequence
 
 from coded_aperture_ros.nodes.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.nodes.deblur_node import DeblurNode
 from coded_aperture_ros.nodes.depth_node import DepthNode
+from coded_aperture_ros.nodes.local_topics import LocalTopics
 from coded_aperture_ros.nodes.running import run_nodes
 
 
@@ -15,7 +17,9 @@ def main(args: Sequence[str] | None = None) -> int:
     A parameter given as `-p camera_file:=...` goes to all of them, `-p depth_node:levels:=...`
     to one.
     """
-    return run_nodes([CameraDriverNode, DepthNode, DeblurNode], args)
+    local = LocalTopics()
+    nodes = (CameraDriverNode, DepthNode, DeblurNode)
+    return run_nodes([functools.partial(node, local=local) for node in nodes], args)
 
 
 if __name__ == "__main__":

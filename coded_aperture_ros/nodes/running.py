@@ -10,7 +10,6 @@ from typing import Any
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from coded_aperture_ros.errors import InputError
@@ -69,16 +68,6 @@ def run_nodes(factories: Sequence[Callable[[], Any]], args: Sequence[str] | None
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
     return stop.status
-
-
-def publish(node: Node, publisher: Any, message: Any) -> None:
-    """Publish, unless the node's context has been shut down meanwhile."""
-    try:
-        publisher.publish(message)
-    except Exception:
-        # rclpy raises several kinds here, one of them private; only a shutdown excuses them.
-        if node.context.ok():
-            raise
 
 
 def _init(args: Sequence[str] | None) -> None:

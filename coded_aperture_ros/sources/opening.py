@@ -1,8 +1,10 @@
 """From the text that names a source to the source."""
 
+import dataclasses
+
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import Camera
-from coded_aperture_ros.sources.device import DeviceSource
+from coded_aperture_ros.sources.device import DeviceConfig, DeviceSource
 from coded_aperture_ros.sources.sequence import SequenceSource
 from coded_aperture_ros.sources.simulator import SimulatorSource
 from coded_aperture_ros.sources.source import Source
@@ -11,15 +13,21 @@ SIMULATOR = "simulator"
 
 
 def open_source(
-    text: str, camera: Camera, rate_hz: float, *, loop: bool = True, noise: float = 0.0
+    text: str,
+    camera: Camera,
+    rate_hz: float,
+    *,
+    loop: bool = True,
+    noise: float = 0.0,
+    device: DeviceConfig | None = None,
 ) -> Source:
     """Return the source that a text names.
 
     Parameters
     ----------
     text : str
-        `simulator`; the index of a camera, a device (`/dev/video0`) or a URL (`rtsp://...`); or
-        the path of a picture, a folder of pictures or a video.
+        `simulator`; the index of a camera, a device (`/dev/video0`), a URL (`rtsp://...`) or a
+        GStreamer pipeline; or the path of a picture, a folder of pictures or a video.
     camera : Camera
         To simulate, or whose image size to ask a device for.
     rate_hz : float
@@ -27,6 +35,8 @@ def open_source(
         Of files: begin again after the last frame.
     noise : float
         Of the simulator.
+    device : DeviceConfig, optional
+        Of a camera.
 
     Raises
     ------
@@ -39,7 +49,13 @@ def open_source(
         raise InputError("parameter source is empty: use simulator, a camera index or a path")
     if text.isdecimal() or text.startswith("/dev/"):
         address = int(text) if text.isdecimal() else text
-        return DeviceSource(address, camera.image_width, camera.image_height, rate_hz)
-    if "://" in text:
+        config = device or DeviceConfig()
+        if not (config.width and config.height):
+            config = dataclasses.replace(
+                config, width=camera.image_width, height=camera.image_height
+            )
+        return DeviceSource(address, config, rate_hz)
+    # Of a stream, the sender says how large it is and how fast.
+    if "://" in text or " ! " in text:
         return DeviceSource(text)
     return SequenceSource(text, loop)

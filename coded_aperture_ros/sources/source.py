@@ -19,11 +19,14 @@ class Capture:
         True depth, NaN where unknown.
     sharp : float32, [row, column] or [row, column, RGB], optional
         The same view all in focus and without noise.
+    stamp_ns : int, optional
+        When it was taken, if that is known: nanoseconds of the clock of whoever took it.
     """
 
     frame: NDArray
     depth_m: NDArray[np.float32] | None = None
     sharp: NDArray[np.float32] | None = None
+    stamp_ns: int | None = None
 
 
 class Source(Protocol):

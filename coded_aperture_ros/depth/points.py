@@ -1,0 +1,70 @@
+"""Points in space from a depth map, and the nearest thing in it."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def points_of_depth(
+    depth_m: NDArray[np.float32],
+    confidence: NDArray[np.float32],
+    projection: Sequence[float],
+    near_m: float = 0.0,
+    far_m: float = 0.0,
+) -> NDArray[np.float32]:
+    """Return the points of a depth map in the optical frame: x right, y down, z forward.
+
+    Parameters
+    ----------
+    depth_m : ndarray, float32 [rows, columns]
+        Metres along the optical axis; NaN where unknown, +inf beyond the range, -inf too near.
+    confidence : ndarray, float32 [rows, columns]
+    projection : sequence of 12 floats
+        P of the map's camera model, row by row.
+    near_m, far_m : float, optional
+        Where to put what is too near and what is beyond the range, metres; 0: it has no point.
+
+    Returns
+    -------
+    ndarray, float32 [rows, columns, 4]
+        x, y, z in metres and the confidence; x, y and z are NaN where there is no point.
+    """
+    rows, columns = depth_m.shape
+    right = (np.arange(columns, dtype=np.float32) - projection[2]) / projection[0]
+    down = (np.arange(rows, dtype=np.float32) - projection[6]) / projection[5]
+    z = depth_m.copy()
+    z[z == np.inf] = far_m if far_m > 0 else np.nan
+    z[z == -np.inf] = near_m if near_m > 0 else np.nan
+    points = np.empty((rows, columns, 4), np.float32)
+    points[..., 0] = z * right.astype(np.float32)
+    points[..., 1] = z * down.astype(np.float32)[:, None]
+    points[..., 2] = z
+    points[..., 3] = confidence
+    return points
+
+
+def nearest_obstacle_m(depth_m: NDArray[np.float32], share: float) -> float:
+    """Return how far the nearest thing of a certain size is.
+
+    Parameters
+    ----------
+    depth_m : ndarray, float32 [rows, columns]
+        NaN where unknown; -inf, which is too near to be measured, counts as the nearest.
+    share : float
+        Part of the map's pixels, in (0, 1], that the thing takes up at least: single wrong pixels
+        are none.
+
+    Returns
+    -------
+    float
+        Metres; 0 for what is too near to be measured, +inf if everything known is beyond the
+        range, NaN if less than that part of the map is known.
+    """
+    known = depth_m[~np.isnan(depth_m)]
+    count = max(1, math.ceil(share * depth_m.size))
+    if known.size < count:
+        return math.nan
+    nearest = float(np.partition(known, count - 1)[count - 1])
+    return 0.0 if nearest == -math.inf else nearest
