@@ -54,6 +54,7 @@ class Driver(Node):
         self._thread.start()
 
     def close(self) -> None:
+        """End the thread."""
         self._stopping.set()
         self._thread.join()
 
@@ -79,11 +80,14 @@ class Depth(FrameNode[Image]):
         self.listen("image_raw", Image, self.offer)
         self.begin()
 
-    def load(self) -> None: ...
+    def load(self) -> None:
+        """Nothing to load."""
 
-    def unload(self) -> None: ...
+    def unload(self) -> None:
+        """Nothing to end."""
 
     def process(self, item: Image) -> None:
+        """Publish a depth image of the usual size."""
         array_from_image(item)
         divisor = -(-item.width // 320)
         depth = np.zeros((item.height // divisor, item.width // divisor), np.float32)
@@ -103,9 +107,11 @@ class Deblur(FrameNode[tuple[Image, Image]]):
         self.listen("depth/image", Image, self._on_depth)
         self.begin()
 
-    def load(self) -> None: ...
+    def load(self) -> None:
+        """Nothing to load."""
 
-    def unload(self) -> None: ...
+    def unload(self) -> None:
+        """Nothing to end."""
 
     def _on_image(self, message: Image) -> None:
         pair = self._pairs.add_first(stamp_ns(message.header), message)
@@ -118,6 +124,7 @@ class Deblur(FrameNode[tuple[Image, Image]]):
             self.offer(pair)
 
     def process(self, item: tuple[Image, Image]) -> None:
+        """Read both messages."""
         for message in item:
             array_from_image(message)
         self.sent(item[0].header)
@@ -201,8 +208,10 @@ def receive(reliable: bool, depth: int, seconds: float) -> None:
     node = Node("subscriber")
     reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
     late_ms: list[float] = []
+    stamps: list[int] = []
 
     def on_image(message: Image) -> None:
+        stamps.append(stamp_ns(message.header))
         late_ms.append((node.get_clock().now().nanoseconds - stamp_ns(message.header)) * 1e-6)
 
     qos = QoSProfile(depth=depth, reliability=reliability)
@@ -212,8 +221,16 @@ def receive(reliable: bool, depth: int, seconds: float) -> None:
     end = time.monotonic() + seconds + 2
     while time.monotonic() < end:
         executor.spin_once(timeout_sec=0.1)
-    print(json.dumps({"received": len(late_ms), "late_ms": late_ms}), flush=True)
+    print(json.dumps({"stamps": stamps, "late_ms": late_ms}), flush=True)
     os._exit(0)
+
+
+def share_received(stamps: Sequence[int], rate_hz: float) -> float:
+    """Return how many of the frames from the first to the last one that came have come."""
+    if len(stamps) < 2:
+        return 0.0
+    sent = (stamps[-1] - stamps[0]) * 1e-9 * rate_hz + 1
+    return len(stamps) / sent
 
 
 def measure_link(args: argparse.Namespace) -> list[dict[str, Any]]:
@@ -245,7 +262,7 @@ def measure_link(args: argparse.Namespace) -> list[dict[str, Any]]:
                         "subscriber": "reliable" if reliable else "best effort",
                         "depth": depth,
                         "sent_per_s": round(sent / args.seconds, 1),
-                        "received_share": round(got["received"] / args.seconds / args.rate, 2),
+                        "received_share": round(share_received(got["stamps"], args.rate), 2),
                         "late_ms_p50": round(float(np.percentile(late, 50)), 1),
                         "late_ms_p99": round(float(np.percentile(late, 99)), 1),
                     }

@@ -18,8 +18,8 @@ _LAST_LINES = 15
 # Niceness counts only within a session (Linux autogroups), so the nodes stay in this one; Ctrl-C
 # then reaches them too, which they take as it is meant.
 _NICENESS = {"deblur_node": 19}
-# Four processes with a segment of 32 MB each.
-SHARED_MEMORY_MB = 140
+# Four processes with a segment of 64 MiB each.
+SHARED_MEMORY_MB = 280
 
 
 class Children:
