@@ -56,7 +56,7 @@ rclpy.shutdown()
 def test_large_best_effort_messages_arrive(checkout):
     profile = checkout / "config" / "fastdds_shared_memory.xml"
     shared_memory = os.statvfs("/dev/shm")
-    if shared_memory.f_bavail * shared_memory.f_frsize < 128 * 2**20:
+    if shared_memory.f_bavail * shared_memory.f_frsize < 280 * 2**20:
         pytest.skip("needs 280 MB of /dev/shm")
     environment = dict(os.environ, FASTRTPS_DEFAULT_PROFILES_FILE=str(profile))
     programs = [

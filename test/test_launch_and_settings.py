@@ -14,6 +14,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 import yaml
 
+from coded_aperture_ros.cli.main import make_parser
 from coded_aperture_ros.configuration import options_of
 
 rclpy = pytest.importorskip("rclpy")
@@ -79,16 +80,25 @@ class _Recorder:
         self.values, self.options = values, options
 
 
+_ACTIONS = ("DeclareLaunchArgument", "Node", "ExecuteProcess", "IncludeLaunchDescription")
+
+
 @pytest.fixture
-def launched(checkout, monkeypatch):
-    """Return what the launch file asks for: its arguments, and its nodes."""
+def launch_file(checkout, monkeypatch):
+    """Return a function that says what a launch file asks for."""
     recorded = {
         "launch": ["LaunchDescription"],
-        "launch.actions": ["DeclareLaunchArgument"],
+        "launch.actions": ["DeclareLaunchArgument", "ExecuteProcess", "IncludeLaunchDescription"],
         "launch.conditions": ["IfCondition", "UnlessCondition"],
-        "launch.substitutions": ["LaunchConfiguration", "PathJoinSubstitution"],
+        "launch.launch_description_sources": ["PythonLaunchDescriptionSource"],
+        "launch.substitutions": [
+            "EqualsSubstitution",
+            "LaunchConfiguration",
+            "NotEqualsSubstitution",
+            "PathJoinSubstitution",
+        ],
         "launch_ros": [],
-        "launch_ros.actions": ["Node"],
+        "launch_ros.actions": ["Node", "SetParametersFromFile"],
         "launch_ros.parameter_descriptions": ["ParameterValue"],
         "launch_ros.substitutions": ["FindPackageShare"],
     }
@@ -97,12 +107,24 @@ def launched(checkout, monkeypatch):
         for name in names:
             setattr(stand_in, name, type(name, (_Recorder,), {}))
         monkeypatch.setitem(sys.modules, module, stand_in)
-    launch_file = runpy.run_path(str(checkout / "launch" / "pipeline.launch.py"))
-    (actions,) = launch_file["generate_launch_description"]().values
-    return SimpleNamespace(
-        arguments={a.values[0] for a in actions if type(a).__name__ == "DeclareLaunchArgument"},
-        nodes=[action.options for action in actions if type(action).__name__ == "Node"],
-    )
+
+    def run(name):
+        launch_file = runpy.run_path(str(checkout / "launch" / f"{name}.launch.py"))
+        (actions,) = launch_file["generate_launch_description"]().values
+        kinds = {kind: [a for a in actions if type(a).__name__ == kind] for kind in _ACTIONS}
+        return SimpleNamespace(
+            arguments={action.values[0] for action in kinds["DeclareLaunchArgument"]},
+            nodes=[action.options for action in kinds["Node"]],
+            programs=[action.options["cmd"] for action in kinds["ExecuteProcess"]],
+            included=kinds["IncludeLaunchDescription"],
+        )
+
+    return run
+
+
+@pytest.fixture
+def launched(launch_file):
+    return launch_file("pipeline")
 
 
 def test_launched_programs_exist(launched):
@@ -152,3 +174,66 @@ def test_the_one_process_gets_every_parameter(launched):
     together = given.pop("pipeline")
     assert together == set().union(*given.values())
     assert together <= launched.arguments
+
+
+def test_obstacle_avoidance_connects_consumers_to_what_is_published(launch_file, checkout):
+    launched = launch_file("obstacle_avoidance")
+    nodes = {node["executable"]: node for node in launched.nodes}
+    assert {"depthimage_to_laserscan_node", "nav2_costmap_2d", "lifecycle_manager"} <= set(nodes)
+    from coded_aperture_ros.nodes.depth_node import DepthNode
+
+    remapped = dict(nodes["depthimage_to_laserscan_node"]["remappings"])
+    assert set(remapped) == {"depth", "depth_camera_info"}
+    assert set(remapped.values()) <= set(DepthNode.outputs)
+    (included,) = launched.included
+    path = included.values[0].values[0].values[0]
+    assert (checkout / path[-2] / path[-1]).is_file()
+    assert launched.arguments == {"rviz"}
+
+
+def test_obstacle_avoidance_settings_agree_with_each_other(checkout, configs_of):
+    content = yaml.safe_load((checkout / "config" / "obstacle_avoidance.yaml").read_text())
+    values = {name: part["ros__parameters"] for name, part in content.items()}
+    ours, configs = values["/**/depth_node"], configs_of("depth_node")
+    assert set(ours) <= names_in(configs)
+    for config in configs:
+        dataclasses.replace(config, **{n: v for n, v in ours.items() if n in options_of(config)})
+    layer = values["/**/costmap/costmap"]["voxel_layer"]
+    marking, clearing = (layer[source] for source in layer["observation_sources"].split())
+    assert {marking["topic"], clearing["topic"]} == {"depth/points"}
+    assert marking["marking"]
+    assert clearing["clearing"]
+    # What is beyond the range clears as far as the layer looks, and marks nothing.
+    assert marking["obstacle_max_range"] < clearing["raytrace_max_range"] < ours["points_far_m"]
+    scan = values["/**/depthimage_to_laserscan"]
+    assert scan["range_max"] < 10
+    assert "optical" not in scan["output_frame"]
+
+
+def test_bag_evaluation_calls_the_program_with_its_own_options(launch_file):
+    launched = launch_file("bag_evaluation")
+    assert launched.arguments == {"bag", "output", "bank", "camera_file", "reference_depth"}
+    for program in launched.programs:
+        words = [word if isinstance(word, str) else word.values[0] for word in program]
+        assert words[:5] == ["ros2", "run", "coded_aperture_ros", "coded_aperture", "bag"]
+        make_parser().parse_args(words[4:])  # exits where an option does not exist
+
+
+def test_two_cameras_do_not_share_names(launch_file, checkout):
+    launched = launch_file("two_cameras")
+    given = [dict(action.options["launch_arguments"]) for action in launched.included]
+    assert [arguments["namespace"] for arguments in given] == ["front", "rear"]
+    known = launch_file("pipeline").arguments
+    assert all(set(arguments) <= known for arguments in given)
+
+
+def test_the_picture_of_rviz_shows_published_topics(checkout):
+    from coded_aperture_ros.nodes.deblur_node import DeblurNode
+    from coded_aperture_ros.nodes.depth_node import DepthNode
+
+    content = yaml.safe_load((checkout / "config" / "coded_aperture.rviz").read_text())
+    displays = content["Visualization Manager"]["Displays"]
+    topics = {display["Topic"]["Value"] for display in displays if "Topic" in display}
+    others = {"image_raw", "costmap/costmap", "scan"}
+    assert topics - others <= {*DepthNode.outputs, *DeblurNode.outputs}
+    assert "depth/points" in topics
