@@ -27,7 +27,7 @@ READY_OLDEST := $(VENV_OLDEST)/finished-with-3.12
 SETUP := setup.py setup.cfg pyproject.toml scripts/create_environment.sh
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-oldest lint environment clean
+.PHONY: help demo test test-oldest fuzz soak lint environment clean
 
 help: ## Show this list
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | \
@@ -41,6 +41,14 @@ demo: $(READY) ## Run camera driver, depth and deblurring over DDS, and save wha
 
 test: $(READY) ## Run every test
 	@$(VENV)/bin/python -m pytest $(TEST_ARGS)
+
+fuzz: $(READY) ## Try more than ten thousand broken messages and files
+	@FUZZ_TIMES=1 $(VENV)/bin/python -m pytest test/test_fuzz.py $(TEST_ARGS)
+
+SOAK_SECONDS ?= 1800
+soak: fuzz ## The same, faults of a robot, and half an hour of frames at 30 Hz
+	@GOES_ON_S=2 $(VENV)/bin/python -m pytest test/test_faults.py
+	@$(VENV)/bin/python benchmarks/node_rate.py --rate 30 --seconds $(SOAK_SECONDS)
 
 lint: $(READY) ## Check style and types
 	$(VENV)/bin/ruff check .

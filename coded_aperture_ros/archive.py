@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.files import atomic_output
 
-# zipfile raises a RuntimeError where damage looks like encryption, or like another compression.
+# zipfile raises a RuntimeError where damage looks like encryption, or like another compression;
+# there is not enough memory for an array whose damaged size is enormous.
 _DAMAGE = (
-    *(OSError, ValueError, EOFError, KeyError, RuntimeError),
+    *(OSError, ValueError, EOFError, KeyError, RuntimeError, MemoryError),
     *(zipfile.BadZipFile, zlib.error),
 )
 
@@ -63,6 +64,8 @@ def read_archive(
             if not isinstance(archive, np.lib.npyio.NpzFile):
                 raise InputError(f"{path}: a single array, not a {schema} file (.npz)")
             arrays = {name: archive[name] for name in archive.files}
+            if any(np.iscomplexobj(array) for array in arrays.values()):
+                raise InputError(f"{path}: holds complex numbers, not a {schema}")
     except InputError:
         raise
     except FileNotFoundError:

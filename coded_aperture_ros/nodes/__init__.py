@@ -3,7 +3,12 @@
 Importing any of the modules here needs rclpy, so its environment is prepared first.
 """
 
-from coded_aperture_ros.nodes.environment import limit_threads, prepare_ros_environment
+from coded_aperture_ros.nodes.environment import (
+    limit_pictures,
+    limit_threads,
+    prepare_ros_environment,
+)
 
 limit_threads()
+limit_pictures()
 prepare_ros_environment()

@@ -32,6 +32,14 @@ def limit_threads() -> None:
         os.environ.setdefault(variable, "1")
 
 
+def limit_pictures() -> None:
+    """Let OpenCV refuse compressed pictures of more than 64 million pixels.
+
+    A message of some bytes could otherwise take gigabytes. Call it before OpenCV is imported.
+    """
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**26))
+
+
 def prepare_ros_environment() -> None:
     """Make `import rclpy` and what follows work with the wheels; call it before the import.
 

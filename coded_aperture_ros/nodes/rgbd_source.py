@@ -94,7 +94,8 @@ def depth_in_metres(message: Image) -> NDArray[np.float32]:
     pixels = array_from_image(message)
     if message.encoding not in ("32FC1", "16UC1", "mono16"):
         raise MessageError("depth", f"depth image is {message.encoding}, expected 32FC1 or 16UC1")
-    depth_m = pixels * np.float32(1.0 if pixels.dtype == np.float32 else 1e-3)
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        depth_m = pixels * np.float32(1.0 if pixels.dtype == np.float32 else 1e-3)
     depth_m[~(np.isfinite(depth_m) & (depth_m > 0))] = np.nan
     if not np.isfinite(depth_m).any():
         raise MessageError("depth", "no depth is known in the whole image")
