@@ -2,6 +2,7 @@
 
 import io
 import os
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -15,10 +16,11 @@ from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.files import atomic_output
 
 # zipfile raises a RuntimeError where damage looks like encryption, or like another compression;
-# there is not enough memory for an array whose damaged size is enormous.
+# there is not enough memory for an array whose damaged size is enormous; NumPy reads the headers of
+# old files with Python's own tokenizer.
 _DAMAGE = (
     *(OSError, ValueError, EOFError, KeyError, RuntimeError, MemoryError),
-    *(zipfile.BadZipFile, zlib.error),
+    *(SyntaxError, tokenize.TokenError, zipfile.BadZipFile, zlib.error),
 )
 
 

@@ -41,7 +41,7 @@ from coded_aperture_ros.nodes.stamp_order import StampOrder
 from coded_aperture_ros.optics import Mask, load_camera, load_intrinsics, render_psf_stack
 
 TIMES = float(os.environ.get("FUZZ_TIMES", "0.1"))
-# A case may take no more memory than the tests that ran before have taken already, and this.
+# The cases of a test may take no more memory than the tests before, and this.
 LARGEST_GROWTH_KB = 400_000
 
 
@@ -54,7 +54,7 @@ def cases(count):
     )
 
 
-@pytest.fixture(scope="module", autouse=True)
+@pytest.fixture(autouse=True)
 def bounded_memory():
     before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     yield

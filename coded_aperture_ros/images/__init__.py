@@ -1,5 +1,6 @@
 """Pictures in files and in memory: linear light, sequences, depth pictures."""
 
+from coded_aperture_ros.images.decoding import decode_picture
 from coded_aperture_ros.images.depth_picture import confidence_picture, depth_picture
 from coded_aperture_ros.images.light import (
     SRGB,
@@ -27,6 +28,7 @@ __all__ = [
     "ImageSequence",
     "confidence_picture",
     "decode",
+    "decode_picture",
     "depth_picture",
     "encode",
     "gamma_from_text",

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.files import atomic_output
+from coded_aperture_ros.images.decoding import decode_picture
 from coded_aperture_ros.images.light import Gamma, linear_from_pixels, pixels_from_linear
 
 PICTURE_SUFFIXES = (
@@ -19,7 +20,6 @@ _TIFF = (".tif", ".tiff")
 _MILLIMETRE = 1e-3
 # By default OpenCV 4.6 stores float colours in the lossy LogLuv form; 5 is LZW.
 _ENCODING = dict.fromkeys(_TIFF, (cv2.IMWRITE_TIFF_COMPRESSION, 5))
-_PNG_END = b"IEND\xaeB`\x82"
 
 
 def read_image(path: str | os.PathLike[str], gamma: Gamma = 1.0) -> NDArray[np.float32]:
@@ -167,21 +167,10 @@ def _read_pixels(path: Path) -> NDArray:
         raise InputError(f"cannot read {path}: the file is empty")
     if path.suffix.lower() == ".npy":
         return _read_array(path)
-    # OpenCV returns what it could decode of a truncated PNG, as if nothing had happened.
-    truncated = path.suffix.lower() == ".png" and _PNG_END not in data[-64:]
-    pixels = None if truncated else _decode(data)
+    pixels = decode_picture(data)
     if pixels is None:
         raise InputError(f"cannot read {path}: not a picture, or truncated")
     return cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB) if pixels.ndim == 3 else pixels
-
-
-def _decode(data: bytes) -> NDArray | None:
-    try:
-        # Turned upright as EXIF asks, a picture would no longer suit the mask.
-        flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-        return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error:
-        return None
 
 
 def _read_array(path: Path) -> NDArray:

@@ -13,7 +13,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, Poi
 from std_msgs.msg import Header
 
 from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.images import linear_from_pixels, pixels_from_linear
+from coded_aperture_ros.images import decode_picture, linear_from_pixels, pixels_from_linear
 from coded_aperture_ros.optics import Camera, Intrinsics
 
 # Weights of linear red, green and blue in luminance (ITU-R BT.709).
@@ -119,11 +119,7 @@ def image_from_compressed(message: CompressedImage) -> Image:
     MessageError
         Of kind "data", where it cannot be decompressed.
     """
-    data = np.frombuffer(message.data, np.uint8)
-    try:
-        pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    except cv2.error:  # a size that no memory holds, say
-        pixels = None
+    pixels = decode_picture(message.data)
     encodings = {(np.uint8, 2): "mono8", (np.uint16, 2): "mono16", (np.uint8, 3): "bgr8"}
     encoding = None if pixels is None else encodings.get((pixels.dtype.type, pixels.ndim))
     if pixels is None or encoding is None or pixels.shape[2:] not in ((), (3,)):

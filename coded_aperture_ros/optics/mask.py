@@ -6,13 +6,17 @@ import hashlib
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.images import decode_picture
 
+# Finer than any lens shows, and a picture of a mask may well be a scan of one.
+_MOST_CELLS = 4096
 _LEVIN = """
 00110101100 00000100000 11000000011 01001110010 10000100001 10011111001
 10000100001 01001110010 11000000011 00000100000 00110101100
@@ -117,12 +121,14 @@ class Mask:
             raise InputError(f"cannot read mask {path}: {error.strerror or error}") from error
         if path.suffix.lower() == ".npy":
             return Mask(path.name, _array_of(path))
-        picture = None
-        if data:
-            flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
-            picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        picture: Any = decode_picture(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
         if picture is None:
             raise InputError(f"cannot read mask {path}: not a picture, use PNG or .npy")
+        if max(picture.shape) > _MOST_CELLS:
+            raise InputError(
+                f"cannot read mask {path}: {picture.shape[1]}x{picture.shape[0]} cells, "
+                f"at most {_MOST_CELLS} a side: make the picture smaller"
+            )
         if picture.dtype.kind == "u":
             picture = picture / np.float32(np.iinfo(picture.dtype).max)
         return Mask(path.name, picture)
