@@ -7,6 +7,7 @@ from coded_aperture_ros.depth.estimate import (
     depths_are_measured,
 )
 from coded_aperture_ros.depth.frame import check_frame, filled
+from coded_aperture_ros.depth.map_size import MAP_SIZES, map_size
 from coded_aperture_ros.depth.noise import estimate_noise, high_power
 from coded_aperture_ros.depth.rims import DEPTH_EDGE_PX
 from coded_aperture_ros.depth.stages import Stages
@@ -15,6 +16,7 @@ from coded_aperture_ros.depth.video import estimate_video
 
 __all__ = [
     "DEPTH_EDGE_PX",
+    "MAP_SIZES",
     "DepthConfig",
     "DepthEstimate",
     "DepthEstimator",
@@ -26,4 +28,5 @@ __all__ = [
     "estimate_video",
     "filled",
     "high_power",
+    "map_size",
 ]
