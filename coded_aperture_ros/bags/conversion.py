@@ -81,7 +81,9 @@ class Conversion:
         pixels = array_from_compressed(message)
         encoding = _ENCODINGS.get((pixels.dtype.str[1:], pixels.ndim))
         if encoding is None:
-            raise MessageError("encoding", f"a picture of {pixels.dtype} in colour is not supported")
+            raise MessageError(
+                "encoding", f"a picture of {pixels.dtype} in colour is not supported"
+            )
         return Picture(message.header, pixels, encoding)
 
     def depth_m(self, data: bytes) -> tuple[int, NDArray[np.float32]]:
@@ -189,5 +191,3 @@ class Conversion:
             return self._store.deserialize_cdr(data, type_name)
         except Exception as error:  # whatever a decoder makes of bytes that are something else
             raise MessageError("message", f"a message is not a {type_name}: {error}") from error
-
-

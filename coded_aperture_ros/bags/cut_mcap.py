@@ -8,6 +8,7 @@ import io
 import struct
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import IO
 
 from rosbags.rosbag2.storage_mcap import McapReader
 
@@ -43,7 +44,7 @@ class CutMcap:
         self.path = path
         size = path.stat().st_size
         complete, rest = complete_records(path)
-        self._reader = McapReader(_Mended(path, complete, rest + _END))  # type: ignore[arg-type]
+        self._reader = McapReader(_Mended(path, complete, rest + _END))
         self._reader.open()
         self.topics = [topic_of(connection) for connection in self._reader.connections]
         lost = size - complete - len(rest)
@@ -124,8 +125,8 @@ class _Mended:
         self._path, self._length, self._end = path, length, end
 
     def open(self, mode: str) -> io.BufferedReader:
-        """Open it for reading."""
-        return io.BufferedReader(_Joined(self._path.open(mode), self._length, self._end))
+        """Open it for reading; `mode` is rb."""
+        return io.BufferedReader(_Joined(self._path.open("rb"), self._length, self._end))
 
     def __str__(self) -> str:
         return str(self._path)
@@ -134,7 +135,7 @@ class _Mended:
 class _Joined(io.RawIOBase):
     """The first bytes of a file, followed by other bytes."""
 
-    def __init__(self, file: io.IOBase, length: int, end: bytes) -> None:
+    def __init__(self, file: IO[bytes], length: int, end: bytes) -> None:
         self._file, self._length, self._end = file, length, end
         self._at = 0
 
@@ -159,7 +160,7 @@ class _Joined(io.RawIOBase):
     def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
         if self._at < self._length:
             self._file.seek(self._at)
-            data = self._file.read(min(len(buffer), self._length - self._at))  # type: ignore[attr-defined]
+            data = self._file.read(min(len(buffer), self._length - self._at))
         else:
             start = self._at - self._length
             data = self._end[start : start + len(buffer)]

@@ -41,7 +41,7 @@ class CutSqlite:
         count = 0
         try:
             for topic, time_ns, data in self._database.execute(query):
-                name = self._names.get(topic)
+                name = self._names.get(topic, "")
                 if name in topics:
                     yield Recorded(name, time_ns, data)
                 count += 1

@@ -122,7 +122,9 @@ def _times(timing: Mapping[str, Any]) -> dict[str, str]:
             f"{timing['recorded_s']:.2f} s: {timing['times_real_time']:.2f} times real time"
         )
     for stage, times in timing["stages"].items():
-        facts[f"{stage} of a frame"] = f"median {times['p50_ms']:.1f}, 99 % {times['p99_ms']:.1f} ms"
+        facts[f"{stage} of a frame"] = (
+            f"median {times['p50_ms']:.1f}, 99 % {times['p99_ms']:.1f} ms"
+        )
     return facts
 
 

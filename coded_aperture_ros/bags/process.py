@@ -259,9 +259,7 @@ class BagPipeline:
             reason=reason,
         )
 
-    def _sharp(
-        self, deblurrer: Deblurrer, result: FrameResult, estimate: DepthEstimate
-    ) -> NDArray:
+    def _sharp(self, deblurrer: Deblurrer, result: FrameResult, estimate: DepthEstimate) -> NDArray:
         assert result.frame is not None
         assert result.picture is not None
         sharp = deblurrer.deblur(result.frame, estimate.blur_size_px, estimate.noise)

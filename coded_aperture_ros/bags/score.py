@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.evaluation import Reliability, RelativeError
+from coded_aperture_ros.evaluation import RelativeError, Reliability
 from coded_aperture_ros.messages import MessageError
 
 # What the confidence promises.

@@ -1,6 +1,8 @@
 """A bag, or one file of it, that rosbags opens as it is."""
 
+import sys
 from collections.abc import Iterator, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -62,8 +64,6 @@ def storage_of(path: Path) -> str:
 
 def decompression_errors() -> tuple[type[BaseException], ...]:
     """Return the errors of the compressions that bags use."""
-    try:
-        from compression import zstd
-    except ImportError:
-        from backports import zstd
-    return (zstd.ZstdError,)
+    name = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
+    errors: tuple[type[BaseException], ...] = (import_module(name).ZstdError,)
+    return errors

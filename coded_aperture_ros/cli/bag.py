@@ -42,7 +42,9 @@ def add_parser(subparsers: Any) -> None:
         epilog=_EPILOG,
     )
     parser.add_argument("input", metavar="IN", help="bag: its folder, or a .mcap or .db3 file")
-    parser.add_argument("-o", "--output", required=True, metavar="OUT", help="folder of the new bag")
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="OUT", help="folder of the new bag"
+    )
     parser.add_argument(
         "--overwrite", action="store_true", help="replace OUT, if that is a bag already"
     )
