@@ -19,11 +19,15 @@ class Capture:
         True depth, NaN where unknown.
     sharp : float32, [row, column] or [row, column, RGB], optional
         The same view all in focus and without noise.
+    stamp_ns : int, optional
+        When the frame was taken, where a recording says so: nanoseconds since 1970, or of its
+        simulation.
     """
 
     frame: NDArray
     depth_m: NDArray[np.float32] | None = None
     sharp: NDArray[np.float32] | None = None
+    stamp_ns: int | None = None
 
 
 class Source(Protocol):
