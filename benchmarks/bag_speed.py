@@ -149,7 +149,8 @@ def line(row: dict[str, object]) -> str:
         f"{row['encoding']} {row['storage']:8} {row['used']} of {row['frames']} frames, "
         f"{row['timing_seconds']:.2f} s, {row['timing_frames_per_second']:.1f} frames/s, "
         f"{row['timing_times_real_time']:.2f} x real time on {processors()} processors "
-        f"(before: {row['timing_preparation_s']:.2f} s; "
+        f"({1000 * row['timing_processor_seconds'] / row['frames']:.1f} ms of processor time each; "
+        f"before: {row['timing_preparation_s']:.2f} s; "
         + ", ".join(f"{name} {ms:.1f} ms" for name, ms in stages.items())
         + f"); median error {100 * row['reference_median_relative_error']:.2f} %, "
         f"within 10 % {100 * row['reference_within_10_percent']:.1f} %, "

@@ -10,14 +10,15 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
-from rosbags.rosbag2.storage_mcap import McapReader
+from rosbags.rosbag2.storage_mcap import McapReader, decompress
 
 from coded_aperture_ros.bags.reading import Recorded
-from coded_aperture_ros.bags.whole import topic_of
+from coded_aperture_ros.bags.whole import DAMAGE, topic_of
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEADER = struct.Struct("<BQ")
 _FOOTER, _CHUNK, _DATA_END = 0x02, 0x06, 0x0F
+_NOTHING = 0x00  # not a kind of record: a hole in the file
 _END = (
     _HEADER.pack(_DATA_END, 4)
     + bytes(4)
@@ -25,8 +26,8 @@ _END = (
     + bytes(20)  # no index
     + _MAGIC
 )
-# Start and end time, size and checksum of what is in a chunk.
-_CHUNK_HEADER_BYTES = 8 + 8 + 8 + 4
+# Start and end time, size and checksum; compression, length of the records and these follow.
+_CHUNK_HEADER = struct.Struct("<QQQI")
 
 
 class CutMcap:
@@ -42,12 +43,15 @@ class CutMcap:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        size = path.stat().st_size
-        complete, rest = complete_records(path)
-        self._reader = McapReader(_Mended(path, complete, rest + _END))
-        self._reader.open()
+        try:
+            complete, rest = complete_records(path)
+            self._reader = _opened(path, complete, rest)
+        except DAMAGE:
+            # What has the right length may have a hole, filled with zeros, in it.
+            complete, rest = complete_records(path, check=True)
+            self._reader = _opened(path, complete, rest)
         self.topics = [topic_of(connection) for connection in self._reader.connections]
-        lost = size - complete - len(rest)
+        lost = path.stat().st_size - complete - len(rest)
         self.damage = f"{path.name} is cut off" + (
             f", its last {lost} bytes cannot be used" if lost else ", it has no end"
         )
@@ -63,12 +67,14 @@ class CutMcap:
         self._reader.close()
 
 
-def complete_records(path: Path) -> tuple[int, bytes]:
+def complete_records(path: Path, check: bool = False) -> tuple[int, bytes]:
     """Find what is complete in an MCAP file.
 
     Parameters
     ----------
     path : pathlib.Path
+    check : bool, optional
+        Look into the chunks too, which takes as long as reading the file.
 
     Returns
     -------
@@ -92,30 +98,53 @@ def complete_records(path: Path) -> tuple[int, bytes]:
             end = complete + _HEADER.size + length
             if kind in (_DATA_END, _FOOTER):
                 break
-            if kind == 0 or end > size:  # a hole of zeros, or cut off in the middle
-                return complete, _records_in_chunk(file.read()) if kind == _CHUNK else b""
+            if kind == _NOTHING or end > size:  # or cut off in the middle
+                return complete, _records_in(file.read()) if kind == _CHUNK else b""
+            if check and kind == _CHUNK and not _is_whole(body := file.read(length)):
+                return complete, _records_in(body)
             complete = end
             file.seek(complete)
     return complete, b""
 
 
-def _records_in_chunk(body: bytes) -> bytes:
-    """Return the complete records of the beginning of an uncompressed chunk."""
-    start = _CHUNK_HEADER_BYTES + 4
-    if len(body) < start:
+def _opened(path: Path, complete: int, rest: bytes) -> McapReader:
+    reader = McapReader(_Mended(path, complete, rest + _END))
+    reader.open()
+    return reader
+
+
+def _is_whole(chunk: bytes) -> bool:
+    """Return whether a chunk has nothing but complete records in it."""
+    _, _, size, checksum = _CHUNK_HEADER.unpack_from(chunk)
+    (name_length,) = struct.unpack_from("<I", chunk, _CHUNK_HEADER.size)
+    start = _CHUNK_HEADER.size + 4 + name_length
+    try:
+        compression = chunk[_CHUNK_HEADER.size + 4 : start].decode()
+        records = decompress(chunk[start + 8 :], compression, size, checksum)
+    except DAMAGE:
+        return False
+    return _complete_length(records) == len(records)
+
+
+def _records_in(chunk: bytes) -> bytes:
+    """Return the complete records at the beginning of an uncompressed chunk."""
+    start = _CHUNK_HEADER.size + 4 + 8  # without the name of a compression
+    if len(chunk) < start or struct.unpack_from("<I", chunk, _CHUNK_HEADER.size) != (0,):
         return b""
-    (name_length,) = struct.unpack_from("<I", body, _CHUNK_HEADER_BYTES)
-    if name_length:
-        return b""
-    start += 8  # the length of the records
-    complete = start
-    while complete + _HEADER.size <= len(body):
-        kind, length = _HEADER.unpack_from(body, complete)
+    records = chunk[start:]
+    return records[: _complete_length(records)]
+
+
+def _complete_length(records: bytes) -> int:
+    """Return how many bytes of a row of records are complete ones."""
+    complete = 0
+    while complete + _HEADER.size <= len(records):
+        kind, length = _HEADER.unpack_from(records, complete)
         end = complete + _HEADER.size + length
-        if kind == 0 or end > len(body):
+        if kind == _NOTHING or end > len(records):
             break
         complete = end
-    return body[start:complete]
+    return complete
 
 
 class _Mended:

@@ -105,9 +105,8 @@ class BagJob:
         started_s: float,
     ) -> dict[str, Any]:
         image, reference, outputs = self._topics(bag)
-        first = first_picture(bag, image)
+        first, camera = first_picture(bag, image, self.camera)
         height, width = first.pixels.shape[:2]
-        camera = self.camera.fitted(width, height)
         estimator = self.new_estimator(camera)
         deblurrer = self.new_deblurrer(estimator) if self.new_deblurrer else None
         size = map_size((height, width), self.map_size)
@@ -172,20 +171,23 @@ class BagJob:
         return image, reference, outputs
 
 
-def first_picture(bag: Bag, topic: Topic) -> Picture:
-    """Return the first image of a topic that can be used.
+def first_picture(bag: Bag, topic: Topic, camera: Camera) -> tuple[Picture, Camera]:
+    """Return the first image of a topic that can be used, and the camera resized to it.
 
     Raises
     ------
     InputError
         If there is none.
     """
-    convert, reason = Conversion(), "there is none"
+    convert, reason = Conversion(), ""
     for message in bag.messages(topic.name):
         try:
-            return convert.picture(message.data, topic.type_name)
-        except MessageError as error:
-            reason = str(error)
+            picture = convert.picture(message.data, topic.type_name)
+            height, width = picture.pixels.shape[:2]
+            return picture, camera.fitted(width, height)
+        except InputError as error:
+            reason = reason or str(error)
+    reason = reason or "there is none"
     damage = f" ({bag.damage})" if bag.damage else ""
     raise InputError(f"{bag.path}: no frame of {topic.name} could be used: {reason}{damage}")
 

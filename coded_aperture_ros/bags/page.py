@@ -73,7 +73,7 @@ def _page(results: Mapping[str, Any], record: Record, gamma: Gamma) -> str:
             for name, picture in pictures_of(sample, range_m, gamma).items()
         ]
         parts.append(f"<h3>Frame {sample.index}</h3>{''.join(figures)}")
-    parts.append(f"<h2>Time</h2>{_table(_times(results['timing']))}")
+    parts.append(f"<h2>Time</h2>{_table(_times(results))}")
     body = "\n".join(parts)
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
@@ -111,10 +111,12 @@ def _facts(results: Mapping[str, Any]) -> dict[str, str]:
     return facts
 
 
-def _times(timing: Mapping[str, Any]) -> dict[str, str]:
+def _times(results: Mapping[str, Any]) -> dict[str, str]:
+    timing, frames = results["timing"], results["frames"]
     facts = {
         "all frames": f"{timing['seconds']:.2f} s, {timing['frames_per_second']:.1f} a second, "
         f"on {timing['processors']} processor(s)",
+        "processor time of a frame": f"{1000 * timing['processor_seconds'] / frames:.1f} ms",
         "before the first frame": f"{timing['preparation_s']:.2f} s",
     }
     if timing["times_real_time"]:

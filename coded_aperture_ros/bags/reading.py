@@ -15,8 +15,6 @@ from coded_aperture_ros.errors import InputError
 
 SUFFIXES = {".mcap": "mcap", ".db3": "sqlite3"}
 METADATA = "metadata.yaml"
-# What a computer that lost its power leaves behind can make a reader stumble over anything.
-_DAMAGE = (ValueError, TypeError, KeyError, IndexError, EOFError, AssertionError, RuntimeError)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,10 +124,12 @@ class Bag:
 
         In the order of their recording; behind a cut nothing comes, and `damage` says so.
         """
+        from coded_aperture_ros.bags.whole import DAMAGE
+
         for part in self._parts:
             try:
                 yield from part.messages(topics or tuple(self.topics))
-            except _damage_types() as error:
+            except DAMAGE as error:
                 self._damaged(f"{part.path.name} is damaged: {_in_a_line(error)}")
             if part.damage:
                 self._damaged(part.damage)
@@ -155,7 +155,7 @@ class Bag:
             self.damage = f"{self.damage}; {what}" if self.damage else what
 
     def _open(self) -> "list[Any]":
-        from coded_aperture_ros.bags.whole import WholeBag
+        from coded_aperture_ros.bags.whole import DAMAGE, WholeBag
 
         refused = ""
         if self.path.is_file() or (self.path / METADATA).is_file():
@@ -163,7 +163,7 @@ class Bag:
                 return [WholeBag(self.path)]
             except PermissionError as error:
                 raise InputError(f"cannot read {self.path}: {error.strerror}") from error
-            except _damage_types() as error:
+            except DAMAGE as error:
                 refused = _in_a_line(error)
         files = [self.path] if self.path.is_file() else _storage_files(self.path)
         if not refused:
@@ -176,7 +176,7 @@ class Bag:
         """Open the files of a bag, each as a whole or as far as it goes."""
         from coded_aperture_ros.bags.cut_mcap import CutMcap
         from coded_aperture_ros.bags.cut_sqlite import CutSqlite
-        from coded_aperture_ros.bags.whole import WholeBag
+        from coded_aperture_ros.bags.whole import DAMAGE, WholeBag
 
         parts: list[Any] = []
         cut = {".mcap": CutMcap, ".db3": CutSqlite}
@@ -185,11 +185,13 @@ class Bag:
                 try:
                     parts.append(kind(file))
                     break
-                except _damage_types() as error:
+                except DAMAGE as error:
                     refused = f"{file.name}: {_in_a_line(error)}"
             else:
                 self._damaged(f"{file.name} cannot be read")
         if not any(part.topics for part in parts):
+            for part in parts:
+                part.close()
             raise InputError(f"cannot read {self.path}: nothing in it can be read ({refused})")
         for part in parts:
             if part.damage:
@@ -234,25 +236,3 @@ def _by_number(path: Path) -> list[Any]:
 
 def _in_a_line(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__
-
-
-def _damage_types() -> tuple[type[BaseException], ...]:
-    import sqlite3
-    import struct
-    import zlib
-
-    import apsw
-    from rosbags.rosbag2 import ReaderError
-
-    from coded_aperture_ros.bags.whole import decompression_errors
-
-    return (
-        ReaderError,
-        OSError,
-        sqlite3.Error,
-        apsw.Error,
-        struct.error,
-        zlib.error,
-        *_DAMAGE,
-        *decompression_errors(),
-    )

@@ -61,14 +61,17 @@ class Record:
         self._spacing = 1
         self._start_s = time.perf_counter()
         self._stop_s = self._start_s
+        self._processor_s = 0.0
 
     def start(self) -> None:
         """Begin to take the time."""
         self._start_s = time.perf_counter()
+        self._processor_s = time.process_time()
 
     def stop(self) -> None:
         """Stop taking the time."""
         self._stop_s = time.perf_counter()
+        self._processor_s = time.process_time() - self._processor_s
 
     @property
     def used(self) -> int:
@@ -145,6 +148,7 @@ class Record:
             recorded_s = 1e-9 * (max(stamps) - min(stamps)) * self.used / (self.used - 1)
         return {
             "seconds": self.seconds,
+            "processor_seconds": self._processor_s,
             "frames_per_second": self.frames / self.seconds,
             "recorded_s": recorded_s,
             "times_real_time": recorded_s and recorded_s / self.seconds,

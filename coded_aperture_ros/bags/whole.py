@@ -1,14 +1,25 @@
 """A bag, or one file of it, that rosbags opens as it is."""
 
+import sqlite3
+import struct
 import sys
 from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from rosbags.rosbag2 import Reader
+import apsw
+from rosbags.rosbag2 import Reader, ReaderError
 
 from coded_aperture_ros.bags.reading import SUFFIXES, Recorded, Topic
+
+_zstd: Any = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
+
+# A computer that lost its power can leave behind anything for a reader to stumble over.
+DAMAGE: tuple[type[BaseException], ...] = (
+    *(ReaderError, OSError, sqlite3.Error, apsw.Error, struct.error, _zstd.ZstdError),
+    *(ValueError, TypeError, KeyError, IndexError, EOFError, AssertionError, RuntimeError),
+)
 
 
 class WholeBag:
@@ -60,10 +71,3 @@ def storage_of(path: Path) -> str:
     # With compression: bag_0.db3.zstd.
     suffixes = {suffix for file in files for suffix in file.suffixes}
     return next((kind for suffix, kind in SUFFIXES.items() if suffix in suffixes), "mcap")
-
-
-def decompression_errors() -> tuple[type[BaseException], ...]:
-    """Return the errors of the compressions that bags use."""
-    name = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
-    errors: tuple[type[BaseException], ...] = (import_module(name).ZstdError,)
-    return errors
