@@ -14,7 +14,6 @@ from coded_aperture_ros.messages import (
     array_from_compressed,
     array_from_image,
     check_pixels,
-    depth_from_pixels,
     scaled_matrices,
 )
 from coded_aperture_ros.optics import Intrinsics
@@ -86,8 +85,8 @@ class Conversion:
             )
         return Picture(message.header, pixels, encoding)
 
-    def depth_m(self, data: bytes) -> tuple[int, NDArray[np.float32]]:
-        """Read a depth image; return its stamp in ns, and metres, NaN where unknown.
+    def depth(self, data: bytes) -> Picture:
+        """Read a depth image; `messages.depth_from_pixels` turns its pixels into metres.
 
         Raises
         ------
@@ -99,7 +98,7 @@ class Conversion:
             raise MessageError(
                 "depth", f"depth has the encoding 32FC1 or 16UC1, not {picture.encoding}"
             )
-        return picture.stamp_ns, depth_from_pixels(picture.pixels)
+        return picture
 
     def camera_info(self, data: bytes) -> Any:
         """Read a camera model; `MessageError` of kind "message" if it is none."""

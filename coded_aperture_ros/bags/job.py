@@ -204,7 +204,8 @@ class _References:
             return
         for message in copies:
             if message.topic == self._topic.name:
-                self._pairs.add_reference(*self._convert.depth_m(message.data))
+                picture = self._convert.depth(message.data)
+                self._pairs.add_reference(picture.stamp_ns, picture.pixels)
         if result is not None and result.estimate is not None:
             estimate, stamp_ns = result.estimate, result.picture.stamp_ns
             self._pairs.add_frame(result.index, stamp_ns, estimate.depth_m, estimate.confidence)

@@ -136,7 +136,6 @@ class BagPipeline:
         try:
             estimate = self._estimator.estimate(frame, self._map_size)
             if self._deblurrer is not None:
-                self._deblurrer.prepare((frame.shape[0], frame.shape[1]))
                 self._deblurrer.deblur(frame, estimate.blur_size_px, estimate.noise)
         except InputError:
             pass  # said when the frame's turn comes

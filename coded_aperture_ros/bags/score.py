@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.evaluation import RelativeError, Reliability
-from coded_aperture_ros.messages import MessageError
+from coded_aperture_ros.messages import MessageError, depth_from_pixels
 
 # What the confidence promises.
 RIGHT_WITHIN = 0.05
@@ -43,7 +43,7 @@ class FrameScore:
 def frame_score(
     depth_m: NDArray[np.float32],
     confidence: NDArray[np.float32],
-    reference_m: NDArray[np.float32],
+    reference: NDArray,
     apart_ns: int = 0,
 ) -> FrameScore:
     """Compare a depth image with a reference of any size that shows the same view.
@@ -54,25 +54,21 @@ def frame_score(
     ----------
     depth_m, confidence : ndarray, float32 [rows, columns]
         Depth is not finite where unknown.
-    reference_m : ndarray, float32 [reference rows, reference columns]
-        NaN where unknown.
+    reference : ndarray of float32 (m) or uint16 (mm), [reference rows, reference columns]
+        As in a message, see `messages.depth_from_pixels`.
     apart_ns : int, optional
     """
-    reference = at_size(reference_m, depth_m.shape)
-    known = np.isfinite(reference)
-    relative = np.full(depth_m.shape, np.nan, np.float32)
+    reference_m = depth_from_pixels(at_size(reference, depth_m.shape))
+    known = np.isfinite(reference_m)
     both = known & np.isfinite(depth_m)
-    relative[both] = (depth_m[both] - reference[both]) / reference[both]
-    right = np.abs(relative[both]) <= RIGHT_WITHIN
-    return FrameScore(
-        RelativeError.of(relative, known),
-        apart_ns,
-        Reliability.of(confidence[both], right),
-        reference,
-    )
+    relative = np.full(depth_m.shape, np.nan, np.float32)
+    found, true = depth_m[both], reference_m[both]
+    relative[both] = error = (found - true) / true
+    reliability = Reliability.of(confidence[both], np.abs(error) <= RIGHT_WITHIN)
+    return FrameScore(RelativeError.of(relative, known), apart_ns, reliability, reference_m)
 
 
-def at_size(reference_m: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.float32]:
+def at_size(reference: NDArray, shape: tuple[int, ...]) -> NDArray:
     """Return a reference at the size (rows, columns) of another depth image, by nearest pixels.
 
     Raises
@@ -80,7 +76,7 @@ def at_size(reference_m: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray
     MessageError
         Of kind "reference", if the proportions differ: it would be of another view.
     """
-    height, width = reference_m.shape
+    height, width = reference.shape
     if abs(height * shape[1] - width * shape[0]) > max(height, width):
         raise MessageError(
             "reference",
@@ -88,19 +84,19 @@ def at_size(reference_m: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray
             f"image, {shape[1]}x{shape[0]}",
         )
     size = shape[1], shape[0]
-    return np.asarray(cv2.resize(reference_m, size, interpolation=cv2.INTER_NEAREST_EXACT))
+    return np.asarray(cv2.resize(reference, size, interpolation=cv2.INTER_NEAREST_EXACT))
 
 
 class References:
     """Pairs depth images with the references of the same time, whichever comes first."""
 
     def __init__(self) -> None:
-        self._references: dict[int, NDArray[np.float32]] = {}
+        self._references: dict[int, NDArray] = {}
         self._frames: dict[int, tuple[int, NDArray[np.float32], NDArray[np.float32]]] = {}
 
-    def add_reference(self, stamp_ns: int, depth_m: NDArray[np.float32]) -> None:
-        """Add a reference."""
-        self._references[stamp_ns] = depth_m
+    def add_reference(self, stamp_ns: int, pixels: NDArray) -> None:
+        """Add a reference, see `frame_score`."""
+        self._references[stamp_ns] = pixels
         while len(self._references) > 2 * _WAITING:
             del self._references[min(self._references)]
 
