@@ -58,7 +58,7 @@ setup(
             "ros-ament-index-python==1.8.1",
         ],
         "eval": [
-            "rosbags>=0.10",
+            "rosbags>=0.11.9",
             "matplotlib>=3.8",
             "scikit-image>=0.22",
             "scikit-learn>=1.4",
@@ -77,6 +77,8 @@ setup(
             "types-PyYAML",
             "colcon-core>=0.17",
             "colcon-ros>=0.5",
+            "mcap>=1.2",
+            "mcap-ros2-support>=0.5",
         ],
     },
     entry_points={

@@ -11,6 +11,7 @@ PACKAGE = "coded_aperture_ros"
 LAYERS = (
     ("__init__", "errors", "files", "configuration", "archive", "share", "blas", "threads"),
     ("images",),
+    ("messages",),
     ("optics",),
     ("design",),
     ("simulation",),
@@ -21,6 +22,7 @@ LAYERS = (
     ("deblur",),
     ("calibration",),
     ("evaluation",),
+    ("bags",),
     ("sources",),
     ("nodes",),
     ("cli",),

@@ -15,9 +15,10 @@ from small_camera import CAMERA, DEPTH_M, FAR_M, HEIGHT, NEAR_M, WIDTH, coded_wa
 from std_msgs.msg import Header
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank, save_bank
+from coded_aperture_ros.depth import map_size
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.nodes.deblur_node import DeblurNode
-from coded_aperture_ros.nodes.depth_node import DepthNode, output_size
+from coded_aperture_ros.nodes.depth_node import DepthNode
 from coded_aperture_ros.nodes.frame_model import ModelConfig, guarded_range
 from coded_aperture_ros.nodes.messages import (
     array_from_image,
@@ -302,7 +303,7 @@ def test_parameters_change_what_is_published(ros, model, coded):
     ],
 )
 def test_output_size(frame, choice, expected):
-    assert output_size(frame, choice) == expected
+    assert map_size(frame, choice) == expected
 
 
 def test_diagnostics(ros, model, coded):

@@ -7,8 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import naming
+from coded_aperture_ros.cli.estimators import (
+    add_estimator_options,
+    add_estimator_settings,
+    check_estimator_options,
+    estimator_of,
+)
 from coded_aperture_ros.cli.frames import add_input_options, named_frames
-from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, config_from
+from coded_aperture_ros.cli.options import add_gamma_option
 from coded_aperture_ros.errors import InputError
 
 _SUFFIXES = (".npy", ".tif", ".tiff", ".png")
@@ -21,8 +27,6 @@ _EPILOG = """examples:
     coded_aperture depth --method simple --camera config/example_camera.yaml \\
         --depth-range 3.5 9 coded.png -o simple.npy
 """
-_METHODS = ("bank", "simple")
-_LEVELS = 33
 
 
 def add_parser(subparsers: Any) -> None:
@@ -39,36 +43,7 @@ def add_parser(subparsers: Any) -> None:
         parser,
         "depth map: .npy or .tiff in m, .png in mm; or a folder for one .npy per frame",
     )
-    parser.add_argument(
-        "--method",
-        choices=_METHODS,
-        default=_METHODS[0],
-        help="bank: a filter bank, for any mask; simple: a pixel and its neighbours, for a mask of "
-        "2 to 8 equal holes, from --camera and --depth-range alone (default bank)",
-    )
-    parser.add_argument(
-        "--bank", metavar="NPZ", help="filter bank, see learn; needed with --method bank"
-    )
-    parser.add_argument(
-        "--camera",
-        metavar="YAML",
-        help="camera file, for a bank that does not know its depths; its noise, where it has any, "
-        "stands in for --noise and --noise-gain",
-    )
-    parser.add_argument(
-        "--depth-range",
-        nargs=2,
-        type=float,
-        metavar=("NEAR", "FAR"),
-        help="with --method simple: depths that are told apart, m",
-    )
-    parser.add_argument(
-        "--level-count",
-        type=int,
-        default=_LEVELS,
-        metavar="N",
-        help=f"with --method simple: blur levels in that range (default {_LEVELS})",
-    )
+    add_estimator_options(parser)
     parser.add_argument(
         "--levels", action="store_true", help="write fractional level indices instead of metres"
     )
@@ -77,25 +52,19 @@ def add_parser(subparsers: Any) -> None:
     )
     add_gamma_option(parser)
     parser.add_argument("--json", action="store_true", help="print a summary as JSON")
-    parser.add_late_options = _add_config_options
-
-
-def _add_config_options(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.depth import DepthConfig
-    from coded_aperture_ros.simple import SimpleConfig
-
-    add_config_options(parser, DepthConfig, "estimation")
-    add_config_options(parser, SimpleConfig, "with --method simple")
+    parser.add_late_options = add_estimator_settings
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     import numpy as np
 
-    _check_method(args)
+    from coded_aperture_ros.optics import load_camera
+
+    check_estimator_options(args)
     if args.levels and args.output.lower().endswith(".png"):
         raise InputError(f"{args.output}: a PNG has depths in mm, write levels to .npy or .tiff")
-    estimator = _estimator(args)
+    estimator = estimator_of(args, load_camera(args.camera) if args.camera else None)
     summaries: list[dict[str, Any]] = []
     frames = named_frames(args, ".npy", _SUFFIXES, lambda path: _outputs(path, args.pictures))
     for frame in frames:
@@ -120,53 +89,6 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(summaries))
     return 0
-
-
-def _check_method(args: argparse.Namespace) -> None:
-    """Refuse options that the method needs and has not got, or has no use for."""
-    if args.method == "bank":
-        if args.bank is None:
-            args.usage_error("the following arguments are required: --bank (or --method simple)")
-        if args.depth_range is not None:
-            args.usage_error("--depth-range: a bank has its own range; only for --method simple")
-        return
-    if args.bank is not None:
-        args.usage_error("--bank: --method simple has none, leave it out")
-    for name in ("camera", "depth_range"):
-        if getattr(args, name) is None:
-            option = f"--{name.replace('_', '-')}"
-            args.usage_error(f"the following arguments are required with --method simple: {option}")
-
-
-def _estimator(args: argparse.Namespace) -> Any:
-    """Return the estimator that the options ask for."""
-    from coded_aperture_ros.bank import load_bank
-    from coded_aperture_ros.calibration import with_noise_of
-    from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-    from coded_aperture_ros.optics import load_camera
-    from coded_aperture_ros.simple import (
-        SimpleConfig,
-        SimpleEstimator,
-        neighbour_model_for_camera,
-    )
-
-    camera = load_camera(args.camera) if args.camera else None
-    if args.method == "simple" and camera is not None:
-        with naming(args.camera):
-            near_m, far_m = args.depth_range
-            settings = config_from(args, SimpleConfig)
-            model = neighbour_model_for_camera(camera, near_m, far_m, args.level_count, settings)
-            config = with_noise_of(camera, config_from(args, DepthConfig))
-            return SimpleEstimator(model, config, camera)
-    bank = load_bank(args.bank)
-    if camera is None and bank.stack.depths_m is None and not args.levels:
-        raise InputError(
-            f"{args.bank}: the bank does not know how far its levels are: give --camera, or "
-            "--levels for level indices"
-        )
-    with naming(args.camera or args.bank):
-        config = with_noise_of(camera, config_from(args, DepthConfig))
-        return DepthEstimator(bank, config, camera)
 
 
 def _in_words(summary: dict[str, Any]) -> str:

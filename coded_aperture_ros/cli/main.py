@@ -20,7 +20,17 @@ from coded_aperture_ros.errors import InputError
 PROGRAM = "coded_aperture"
 COMMANDS: dict[str, Any] = {
     name: import_module(f"coded_aperture_ros.cli.{name}")
-    for name in ("demo", "calibrate", "mask", "learn", "depth", "deblur", "simulate", "bench")
+    for name in (
+        "demo",
+        "calibrate",
+        "mask",
+        "learn",
+        "depth",
+        "deblur",
+        "simulate",
+        "bag",
+        "bench",
+    )
 }
 
 FAILED = 1

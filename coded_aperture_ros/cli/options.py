@@ -47,22 +47,25 @@ def add_commands(
         command.add_parser(subparsers)
 
 
-def add_config_options(parser: argparse.ArgumentParser, config: type, title: str) -> None:
+def add_config_options(
+    parser: argparse.ArgumentParser, config: type, title: str, **defaults: Any
+) -> None:
     """Add an option for every setting of a configuration dataclass.
 
     A setting `confidence_threshold` becomes `--confidence-threshold`, with the dataclass's
-    default, help and range.
+    help and range, and its default unless `defaults` has another one.
     """
     group = parser.add_argument_group(title)
     for name, (field, described) in options_of(config).items():
+        default = defaults.get(name, field.default)
         allowed = f"{described.allowed}; " if described.allowed and not described.choices else ""
         group.add_argument(
             f"--{name.replace('_', '-')}",
             type=_parser_of(type(field.default), described),
             choices=described.choices,
-            default=field.default,
+            default=default,
             metavar=None if described.choices else type(field.default).__name__.upper(),
-            help=f"{described.description} ({allowed}default {field.default})",
+            help=f"{described.description} ({allowed}default {default})",
         )
 
 

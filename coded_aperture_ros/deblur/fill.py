@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from coded_aperture_ros.depth import DEPTH_EDGE_PX
 from coded_aperture_ros.errors import InputError
@@ -69,8 +68,7 @@ def filled_blur_map(
         source = known
         if confidence is not None:
             source = known & (confidence >= np.median(confidence[known]))
-        _, (row, column) = ndimage.distance_transform_edt(~source, return_indices=True)
-        filled = np.where(known, filled, filled[row, column])
+        filled = np.where(known, filled, filled[source][_nearest(source)])
     rows, columns = (-(-length // reduction) for length in frame.shape[:2])
     if filled.shape == (rows, columns):
         return filled
@@ -78,6 +76,17 @@ def filled_blur_map(
         return np.asarray(cv2.resize(filled, (columns, rows), interpolation=cv2.INTER_AREA))
     guide = cv2.resize(frame, (columns, rows), interpolation=cv2.INTER_AREA)
     return _enlarged(filled, guide if guide.ndim == 2 else guide.mean(axis=2))
+
+
+def _nearest(source: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return for every pixel the number of the nearest `source`, as a mask of them counts."""
+    # A tenth of the time of an exact distance transform; the distances are good to a few per cent.
+    _, labels = cv2.distanceTransformWithLabels(
+        (~source).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    number = np.zeros(labels.max() + 1, np.intp)
+    number[labels[source]] = np.arange(np.count_nonzero(source))
+    return number[labels]
 
 
 def _enlarged(small: NDArray[np.float32], grey: NDArray[np.float32]) -> NDArray[np.float32]:

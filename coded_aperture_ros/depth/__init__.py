@@ -7,6 +7,7 @@ from coded_aperture_ros.depth.estimate import (
     depths_are_measured,
 )
 from coded_aperture_ros.depth.frame import check_frame, filled
+from coded_aperture_ros.depth.map_size import MAP_SIZES, map_size
 from coded_aperture_ros.depth.noise import estimate_noise, high_power
 from coded_aperture_ros.depth.points import nearest_obstacle_m, points_of_depth
 from coded_aperture_ros.depth.rims import DEPTH_EDGE_PX
@@ -16,6 +17,7 @@ from coded_aperture_ros.depth.video import estimate_video
 
 __all__ = [
     "DEPTH_EDGE_PX",
+    "MAP_SIZES",
     "DepthConfig",
     "DepthEstimate",
     "DepthEstimator",
@@ -27,6 +29,7 @@ __all__ = [
     "estimate_video",
     "filled",
     "high_power",
+    "map_size",
     "nearest_obstacle_m",
     "points_of_depth",
 ]

@@ -5,7 +5,7 @@ No window is opened: figures go to files.
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,8 @@ _DOTS_PER_INCH = 100
 _DEVIATIONS = 3.0
 _UNKNOWN = "0.8"
 
-PathLike = str | os.PathLike[str]
+# Or an open file, for which the format is PNG.
+PathLike = str | os.PathLike[str] | IO[bytes]
 
 
 def stair_spread(rows: Sequence[Mapping[str, Any]], path: PathLike) -> None:

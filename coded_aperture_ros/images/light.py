@@ -77,8 +77,12 @@ def pixels_from_linear(
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
     """Quantise linear light to 8 or 16 bits; clipped to 0..1, NaN becomes 0."""
     maximum, dtype = {8: (255.0, np.uint8), 16: (65535.0, np.uint16)}[bits]
-    values = np.clip(np.nan_to_num(image, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
-    return np.rint(encode(values, gamma) * np.float32(maximum)).astype(dtype)
+    values = np.clip(image, 0.0, 1.0)
+    unknown = np.isnan(values)
+    if unknown.any():
+        values[unknown] = 0.0
+    scaled = encode(values, gamma) * np.float32(maximum)
+    return np.rint(scaled, out=scaled).astype(dtype)
 
 
 def _check(gamma: Gamma) -> None:

@@ -31,16 +31,10 @@ def fitted_camera(camera: Camera, width: int, height: int) -> Camera:
     MessageError
         Of kind "size", where the proportions differ.
     """
-    if (width, height) == (camera.image_width, camera.image_height):
-        return camera
-    factor = width / camera.image_width
-    if abs(camera.image_height * factor - height) > 1.0:
-        raise MessageError(
-            "size",
-            f"the frame is {width}x{height}, which is not the camera file's "
-            f"{camera.image_width}x{camera.image_height} resized",
-        )
-    return camera.scaled(factor)
+    try:
+        return camera.fitted(width, height)
+    except InputError as error:
+        raise MessageError("size", str(error)) from error
 
 
 class CameraModel:

@@ -13,8 +13,10 @@ from coded_aperture_ros.blas import slow_blas_warning
 from coded_aperture_ros.calibration import with_noise_of
 from coded_aperture_ros.configuration import check_options, option
 from coded_aperture_ros.depth import (
+    MAP_SIZES,
     DepthConfig,
     DepthEstimator,
+    map_size,
     nearest_obstacle_m,
     points_of_depth,
 )
@@ -41,11 +43,8 @@ from coded_aperture_ros.simple import (
     neighbour_model_for_camera,
 )
 
-# Best-effort messages larger than these float images are lost with default DDS settings.
-_LARGEST_AUTO = (240, 320)
 # What a camera's rate needs on two processors; a bank from a file brings its own rank.
 _STRIDE_PX, _RANK = 16, 64
-_DIVISORS = {"full": 1, "half": 2, "quarter": 4}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,7 +55,7 @@ class DepthNodeConfig:
         "auto",
         "Size of the depth image relative to the frame; auto: largest whole fraction of the frame "
         "that fits in 320x240",
-        choices=("auto", *_DIVISORS),
+        choices=MAP_SIZES,
     )
     method: str = option(
         "bank",
@@ -149,7 +148,7 @@ class DepthNode(FrameNode[Image]):
         header = item.header
         frame = frame_from_image(item, self.frame_config.gamma)
         frame_size = frame.shape[0], frame.shape[1]
-        size = output_size(frame_size, self.configs[DepthNodeConfig].output_size)
+        size = map_size(frame_size, self.configs[DepthNodeConfig].output_size)
         self._model.fit(item.width, item.height)
         estimator = self._present_estimator()
         self._keep_order(item, estimator)
@@ -222,15 +221,6 @@ class DepthNode(FrameNode[Image]):
         """Make what stands in for a bank with the method for simple masks."""
         config = self.configs[SimpleConfig]
         return cast(FilterBank, neighbour_model_for_camera(camera, near_m, far_m, levels, config))
-
-
-def output_size(frame_size: tuple[int, int], choice: str) -> tuple[int, int]:
-    """Return the size (height, width) of the depth image for a frame of size (height, width)."""
-    height, width = frame_size
-    divisor = _DIVISORS.get(choice)
-    if divisor is None:
-        divisor = math.ceil(max(height / _LARGEST_AUTO[0], width / _LARGEST_AUTO[1], 1))
-    return max(1, height // divisor), max(1, width // divisor)
 
 
 def main(args: Sequence[str] | None = None) -> int:

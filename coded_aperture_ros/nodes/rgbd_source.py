@@ -8,6 +8,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Image
 
 from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.messages import depth_from_pixels
 from coded_aperture_ros.nodes.messages import MessageError, array_from_image, frame_from_image
 from coded_aperture_ros.nodes.messages import stamp_ns as stamp_of
 from coded_aperture_ros.nodes.pairing import StampPairs
@@ -94,9 +95,7 @@ def depth_in_metres(message: Image) -> NDArray[np.float32]:
     pixels = array_from_image(message)
     if message.encoding not in ("32FC1", "16UC1", "mono16"):
         raise MessageError("depth", f"depth image is {message.encoding}, expected 32FC1 or 16UC1")
-    with np.errstate(invalid="ignore"):  # signalling NaN
-        depth_m = pixels * np.float32(1.0 if pixels.dtype == np.float32 else 1e-3)
-    depth_m[~(np.isfinite(depth_m) & (depth_m > 0))] = np.nan
+    depth_m = depth_from_pixels(pixels)
     if not np.isfinite(depth_m).any():
         raise MessageError("depth", "no depth is known in the whole image")
     return depth_m

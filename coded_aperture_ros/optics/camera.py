@@ -254,6 +254,28 @@ class Camera:
             measured=self.measured and self.measured.scaled(width, height),
         )
 
+    def fitted(self, width: int, height: int) -> "Camera":
+        """Return the camera for frames of this size, which show the same view.
+
+        Raises
+        ------
+        InputError
+            If their proportions are others.
+        """
+        if (width, height) == (self.image_width, self.image_height):
+            return self
+        factor = width / self.image_width
+        if abs(self.image_height * factor - height) > 1.0:
+            raise InputError(
+                f"the frame is {width}x{height}, which is not the camera file's "
+                f"{self.image_width}x{self.image_height} resized"
+            )
+        return dataclasses.replace(
+            self.scaled(factor),
+            image_height=height,
+            measured=self.measured and self.measured.scaled(width, height),
+        )
+
 
 def _check_focus_is_possible(focal_length_mm: float, focus_distance_m: float) -> None:
     if focus_distance_m * 1e3 <= focal_length_mm:

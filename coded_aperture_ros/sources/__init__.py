@@ -1,5 +1,6 @@
 """Where the camera driver gets its frames from. No ROS in here."""
 
+from coded_aperture_ros.sources.bag import BagSource
 from coded_aperture_ros.sources.device import DeviceConfig, DeviceSource
 from coded_aperture_ros.sources.opening import SIMULATOR, open_source
 from coded_aperture_ros.sources.sequence import SequenceSource
@@ -8,6 +9,7 @@ from coded_aperture_ros.sources.source import Capture, Source
 
 __all__ = [
     "SIMULATOR",
+    "BagSource",
     "Capture",
     "DeviceConfig",
     "DeviceSource",

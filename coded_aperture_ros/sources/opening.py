@@ -2,14 +2,17 @@
 
 import dataclasses
 
+from coded_aperture_ros.bags import is_bag
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.sources.bag import BagSource
 from coded_aperture_ros.sources.device import DeviceConfig, DeviceSource
 from coded_aperture_ros.sources.sequence import SequenceSource
 from coded_aperture_ros.sources.simulator import SimulatorSource
 from coded_aperture_ros.sources.source import Source
 
 SIMULATOR = "simulator"
+_BAG = "bag:"
 
 
 def open_source(
@@ -27,7 +30,8 @@ def open_source(
     ----------
     text : str
         `simulator`; the index of a camera, a device (`/dev/video0`), a URL (`rtsp://...`) or a
-        GStreamer pipeline; or the path of a picture, a folder of pictures or a video.
+        GStreamer pipeline; the path of a picture, a folder of pictures, a video or a bag; or `bag:`
+        and the path of a bag, which may end in `#` and the topic of the frames.
     camera : Camera
         To simulate, or whose image size to ask a device for.
     rate_hz : float
@@ -47,6 +51,9 @@ def open_source(
         return SimulatorSource(camera, rate_hz, noise)
     if not text:
         raise InputError("parameter source is empty: use simulator, a camera index or a path")
+    if text.startswith(_BAG):
+        path, _, topic = text.removeprefix(_BAG).partition("#")
+        return BagSource(path, loop, topic or None)
     if text.isdecimal() or text.startswith("/dev/"):
         address = int(text) if text.isdecimal() else text
         config = device or DeviceConfig()
@@ -58,4 +65,4 @@ def open_source(
     # Of a stream, the sender says how large it is and how fast.
     if "://" in text or " ! " in text:
         return DeviceSource(text)
-    return SequenceSource(text, loop)
+    return BagSource(text, loop) if is_bag(text) else SequenceSource(text, loop)

@@ -3,11 +3,9 @@
 import dataclasses
 
 from coded_aperture_ros.bank import LearnConfig
-from coded_aperture_ros.depth import DepthConfig
+from coded_aperture_ros.depth import DepthConfig, map_size
 
 MASK = "levin"
-# Best-effort messages of depth are no larger (rows, columns).
-PUBLISHED = (240, 320)
 
 Size = tuple[int, int]
 
@@ -100,8 +98,7 @@ def published_size(shape: Size, full: bool = False) -> Size:
 
     The largest whole fraction within 320x240, or the frame's own.
     """
-    divisor = 1 if full else max(-(-shape[0] // PUBLISHED[0]), -(-shape[1] // PUBLISHED[1]), 1)
-    return max(1, shape[0] // divisor), max(1, shape[1] // divisor)
+    return map_size(shape, "full" if full else "auto")
 
 
 def thread_counts(most: int) -> tuple[int, ...]:

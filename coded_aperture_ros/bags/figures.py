@@ -1,0 +1,145 @@
+"""Pictures and plots of the report, as PNG."""
+
+from collections.abc import Callable, Mapping, Sequence
+from io import BytesIO
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bags.record import Sample
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.evaluation.plots import reliability_diagram
+from coded_aperture_ros.evaluation.reliability import Reliability
+from coded_aperture_ros.images import (
+    SRGB,
+    Gamma,
+    confidence_picture,
+    decode,
+    depth_picture,
+    pixels_from_linear,
+)
+
+_WIDTH_INCHES, _ROW_INCHES, _DOTS_PER_INCH = 8.0, 1.7, 100
+# Pictures are shown at this width; full size would make the page several times as large.
+_PICTURE_PX = 320
+# An error of this share is white.
+_WHITE_ERROR = 0.2
+_NO_ERROR_RGB = (40, 40, 90)
+# Titles, and where the values are found; a row of the plot for each.
+_SERIES = {
+    "coverage": "share of pixels with depth",
+    "median_depth_m": "median depth, m",
+    "median_relative_error": "median relative error",
+    "within_10_percent": "share within 10 %",
+}
+
+
+def series_plot(series: Sequence[Mapping[str, Any]]) -> bytes:
+    """Draw what is known of every frame over time."""
+    from matplotlib.figure import Figure
+
+    names = [name for name in _SERIES if any(row.get(name) is not None for row in series)]
+    first = series[0]["stamp_ns"]
+    seconds = [1e-9 * (row["stamp_ns"] - first) for row in series]
+    figure = Figure(figsize=(_WIDTH_INCHES, _ROW_INCHES * len(names)), layout="constrained")
+    for axes, name in zip(
+        figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0], names, strict=True
+    ):
+        values = [np.nan if row.get(name) is None else row[name] for row in series]
+        axes.plot(seconds, values, "o-", markersize=2, linewidth=1)
+        axes.set_ylabel(_SERIES[name].replace(" ", "\n", 1), fontsize=8)
+        axes.grid(alpha=0.3)
+        if name in ("coverage", "within_10_percent"):
+            axes.set_ylim(0, 1.02)
+        else:
+            axes.set_ylim(0)
+        axes.tick_params(labelsize=8)
+    figure.axes[-1].set_xlabel("seconds after the first frame", fontsize=8)
+    return _png(lambda file: figure.savefig(file, dpi=_DOTS_PER_INCH))
+
+
+def reliability_plot(reliability: Reliability) -> bytes:
+    """Draw how often depth of a given confidence is right."""
+    curves = {"depth": reliability}
+    return _png(lambda file: reliability_diagram(curves, file, "within 5 % of the reference"))
+
+
+def range_of(samples: Sequence[Sample]) -> tuple[float, float]:
+    """Return the nearest and farthest depth that pictures of all samples show alike."""
+    depths = [sample.depth_m for sample in samples]
+    depths += [sample.score.reference_m for sample in samples if sample.score is not None]
+    known = np.concatenate([depth[np.isfinite(depth)] for depth in depths])
+    if not known.size:
+        return 0.0, 1.0
+    near, far = np.percentile(known, [1, 99])
+    return float(near), float(far)
+
+
+def pictures_of(
+    sample: Sample, range_m: tuple[float, float], gamma: Gamma
+) -> dict[str, NDArray[np.uint8]]:
+    """Return the pictures of a frame and its results, by their titles.
+
+    `gamma` is how 8-bit frames are encoded.
+    """
+    pictures = {"coded frame": _light(sample.frame, gamma)}
+    pictures["depth"] = depth_picture(_small(sample.depth_m), *range_m)
+    pictures["confidence"] = confidence_picture(_small(sample.confidence))
+    if sample.sharp is not None:
+        pictures["all in focus"] = _light(sample.sharp, gamma)
+    if sample.score is not None:
+        reference = sample.score.reference_m
+        pictures["reference"] = depth_picture(_small(reference), *range_m)
+        error = np.abs(sample.depth_m - reference) / reference
+        pictures[f"error, white: {100 * _WHITE_ERROR:.0f} %"] = _error_picture(_small(error))
+    return pictures
+
+
+def png(picture: NDArray[np.uint8]) -> bytes:
+    """Encode a grey or RGB picture."""
+    stored = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+    return bytes(cv2.imencode(".png", stored)[1])
+
+
+def check_matplotlib() -> None:
+    """Refuse to go on without matplotlib.
+
+    Raises
+    ------
+    InputError
+        Saying what to install.
+    """
+    try:
+        import matplotlib.figure  # noqa: F401
+    except ImportError as error:
+        raise InputError("the report needs matplotlib: pip install matplotlib") from error
+
+
+def _light(frame: NDArray[np.float32], gamma: Gamma) -> NDArray[np.uint8]:
+    """Return a frame, its values as stored, as a display wants it."""
+    return np.asarray(pixels_from_linear(decode(_small(frame), gamma), 8, SRGB), np.uint8)
+
+
+def _small(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    if values.shape[1] <= _PICTURE_PX:
+        return values
+    size = _PICTURE_PX, max(1, round(values.shape[0] * _PICTURE_PX / values.shape[1]))
+    # Depth is not mixed across edges, and NaN does not spread.
+    smooth = values.ndim == 3 or np.isfinite(values).all()
+    how = cv2.INTER_AREA if smooth else cv2.INTER_NEAREST
+    return np.asarray(cv2.resize(values, size, interpolation=how), np.float32)
+
+
+def _error_picture(error: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Draw relative errors from black to white; where there is none, blue."""
+    picture = np.repeat(confidence_picture(error / _WHITE_ERROR)[..., None], 3, axis=2)
+    picture[~np.isfinite(error)] = _NO_ERROR_RGB
+    return picture
+
+
+def _png(draw: Callable[[BytesIO], object]) -> bytes:
+    file = BytesIO()
+    draw(file)
+    return file.getvalue()

@@ -1,0 +1,160 @@
+"""The report of a bag: a page that needs no network and no other file, and JSON."""
+
+import base64
+import html
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from coded_aperture_ros.bags.figures import (
+    pictures_of,
+    png,
+    range_of,
+    reliability_plot,
+    series_plot,
+)
+from coded_aperture_ros.bags.record import Record
+from coded_aperture_ros.evaluation.reliability import Reliability
+from coded_aperture_ros.images import Gamma
+
+PAGE, JSON = "report.html", "report.json"
+_STYLE = """
+body { font: 15px/1.4 sans-serif; margin: 2em auto; max-width: 1020px; padding: 0 1em }
+table { border-collapse: collapse; margin: 1em 0 }
+td, th { border-bottom: 1px solid #ddd; padding: .2em 1em .2em 0; text-align: left }
+td.number { text-align: right }
+figure { display: inline-block; margin: 0 .5em .5em 0; vertical-align: top }
+figcaption { color: #555; font-size: 13px }
+img { display: block; max-width: 100% }
+.warning { background: #fff3cd; padding: .5em 1em }
+"""
+
+
+def write_report(
+    folder: Path, results: Mapping[str, Any], record: Record, gamma: Gamma = 1.0
+) -> None:
+    """Write page and JSON into a folder, which is made.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+    results : mapping
+        What was measured, ready for JSON.
+    record : Record
+        The samples are shown, the series drawn.
+    gamma : float or "srgb"
+        How 8-bit frames are encoded.
+    """
+    folder.mkdir()
+    text = json.dumps({**results, "series": record.series()}, indent=1, allow_nan=False)
+    (folder / JSON).write_text(text + "\n", encoding="utf-8")
+    (folder / PAGE).write_text(_page(results, record, gamma), encoding="utf-8")
+
+
+def _page(results: Mapping[str, Any], record: Record, gamma: Gamma) -> str:
+    title = html.escape(f"Depth of {results['input']}")
+    parts = [f"<h1>{title}</h1>", *(_warning(text) for text in _warnings(results))]
+    parts.append(_table(_facts(results)))
+    parts.append(f"<h2>Frame by frame</h2>{_image(series_plot(record.series()), 'series')}")
+    if record.scores:
+        reliability = Reliability.total([score.reliability for score in record.scores.values()])
+        parts.append(
+            "<h2>Does the confidence keep its word?</h2><p>Of the pixels with depth and reference: "
+            "how often depth of a given confidence is right. On the dashed line a confidence is "
+            f"the probability that it promises to be.</p>{_image(reliability_plot(reliability))}"
+        )
+    parts.append("<h2>Some frames</h2>")
+    samples = list(record.samples.values())
+    range_m = range_of(samples)
+    for sample in samples:
+        figures = [
+            f"<figure>{_image(png(picture), name)}<figcaption>{name}</figcaption></figure>"
+            for name, picture in pictures_of(sample, range_m, gamma).items()
+        ]
+        parts.append(f"<h3>Frame {sample.index}</h3>{''.join(figures)}")
+    parts.append(f"<h2>Time</h2>{_table(_times(results))}")
+    body = "\n".join(parts)
+    return (
+        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
+        f"<style>{_STYLE}</style></head><body>\n{body}\n</body></html>\n"
+    )
+
+
+def _warnings(results: Mapping[str, Any]) -> Iterable[str]:
+    if results["damage"]:
+        yield f"The bag was processed up to where it ends too early: {results['damage']}."
+    for fault, reason in results["fault_reasons"].items():
+        yield f"{results['faults'][fault]} frame(s) could not be used ({fault}): {reason}."
+
+
+def _facts(results: Mapping[str, Any]) -> dict[str, str]:
+    depth, reference = results["depth"], results["reference"]
+    facts = {
+        "frames": f"{results['frames']} of {results['topic']}, "
+        f"{results['used']} with depth of {_size(results['depth_size'])}",
+        "size of the frames": _size(results["size"]),
+        "pixels with depth": _share(depth["coverage"]),
+        "median depth": _metres(depth["median_depth_m"]),
+        "noise": f"{depth['noise']:.4f}",
+    }
+    if reference is not None:
+        facts |= {
+            "reference": f"{reference['topic']}, {reference['frames']} frames",
+            "median error": f"{_share(reference['median_relative_error'])} "
+            "(median of the frames' medians)",
+            "mean error": _share(reference["mean_relative_error"]),
+            "within 10 %": f"{_share(reference['within_10_percent'])} of the pixels with depth",
+            "pixels with reference that have depth": _share(reference["coverage"]),
+            "calibration error of the confidence": _share(reference["expected_calibration_error"]),
+        }
+    return facts
+
+
+def _times(results: Mapping[str, Any]) -> dict[str, str]:
+    timing, frames = results["timing"], results["frames"]
+    facts = {
+        "all frames": f"{timing['seconds']:.2f} s, {timing['frames_per_second']:.1f} a second, "
+        f"on {timing['processors']} processor(s)",
+        "processor time of a frame": f"{1000 * timing['processor_seconds'] / frames:.1f} ms",
+        "before the first frame": f"{timing['preparation_s']:.2f} s",
+    }
+    if timing["times_real_time"]:
+        facts["recording"] = (
+            f"{timing['recorded_s']:.2f} s: {timing['times_real_time']:.2f} times real time"
+        )
+    for stage, times in timing["stages"].items():
+        facts[f"{stage} of a frame"] = (
+            f"median {times['p50_ms']:.1f}, 99 % {times['p99_ms']:.1f} ms"
+        )
+    return facts
+
+
+def _table(facts: Mapping[str, str]) -> str:
+    rows = (
+        f"<tr><th>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>"
+        for name, text in facts.items()
+    )
+    return f"<table>{''.join(rows)}</table>"
+
+
+def _warning(text: str) -> str:
+    return f'<p class="warning">{html.escape(text)}</p>'
+
+
+def _image(data: bytes, alt: str = "") -> str:
+    coded = base64.b64encode(data).decode("ascii")
+    return f'<img alt="{html.escape(alt)}" src="data:image/png;base64,{coded}">'
+
+
+def _size(size: Iterable[int]) -> str:
+    rows, columns = size
+    return f"{columns}x{rows}"
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:.1f} %"
+
+
+def _metres(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f} m"

@@ -1,0 +1,166 @@
+"""Depth of a bag against the depth that another camera recorded beside it."""
+
+import dataclasses
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.evaluation import RelativeError, Reliability
+from coded_aperture_ros.messages import MessageError, depth_from_pixels
+
+# What the confidence promises.
+RIGHT_WITHIN = 0.05
+# A reference counts as of the same time up to this far from a frame.
+TOLERANCE_NS = 20_000_000
+# Frames that wait for their reference at most, and the other way round.
+_WAITING = 64
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FrameScore:
+    """How good the depth of one frame is.
+
+    Attributes
+    ----------
+    error : RelativeError
+        Of the pixels of the depth image whose reference is known.
+    apart_ns : int
+        How far the stamps of depth and reference are apart.
+    reliability : Reliability
+        Of the pixels that have both depth and reference; right is within 5 %.
+    reference_m : ndarray, float32 [rows, columns]
+        As it was compared.
+    """
+
+    error: RelativeError
+    apart_ns: int
+    reliability: Reliability
+    reference_m: NDArray[np.float32]
+
+
+def frame_score(
+    depth_m: NDArray[np.float32],
+    confidence: NDArray[np.float32],
+    reference: NDArray,
+    apart_ns: int = 0,
+) -> FrameScore:
+    """Compare a depth image with a reference of any size that shows the same view.
+
+    Every pixel of the depth image is compared with the nearest one of the reference.
+
+    Parameters
+    ----------
+    depth_m, confidence : ndarray, float32 [rows, columns]
+        Depth is not finite where unknown.
+    reference : ndarray of float32 (m) or uint16 (mm), [reference rows, reference columns]
+        As in a message, see `messages.depth_from_pixels`.
+    apart_ns : int, optional
+    """
+    reference_m = depth_from_pixels(at_size(reference, depth_m.shape))
+    known = np.isfinite(reference_m)
+    both = known & np.isfinite(depth_m)
+    relative = np.full(depth_m.shape, np.nan, np.float32)
+    found, true = depth_m[both], reference_m[both]
+    relative[both] = error = (found - true) / true
+    reliability = Reliability.of(confidence[both], np.abs(error) <= RIGHT_WITHIN)
+    return FrameScore(RelativeError.of(relative, known), apart_ns, reliability, reference_m)
+
+
+def at_size(reference: NDArray, shape: tuple[int, ...]) -> NDArray:
+    """Return a reference at the size (rows, columns) of another depth image, by nearest pixels.
+
+    Raises
+    ------
+    MessageError
+        Of kind "reference", if the proportions differ: it would be of another view.
+    """
+    height, width = reference.shape
+    if abs(height * shape[1] - width * shape[0]) > max(height, width):
+        raise MessageError(
+            "reference",
+            f"reference depth of {width}x{height} does not have the proportions of the depth "
+            f"image, {shape[1]}x{shape[0]}",
+        )
+    size = shape[1], shape[0]
+    return np.asarray(cv2.resize(reference, size, interpolation=cv2.INTER_NEAREST_EXACT))
+
+
+class References:
+    """Pairs depth images with the references of the same time, whichever comes first."""
+
+    def __init__(self) -> None:
+        self._references: dict[int, NDArray] = {}
+        self._frames: dict[int, tuple[int, NDArray[np.float32], NDArray[np.float32]]] = {}
+
+    def add_reference(self, stamp_ns: int, pixels: NDArray) -> None:
+        """Add a reference, see `frame_score`."""
+        self._references[stamp_ns] = pixels
+        while len(self._references) > 2 * _WAITING:
+            del self._references[min(self._references)]
+
+    def add_frame(
+        self,
+        index: int,
+        stamp_ns: int,
+        depth_m: NDArray[np.float32],
+        confidence: NDArray[np.float32],
+    ) -> None:
+        """Add the depth of a frame."""
+        self._frames[index] = stamp_ns, depth_m, confidence
+
+    def scores(self, end: bool = False) -> list[tuple[int, FrameScore]]:
+        """Return what can be scored by now, with the frames' indices; in the end what is left.
+
+        Raises
+        ------
+        MessageError
+            See `at_size`.
+        """
+        scored = []
+        for index in list(self._frames):
+            stamp_ns, depth_m, confidence = self._frames[index]
+            nearest = min(self._references, key=lambda at: abs(at - stamp_ns), default=None)
+            apart_ns = TOLERANCE_NS + 1 if nearest is None else abs(nearest - stamp_ns)
+            late = end or len(self._frames) > _WAITING
+            if apart_ns and not late:
+                continue
+            del self._frames[index]
+            if nearest is not None and apart_ns <= TOLERANCE_NS:
+                reference = self._references[nearest]
+                scored.append((index, frame_score(depth_m, confidence, reference, apart_ns)))
+        return scored
+
+
+def summary(scores: list[FrameScore]) -> dict[str, Any]:
+    """Sum up the scores of frames, ready for JSON.
+
+    Medians are medians over the frames of each frame's value; means and shares are over all
+    pixels of all frames.
+    """
+    errors = [score.error for score in scores]
+    pixels = np.array([error.pixels for error in errors], np.float64)
+    covered = np.array([error.coverage for error in errors]) * pixels
+    counted = covered > 0
+    reliability = Reliability.total([score.reliability for score in scores])
+
+    def over_pixels(name: str) -> float | None:
+        values = np.array([getattr(error, name) for error in errors])
+        if not counted.any():
+            return None
+        return float(np.sum(values[counted] * covered[counted]) / np.sum(covered))
+
+    medians = [error.median for error in errors if np.isfinite(error.median)]
+    calibration = reliability.expected_calibration_error
+    return {
+        "frames": len(scores),
+        "median_relative_error": float(np.median(medians)) if medians else None,
+        "mean_relative_error": over_pixels("mean"),
+        "within_10_percent": over_pixels("within_10_percent"),
+        "coverage": float(covered.sum() / pixels.sum()) if pixels.sum() else None,
+        "most_stamps_apart_s": 1e-9 * max(score.apart_ns for score in scores),
+        "right_within": RIGHT_WITHIN,
+        "expected_calibration_error": calibration if np.isfinite(calibration) else None,
+        "reliability": reliability.rows(),
+    }

@@ -1,0 +1,144 @@
+"""`coded_aperture bag`: depth and all-in-focus frames of a recorded bag, and how good they are."""
+
+import argparse
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+from coded_aperture_ros.cli.estimators import (
+    add_estimator_options,
+    add_estimator_settings,
+    check_estimator_options,
+    estimator_of,
+)
+from coded_aperture_ros.cli.options import add_gamma_option
+from coded_aperture_ros.cli.progress import progress
+
+# As the nodes: 8 px, which banks have by default, is finer and takes three times as long.
+_STRIDE_PX = 16
+_DEBLUR = ("fast", "cg", "sparse", "none")
+_DEBLUR_RANK = 10
+_SIZES = ("auto", "full", "half", "quarter")
+_EPILOG = """examples:
+  depth, confidence and all-in-focus frames beside the originals:
+    coded_aperture bag recording -o results --bank bank.npz --camera camera.yaml
+  compared with the depth that another camera recorded, depth only:
+    coded_aperture bag recording -o scored --bank bank.npz --camera camera.yaml \\
+        --reference-depth /ground_truth/depth --deblur none
+"""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the sub-command to the program's parser."""
+    parser = subparsers.add_parser(
+        "bag",
+        help="estimate depth of a recorded bag, and score it",
+        description="Work on every frame of a ROS 2 bag (MCAP or SQLite, also one that was cut "
+        "off), without ROS. Into the new bag, of the same storage, all messages are copied, and "
+        "beside the frames come depth/image, depth/confidence, depth/camera_info, "
+        "deblurred/image and deblurred/camera_info, in the camera's namespace and with its "
+        "stamps. The bag's folder also gets report/report.html and report/report.json.",
+        epilog=_EPILOG,
+    )
+    parser.add_argument("input", metavar="IN", help="bag: its folder, or a .mcap or .db3 file")
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="OUT", help="folder of the new bag"
+    )
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace OUT, if that is a bag already"
+    )
+    parser.add_argument(
+        "--topic",
+        metavar="T",
+        help="of the coded frames, raw or compressed; by default the only images, or image_raw",
+    )
+    parser.add_argument(
+        "--reference-depth",
+        metavar="T",
+        help="depth images (32FC1 in m, 16UC1 in mm) of the same view to compare with",
+    )
+    parser.add_argument(
+        "--namespace", metavar="NAME", help="of the results (default: that of the coded frames)"
+    )
+    add_estimator_options(parser)
+    parser.add_argument(
+        "--deblur",
+        choices=_DEBLUR,
+        default=_DEBLUR[0],
+        help="how all-in-focus frames are made, see deblur --help (default %(default)s)",
+    )
+    parser.add_argument(
+        "--deblur-rank",
+        type=int,
+        default=_DEBLUR_RANK,
+        metavar="N",
+        help="kernels of --deblur fast: fewer is faster (default %(default)s)",
+    )
+    parser.add_argument(
+        "--output-size",
+        choices=_SIZES,
+        default=_SIZES[0],
+        help="of the depth images, in parts of the frame; auto: at most 320x240 (default auto)",
+    )
+    add_gamma_option(parser)
+    parser.add_argument("--json", action="store_true", help="print the results as JSON")
+    parser.add_late_options = lambda late: add_estimator_settings(late, stride_px=_STRIDE_PX)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the sub-command; return its exit status."""
+    check_estimator_options(args)
+    if args.camera is None:
+        args.usage_error("the following arguments are required: --camera")
+    from coded_aperture_ros.bags import check_bag_output
+    from coded_aperture_ros.bags.job import BagJob
+    from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
+    from coded_aperture_ros.optics import load_camera
+
+    source, target = Path(args.input), Path(args.output)
+    check_bag_output(target, [source], args.overwrite)
+    deblur = None
+    if args.deblur != "none":
+        config = DeblurConfig(method=args.deblur, rank=args.deblur_rank)
+
+        def deblur(estimator: Any) -> Deblurrer:
+            return Deblurrer(estimator.bank.stack, config)
+
+    job = BagJob(
+        topic=args.topic,
+        reference_topic=args.reference_depth,
+        namespace=args.namespace,
+        camera=load_camera(args.camera),
+        new_estimator=lambda camera: estimator_of(args, camera),
+        new_deblurrer=deblur,
+        gamma=args.gamma,
+        map_size=args.output_size,
+    )
+    results = job.run(source, target, lambda steps, total: progress(steps, total, "frame"))
+    if results["damage"]:
+        logging.warning(f"{source}: processed up to the damage: {results['damage']}")
+    for fault, reason in results["fault_reasons"].items():
+        logging.warning(f"{results['faults'][fault]} frame(s) not used ({fault}): {reason}")
+    print(json.dumps(results) if args.json else _in_words(results))
+    return 0
+
+
+def _in_words(results: dict[str, Any]) -> str:
+    timing, depth, reference = results["timing"], results["depth"], results["reference"]
+    speed = f"{timing['frames_per_second']:.1f} frames/s"
+    if timing["times_real_time"]:
+        speed += f", {timing['times_real_time']:.1f} times real time"
+    lines = [
+        f"{results['output']}: {results['used']} of {results['frames']} frames, depth at "
+        f"{100 * depth['coverage']:.0f} % of the pixels; {speed}"
+    ]
+    if reference is not None and reference["median_relative_error"] is not None:
+        lines.append(
+            f"against {reference['topic']}: median error "
+            f"{100 * reference['median_relative_error']:.2f} %, "
+            f"{100 * reference['within_10_percent']:.0f} % of the depths within 10 %, "
+            f"{reference['frames']} frames"
+        )
+    lines.append(f"report: {results['report']}")
+    return "\n".join(lines)
