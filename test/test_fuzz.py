@@ -352,7 +352,7 @@ def test_stamps_in_any_order(steps):
 
 VALUES = st.one_of(
     st.booleans(), st.integers(-(2**63), 2**63 - 1), st.floats(), st.text(max_size=10),
-    st.sampled_from(["none", "tv", "full", "half", "nearest", "nan"]),
+    st.sampled_from(["none", "tv", "full", "half", "nearest", "nothing"]),
 )  # fmt: skip
 
 

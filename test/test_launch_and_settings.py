@@ -73,6 +73,26 @@ def test_parameter_file_holds_valid_values_of_real_parameters(checkout, configs_
             assert type(value) is type(getattr(config, name)), name
 
 
+@pytest.mark.parametrize(
+    ("file", "node"), [*((node, node) for node in NODES), ("obstacle_avoidance", "depth_node")]
+)
+def test_ros_reads_parameter_files_as_they_are_meant(checkout, tmp_path, file, node):
+    """Its YAML parser takes some texts for numbers that PyYAML does not, such as nan."""
+    module = import_module(f"coded_aperture_ros.nodes.{node}")
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    path = str(checkout / "config" / f"{file}.yaml")
+    arguments = ["--ros-args", "--params-file", path, "-p", "autostart:=false"]
+    try:
+        started = getattr(module, NODES[node])(context=context, cli_args=arguments)
+        content = yaml.safe_load((checkout / "config" / f"{file}.yaml").read_text())
+        for name, value in content[f"/**/{node}"]["ros__parameters"].items():
+            assert started.get_parameter(name).value == value
+        started.destroy_node()
+    finally:
+        rclpy.shutdown(context=context)
+
+
 class _Recorder:
     """Takes any arguments and keeps them."""
 

@@ -61,10 +61,10 @@ class DepthConfig:
         maximum=1.0,
     )
     unknown: str = option(
-        "nan",
-        "What stands where depth is unknown: nan, or nearest: the nearest depth that is plausible, "
-        "for whoever must not run into anything.",
-        choices=("nan", "nearest"),
+        "nothing",
+        "What stands where depth is unknown: nothing (NaN), or nearest: the nearest depth that is "
+        "plausible, for whoever must not run into anything.",
+        choices=("nothing", "nearest"),
     )
 
     temporal_frames: float = option(
