@@ -199,3 +199,48 @@ def test_missing_pixels_are_filled_from_their_surroundings(stack):
     frame[40:43, 40:43, 1] = np.nan
     result = Deblurrer(stack).deblur(frame, np.full((96, 96), 6.0, np.float32))
     assert result == pytest.approx(np.full((96, 96, 3), 0.6), abs=5e-3)
+
+
+HALF = DeblurConfig(band="half")
+
+
+@pytest.mark.parametrize("shape", [(208, 272), (187, 255)])
+def test_the_lower_half_of_the_frequencies_is_deblurred_as_by_all(stack, sharp, shape):
+    """A wide PSF leaves nothing in the upper half, which does not count here."""
+    smooth = ndimage.gaussian_filter(sharp, 1.2)[: shape[0], : shape[1]]
+    coded = blurred(smooth, 9.0, 0.0005)
+    blur = np.full(shape, 9.0, np.float32)
+    half = Deblurrer(stack, HALF).deblur(coded, blur)
+    full = Deblurrer(stack).deblur(coded, blur)
+    assert half.shape == full.shape
+    assert psnr_db(half, smooth) > psnr_db(coded, smooth) + 2
+    assert psnr_db(half, smooth) > psnr_db(full, smooth) - 1
+    # In its right place: a shift by half a pixel would be worse.
+    shifted = ndimage.shift(half, (0.5, 0.5), order=3, mode="nearest")
+    assert psnr_db(half, full) > psnr_db(shifted, full) + 2
+
+
+def test_the_upper_half_of_the_frequencies_stays(stack):
+    columns = np.tile(np.arange(128), (96, 1))
+    stripes = (0.5 + 0.2 * np.cos(2 * np.pi * 0.4 * columns)).astype(np.float32)
+    result = Deblurrer(stack, HALF).deblur(stripes, np.full((96, 128), 6.0, np.float32), 0.002)
+    inside = (slice(24, -24), slice(24, -24))
+    # All of it, but for the smoothing at the end, and no brightness is lost.
+    assert result[inside].std() > 0.8 * stripes[inside].std()
+    assert result[inside].mean() == pytest.approx(0.5, abs=0.01)
+    full = Deblurrer(stack).deblur(stripes, np.full((96, 128), 6.0, np.float32), 0.002)
+    assert abs(full[inside].std() / stripes[inside].std() - 1) > 0.2
+
+
+def test_half_of_the_frequencies_in_colour_and_by_two_depths(stack, sharp):
+    colour = np.dstack([0.9 * sharp, sharp, 0.7 * sharp]).astype(np.float32)
+    near, far = (np.dstack([blurred(c, size) for c in colour.transpose(2, 0, 1)])
+                 for size in (5.0, 10.0))  # fmt: skip
+    middle = sharp.shape[1] // 2
+    coded = np.where(np.arange(sharp.shape[1])[None, :, None] < middle, near, far)
+    blur = np.where(np.arange(sharp.shape[1]) < middle, 5.0, 10.0).astype(np.float32)
+    blur = np.tile(blur, (sharp.shape[0], 1))
+    result = Deblurrer(stack, HALF).deblur(coded.astype(np.float32), blur)
+    for part in (slice(0, middle - 20), slice(middle + 20, None)):
+        gain = psnr_db(result[:, part], colour[:, part]) - psnr_db(coded[:, part], colour[:, part])
+        assert gain > 1.5

@@ -76,6 +76,13 @@ def add_parser(subparsers: Any) -> None:
         help="kernels of --deblur fast: fewer is faster (default %(default)s)",
     )
     parser.add_argument(
+        "--deblur-band",
+        choices=("full", "half"),
+        default="full",
+        help="frequencies that --deblur fast works on: half is faster, and leaves the finest "
+        "details as they are (default %(default)s)",
+    )
+    parser.add_argument(
         "--output-size",
         choices=_SIZES,
         default=_SIZES[0],
@@ -100,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
     check_bag_output(target, [source], args.overwrite)
     deblur = None
     if args.deblur != "none":
-        config = DeblurConfig(method=args.deblur, rank=args.deblur_rank)
+        config = DeblurConfig(method=args.deblur, rank=args.deblur_rank, band=args.deblur_band)
 
         def deblur(estimator: Any) -> Deblurrer:
             return Deblurrer(estimator.bank.stack, config)

@@ -9,6 +9,7 @@ from coded_aperture_ros.deblur.colour import from_opponents, opponents
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fast import REDUCTION, InverseFilters, smoothed
 from coded_aperture_ros.deblur.fill import filled_blur_map
+from coded_aperture_ros.deblur.half_band import HalfBandFilters
 from coded_aperture_ros.deblur.occlusion import OccludedBlur
 from coded_aperture_ros.deblur.operator import BlurOperator, SpreadingBlur
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
@@ -51,8 +52,9 @@ class Deblurrer:
         self.config = config or DeblurConfig()
         self._workers = Workers(self.config.threads)
         rank = self.config.rank
-        self._inverse = InverseFilters(stack, rank, self._workers)
-        self._of_colour = InverseFilters(stack, max(rank // 2, 2), self._workers)
+        filters = HalfBandFilters if self.config.band == "half" else InverseFilters
+        self._inverse = filters(stack, rank, self._workers)
+        self._of_colour = filters(stack, max(rank // 2, 2), self._workers)
         self._basis: PsfBasis | None = None
         frames = self.config.temporal_frames
         self._steady = SteadyFrames(frames) if frames else None

@@ -92,13 +92,20 @@ class InverseFilters:
         transforms = self._transforms(basis_noise, self._padded_shape((height, width)))
         # Steps of a tenth of a decade: there are few different tables.
         lookup = self._lookup_table(basis_noise, round(10 * np.log10(noise)))
+        weights = self._weights(lookup, places, (height, width))
+        return [self._filter(channel, transforms, weights) for channel in channels]
+
+    def _weights(
+        self, lookup: NDArray[np.float32], places: NDArray[np.intp], size: tuple[int, int]
+    ) -> list[NDArray[np.float32]]:
+        """Return the share of every kernel in every pixel."""
         weights = [np.empty(0, np.float32)] * len(lookup)
 
         def weigh(kernel: int, thread: int) -> None:
-            weights[kernel] = cv2.resize(np.take(lookup[kernel], places), (width, height))
+            weights[kernel] = cv2.resize(np.take(lookup[kernel], places), size[::-1])
 
         self._workers.each(weigh, range(len(lookup)))
-        return [self._filter(channel, transforms, weights) for channel in channels]
+        return weights
 
     def _filter(
         self,
@@ -106,16 +113,8 @@ class InverseFilters:
         transforms: NDArray[np.complex64],
         weights: list[NDArray[np.float32]],
     ) -> NDArray[np.float32]:
-        height, width = channel.shape
-        shape, margin = self._padded_shape(channel.shape), self._margin_px
-        # The last pixels go on: no dark rim, and nothing wraps around. Mirrored texture would not
-        # be blurred like the rest, and costs half of the gain near the border.
-        below, right = shape[0] - height - margin, shape[1] - width - margin
-        padded = cv2.copyMakeBorder(
-            channel, margin, below, margin, right, borderType=cv2.BORDER_REPLICATE
-        )
-        spectrum = scipy.fft.rfft2(padded, workers=self._workers.threads)
-        inside = slice(margin, margin + height), slice(margin, margin + width)
+        shape, inside = self._padded_shape(channel.shape), self._inside(channel.shape)
+        spectrum = scipy.fft.rfft2(self._padded(channel), workers=self._workers.threads)
         sums = [np.zeros_like(channel) for _ in range(self._workers.threads)]
 
         def add(kernel: int, thread: int) -> None:
@@ -124,6 +123,23 @@ class InverseFilters:
 
         self._workers.each(add, range(len(weights)))
         return np.sum(sums, axis=0) if len(sums) > 1 else sums[0]
+
+    def _padded(self, channel: NDArray[np.float32]) -> NDArray[np.float32]:
+        # The last pixels go on: no dark rim, and nothing wraps around. Mirrored texture would not
+        # be blurred like the rest, and costs half of the gain near the border.
+        shape, margin = self._padded_shape(channel.shape), self._margin_px
+        below, right = (
+            full - side - margin for full, side in zip(shape, channel.shape, strict=True)
+        )
+        padded = cv2.copyMakeBorder(
+            channel, margin, below, margin, right, borderType=cv2.BORDER_REPLICATE
+        )
+        return np.asarray(padded, np.float32)
+
+    def _inside(self, shape: tuple[int, ...]) -> tuple[slice, slice]:
+        """Return where a frame of `shape` is in the padded one."""
+        margin = self._margin_px
+        return slice(margin, margin + shape[0]), slice(margin, margin + shape[1])
 
     def _padded_shape(self, shape: tuple[int, ...]) -> tuple[int, int]:
         margins = 2 * self._margin_px
