@@ -349,3 +349,23 @@ def test_nothing_but_the_bag_is_left(scene, tmp_path, capsys):
     results = json.loads((target / "report" / "report.json").read_text())
     assert results["timing"]["times_real_time"] is None  # one frame has no rate
     assert math.isfinite(results["timing"]["seconds"])
+
+
+def test_smaller_depth_is_compared_with_the_nearest_reference(scene, tmp_path, capsys):
+    rough = scene.depth_m * np.random.default_rng(3).uniform(0.8, 1.2, scene.depth_m.shape)
+    messages = [message for message in recording(scene, frames=1) if message[0] != "/truth/depth"]
+    messages.append(("/truth/depth", IMAGE, START_NS, image(rough.astype("f4"), "32FC1", 0)))
+    bag = write_bag(tmp_path / "in", messages)
+    options = ("--output-size", "half", "--deblur", "none", "--reference-depth", "truth/depth")
+    result = call(capsys, *command(scene, bag, tmp_path / "out", *options, "--json"))
+    assert (result.status, result.err) == (0, "")
+    messages = read(tmp_path / "out")
+    ((_, depth),) = decoded(messages, "/eye/depth/image")
+    ((_, truth),) = decoded(messages, "/truth/depth")
+    # The middle of a pixel of half the size is a corner of four; the last of them counts.
+    depth_m, true_m = floats(depth), floats(truth)[1::2, 1::2]
+    both = np.isfinite(depth_m) & (true_m > 0)
+    error = np.abs(depth_m[both] - true_m[both]) / true_m[both]
+    reference = json.loads(result.out)["reference"]
+    assert reference["median_relative_error"] == pytest.approx(float(np.median(error)), rel=1e-4)
+    assert reference["mean_relative_error"] == pytest.approx(float(error.mean()), rel=1e-4)
