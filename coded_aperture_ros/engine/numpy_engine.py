@@ -14,7 +14,7 @@ from coded_aperture_ros.engine.workers import Workers
 # Rows of pixels that are transformed, and patches whose hypotheses are tried, at a time: few
 # large calls, but no more than a core's cache holds.
 _PIXEL_ROWS = 24
-PATCHES = 128
+_PATCHES = 128
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -57,8 +57,8 @@ class NumpyEngine:
                 power=np.empty((len(plan.vertical), half), np.float32),
                 product=np.empty((plan.paired, half), np.float32),
                 functions=np.empty((len(plan.features), grid.columns), np.float32),
-                patches=np.empty(rank * PATCHES, np.float32),
-                hypotheses=np.empty(tried * PATCHES, np.float32),
+                patches=np.empty(rank * _PATCHES, np.float32),
+                hypotheses=np.empty(tried * _PATCHES, np.float32),
             )
             for _ in range(threads)
         ]
@@ -90,7 +90,7 @@ class NumpyEngine:
         tried = slice(plausible.start * per_ratio, plausible.stop * per_ratio)
         self._precision[:] = 1 / (plan.count * np.square(noise))
         functions = self._functions.reshape(len(self._functions), -1)
-        starts = range(0, functions.shape[1], PATCHES)
+        starts = range(0, functions.shape[1], _PATCHES)
         self._workers.each(partial(self._try_hypotheses, functions, tried), starts)
         return np.moveaxis(self._energies.reshape(bank.levels, *self._precision.shape), 0, -1)
 
@@ -141,33 +141,20 @@ class NumpyEngine:
     def _try_hypotheses(
         self, functions: NDArray[np.float32], tried: slice, start: int, thread: int
     ) -> None:
-        """Find the energies of some patches."""
-        some = slice(start, min(start + PATCHES, functions.shape[1]))
+        """Find the energies of some patches; see `FilterBank` for what they are."""
+        plan, scratch = self._plan, self._scratch[thread]
+        some = slice(start, min(start + _PATCHES, functions.shape[1]))
+        count = some.stop - some.start
         precision = self._precision.reshape(-1)[some]
-        coefficients = self._plan.hypotheses[tried]
-        energies = self._energies[:, some]
-        self._evaluate(coefficients, functions[:, some], precision, energies, thread)
-
-    def _evaluate(
-        self,
-        coefficients: NDArray[np.float32],
-        functions: NDArray[np.float32],
-        precision: NDArray[np.float32],
-        energies: NDArray[np.float32],
-        thread: int,
-    ) -> None:
-        """Write the energies [L, patches] under some hypotheses; see `FilterBank`.
-
-        Hypotheses are ordered by ratio, slope and level; there are at most `PATCHES` patches.
-        """
-        plan, scratch, count = self._plan, self._scratch[thread], functions.shape[1]
+        coefficients = plan.hypotheses[tried]
         patches = scratch.patches[: coefficients.shape[1] * count].reshape(-1, count)
-        np.multiply(functions[:-1], precision, out=patches[:-1])
+        np.multiply(functions[:-1, some], precision, out=patches[:-1])
         patches[-1] = 1
         excess = scratch.hypotheses[: len(coefficients) * count].reshape(-1, count)
         np.matmul(coefficients, patches, out=excess)
+        energies = self._energies[:, some]
         np.minimum.reduce(excess.reshape(-1, len(energies), count), axis=0, out=energies)
-        textureless = functions[-1] * precision + OWN_NOISE
+        textureless = functions[-1, some] * precision + OWN_NOISE
         np.clip(energies, LEAST_EXCESS, textureless, out=energies)
         np.log(energies, out=energies)
         np.multiply(energies, np.float32(plan.count), out=energies)

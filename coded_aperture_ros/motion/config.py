@@ -35,7 +35,7 @@ class MotionConfig:
         read_only=True,
     )
     rank: int = option(
-        128,
+        256,
         "Vectors in the common basis of the filters of all motions.",
         minimum=1,
         maximum=4096,

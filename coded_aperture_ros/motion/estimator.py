@@ -11,11 +11,11 @@ from coded_aperture_ros.depth.estimate import Observation
 from coded_aperture_ros.depth.levels import level_evidence
 from coded_aperture_ros.depth.still import frames_of_patches
 from coded_aperture_ros.depth.upsample import nearest_patches
-from coded_aperture_ros.engine import Engine
+from coded_aperture_ros.engine import Engine, NumpyEngine
 from coded_aperture_ros.motion.bank import MotionBank
 from coded_aperture_ros.motion.config import MotionConfig
 from coded_aperture_ros.motion.engine import MotionEngine
-from coded_aperture_ros.motion.joint import Separated, separate
+from coded_aperture_ros.motion.joint import Separated, separate, separate_expected
 from coded_aperture_ros.motion.rotation import ExpectedMotion
 from coded_aperture_ros.optics import Camera
 
@@ -72,6 +72,7 @@ class MotionEstimator(DepthEstimator):
         self.motion_bank = bank
         self.motion = motion or MotionConfig()
         self._motion_engine: MotionEngine | None = None
+        self._still_engine: NumpyEngine | None = None
         self._expected: ExpectedMotion | None = None
         self._separated: Separated | None = None
         self._searched = ""
@@ -118,23 +119,19 @@ class MotionEstimator(DepthEstimator):
             variance = variance / frames_of_patches(frames, seen.grid)
         noise = np.sqrt(variance, dtype=np.float32)
         candidates = self._candidates(seen.grid, grey.shape)
-        if candidates is None:
-            energies = engine.of_all(noise)
-        else:
-            energies = engine.of_some(noise, candidates)
-        pairs, levels = energies.shape[:2], energies.shape[1]
-        flat = np.moveaxis(energies.reshape(-1, *energies.shape[2:]), 0, -1)
-        evidence = level_evidence(flat, self.bank.evidence_repetition)
-        evidence[~seen.usable] = 0
-        evidence = np.moveaxis(evidence, -1, 0).reshape(*pairs, *energies.shape[2:])
         if candidates is not None:
-            every = np.full((len(self.motion_bank.motions), levels, *evidence.shape[2:]), 80.0)
-            every = every.astype(np.float32)
-            index = np.moveaxis(candidates, -1, 0)[:, None]
-            np.put_along_axis(every, index, evidence, axis=0)
-            evidence = every
-        self.stages.lap("energies")
-        self._separated = separate(evidence, self.motion_bank.motions, self.motion)
+            evidence = self._evidence(engine.of_some(noise, candidates), seen)
+            self.stages.lap("energies")
+            self._separated = separate_expected(evidence, candidates)
+        else:
+            evidence = self._evidence(engine.of_all(noise), seen)
+            # The bank of defocus alone is more exact where nothing moves: its basis is its own.
+            still = np.flatnonzero(np.hypot(*self.motion_bank.motions.vectors_px.T) == 0)
+            if still.size:
+                of_still = self._still_evidence(grey, noise, seen)
+                evidence[still] = of_still + evidence[still].min(axis=1, keepdims=True)
+            self.stages.lap("energies")
+            self._separated = separate(evidence, self.motion_bank.motions, self.motion)
         self.stages.lap("motion")
         return self._separated.level_evidence
 
@@ -151,11 +148,7 @@ class MotionEstimator(DepthEstimator):
         assert separated is not None  # `evidence_of` has been called
         motions, grid, shape = self.motion_bank.motions, seen.grid, seen.grey.shape
         vectors = self._towards_expected(motions.vectors_px[separated.motion], grid, shape)
-        apart = motions.distances_px(motions.vectors_px)
-        length = np.hypot(*motions.vectors_px.T)
-        near = apart <= np.maximum(_AGREEMENT_PX, _AGREEMENT_SHARE * length[:, None])
-        of_motions = np.tensordot(near.astype(np.float32), separated.probability, axes=1)
-        confidence = np.take_along_axis(of_motions, separated.motion[None], axis=0)[0]
+        confidence = self._motion_confidence(separated)
         vectors[~seen.usable], confidence[~seen.usable] = np.nan, 0
         patches = np.ix_(*nearest_patches(grid, shape, estimate.level.shape))
         return MotionEstimate(
@@ -164,6 +157,31 @@ class MotionEstimator(DepthEstimator):
             motion_confidence=confidence[patches],
             searched=self._searched,
         )
+
+    def _motion_confidence(self, separated: Separated) -> NDArray[np.float32]:
+        """Return the probability of what is as good as each patch's motion [rows, columns]."""
+        motions = self.motion_bank.motions
+        apart = motions.distances_px(motions.vectors_px)
+        length = np.hypot(*motions.vectors_px.T)
+        near = apart <= np.maximum(_AGREEMENT_PX, _AGREEMENT_SHARE * length[:, None])
+        agree = near[separated.motion[None], separated.candidates]
+        return np.asarray((separated.probability * agree).sum(axis=0), np.float32)
+
+    def _evidence(self, energies: NDArray[np.float32], seen: Observation) -> NDArray[np.float32]:
+        """Return the evidence against pairs of motion and level, of the shape of their energies."""
+        pairs = energies.reshape(-1, *energies.shape[2:])
+        evidence = level_evidence(np.moveaxis(pairs, 0, -1), self.bank.evidence_repetition)
+        evidence[~seen.usable] = 0
+        return np.moveaxis(evidence, -1, 0).reshape(energies.shape)
+
+    def _still_evidence(
+        self, grey: NDArray[np.float32], noise: NDArray[np.float32], seen: Observation
+    ) -> NDArray[np.float32]:
+        """Return the evidence against every level if nothing moves [L, rows, columns]."""
+        engine = self._still_engine
+        assert engine is not None  # made with the other
+        engine.project(grey)
+        return self._evidence(np.moveaxis(engine.energies(noise), -1, 0)[None], seen)[0]
 
     def _candidates(self, grid: PatchGrid, shape: tuple[int, ...]) -> NDArray[np.intp] | None:
         """Return which motions to try at every patch [rows, columns, k]; None for all."""
@@ -200,7 +218,7 @@ class MotionEstimator(DepthEstimator):
 
     def _new_engine(self, shape: tuple[int, ...], stride_px: int) -> Engine:
         """Return what computes the energies of frames of a size."""
-        self._motion_engine = MotionEngine(
-            self.motion_bank, shape, stride_px, self.config.threads
-        )
+        threads = self.config.threads
+        self._motion_engine = MotionEngine(self.motion_bank, shape, stride_px, threads)
+        self._still_engine = NumpyEngine(self.bank, shape, stride_px, threads)
         return self._motion_engine

@@ -13,8 +13,8 @@ _ENOUGH_EVIDENCE = 7.0
 # Motions that are neighbours of each, between which a patch and the next change easily.
 _NEIGHBOURS = 6
 # Weights of the smoothness beside natural-logarithm evidence.
-_SLIGHT_STEP = 2.0
-_JUMP = 12.0
+_SLIGHT_STEP = 6.0
+_JUMP = 36.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -25,13 +25,16 @@ class Separated:
     ----------
     motion : ndarray of int [rows, columns]
         Index of every patch's motion.
-    probability : ndarray, float32 [M, rows, columns]
-        Of every motion, by the patch alone.
+    candidates : ndarray of int [k, rows, columns]
+        The motions that were tried.
+    probability : ndarray, float32 [k, rows, columns]
+        Of each of them, by the patch alone.
     level_evidence : ndarray, float32 [rows, columns, L]
         Against every blur level, motions weighed by how likely they are beside the neighbours'.
     """
 
     motion: NDArray[np.intp]
+    candidates: NDArray[np.intp]
     probability: NDArray[np.float32]
     level_evidence: NDArray[np.float32]
 
@@ -65,7 +68,31 @@ def separate(
     weighed = np.einsum("mlrc,mrc->lrc", likelihood, np.exp(-others))
     level = -np.log(np.maximum(weighed, np.float32(1e-30)))
     level -= level.min(axis=0)
-    return Separated(total.argmin(axis=0), probability, np.moveaxis(level, 0, -1))
+    every = np.arange(len(motions))[:, None, None]
+    candidates = np.broadcast_to(every, probability.shape)
+    return Separated(total.argmin(axis=0), candidates, probability, np.moveaxis(level, 0, -1))
+
+
+def separate_expected(
+    evidence: NDArray[np.float32], candidates: NDArray[np.intp]
+) -> Separated:
+    """Choose among a few motions that were expected; neighbours are as good already.
+
+    Parameters
+    ----------
+    evidence : ndarray, float32 [k, L, rows, columns]
+        Against every pair of candidate and level.
+    candidates : ndarray of int [rows, columns, k]
+        Which motions they are.
+    """
+    likelihood = np.exp(-evidence)
+    probability = likelihood.sum(axis=1)
+    probability /= probability.sum(axis=0)
+    level = -np.log(np.maximum(likelihood.sum(axis=0), np.float32(1e-30)))
+    level -= level.min(axis=0)
+    tried = np.moveaxis(candidates, -1, 0)
+    motion = np.take_along_axis(tried, probability.argmax(axis=0)[None], axis=0)[0]
+    return Separated(motion, tried, probability, np.moveaxis(level, 0, -1))
 
 
 def _semi_global(
