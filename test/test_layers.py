@@ -18,6 +18,7 @@ LAYERS = (
     ("engine",),
     ("depth",),
     ("simple",),
+    ("motion",),
     ("deblur",),
     ("calibration",),
     ("evaluation",),

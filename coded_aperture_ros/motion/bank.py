@@ -81,8 +81,8 @@ def learn_motion_bank(
     width = psfs.shape[-1] + len(motion_kernel((motions.longest_px, 0.0))) - 1
     if width > bank.window_px:
         raise InputError(
-            f"motions of up to {motions.longest_px:g} px and PSFs of {psfs.shape[-1]} px do not fit "
-            f"the bank's {bank.window_px} px window: learn a bank with a larger window, or fewer or "
+            f"motions of up to {motions.longest_px:g} px and PSFs of {psfs.shape[-1]} px do not "
+            f"fit the bank's {bank.window_px} px window: learn a bank with a larger window, or "
             "smaller blur sizes, or take shorter motions"
         )
     prior = dataclasses.replace(bank.prior, contrasts=bank.prior.contrasts[::_EVERY_CONTRAST])

@@ -12,21 +12,21 @@ from coded_aperture_ros.motion.kernels import Motions
 class MotionConfig:
     """Which motions during an exposure are told apart, and how they are chosen."""
 
-    directions: int = option(
+    motion_directions: int = option(
         8,
         "Directions of motion that are told apart, from 0 to 180 degrees.",
         minimum=1,
         maximum=64,
         read_only=True,
     )
-    lengths: int = option(
+    motion_lengths: int = option(
         8,
         "Lengths of motion that are told apart in each direction.",
         minimum=1,
         maximum=64,
         read_only=True,
     )
-    longest_px: float = option(
+    longest_motion_px: float = option(
         12.0,
         "Longest motion during the exposure.",
         unit="px",
@@ -34,14 +34,14 @@ class MotionConfig:
         maximum=64.0,
         read_only=True,
     )
-    rank: int = option(
+    motion_rank: int = option(
         256,
         "Vectors in the common basis of the filters of all motions.",
         minimum=1,
         maximum=4096,
         read_only=True,
     )
-    smoothness: float = option(
+    motion_smoothness: float = option(
         1.0,
         "Strength of the spatial regularisation of motion, relative to its default.",
         minimum=0.0,
@@ -66,5 +66,6 @@ class MotionConfig:
     @property
     def motions(self) -> Motions:
         """All motions, no motion first; lengths are equally spaced."""
-        lengths = self.longest_px * np.arange(1, self.lengths + 1) / self.lengths
-        return Motions.grid(self.directions, lengths)
+        count = self.motion_lengths
+        lengths = self.longest_motion_px * np.arange(1, count + 1) / count
+        return Motions.grid(self.motion_directions, lengths)

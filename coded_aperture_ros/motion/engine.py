@@ -42,7 +42,9 @@ class MotionEngine(NumpyEngine):
         self._motions, self._levels = len(bank.motions), bank.levels
         ratios = len(bank.product.ratios)
         # Motion by motion: [M, ratios, slopes * L, R + 1].
-        hypotheses = self._plan.hypotheses.reshape(ratios, -1, self._motions, self._levels, self.size)
+        hypotheses = self._plan.hypotheses.reshape(
+            ratios, -1, self._motions, self._levels, self.size
+        )
         by_motion = np.ascontiguousarray(np.moveaxis(hypotheses, 2, 0))
         self._by_motion = by_motion.reshape(self._motions, ratios, -1, self.size)
         self._of_all = np.empty(

@@ -21,6 +21,8 @@ from coded_aperture_ros.optics import Camera
 
 # A motion is as good as another that is so near, px, or so near for its length.
 _AGREEMENT_PX, _AGREEMENT_SHARE = 1.0, 0.2
+# Motions that are expected to be this much longer than the longest are no such motions.
+_LONGER = 1.1
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -194,7 +196,7 @@ class MotionEstimator(DepthEstimator):
             return None
         field = expected.at(grid.row_centres, grid.column_centres, shape[1])
         longest = float(np.hypot(*np.moveaxis(field, -1, 0)).max())
-        if longest > self.motion.longest_px * (1 + 0.5 / self.motion.lengths):
+        if longest > _LONGER * motions.longest_px:
             self._searched = (
                 f"expected motion of {longest:.3g} px is longer than {motions.longest_px:.3g} px"
             )

@@ -39,9 +39,7 @@ class Separated:
     level_evidence: NDArray[np.float32]
 
 
-def separate(
-    evidence: NDArray[np.float32], motions: Motions, config: MotionConfig
-) -> Separated:
+def separate(evidence: NDArray[np.float32], motions: Motions, config: MotionConfig) -> Separated:
     """Choose the motions of all patches together, and take them out of the evidence on depth.
 
     Thesis eq. 7.4 has total variation of depth and of motion beside the data; here the motions are
@@ -62,7 +60,7 @@ def separate(
     probability = of_motion * np.exp(-handicap)
     probability /= probability.sum(axis=0)
     known = -np.log(np.maximum(probability, np.float32(np.exp(-_ENOUGH_EVIDENCE))))
-    total = _semi_global(known, motions, config.smoothness)
+    total = _semi_global(known, motions, config.motion_smoothness)
     others = total - known + handicap
     others -= others.min(axis=0)
     weighed = np.einsum("mlrc,mrc->lrc", likelihood, np.exp(-others))
@@ -73,9 +71,7 @@ def separate(
     return Separated(total.argmin(axis=0), candidates, probability, np.moveaxis(level, 0, -1))
 
 
-def separate_expected(
-    evidence: NDArray[np.float32], candidates: NDArray[np.intp]
-) -> Separated:
+def separate_expected(evidence: NDArray[np.float32], candidates: NDArray[np.intp]) -> Separated:
     """Choose among a few motions that were expected; neighbours are as good already.
 
     Parameters

@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from coded_aperture_ros.optics import Intrinsics
 
@@ -31,14 +31,12 @@ class ExpectedMotion:
     image_width: int
     reason: str = ""
 
-    def at(
-        self, rows: NDArray[np.floating], columns: NDArray[np.floating], image_width: int
-    ) -> NDArray[np.float64]:
+    def at(self, rows: ArrayLike, columns: ArrayLike, image_width: int) -> NDArray[np.float64]:
         """Return the way of the picture during the exposure, px, in a grid of places.
 
         Parameters
         ----------
-        rows, columns : ndarray [r], ndarray [c]
+        rows, columns : array_like [r], array_like [c]
             Places in a picture of `image_width`, px.
         image_width : int
 
@@ -50,8 +48,8 @@ class ExpectedMotion:
         scale = image_width / self.image_width
         fx, _, cx, _, fy, cy = self.camera_matrix[:6]
         # The middle of the first pixel is at 0 in each of the two pictures.
-        x = (((np.asarray(columns) + 0.5) / scale - 0.5) - cx) / fx
-        y = ((((np.asarray(rows) + 0.5) / scale - 0.5) - cy) / fy)[:, None]
+        x = (((np.asarray(columns, np.float64) + 0.5) / scale - 0.5) - cx) / fx
+        y = ((((np.asarray(rows, np.float64) + 0.5) / scale - 0.5) - cy) / fy)[:, None]
         about_x, about_y, about_z = self.angle_rad or (0.0, 0.0, 0.0)
         right = about_x * x * y - about_y * (1 + x**2) + about_z * y
         down = about_x * (1 + y**2) - about_y * x * y - about_z * x
