@@ -19,7 +19,7 @@ _EPILOG = """examples:
   depth of six scenes with and without motion as a hypothesis:
     coded_aperture bench motion scenes
   Levin's mask, and all-in-focus frames too:
-    coded_aperture bench motion scenes --mask levin --deblur cg
+    coded_aperture bench motion scenes --mask levin --deblur cg --smoothness 0.3
 """
 
 
@@ -59,6 +59,13 @@ def add_parser(subparsers: Any) -> None:
         default="none",
         help="method of deblurring; minutes for a scene with sparse (default none)",
     )
+    parser.add_argument(
+        "--smoothness",
+        type=float,
+        default=1.0,
+        metavar="S",
+        help="of deblurring; see the command deblur (default 1)",
+    )
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
     parser.add_argument("--output", metavar="DIR", help="write the results into this folder")
 
@@ -66,6 +73,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the benchmark; return its exit status."""
     from coded_aperture_ros.bank import learn_bank_for_camera
+    from coded_aperture_ros.deblur import DeblurConfig
     from coded_aperture_ros.depth import DepthConfig, DepthEstimator
     from coded_aperture_ros.evaluation import moving_scenes as frames
     from coded_aperture_ros.evaluation.motion_table import table_masks
@@ -96,7 +104,14 @@ def run(args: argparse.Namespace) -> int:
             },
         }
         if args.deblur != "none":
-            row["psnr"] = frames.deblurred(args.deblur, bank.stack, camera, scene, first, second)
+            row["psnr"] = frames.deblurred(
+                DeblurConfig(method=args.deblur, occlusion="no", smoothness=args.smoothness),
+                bank.stack,
+                camera,
+                scene,
+                first,
+                second,
+            )
         rows.append(row)
     results = {"benchmark": "motion scenes", "mask": mask.name, "sigma": args.sigma, "scenes": rows}
     report(args, results, lambda: _text(rows))

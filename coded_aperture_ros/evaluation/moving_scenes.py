@@ -141,7 +141,7 @@ def _distance(where: NDArray[np.bool_]) -> NDArray[np.float32]:
 
 
 def deblurred(
-    method: str,
+    config: DeblurConfig,
     stack: PsfStack,
     camera: Camera,
     scene: MovingScene,
@@ -150,12 +150,11 @@ def deblurred(
 ) -> dict[str, dict[str, float]]:
     """Deblur a scene by defocus alone and by both, with true and with estimated maps.
 
-    Occlusion is left out by all, so that only the motion differs.
-
     Parameters
     ----------
-    method : str
-        `cg` or `sparse`.
+    config : DeblurConfig
+        With method `cg` or `sparse`, and without occlusion, so that only the motion differs.
+        Where the depth is true, its edges are exact.
     stack : PsfStack
     camera : Camera
     scene : MovingScene
@@ -167,10 +166,8 @@ def deblurred(
     dict of dict
         Peak signal-to-noise ratio on `object` and `scene`, dB, of each result.
     """
-    exact, safe = (
-        Deblurrer(stack, DeblurConfig(method=method, occlusion="no", edge_reach=reach))
-        for reach in (0, DeblurConfig().edge_reach)
-    )
+    exact = Deblurrer(stack, dataclasses.replace(config, edge_reach=0))
+    safe = Deblurrer(stack, config)
     coded, truth = scene.coded, scene.truth
     blur = camera.blur_size_px(truth.depth_m).astype(np.float32)
     results = {
