@@ -37,7 +37,9 @@ def test_the_message_nearest_in_time_counts_and_its_axes_are_turned():
     right, down = expected.at([240], [320], 640)[0, 0]
     assert (right, abs(down)) == (pytest.approx(5.0, rel=0.01), pytest.approx(0, abs=0.1))
     aligned = GyroConfig(exposure_s=0.02, imu_axes="x y z")
-    assert gyro.expected(frame(50_000_000), aligned, CAMERA).angle_rad == pytest.approx((0, 0, 0.01))
+    assert gyro.expected(frame(50_000_000), aligned, CAMERA).angle_rad == pytest.approx(
+        (0, 0, 0.01)
+    )
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ LAYERS = (
     ("engine",),
     ("depth",),
     ("simple",),
+    ("motion",),
     ("deblur",),
     ("calibration",),
     ("evaluation",),

@@ -29,16 +29,32 @@ def factor_weights(
     basis : ndarray, float32 [K, rank]
     coefficients : ndarray, float32 [rank, S, M]
     """
-    common = np.exp(np.log(scales).mean(axis=0))
-    leading = _leading_vectors(weights.reshape(-1, len(common)).T * common[:, None], rank)
-    basis = leading / common[:, None]
+    basis = common_basis(weights, scales, rank)
     # One basis serves all ratios, but each fits its coefficients to its own spectra: without
     # noise the power of the frequencies spans many decades more than with it.
     coefficients = [
-        scipy.linalg.lstsq(basis * scale[:, None], (filters * scale).T, cond=1e-9)[0]
+        fitted_coefficients(basis, filters, scale)
         for filters, scale in zip(weights, scales, strict=True)
     ]
     return basis.astype(np.float32), np.stack(coefficients, axis=1).astype(np.float32)
+
+
+def common_basis(
+    weights: NDArray[np.float64], scales: NDArray[np.float64], rank: int
+) -> NDArray[np.float64]:
+    """Return the basis [K, rank] of `factor_weights`."""
+    common = np.exp(np.log(scales).mean(axis=0))
+    leading = _leading_vectors(weights.reshape(-1, len(common)).T * common[:, None], rank)
+    return leading / common[:, None]
+
+
+def fitted_coefficients(
+    basis: NDArray[np.float64], filters: NDArray[np.floating], scale: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the coefficients [rank, M] of filters [M, K] in a basis, for spectra like `scale`."""
+    scaled = basis * scale[:, None]
+    solution: NDArray[np.float64] = scipy.linalg.lstsq(scaled, (filters * scale).T, cond=1e-9)[0]
+    return solution
 
 
 def _leading_vectors(matrix: NDArray[np.float64], rank: int) -> NDArray[np.float64]:

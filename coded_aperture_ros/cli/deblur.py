@@ -17,6 +17,9 @@ _EPILOG = """examples:
   with a depth map, and as a 3D picture for red-cyan glasses too:
     coded_aperture deblur --bank bank.npz --depth depth.npy coded.png -o sharp.png \\
         --anaglyph 3d.png
+  with what depth --motion has found of a moving scene:
+    coded_aperture deblur --bank bank.npz --depth moving.npy --motion moving.motion.npy \\
+        --method cg coded.png -o sharp.png
 """
 
 
@@ -41,6 +44,12 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--camera", metavar="YAML", help="camera file, for a bank that does not know its depths"
     )
+    parser.add_argument(
+        "--motion",
+        metavar="NPY",
+        help="motion during the exposure, px, [row, column, right and down], as depth --motion "
+        "writes it; removed too, by --method cg or sparse",
+    )
     add_stereo_options(parser)
     add_gamma_option(parser)
     parser.add_argument("--json", action="store_true", help="print a summary as JSON")
@@ -61,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
 
     bank = load_bank(args.bank)
     stereo = StereoOutput(args, bank.stack)
-    blur_sizes = _blur_sizes(args, bank)
+    blur_sizes, motion_px = _blur_sizes(args, bank), _motion(args)
     deblurrer = Deblurrer(bank.stack, config_from(args, DeblurConfig))
     encoding: dict[str, Any] = {} if args.gamma == 1 else {"bits": 8, "gamma": args.gamma}
     summaries = []
@@ -70,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         with naming(frame.source):
             stereo.check(frame.image)
             blur_size_px = blur_sizes(frame.image)
-            sharp = deblurrer.deblur(frame.image, blur_size_px)
+            sharp = deblurrer.deblur(frame.image, blur_size_px, motion_px=motion_px)
         seconds = time.perf_counter() - start
         write_image(frame.output, sharp, **encoding)
         written = stereo.write(frame.output, sharp, blur_size_px)
@@ -80,6 +89,22 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(summaries))
     return 0
+
+
+def _motion(args: argparse.Namespace) -> Any:
+    """Return the map of motion for all frames; None if there is none."""
+    import numpy as np
+
+    if args.motion is None:
+        return None
+    if args.method == "fast":
+        args.usage_error("--motion: --method fast removes no motion, use cg or sparse")
+    try:
+        return np.load(args.motion, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(
+            f"cannot read motion {args.motion}: expected a .npy as depth --motion writes it"
+        ) from error
 
 
 def _blur_sizes(args: argparse.Namespace, bank: Any) -> Any:

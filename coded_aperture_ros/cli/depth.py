@@ -14,6 +14,13 @@ from coded_aperture_ros.cli.estimators import (
     estimator_of,
 )
 from coded_aperture_ros.cli.frames import add_input_options, named_frames
+from coded_aperture_ros.cli.motion_options import (
+    add_motion_options,
+    add_motion_settings,
+    check_motion_options,
+    expected_motion_of,
+    moving,
+)
 from coded_aperture_ros.cli.options import add_gamma_option
 from coded_aperture_ros.errors import InputError
 
@@ -26,7 +33,10 @@ _EPILOG = """examples:
   a mask of a few equal holes, without a bank:
     coded_aperture depth --method simple --camera config/example_camera.yaml \\
         --depth-range 3.5 9 coded.png -o simple.npy
+  something moves during the exposure: its motion, px, as [row, column, right and down]:
+    coded_aperture depth --bank bank.npz --motion coded.png -o moving.npy
 """
+_NOT_ASKED = "nothing expected"
 
 
 def add_parser(subparsers: Any) -> None:
@@ -44,6 +54,7 @@ def add_parser(subparsers: Any) -> None:
         "depth map: .npy or .tiff in m, .png in mm; or a folder for one .npy per frame",
     )
     add_estimator_options(parser)
+    add_motion_options(parser)
     parser.add_argument(
         "--levels", action="store_true", help="write fractional level indices instead of metres"
     )
@@ -52,7 +63,12 @@ def add_parser(subparsers: Any) -> None:
     )
     add_gamma_option(parser)
     parser.add_argument("--json", action="store_true", help="print a summary as JSON")
-    parser.add_late_options = add_estimator_settings
+    parser.add_late_options = _add_settings
+
+
+def _add_settings(parser: argparse.ArgumentParser) -> None:
+    add_estimator_settings(parser)
+    add_motion_settings(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -62,18 +78,24 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.optics import load_camera
 
     check_estimator_options(args)
+    check_motion_options(args)
     if args.levels and args.output.lower().endswith(".png"):
         raise InputError(f"{args.output}: a PNG has depths in mm, write levels to .npy or .tiff")
-    estimator = estimator_of(args, load_camera(args.camera) if args.camera else None)
+    camera = load_camera(args.camera) if args.camera else None
+    estimator = estimator_of(args, camera)
+    if args.motion:
+        with naming(args.camera or args.bank):
+            estimator = moving(args, estimator)
+    expected = expected_motion_of(args, camera)
     summaries: list[dict[str, Any]] = []
-    frames = named_frames(args, ".npy", _SUFFIXES, lambda path: _outputs(path, args.pictures))
+    frames = named_frames(args, ".npy", _SUFFIXES, lambda path: _outputs(path, args))
     for frame in frames:
         start = time.perf_counter()
         with naming(frame.source):
-            estimate = estimator.estimate(frame.image)
+            estimate = estimator.estimate(frame.image, **expected)
         seconds = time.perf_counter() - start
         values = estimate.level if args.levels or estimate.depth_m is None else estimate.depth_m
-        _write(frame.output, values, estimate.confidence, args)
+        _write(frame.output, values, estimate, args)
         known = np.isfinite(values)
         summary: dict[str, Any] = {
             "output": str(frame.output),
@@ -83,6 +105,9 @@ def run(args: argparse.Namespace) -> int:
             "noise": round(estimate.noise, 6),
             "seconds": round(seconds, 3),
         }
+        if args.motion:
+            summary["moving"] = _moving_share(estimate.motion_px)
+            summary["searched"] = estimate.searched
         summaries.append(summary)
         if not args.json:
             print(f"{frame.output}: {_in_words(summary)}")
@@ -91,26 +116,42 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _moving_share(motion_px: Any) -> float:
+    """Return the share of the pixels that have moved by half a pixel or more."""
+    import numpy as np
+
+    return round(float((np.hypot(motion_px[..., 0], motion_px[..., 1]) >= 0.5).mean()), 4)
+
+
 def _in_words(summary: dict[str, Any]) -> str:
     if summary["median"] is None:
         found = "depth unknown everywhere (too dark, saturated, or without texture)"
     else:
         median = f"{summary['median']:.4g} {summary['unit']}"
         found = f"depth at {100 * summary['known']:.0f} % of the pixels, median {median}"
+    if "moving" in summary:
+        found += f", {100 * summary['moving']:.0f} % moving"
+        if summary["searched"] not in ("", _NOT_ASKED):
+            found += f" (all motions tried: {summary['searched']})"
     return f"{found}; noise {summary['noise']:.4f}, {summary['seconds']:.2f} s"
 
 
-def _outputs(path: Path, pictures: bool) -> list[Path]:
-    """Return the files of depth and confidence, and of their pictures if wanted."""
+def _outputs(path: Path, args: argparse.Namespace) -> list[Path]:
+    """Return the files of depth and confidence, and of pictures and motion if wanted."""
     # A PNG cannot hold floating values.
     suffix = ".tiff" if path.suffix.lower() == ".png" else path.suffix
     paths = [path, path.with_suffix(f".confidence{suffix}")]
-    if pictures:
+    if args.pictures:
         paths += [path.with_suffix(".picture.png"), path.with_suffix(".confidence.picture.png")]
+    if args.motion:
+        paths += [path.with_suffix(".motion.npy"), path.with_suffix(".motion.confidence.npy")]
     return paths
 
 
-def _write(path: Path, values: Any, confidence: Any, args: argparse.Namespace) -> None:
+def _write(path: Path, values: Any, estimate: Any, args: argparse.Namespace) -> None:
+    import numpy as np
+
+    from coded_aperture_ros.files import atomic_output
     from coded_aperture_ros.images import (
         confidence_picture,
         depth_picture,
@@ -118,9 +159,15 @@ def _write(path: Path, values: Any, confidence: Any, args: argparse.Namespace) -
         write_image,
     )
 
-    depth_path, confidence_path, *pictures = _outputs(path, args.pictures)
+    depth_path, confidence_path, *others = _outputs(path, args)
     write_depth(depth_path, values)
-    write_depth(confidence_path, confidence)
-    if pictures:
-        write_image(pictures[0], depth_picture(values, unit="" if args.levels else "m"))
-        write_image(pictures[1], confidence_picture(confidence))
+    write_depth(confidence_path, estimate.confidence)
+    if args.pictures:
+        write_image(others[0], depth_picture(values, unit="" if args.levels else "m"))
+        write_image(others[1], confidence_picture(estimate.confidence))
+    if args.motion:
+        for output, motion in zip(
+            others[-2:], (estimate.motion_px, estimate.motion_confidence), strict=True
+        ):
+            with atomic_output(output) as unfinished:
+                np.save(unfinished, motion)

@@ -1,5 +1,6 @@
 """The all-in-focus frame from a coded frame and its depth, by one of three methods."""
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,6 +11,7 @@ from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fast import REDUCTION, InverseFilters, smoothed
 from coded_aperture_ros.deblur.fill import filled_blur_map
 from coded_aperture_ros.deblur.half_band import HalfBandFilters
+from coded_aperture_ros.deblur.moving import MovingBlur, check_motion
 from coded_aperture_ros.deblur.occlusion import OccludedBlur
 from coded_aperture_ros.deblur.operator import BlurOperator, SpreadingBlur
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
@@ -78,6 +80,7 @@ class Deblurrer:
         frame: NDArray[np.float32],
         blur_size_px: NDArray[np.float32],
         noise: float | None = None,
+        motion_px: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
         """Return the all-in-focus frame.
 
@@ -91,6 +94,10 @@ class Deblurrer:
         noise : float, optional
             Standard deviation of the noise of one channel. By default the configured one, and if
             that is 0, an estimate.
+        motion_px : ndarray, float32 [map rows, map columns, 2], optional
+            Way during the exposure, to the right, and down, in pixels of the frame, of what has
+            moved; not finite where it is unknown. The map covers the whole frame. Methods `cg` and
+            `sparse` remove it, without occlusion (thesis 7.5).
 
         Returns
         -------
@@ -100,10 +107,11 @@ class Deblurrer:
         Raises
         ------
         InputError
-            If the frame or the map has a wrong shape or type, no blur size is known, or the frame
-            is too small for its noise to be estimated.
+            If the frame or a map has a wrong shape or type, no blur size is known, the frame is too
+            small for its noise to be estimated, or `fast` is to remove motion.
         """
         check_frame(frame)
+        motion = self._checked_motion(motion_px, frame.shape)
         usable, frame = _usable(frame)
         blur = self._safe_blur(blur_size_px, frame)
         noise = noise or self.config.noise or _estimated_noise(frame)
@@ -118,8 +126,23 @@ class Deblurrer:
             sharp = from_opponents(self._in_closed_form(channels, blur, noise))
             return np.clip(smoothed(sharp), 0, 1)
         usable &= _everywhere(frame < self.config.saturation)
-        restored = self._restored(channels, frames, blur, noise, usable)
+        restored = self._restored(channels, frames, blur, noise, usable, motion)
         return np.clip(from_opponents(restored), 0, 1)
+
+    def _checked_motion(
+        self, motion_px: NDArray[np.float32] | None, shape: tuple[int, ...]
+    ) -> NDArray[np.float32] | None:
+        """Return a map of motion in the size of the frame; None where nothing moves."""
+        if motion_px is None:
+            return None
+        check_motion(motion_px)
+        if not np.nan_to_num(motion_px).any():
+            return None
+        if self.config.method == "fast":
+            raise InputError("motion: method fast removes no motion, use cg or sparse")
+        motion = np.ascontiguousarray(motion_px, np.float32)
+        size = (shape[1], shape[0])
+        return np.asarray(cv2.resize(motion, size, interpolation=cv2.INTER_NEAREST_EXACT))
 
     def _safe_blur(
         self, blur_size_px: NDArray[np.float32], frame: NDArray[np.float32]
@@ -140,6 +163,7 @@ class Deblurrer:
         blur: NDArray[np.float32],
         noise: float,
         usable: NDArray[np.bool_],
+        motion: NDArray[np.float32] | None = None,
     ) -> list[NDArray[np.float32]]:
         """Solve for the whole frame, beginning with the last result or what the closed form gives.
 
@@ -154,7 +178,7 @@ class Deblurrer:
         if self._steady is not None:
             start = self._steady.start(start, np.broadcast_to(frames, blur.shape))
         problem = (
-            self._operator(blur),
+            self._operator(blur, motion),
             channels,
             model_weight(blur, noise) * usable * (frames / np.float32(most)),
             start,
@@ -181,9 +205,13 @@ class Deblurrer:
             differences = self._of_colour.apply(differences, places, _COLOUR_NOISE * noise)
         return self._inverse.apply(brightness, places, noise) + differences
 
-    def _operator(self, blur: NDArray[np.float32]) -> BlurOperator:
+    def _operator(
+        self, blur: NDArray[np.float32], motion: NDArray[np.float32] | None
+    ) -> BlurOperator:
         if self._basis is None:
             self._basis = PsfBasis.of(self.stack)
+        if motion is not None:
+            return MovingBlur(self._basis, blur, motion, self._workers)
         device = torch_device(self.config.backend) if self.config.method == "cg" else None
         if device is not None:
             from coded_aperture_ros.deblur.torch_blur import TorchBlur

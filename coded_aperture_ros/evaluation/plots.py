@@ -12,12 +12,16 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.evaluation.reliability import Reliability
+from coded_aperture_ros.motion.fragmentation import Fragmentation, transfer
+from coded_aperture_ros.optics import render_psf
 
 _PANEL_INCHES = 3.0
 _DOTS_PER_INCH = 100
 # As in thesis figure 6.4.
 _DEVIATIONS = 3.0
 _UNKNOWN = "0.8"
+# Extent of the masks whose frequency responses are drawn.
+_SLICE_SIZE_PX = 16.0
 
 # Or an open file, for which the format is PNG.
 PathLike = str | os.PathLike[str] | IO[bytes]
@@ -188,6 +192,36 @@ def speed(results: Mapping[str, Any], path: PathLike) -> None:
     threads.set_xticks(count)
     threads.set_ylim(0)
     threads.legend(fontsize=7)
+    _save(figure, path)
+
+
+def fragmentation(
+    analysis: Fragmentation, ranges: Sequence[tuple[float, float]], path: PathLike
+) -> None:
+    """Draw slices of the frequency responses of the best masks and of the disc (thesis fig. 7.2).
+
+    Parameters
+    ----------
+    analysis : Fragmentation
+    ranges : sequence of (float, float)
+        Of the noise; one row for each, with the mask that is the best for it, its response along a
+        row of frequencies, the disc's, and the noise.
+    path : path-like
+    """
+    figure, panels = _panels(len(ranges), 2, width=1.2)
+    for (low, high), (picture, axes) in zip(ranges, panels, strict=True):
+        mask = analysis.masks[analysis.best(low, high)]
+        picture.imshow(mask.transmission, cmap="gray", vmin=0, vmax=1)
+        picture.set_axis_off()
+        picture.set_title(f"best for noise {low:g} to {high:g}", fontsize=9)
+        for shown, style, label in ((analysis.disc, "r--", "disc"), (mask, "b-", "fragmented")):
+            response = transfer(render_psf(shown, _SLICE_SIZE_PX))[0]
+            axes.semilogy(np.linspace(0, 0.5, len(response)), response, style, label=label)
+        axes.axhline(high, color="g", linewidth=1, label="noise")
+        axes.set_ylim(1e-3, 1.1)
+        axes.set_xlabel("horizontal frequency, cycles/px", fontsize=8)
+        axes.set_title(f"response, blur of {_SLICE_SIZE_PX:g} px", fontsize=9)
+    panels[0][1].legend(fontsize=7)
     _save(figure, path)
 
 

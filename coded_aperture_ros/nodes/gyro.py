@@ -26,8 +26,8 @@ class GyroConfig:
     )
     imu_axes: str = option(
         "-y -z x",
-        "The camera's axes right, down and forward as axes of the gyroscope; the default is for one "
-        "with x forward, y left and z up that looks where the camera looks",
+        "The camera's axes right, down and forward as axes of the gyroscope; the default is for "
+        "one with x forward, y left and z up that looks where the camera looks",
     )
 
     def __post_init__(self) -> None:

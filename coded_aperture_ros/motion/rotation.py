@@ -1,0 +1,104 @@
+"""What a gyroscope says about blur: the motion that a turning camera gives the picture."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coded_aperture_ros.optics import Intrinsics
+
+
+@dataclasses.dataclass(frozen=True)
+class ExpectedMotion:
+    """The motion of the picture while a camera turns during an exposure.
+
+    Attributes
+    ----------
+    angle_rad : (float, float, float) or None
+        By which the camera turns around its axes: x to the right, y down, z forward. None if it is
+        not known.
+    camera_matrix : tuple of 9 float
+        K, row by row, of pictures `image_width` wide.
+    image_width : int
+    reason : str
+        Why the angle is not known, for a person to read; empty if it is.
+    """
+
+    angle_rad: tuple[float, float, float] | None
+    camera_matrix: tuple[float, ...]
+    image_width: int
+    reason: str = ""
+
+    def at(self, rows: ArrayLike, columns: ArrayLike, image_width: int) -> NDArray[np.float64]:
+        """Return the way of the picture during the exposure, px, in a grid of places.
+
+        Parameters
+        ----------
+        rows, columns : array_like [r], array_like [c]
+            Places in a picture of `image_width`, px.
+        image_width : int
+
+        Returns
+        -------
+        ndarray, float64 [r, c, 2]
+            To the right, and down; zeros if the angle is not known.
+        """
+        scale = image_width / self.image_width
+        fx, _, cx, _, fy, cy = self.camera_matrix[:6]
+        # The middle of the first pixel is at 0 in each of the two pictures.
+        x = (((np.asarray(columns, np.float64) + 0.5) / scale - 0.5) - cx) / fx
+        y = ((((np.asarray(rows, np.float64) + 0.5) / scale - 0.5) - cy) / fy)[:, None]
+        about_x, about_y, about_z = self.angle_rad or (0.0, 0.0, 0.0)
+        right = about_x * x * y - about_y * (1 + x**2) + about_z * y
+        down = about_x * (1 + y**2) - about_y * x * y - about_z * x
+        return np.stack([right * fx, down * fy], axis=-1) * scale
+
+
+def expected_motion(
+    angular_velocity_rad_s: Sequence[float] | None,
+    exposure_s: float,
+    intrinsics: Intrinsics,
+    late_s: float = 0.0,
+    latest_s: float = 0.05,
+) -> ExpectedMotion:
+    """Predict the motion of the picture from a gyroscope.
+
+    Points at any distance move alike in the picture of a camera that turns; what the camera
+    moves by itself, and what moves before it, is not in the prediction.
+
+    Parameters
+    ----------
+    angular_velocity_rad_s : sequence of 3 float, or None
+        Of the camera, in its optical frame: around x to the right, y down and z forward, rad/s. A
+        `sensor_msgs/Imu` has it in the frame of its own header. None if there is no measurement.
+    exposure_s : float
+        Time of the exposure, s.
+    intrinsics : Intrinsics
+    late_s : float, optional
+        How far in time the measurement is from the exposure, s, before or after.
+    latest_s : float, optional
+        From where on that is too far.
+
+    Returns
+    -------
+    ExpectedMotion
+        Never an error: with `reason` where nothing is known, and all motions have to be tried.
+    """
+
+    def known(angle: tuple[float, float, float] | None, reason: str = "") -> ExpectedMotion:
+        return ExpectedMotion(angle, intrinsics.camera_matrix, intrinsics.image_width, reason)
+
+    if angular_velocity_rad_s is None:
+        return known(None, "no angular velocity")
+    if len(angular_velocity_rad_s) != 3:
+        return known(None, f"angular velocity: 3 numbers expected, {len(angular_velocity_rad_s)}")
+    if not all(math.isfinite(rate) for rate in angular_velocity_rad_s):
+        return known(None, "angular velocity is not finite")
+    if not (math.isfinite(exposure_s) and exposure_s > 0):
+        return known(None, f"exposure of {exposure_s:g} s is not known")
+    if not abs(late_s) <= latest_s:  # a NaN is late too
+        return known(None, f"angular velocity is {abs(late_s):.3g} s late")
+    x, y, z = (float(rate) * exposure_s for rate in angular_velocity_rad_s)
+    return known((x, y, z))
