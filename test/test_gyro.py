@@ -2,13 +2,20 @@
 
 import math
 
+import numpy as np
 import pytest
-from sensor_msgs.msg import Imu
+import yaml
+from ros_helpers import Ros, wait_until
+from sensor_msgs.msg import Image, Imu
+from small_camera import CAMERA as SMALL
+from small_camera import FAR_M, NEAR_M, coded_wall
 from std_msgs.msg import Header
 
 from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.nodes.depth_node import DepthNode
 from coded_aperture_ros.nodes.gyro import Gyro, GyroConfig, rotation_of
-from coded_aperture_ros.optics import Intrinsics
+from coded_aperture_ros.nodes.messages import image_from_array, pixels_from_frame
+from coded_aperture_ros.optics import Intrinsics, load_camera
 
 CAMERA = Intrinsics.pinhole(500.0, 640, 480)
 
@@ -66,6 +73,58 @@ def test_what_was_said_before_time_went_back_does_not_count():
     gyro.receive(said(0, z=1.0))
     gyro.forget()
     assert gyro.expected(frame(0), GyroConfig(exposure_s=0.02), CAMERA).angle_rad is None
+
+
+@pytest.fixture
+def ros():
+    ros = Ros()
+    yield ros
+    ros.close()
+
+
+def test_the_node_finds_motion_and_says_what_it_knew_of_it(ros, tmp_path):
+    (tmp_path / "camera.yaml").write_text(yaml.safe_dump(SMALL))
+    small = {"motion_directions": 2, "motion_lengths": 2, "longest_motion_px": 6.0}
+    node = ros.make(
+        DepthNode,
+        {
+            "camera_file": str(tmp_path / "camera.yaml"),
+            "near_m": NEAR_M,
+            "far_m": FAR_M,
+            "levels": 6,
+            "learn.window_px": 32,
+            "learn.rank": 32,
+            "method": "motion",
+            "exposure_s": 0.02,
+            **small,
+        },
+    )
+    depths, motions = ros.subscribe("depth/image", Image), ros.subscribe("depth/motion", Image)
+    images, imu = ros.publisher("image_raw", Image), ros.publisher("imu", Imu)
+    assert wait_until(lambda: images.get_subscription_count() and imu.get_subscription_count())
+    pixels = pixels_from_frame(coded_wall(load_camera(tmp_path / "camera.yaml")), "mono8")
+
+    def send(seconds):
+        count = len(motions)
+        header = Header()
+        header.stamp.sec = seconds
+        images.publish(image_from_array(pixels, "mono8", header))
+        assert wait_until(lambda: len(motions) > count)
+        return node.identity()["motion"]
+
+    assert "no angular velocity" in send(10)
+    message = said(0, z=0.001)
+    message.header.stamp.sec = 11
+    imu.publish(message)
+    assert wait_until(lambda: node._gyro._lately)
+    assert send(11) == ""
+    assert "late" in send(12)
+    assert motions[0].encoding == "32FC2"
+    assert motions[0].step == 8 * motions[0].width
+    field = np.frombuffer(motions[1].data, np.float32).reshape(motions[1].height, -1, 2)
+    assert np.isfinite(field).any()
+    assert np.nanmedian(np.hypot(field[..., 0], field[..., 1])) < 2  # the wall stands still
+    assert wait_until(lambda: len(depths) == 3)
 
 
 @pytest.mark.parametrize("axes", ["x y", "x y y", "x y w", "x y z z", "", "xy z x", "x y -z"])

@@ -17,7 +17,7 @@ NODES = {
     "deblur_node": DeblurNode,
 }
 # What a node may do, but does not with the parameters of this test.
-OTHER_SETTINGS = {"/clock", "/parameter_events", "/image_raw/compressed", "/tf_static"}
+OTHER_SETTINGS = {"/clock", "/parameter_events", "/image_raw/compressed", "/imu", "/tf_static"}
 
 
 @pytest.fixture(scope="module")

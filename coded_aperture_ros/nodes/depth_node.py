@@ -6,7 +6,10 @@ import sys
 from collections.abc import Sequence
 from typing import Any, ClassVar, cast
 
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, Image, Imu, PointCloud2
+from std_msgs.msg import Header
 
 from coded_aperture_ros.bank import FilterBank, LearnConfig
 from coded_aperture_ros.blas import slow_blas_warning
@@ -15,20 +18,30 @@ from coded_aperture_ros.configuration import check_options, option
 from coded_aperture_ros.depth import (
     MAP_SIZES,
     DepthConfig,
+    DepthEstimate,
     DepthEstimator,
     map_size,
     nearest_obstacle_m,
     points_of_depth,
 )
 from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.motion import (
+    MotionBank,
+    MotionConfig,
+    MotionEstimate,
+    MotionEstimator,
+    learn_motion_bank,
+)
 from coded_aperture_ros.nodes.camera_model import CameraModel
 from coded_aperture_ros.nodes.frame_model import FrameModel, ModelConfig
 from coded_aperture_ros.nodes.frame_node import FrameNode
+from coded_aperture_ros.nodes.gyro import Gyro, GyroConfig
 from coded_aperture_ros.nodes.messages import (
     MessageError,
     cloud_from_points,
     frame_from_image,
     image_from_array,
+    image_from_motion,
     limit_depth,
     millimetres_from_depth,
     stamp_ns,
@@ -60,8 +73,9 @@ class DepthNodeConfig:
     method: str = option(
         "bank",
         "bank: a filter bank, for any mask; simple: a pixel and its neighbours, without a bank, "
-        "for a mask of 2 to 8 equal holes",
-        choices=("bank", "simple"),
+        "for a mask of 2 to 8 equal holes; motion: a bank, and blur by motion told from blur by "
+        "defocus",
+        choices=("bank", "simple", "motion"),
         read_only=True,
     )
     points_far_m: float = option(
@@ -92,6 +106,7 @@ class DepthNode(FrameNode[Image]):
         "depth/confidence": Image,
         "depth/camera_info": CameraInfo,
         "depth/points": PointCloud2,
+        "depth/motion": Image,  # with method: motion
     }
 
     def __init__(self, **node_options: Any) -> None:
@@ -100,6 +115,8 @@ class DepthNode(FrameNode[Image]):
             ModelConfig(),
             DepthNodeConfig(),
             DepthConfig(stride_px=_STRIDE_PX),
+            MotionConfig(),
+            GyroConfig(),
             fixed={"learn.": LearnConfig(rank=_RANK), "simple.": SimpleConfig()},
             **node_options,
         )
@@ -108,11 +125,20 @@ class DepthNode(FrameNode[Image]):
             self.get_logger().warning(warning)
         self._info = CameraModel()
         self._order = StampOrder()
+        self._gyro = Gyro()
+        self._searched = ""
         self._restarting = False
+        self._motions: MotionBank | None = None
         self._estimator: DepthEstimator | None = None
         self.listen_to_frames("image_raw", self._on_image)
         self.listen("camera_info", CameraInfo, self._info.receive)
+        if self._finds_motion:
+            self.listen("imu", Imu, self._gyro.receive)
         self.begin()
+
+    @property
+    def _finds_motion(self) -> bool:
+        return self.configs[DepthNodeConfig].method == "motion"
 
     def load(self) -> None:
         """Load the camera file and load or learn the bank."""
@@ -138,10 +164,14 @@ class DepthNode(FrameNode[Image]):
     def restart(self) -> None:
         """Begin another video with the next frame."""
         self._restarting = True
+        self._gyro.forget()
 
     def identity(self) -> dict[str, str]:
         """Return which camera and bank the node works with."""
-        return self._model.identity()
+        identity = self._model.identity()
+        if self._finds_motion:
+            identity["motion"] = self._searched and f"all motions tried: {self._searched}"
+        return identity
 
     def process(self, item: Image) -> None:
         """Estimate and publish the depth of one frame."""
@@ -152,7 +182,7 @@ class DepthNode(FrameNode[Image]):
         self._model.fit(item.width, item.height)
         estimator = self._present_estimator()
         self._keep_order(item, estimator)
-        estimate = estimator.estimate(frame, size)
+        estimate = self._estimate(estimator, frame, size, header)
         if estimate.depth_m is None:
             raise InputError("the bank and the camera file give no depth")
         depth_m = limit_depth(estimate.depth_m, self._range.near_m, self._range.far_m or math.inf)
@@ -173,8 +203,25 @@ class DepthNode(FrameNode[Image]):
                 depth_m, estimate.confidence, info.p, self._range.near_m, config.points_far_m
             )
             self.send("depth/points", cloud_from_points(points, header))
+        if isinstance(estimate, MotionEstimate) and self.wants("depth/motion"):
+            self.send("depth/motion", image_from_motion(estimate.motion_px, header))
         obstacle_m = nearest_obstacle_m(depth_m, config.obstacle_share)
         self.sent(header, estimator.stages.seconds, {"nearest_obstacle_m": obstacle_m})
+
+    def _estimate(
+        self,
+        estimator: DepthEstimator,
+        frame: NDArray[np.float32],
+        size: tuple[int, int],
+        header: Header,
+    ) -> DepthEstimate:
+        if not isinstance(estimator, MotionEstimator):
+            return estimator.estimate(frame, size)
+        intrinsics = self._model.camera.intrinsics
+        expected = self._gyro.expected(header, self.configs[GyroConfig], intrinsics)
+        estimate = estimator.estimate(frame, size, expected)
+        self._searched = estimate.searched
+        return estimate
 
     def _keep_order(self, item: Image, estimator: DepthEstimator) -> None:
         """Begin anew where time has gone back; refuse a frame that a later one has overtaken."""
@@ -201,6 +248,7 @@ class DepthNode(FrameNode[Image]):
             made.bank is not model.bank
             or made.camera is not model.camera
             or self._made_for is not self.configs[DepthConfig]
+            or self._made_for_motion is not self.configs[MotionConfig]
         ):
             estimator = self._new_estimator()
             made.close()
@@ -210,10 +258,21 @@ class DepthNode(FrameNode[Image]):
     def _new_estimator(self) -> DepthEstimator:
         # The estimator's own configuration may be another one: with the camera file's noise.
         self._made_for, camera = self.configs[DepthConfig], self._model.camera
+        self._made_for_motion = self.configs[MotionConfig]
         config, bank = with_noise_of(camera, self._made_for), self._model.bank
         if isinstance(bank, NeighbourModel):
             return SimpleEstimator(bank, config, camera)
+        if self._finds_motion:
+            return MotionEstimator(self._motion_bank(bank), config, camera, self._made_for_motion)
         return DepthEstimator(bank, config, camera)
+
+    def _motion_bank(self, bank: FilterBank) -> MotionBank:
+        """Return the bank of motions that belongs to a bank; made anew only for another one."""
+        if self._motions is None or self._motions.still is not bank:
+            self.get_logger().info("learning the filters of motions")
+            config = self._made_for_motion
+            self._motions = learn_motion_bank(bank, config.motions, config.motion_rank)
+        return self._motions
 
     def _neighbour_model(
         self, camera: Camera, near_m: float, far_m: float, levels: int

@@ -40,6 +40,7 @@ __all__ = [
     "frame_from_image",
     "image_from_array",
     "image_from_compressed",
+    "image_from_motion",
     "limit_depth",
     "luminance",
     "millimetres_from_depth",
@@ -61,10 +62,19 @@ def image_from_array(pixels: NDArray, encoding: str, header: Header) -> Image:
     header : std_msgs.msg.Header
         Copied, so that messages never share one.
     """
-    target = check_pixels(pixels, encoding)
+    check_pixels(pixels, encoding)
+    return _image(pixels, encoding, header)
+
+
+def image_from_motion(motion_px: NDArray[np.float32], header: Header) -> Image:
+    """Return a field of motions [row, column, right and down], as optical flow is kept (32FC2)."""
+    return _image(motion_px, "32FC2", header)
+
+
+def _image(pixels: NDArray, encoding: str, header: Header) -> Image:
     message = Image(header=copied_header(header), encoding=encoding)
     message.height, message.width = pixels.shape[:2]
-    message.step = message.width * target.pixel_bytes
+    message.step = pixels.nbytes // message.height
     message.is_bigendian = int(sys.byteorder == "big")
     # bytes are taken over as one block; a NumPy array would be checked element by element.
     message.data = pixels.tobytes()
