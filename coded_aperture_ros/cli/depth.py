@@ -153,7 +153,8 @@ def _check_method(args: argparse.Namespace) -> None:
     """Refuse options that the method needs and has not got, or has no use for."""
     if args.angular_velocity is not None:
         for name in ("motion", "camera", "exposure"):
-            if not getattr(args, name) and getattr(args, name) != 0:
+            given = args.motion if name == "motion" else getattr(args, name) is not None
+            if not given:
                 args.usage_error(f"--angular-velocity: needs --{name} too")
     elif args.exposure is not None:
         args.usage_error("--exposure: only with --angular-velocity")
