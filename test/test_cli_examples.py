@@ -68,15 +68,16 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
         type_in(arguments)
 
     depth = examples(capsys, "depth")
-    assert len(depth) == 3
+    assert len(depth) == 4
     for arguments in depth:
         type_in(arguments)
     assert np.nanmedian(read_depth("depth.npy")) == pytest.approx(DEPTH_M, rel=0.05)
     assert (tmp_path / "depth" / "first.npy").is_file()
     assert (tmp_path / "simple.npy").is_file()
+    assert (tmp_path / "moving.motion.npy").is_file()
 
     deblur = examples(capsys, "deblur")
-    assert len(deblur) == 2
+    assert len(deblur) == 3
     for arguments in deblur:
         (tmp_path / "sharp.png").unlink()
         type_in(arguments)

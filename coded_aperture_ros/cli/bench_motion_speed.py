@@ -38,7 +38,7 @@ def add_parser(subparsers: Any) -> None:
         parser,
         ("levels", 2, 30, "blur levels"),
         ("stride", 1, 16, "distance between patches, px"),
-        ("frames", 3, 15, "frames of each"),
+        ("repeats", 3, 15, "frames of each"),
     )
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
     parser.add_argument("--output", metavar="DIR", help="write the results into this folder")
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
         "expected motions": lambda: together.estimate(frame, expected=expected),
     }
     times: dict[str, list[float]] = {name: [] for name in ways}
-    for _ in progress(range(args.frames + 1), args.frames + 1, "frame"):
+    for _ in progress(range(args.repeats + 1), args.repeats + 1, "frame"):
         for name, way in ways.items():
             start = time.perf_counter()
             way()

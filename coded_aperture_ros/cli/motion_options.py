@@ -42,7 +42,8 @@ def check_motion_options(args: argparse.Namespace) -> None:
         args.usage_error("--motion: only with --method bank")
     if args.angular_velocity is not None:
         for name in ("motion", "camera", "exposure"):
-            if not getattr(args, name) and getattr(args, name) != 0:
+            given = args.motion if name == "motion" else getattr(args, name) is not None
+            if not given:
                 args.usage_error(f"--angular-velocity: needs --{name} too")
     elif args.exposure is not None:
         args.usage_error("--exposure: only with --angular-velocity")

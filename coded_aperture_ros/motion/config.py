@@ -54,7 +54,7 @@ class MotionConfig:
         maximum=100.0,
     )
     prior_motions: int = option(
-        4,
+        3,
         "With a known angular velocity: motions nearest to the expected one that are tried.",
         minimum=1,
         maximum=64,
