@@ -21,6 +21,7 @@ LAYERS = (
     ("deblur",),
     ("calibration",),
     ("evaluation",),
+    ("masks",),
     ("sources",),
     ("nodes",),
     ("cli",),
