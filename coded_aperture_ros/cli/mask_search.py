@@ -87,8 +87,9 @@ def run(args: argparse.Namespace) -> int:
     state = state or first_state(config)
     workers = dask_workers(args.scheduler) if args.scheduler else local_processes(args.jobs)
     with workers as run_all:
-        rounds = search_epochs(config, scene, run_all, state)
-        for state in progress(rounds, config.epochs - state.epoch, "round"):
+        left = config.epochs - state.epoch
+        for reached in progress(search_epochs(config, scene, run_all, state), left, "round"):
+            state = reached
             if args.checkpoint is not None:
                 save_checkpoint(args.checkpoint, state, config, scene)
     if args.output is not None:

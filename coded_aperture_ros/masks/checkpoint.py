@@ -84,5 +84,5 @@ def load_checkpoint(
 
 
 def _identity(config: SearchConfig, scene: SceneConfig) -> dict[str, object]:
-    """What makes two searches the same one."""
+    """Return what makes two searches the same one."""
     return dataclasses.asdict(config) | dataclasses.asdict(scene)

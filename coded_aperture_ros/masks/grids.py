@@ -70,12 +70,17 @@ def symmetric(grids: NDArray[np.bool_], symmetry: str) -> NDArray[np.bool_]:
 
 
 def random_grids(
-    count: int, cells: int, opening: int, symmetry: str, random: np.random.Generator
+    count: int,
+    cells: int,
+    opening: int,
+    symmetry: str,
+    random: np.random.Generator,
+    light: tuple[float, float] = (0.1, 0.8),
 ) -> NDArray[np.bool_]:
-    """Draw masks of open squares, with open shares between 0.1 and 0.8 [count, cells, cells]."""
+    """Draw masks of open squares, with open shares from a range [count, cells, cells]."""
     grids = np.zeros((count, cells, cells), bool)
     for grid in grids:
-        target = random.uniform(0.1, 0.8)
+        target = random.uniform(*light)
         while grid.mean() < target:
             row, column = random.integers(0, cells - opening + 1, 2)
             grid[row : row + opening, column : column + opening] = True
@@ -84,7 +89,7 @@ def random_grids(
 
 
 def random_masks(count: int, seed: int) -> list[Mask]:
-    """Draw masks of all kinds that a search meets: 7 to 13 cells, openings of 1 to 3, symmetric or not.
+    """Draw masks of 7 to 13 cells, with openings of 1 to 3 cells, with and without symmetry.
 
     Those of one seed begin with those of a smaller count.
     """

@@ -1,8 +1,8 @@
 """The error that a mask will have, predicted from the spectra that it makes of texture.
 
-Two levels are told apart by the Bhattacharyya distance of the Gaussian spectra that they make, after
-what depth estimation adapts to, contrast, noise and slope of the texture, has been taken out. The
-distance bounds the probability of taking one for the other (Chernoff), and these probabilities
+Two levels are told apart by the Bhattacharyya distance of the Gaussian spectra that they make. What
+depth estimation adapts to (contrast, noise and slope of the texture) is taken out. The distance
+bounds the probability of taking one for the other (Chernoff), and these probabilities
 weigh the differences of the levels.
 """
 

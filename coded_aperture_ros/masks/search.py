@@ -25,7 +25,7 @@ _MASKS = 64
 _FRONT = 60
 # Temperatures in the scale of the logarithm of the objective.
 _HOT, _COLD = 0.1, 0.002
-_TRIES = 200
+_TRIES = 30
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,7 +135,8 @@ def first_state(config: SearchConfig) -> SearchState:
         grids = np.zeros((0, config.cells, config.cells), bool)
         for _ in range(_TRIES):
             drawn = random_grids(
-                _MASKS, config.cells, config.smallest_opening, config.symmetry, random
+                *(_MASKS, config.cells, config.smallest_opening, config.symmetry, random),
+                light=(config.least_light, config.most_light),
             )
             grids = np.concatenate([grids, drawn[_allowed(drawn, config)]])[:_MASKS]
             if len(grids) == _MASKS:

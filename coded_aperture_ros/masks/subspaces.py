@@ -21,8 +21,14 @@ _SLOPE = 2.4
 _CONTRAST = 1e-2
 # Table 9.1 of the thesis: masks (a) to (h) of its figure 9.4.
 THESIS_L1 = {
-    **{"a": 8.24, "b": 6.62, "c": 8.21, "d": 5.63},
-    **{"e": 8.37, "f": 16.96, "g": 8.17, "h": 16.13},
+    "a": 8.24,
+    "b": 6.62,
+    "c": 8.21,
+    "d": 5.63,
+    "e": 8.37,
+    "f": 16.96,
+    "g": 8.17,
+    "h": 16.13,
 }
 
 
@@ -48,7 +54,7 @@ class SubspaceDistances:
 
     @property
     def relative_fit(self) -> float:
-        """The L1 fit as a share of ``sqrt(rank)``: masks that lose more texture are not favoured."""
+        """The L1 fit as a share of ``sqrt(rank)``: it does not favour masks that lose texture."""
         return self.l1_fit / float(np.sqrt(self.rank))
 
 
