@@ -1,4 +1,4 @@
-"""Scores of masks: predictions from spectra, subspace distances, and the commands that print them."""
+"""Scores of masks: predictions, subspace distances, and the commands that print them."""
 
 import json
 

@@ -59,7 +59,7 @@ class SubspaceDistances:
 
 
 def subspace_distances(
-    mask: Mask, blur_sizes_px: Sequence[float] | NDArray[np.floating], sigma: float = 0.001
+    mask: Mask, blur_sizes_px: Sequence[float] | NDArray[np.floating], sigma: float = 0.01
 ) -> SubspaceDistances:
     """Compare the subspaces that patches of natural texture lie in after each blur.
 

@@ -1,4 +1,4 @@
-"""Aperture masks: named patterns from the literature, one found by search, and masks from picture or array files."""
+"""Aperture masks: patterns with names, and masks from picture or array files."""
 
 import dataclasses
 import difflib
