@@ -66,6 +66,7 @@ setup(
         ],
         "gpu": ["torch>=2.2"],
         "graphcut": [GRAPH_CUTS],
+        "cluster": ["distributed>=2024.1"],
         # What `colcon test` looks at to find out that the tests are pytest's.
         "test": ["pytest>=7.4", "pytest-timeout>=2.2", "hypothesis>=6.98"],
         "dev": [

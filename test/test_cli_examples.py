@@ -51,11 +51,20 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
     assert (tmp_path / "design" / "calibrate.html").is_file()
 
     print_mask = examples(capsys, "mask") + examples(capsys, "mask print")
-    assert len(print_mask) == 3
+    assert len(print_mask) == 4
     for arguments in print_mask:
         type_in(arguments)
     assert (tmp_path / "mask.pdf").is_file()
     assert (tmp_path / "mask.svg").is_file()
+
+    score_masks = examples(capsys, "mask score")
+    assert len(score_masks) == 1
+    for arguments in score_masks:
+        assert "levin" in type_in(arguments)
+    # The others take minutes, and a cluster.
+    (short,) = (line for line in examples(capsys, "mask search") if "cardboard.png" in line)
+    type_in(short)
+    assert (tmp_path / "cardboard.png").is_file()
 
     (simulate,) = examples(capsys, "simulate")
     type_in(simulate)

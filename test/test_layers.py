@@ -24,6 +24,7 @@ LAYERS = (
     ("calibration",),
     ("evaluation",),
     ("bags",),
+    ("masks",),
     ("sources",),
     ("nodes",),
     ("cli",),

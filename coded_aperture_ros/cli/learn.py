@@ -52,7 +52,7 @@ def add_parser(subparsers: Any) -> None:
         "mask and a range of blur sizes, from a model of natural images and the mask or measured "
         "PSFs, or, where these are not known, from pictures of textured planes at known depths "
         "parallel to the sensor. Masks with names: levin, two_hole, three_hole, "
-        "four_hole, annulus, veeraraghavan, zhou, mura, disc.",
+        "four_hole, annulus, veeraraghavan, zhou, mura, disc, four_wide.",
         epilog=_EPILOG,
     )
     source = parser.add_mutually_exclusive_group(required=True)

@@ -7,10 +7,14 @@ from typing import Any
 from coded_aperture_ros.cli.options import add_commands
 
 ACTIONS: dict[str, Any] = {
-    name: import_module(f"coded_aperture_ros.cli.mask_{name}") for name in ("print", "motion")
+    name: import_module(f"coded_aperture_ros.cli.mask_{name}")
+    for name in ("print", "score", "search", "motion")
 }
-_EPILOG = """example, Levin's mask, 26 mm wide, on a page to be printed and cut out:
-  coded_aperture mask print levin --extent-mm 26 -o mask.pdf
+_EPILOG = """examples:
+  Levin's mask, 26 mm wide, on a page to be printed and cut out:
+    coded_aperture mask print levin --extent-mm 26 -o mask.pdf
+  what errors to expect of all masks with names:
+    coded_aperture mask score
 """
 
 
@@ -18,8 +22,9 @@ def add_parser(subparsers: Any) -> None:
     """Add the sub-command to the program's parser."""
     parser = subparsers.add_parser(
         "mask",
-        help="print a mask at true scale, or find one for what moves",
-        description="Print the mask of an aperture at true scale, or find one for what moves.",
+        help="print a mask at true scale, score masks, search for better ones",
+        description="Print the mask of an aperture at true scale, predict how good masks are, "
+        "search for better ones, or find one for what moves.",
         epilog=_EPILOG,
     )
     add_commands(parser, "action", ACTIONS.values())

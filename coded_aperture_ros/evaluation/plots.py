@@ -264,6 +264,26 @@ def _draw_sizes(axes: Any, sizes: Mapping[str, Any]) -> None:
     axes.legend(fontsize=7)
 
 
+def distance_matrices(matrices: Mapping[str, NDArray[np.floating]], path: PathLike) -> None:
+    """Draw distances between the subspaces of levels (thesis figure 9.5); bright is far.
+
+    Parameters
+    ----------
+    matrices : mapping of str to ndarray [L, L]
+        Titles, and distances as shares of the largest possible, 0 to 1.
+    path : path-like
+    """
+    columns = min(len(matrices), 5)
+    rows = -(-len(matrices) // columns)
+    figure, panels = _panels(rows, columns)
+    for axes in panels.flat:
+        axes.set_axis_off()
+    for axes, (title, matrix) in zip(panels.flat, matrices.items(), strict=False):
+        axes.imshow(matrix, cmap="gray", vmin=0, vmax=1)
+        axes.set_title(title, fontsize="small")
+    _save(figure, path)
+
+
 def _panels(down: int, across: int, width: float = 1.1) -> tuple[Any, Any]:
     figure = _figure(width * _PANEL_INCHES * across, _PANEL_INCHES * down)
     return figure, figure.subplots(down, across, squeeze=False)

@@ -1,4 +1,4 @@
-"""Aperture masks: named patterns from the literature, and masks from picture or array files."""
+"""Aperture masks: patterns with names, and masks from picture or array files."""
 
 import dataclasses
 import difflib
@@ -25,6 +25,11 @@ _VEERARAGHAVAN = "0100001 0011001 0000001 1011000 0111000 0110101 1001101"
 _ZHOU = """
 00011101100 00011100110 11111101111 11111100111 11111000111 11111000011
 11111000011 10001000000 00001000000 01111111110 00011111100
+"""
+# Found by this package's own predictions of depth and deblurring error, see docs/masks.md.
+_FOUR_WIDE = """
+11110001111 10010001111 10110001101 11110001011 00000000000 00000000000
+00000000000 11110000111 11110000011 11110001001 11110001111
 """
 _MURA_PRIME = 13
 # The holes are 4/17 of the extent wide; half cells are needed to centre one of them.
@@ -186,5 +191,6 @@ _BUILDERS: dict[str, Callable[[], NDArray[np.float32]]] = {
     "zhou": lambda: _grid(_ZHOU),
     "mura": _mura,
     "disc": lambda: _ring(0.0),
+    "four_wide": lambda: _grid(_FOUR_WIDE),
 }
 MASK_NAMES = tuple(_BUILDERS)

@@ -1,0 +1,136 @@
+"""`coded_aperture mask score`: what errors to expect of a mask, before it is built."""
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from coded_aperture_ros.cli.bench_options import noise_level, table
+from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.options import add_config_options, config_from
+
+# Subspaces take a millisecond a level, and a figure shows no more.
+_SUBSPACE_LEVELS = 16
+_EPILOG = """examples:
+  all masks with names:
+    coded_aperture mask score
+  two of them, at one noise, 20 blur sizes from 5 to 20 px, where things move:
+    coded_aperture mask score levin four_hole --sigmas 0.002 --levels 20 --smallest-px 5 \\
+        --largest-px 20 --motion-px 3
+"""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the sub-command to the program's parser."""
+    parser = subparsers.add_parser(
+        "score",
+        help="predict depth and deblurring error of masks",
+        description="Predict the depth error and the deblurring error of masks, from the spectra "
+        "that they make of texture, and the distances of the thesis between the subspaces of "
+        "blurred patches (M. Martinello, Coded Aperture Imaging, PhD thesis, 2012, chapter 9). "
+        "Predictions are for comparing masks; bench accuracy stair measures.",
+        epilog=_EPILOG,
+    )
+    parser.add_argument(
+        "masks", nargs="*", metavar="NAME|FILE", help="masks (default: all with names)"
+    )
+    parser.add_argument(
+        "--sigmas",
+        nargs="+",
+        type=noise_level,
+        default=[0.001, 0.005],
+        metavar="S",
+        help="noise behind an open aperture, above 0 (default 0.001 0.005)",
+    )
+    parser.add_argument(
+        "--figure", metavar="PNG", help="draw the distances of all pairs of levels (figure 9.5)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the scores as JSON")
+    parser.add_late_options = _add_late_options
+
+
+def _add_late_options(parser: argparse.ArgumentParser) -> None:
+    from coded_aperture_ros.masks import SceneConfig
+
+    add_config_options(parser, SceneConfig, "what the mask has to tell apart")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the sub-command; return its exit status."""
+    from coded_aperture_ros.cli.bench_methods import mask_of
+    from coded_aperture_ros.masks import MaskScorer, SceneConfig, subspace_distances
+    from coded_aperture_ros.optics import MASK_NAMES
+
+    if args.figure is not None:
+        check_suffix(args.figure, (".png",))
+        check_output(args.figure, [Path(name) for name in args.masks])
+    names = args.masks or list(MASK_NAMES)
+    masks = [mask_of(name) for name in names]
+    scene = config_from(args, SceneConfig)
+    predicted = MaskScorer(scene, args.sigmas).score(masks)
+    import numpy as np
+
+    sizes = np.linspace(scene.smallest_px, scene.largest_px, min(scene.levels, _SUBSPACE_LEVELS))
+    distances = [subspace_distances(mask, sizes) for mask in masks]
+    rows = [
+        {
+            "mask": name,
+            "light": round(float(predicted.light[index]), 4),
+            "depth_error": _of_noises(args.sigmas, predicted.depth_error[index]),
+            "deblurring_error": _of_noises(args.sigmas, predicted.deblurring_error[index]),
+            "subspace_l1": round(distances[index].l1_fit, 3),
+            "subspace_l1_relative": round(distances[index].relative_fit, 4),
+            "subspace_rank": distances[index].rank,
+            "thesis_l1": _thesis_l1(name),
+        }
+        for index, name in enumerate(names)
+    ]
+    if args.figure is not None:
+        from coded_aperture_ros.evaluation.plots import distance_matrices
+
+        matrices = {
+            name: each.matrix / np.sqrt(each.rank)
+            for name, each in zip(names, distances, strict=True)
+        }
+        distance_matrices(matrices, args.figure)
+    if args.json:
+        print(json.dumps({"sigmas": args.sigmas, "masks": rows}, indent=1))
+    else:
+        print(_text(rows, args.sigmas))
+    return 0
+
+
+def _of_noises(sigmas: Sequence[float], values: Any) -> dict[str, float]:
+    return {
+        f"{sigma:g}": round(float(value), 4) for sigma, value in zip(sigmas, values, strict=True)
+    }
+
+
+def _thesis_l1(name: str) -> float | None:
+    from coded_aperture_ros.evaluation.thesis_tables import LETTER_OF_MASK
+    from coded_aperture_ros.masks.subspaces import THESIS_L1
+
+    return THESIS_L1.get(LETTER_OF_MASK.get(name, ""))
+
+
+def _text(rows: Sequence[dict[str, Any]], sigmas: Sequence[float]) -> str:
+    noises = [f"{sigma:g}" for sigma in sigmas]
+    header = ["mask", "light", *(f"depth {noise}" for noise in noises)]
+    header += [*(f"deblur {noise}" for noise in noises), "L1 fit", "share", "[thesis]"]
+    lines = [
+        [
+            row["mask"],
+            f"{row['light']:.2f}",
+            *(f"{row['depth_error'][noise]:.2f}" for noise in noises),
+            *(f"{row['deblurring_error'][noise]:.3f}" for noise in noises),
+            f"{row['subspace_l1']:.2f}",
+            f"{row['subspace_l1_relative']:.2f}",
+            "-" if row["thesis_l1"] is None else f"[{row['thesis_l1']:.2f}]",
+        ]
+        for row in rows
+    ]
+    return (
+        "predicted error in levels, and of deblurring as a share of the texture; less is better\n"
+        + table(header, lines)
+    )

@@ -1,0 +1,140 @@
+"""`coded_aperture mask search`: better masks than the published ones."""
+
+import argparse
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+from coded_aperture_ros.cli.bench_options import at_least, table
+from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.options import add_config_options, config_from
+from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.threads import processors
+
+_SHOWN = 8
+_EPILOG = """examples:
+  a mask of 11x11 cells, for a minute or two; it goes on where it stood if it is started again:
+    coded_aperture mask search --checkpoint search.npz -o mask.png
+  a short search for a mask to be cut out of cardboard, with openings of at least 2x2 cells:
+    coded_aperture mask search --cells 10 --smallest-opening 2 --carrier connected \\
+        --islands 1 --epochs 2 --generations 5 -o cardboard.png
+  on the workers of a Dask scheduler:
+    coded_aperture mask search --islands 32 --epochs 200 --scheduler tcp://host:8786 -o mask.png
+"""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the sub-command to the program's parser."""
+    parser = subparsers.add_parser(
+        "search",
+        help="look for masks with less depth and deblurring error",
+        description="Look for masks of small predicted depth and deblurring error, by annealing "
+        "and mixing populations of masks. The best is written as a picture, one pixel for each "
+        "cell, which --mask and camera files take.",
+        epilog=_EPILOG,
+    )
+    parser.add_argument(
+        "-o", "--output", metavar="FILE", help="picture of the best mask to write (.png or .npy)"
+    )
+    parser.add_argument(
+        "--checkpoint",
+        metavar="NPZ",
+        help="file that the search is saved to after every round, and goes on from",
+    )
+    parser.add_argument(
+        "--jobs",
+        type=at_least(1),
+        default=processors(),
+        metavar="N",
+        help="processes (default: one for each processor)",
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Dask scheduler whose workers share the work, instead of processes here",
+    )
+    parser.add_argument("--json", action="store_true", help="print the Pareto front as JSON")
+    parser.add_late_options = _add_late_options
+
+
+def _add_late_options(parser: argparse.ArgumentParser) -> None:
+    from coded_aperture_ros.masks import SceneConfig
+    from coded_aperture_ros.masks.search import SearchConfig
+
+    add_config_options(parser, SearchConfig, "which masks, and how long")
+    add_config_options(parser, SceneConfig, "what the mask has to tell apart")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the sub-command; return its exit status."""
+    from coded_aperture_ros.cli.mask_workers import dask_workers, local_processes
+    from coded_aperture_ros.masks import SceneConfig
+    from coded_aperture_ros.masks.checkpoint import load_checkpoint, save_checkpoint
+    from coded_aperture_ros.masks.search import SearchConfig, first_state, search_epochs
+
+    config, scene = config_from(args, SearchConfig), config_from(args, SceneConfig)
+    if args.output is not None:
+        check_suffix(args.output, (".png", ".npy"))
+        check_output(args.output)
+    state = None
+    if args.checkpoint is not None:
+        check_suffix(args.checkpoint, (".npz",))
+        check_output(args.checkpoint)
+        if Path(args.checkpoint).exists():
+            state = load_checkpoint(args.checkpoint, config, scene)
+            logging.info("%s: going on after round %d", args.checkpoint, state.epoch)
+    state = state or first_state(config)
+    workers = dask_workers(args.scheduler) if args.scheduler else local_processes(args.jobs)
+    with workers as run_all:
+        left = config.epochs - state.epoch
+        for reached in progress(search_epochs(config, scene, run_all, state), left, "round"):
+            state = reached
+            if args.checkpoint is not None:
+                save_checkpoint(args.checkpoint, state, config, scene)
+    if args.output is not None:
+        _write_mask(args.output, state.best)
+    _report(args, state)
+    return 0
+
+
+def _write_mask(name: str, grid: Any) -> None:
+    import numpy as np
+
+    from coded_aperture_ros.files import atomic_output
+    from coded_aperture_ros.images import write_image
+
+    if name.lower().endswith(".png"):
+        write_image(name, grid.astype(np.float32))
+        return
+    with atomic_output(name) as path:
+        np.save(path, grid.astype(np.float32))
+
+
+def _report(args: argparse.Namespace, state: Any) -> None:
+    front = state.front
+    rows = [
+        {
+            "depth_error": round(float(depth), 4),
+            "deblurring_error": round(float(deblurring), 4),
+            "light": round(1 - float(closed), 4),
+            "rows": _rows(grid),
+        }
+        for grid, (depth, deblurring, closed) in zip(front.grids, front.scores, strict=True)
+    ]
+    best = _rows(state.best)
+    if args.json:
+        summary = {"masks_scored": state.scored, "rounds": state.epoch, "best": best}
+        print(json.dumps(summary | {"front": rows}, indent=1))
+        return
+    lines = [
+        [f"{row['depth_error']:.3f}", f"{row['deblurring_error']:.3f}", f"{row['light']:.2f}"]
+        for row in rows[:: max(1, len(rows) // _SHOWN)]
+    ]
+    print("\n".join(best))
+    print(f"the best of {state.scored} masks; some that are better in one respect:")
+    print(table(["depth error", "deblurring error", "light"], lines))
+
+
+def _rows(grid: Any) -> list[str]:
+    return ["".join("#" if cell else "." for cell in row) for row in grid]
