@@ -206,24 +206,24 @@ def publisher(frames_file: Path, camera_file: Path) -> Iterator[Any]:
     from sensor_msgs.msg import CameraInfo, Image
     from std_msgs.msg import Header
 
-    from coded_aperture_ros.nodes.frame_node import overridable_publisher
     from coded_aperture_ros.nodes.messages import camera_info_from_camera, image_from_array
+    from coded_aperture_ros.nodes.topics import Outputs
     from coded_aperture_ros.optics import load_camera
 
     with ros_node("frame_publisher") as (node, _):
         header = Header(frame_id="camera_optical_frame")
         info = camera_info_from_camera(load_camera(camera_file), header)
         images = [image_from_array(pixels, "mono8", header) for pixels in np.load(frames_file)]
-        image_topic = overridable_publisher(node, Image, "image_raw")
-        info_topic = overridable_publisher(node, CameraInfo, "camera_info")
+        outputs = Outputs(node, {"image_raw": Image, "camera_info": CameraInfo}, None)
+        outputs.open()
 
         def publish(number: int) -> int:
             image = images[number % len(images)]
             now_ns = time.time_ns()
             stamp = rclpy.time.Time(nanoseconds=now_ns).to_msg()
             image.header.stamp = info.header.stamp = stamp
-            image_topic.publish(image)
-            info_topic.publish(info)
+            outputs.send("image_raw", image)
+            outputs.send("camera_info", info)
             return now_ns
 
         yield publish

@@ -77,8 +77,8 @@ def run(args: argparse.Namespace) -> int:
 
     from coded_aperture_ros.optics import load_camera
 
-    check_estimator_options(args)
     check_motion_options(args)
+    check_estimator_options(args)
     if args.levels and args.output.lower().endswith(".png"):
         raise InputError(f"{args.output}: a PNG has depths in mm, write levels to .npy or .tiff")
     camera = load_camera(args.camera) if args.camera else None
