@@ -2,11 +2,15 @@
 
 import contextlib
 import gc
+import os
+import subprocess
+import sys
 import threading
 import time
 import warnings
 
 import rclpy
+import yaml
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -25,6 +29,15 @@ def wait_until(condition, timeout_s=10.0):
     while not (value := condition()) and time.monotonic() < deadline:
         time.sleep(0.01)
     return value
+
+
+def start_node(node, parameters, *arguments, **options):
+    """Start one of the package's nodes as a program; `options` are those of `Popen`."""
+    command = [sys.executable, "-m", f"coded_aperture_ros.nodes.{node}", "--ros-args"]
+    for name, value in parameters.items():
+        command += ["-p", f"{name}:={yaml.safe_dump(value).splitlines()[0]}"]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    return subprocess.Popen([*command, *arguments], env=environment, **options)
 
 
 class Ros:

@@ -1,9 +1,11 @@
-"""A small camera, and a frame that it takes of a textured wall: what the nodes are tested with."""
+"""A small camera, its bank, and a frame of a textured wall: what the nodes are tested with."""
 
 import numpy as np
+import yaml
 from scipy.signal import fftconvolve
 
-from coded_aperture_ros.optics import Camera, render_psf
+from coded_aperture_ros.bank import LearnConfig, learn_bank, save_bank
+from coded_aperture_ros.optics import Camera, load_camera, render_psf, render_psf_stack
 
 WIDTH, HEIGHT = 128, 96
 NEAR_M, FAR_M, DEPTH_M = 1.3, 4.0, 2.0
@@ -29,3 +31,18 @@ def coded_wall(camera: Camera) -> np.ndarray:
     frame = fftconvolve(texture, psf, mode="same")[64 : 64 + HEIGHT, 64 : 64 + WIDTH]
     frame += 0.001 * random.standard_normal(frame.shape)
     return np.clip(frame, 0, 1).astype(np.float32)
+
+
+def write_model(folder):
+    """Write the camera and a bank into a folder; return the parameters that every node needs."""
+    camera_file, bank_file = folder / "camera.yaml", folder / "bank.npz"
+    camera_file.write_text(yaml.safe_dump(CAMERA))
+    camera = load_camera(camera_file)
+    stack = render_psf_stack(camera.mask, np.linspace(*camera.blur_range_px(NEAR_M, FAR_M), 8))
+    save_bank(learn_bank(stack, LearnConfig(window_px=32, rank=48)), bank_file)
+    return {
+        "camera_file": str(camera_file),
+        "bank": str(bank_file),
+        "near_m": NEAR_M,
+        "far_m": FAR_M,
+    }

@@ -354,3 +354,13 @@ def test_a_failure_in_a_thread_comes_out():
 
     with pytest.raises(InputError, match="three"):
         list(in_order(work, range(9), threads=2, ahead=4))
+
+
+def test_a_closed_source_begins_again(scene, tmp_path):
+    """As a driver that is deactivated and activated."""
+    source = BagSource(write_bag(tmp_path / "in", recording(scene, frames=2)), loop=False)
+    first = source.read()
+    source.close()
+    source.close()
+    np.testing.assert_array_equal(source.read().frame, first.frame)
+    source.close()

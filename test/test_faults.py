@@ -3,22 +3,19 @@
 import os
 import signal
 import subprocess
-import sys
 import time
 
 import cv2
 import numpy as np
 import pytest
-import yaml
 from rclpy.qos import qos_profile_sensor_data
-from ros_helpers import Ros, wait_until
+from ros_helpers import Ros, start_node, wait_until
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, PointCloud2
-from small_camera import CAMERA, FAR_M, NEAR_M, coded_wall
+from small_camera import coded_wall, write_model
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank, save_bank
 from coded_aperture_ros.nodes.messages import image_from_array, pixels_from_frame
-from coded_aperture_ros.optics import load_camera, render_psf_stack
+from coded_aperture_ros.optics import load_camera
 
 # After a fault has ended. Two seconds are promised, and `make soak` holds the nodes to it; a busy
 # machine may take longer, also to start a program.
@@ -29,23 +26,12 @@ START_S = 20.0
 @pytest.fixture(scope="module")
 def parameters(tmp_path_factory):
     folder = tmp_path_factory.mktemp("robot")
-    (folder / "camera.yaml").write_text(yaml.safe_dump(CAMERA))
+    model = write_model(folder)
+    wall = coded_wall(load_camera(model["camera_file"]))
     (folder / "pictures").mkdir()
-    camera = load_camera(folder / "camera.yaml")
-    cv2.imwrite(
-        str(folder / "pictures" / "0.png"), np.rint(255 * coded_wall(camera)).astype(np.uint8)
-    )
-    stack = render_psf_stack(camera.mask, np.linspace(*camera.blur_range_px(NEAR_M, FAR_M), 8))
-    save_bank(learn_bank(stack, LearnConfig(window_px=32, rank=48)), folder / "bank.npz")
-    return {
-        "camera_file": str(folder / "camera.yaml"),
-        "bank": str(folder / "bank.npz"),
-        "source": str(folder / "pictures"),
-        "rate_hz": 30.0,
-        "encoding": "mono8",
-        "near_m": NEAR_M,
-        "far_m": FAR_M,
-    }
+    cv2.imwrite(str(folder / "pictures" / "0.png"), np.rint(255 * wall).astype(np.uint8))
+    source = {"source": str(folder / "pictures"), "rate_hz": 30.0, "encoding": "mono8"}
+    return {**model, **source}
 
 
 @pytest.fixture
@@ -61,18 +47,8 @@ def start(parameters):
     started = []
 
     def start(node, **changes):
-        given = {**parameters, **changes}
-        arguments = [
-            text
-            for name, value in given.items()
-            for text in ("-p", f"{name}:={yaml.safe_dump(value).splitlines()[0]}")
-        ]
-        process = subprocess.Popen(
-            [sys.executable, "-m", f"coded_aperture_ros.nodes.{node}", "--ros-args", *arguments],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-        )
+        silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        process = start_node(node, {**parameters, **changes}, **silent)
         started.append(process)
         return process
 

@@ -4,43 +4,34 @@ import itertools
 import shutil
 import time
 
-import numpy as np
 import pytest
-import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from ros_helpers import Ros, wait_until
 from sensor_msgs.msg import CameraInfo, Image
-from small_camera import CAMERA, FAR_M, NEAR_M, coded_wall
+from small_camera import coded_wall, write_model
 from std_msgs.msg import Header
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank, save_bank
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.nodes.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.nodes.deblur_node import DeblurNode
 from coded_aperture_ros.nodes.depth_node import DepthNode
 from coded_aperture_ros.nodes.local_topics import LocalTopics
 from coded_aperture_ros.nodes.messages import image_from_array, pixels_from_frame
-from coded_aperture_ros.optics import load_camera, render_psf_stack
+from coded_aperture_ros.optics import load_camera
 
 SECONDS = itertools.count(100)
 
 
 @pytest.fixture(scope="module")
-def camera_file(tmp_path_factory):
-    path = tmp_path_factory.mktemp("camera") / "camera.yaml"
-    path.write_text(yaml.safe_dump(CAMERA))
-    return path
+def model(tmp_path_factory):
+    return write_model(tmp_path_factory.mktemp("camera"))
 
 
 @pytest.fixture(scope="module")
-def model(camera_file):
-    camera = load_camera(camera_file)
-    stack = render_psf_stack(camera.mask, np.linspace(*camera.blur_range_px(NEAR_M, FAR_M), 8))
-    bank = camera_file.parent / "bank.npz"
-    save_bank(learn_bank(stack, LearnConfig(window_px=32, rank=48)), bank)
-    return {"camera_file": str(camera_file), "bank": str(bank), "near_m": NEAR_M, "far_m": FAR_M}
+def camera_file(model):
+    return model["camera_file"]
 
 
 @pytest.fixture(scope="module")

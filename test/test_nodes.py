@@ -2,6 +2,7 @@
 
 import itertools
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +12,9 @@ from rclpy.parameter import Parameter
 from rclpy.qos import ReliabilityPolicy, qos_profile_sensor_data
 from ros_helpers import Ros, wait_until
 from sensor_msgs.msg import CameraInfo, Image
-from small_camera import CAMERA, DEPTH_M, FAR_M, HEIGHT, NEAR_M, WIDTH, coded_wall
+from small_camera import CAMERA, DEPTH_M, HEIGHT, NEAR_M, WIDTH, coded_wall, write_model
 from std_msgs.msg import Header
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank, save_bank
 from coded_aperture_ros.depth import map_size
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.nodes.deblur_node import DeblurNode
@@ -26,7 +26,7 @@ from coded_aperture_ros.nodes.messages import (
     pixels_from_frame,
     stamp_ns,
 )
-from coded_aperture_ros.optics import load_camera, render_psf_stack
+from coded_aperture_ros.optics import load_camera
 
 DEPTH_OUTPUTS = {
     "depth/image": Image,
@@ -37,25 +37,13 @@ DEPTH_OUTPUTS = {
 
 
 @pytest.fixture(scope="module")
-def camera_file(tmp_path_factory):
-    path = tmp_path_factory.mktemp("camera") / "camera.yaml"
-    path.write_text(yaml.safe_dump(CAMERA))
-    return path
+def model(tmp_path_factory):
+    return write_model(tmp_path_factory.mktemp("camera"))
 
 
 @pytest.fixture(scope="module")
-def model(camera_file):
-    """Return the parameters that every node needs."""
-    camera = load_camera(camera_file)
-    stack = render_psf_stack(camera.mask, np.linspace(*camera.blur_range_px(NEAR_M, FAR_M), 8))
-    bank_file = camera_file.parent / "bank.npz"
-    save_bank(learn_bank(stack, LearnConfig(window_px=32, rank=48)), bank_file)
-    return {
-        "camera_file": str(camera_file),
-        "bank": str(bank_file),
-        "near_m": NEAR_M,
-        "far_m": FAR_M,
-    }
+def camera_file(model):
+    return Path(model["camera_file"])
 
 
 @pytest.fixture(scope="module")

@@ -1,16 +1,14 @@
 """The nodes as programs: start, signals, exit status, what they print."""
 
-import os
 import signal
 import subprocess
-import sys
 import time
 
 import cv2
 import numpy as np
 import pytest
 import yaml
-from ros_helpers import Ros, wait_until
+from ros_helpers import Ros, start_node, wait_until
 from sensor_msgs.msg import Image
 from small_camera import CAMERA, FAR_M, HEIGHT, NEAR_M, WIDTH, coded_wall
 
@@ -48,18 +46,13 @@ def start(parameters):
     started = []
 
     def start(node, *arguments, **changes):
-        given = [
-            f"{name}:={yaml.safe_dump(value).splitlines()[0]}"
-            for name, value in {**parameters, **changes}.items()
-        ]
-        command = [sys.executable, "-m", f"coded_aperture_ros.nodes.{node}", "--ros-args"]
-        command += [text for parameter in given for text in ("-p", parameter)]
-        process = subprocess.Popen(
-            [*command, *arguments],
+        process = start_node(
+            node,
+            {**parameters, **changes},
+            *arguments,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
         )
         started.append(process)
         return process

@@ -11,9 +11,9 @@ from coded_aperture_ros.cli.bench_options import (
     add_numbers,
     add_result_options,
     check_result_options,
-    noise_level,
     report,
     table,
+    texture_and_noise,
 )
 
 _MASKS = ("disc", "A", "B", "C")
@@ -63,7 +63,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--cases",
         nargs="+",
-        type=_case,
+        type=texture_and_noise(_TEXTURES),
         default=list(_CASES),
         metavar="TEXTURE,S",
         help=f"texture ({', '.join(_TEXTURES)}) and noise behind an open aperture, which is "
@@ -80,16 +80,6 @@ def add_parser(subparsers: Any) -> None:
     )
     add_numbers(parser, ("seed", 0, 0, "of crops and noise"))
     add_result_options(parser)
-
-
-def _case(text: str) -> tuple[str, float]:
-    texture, _, sigma = text.partition(",")
-    if texture not in _TEXTURES:
-        raise argparse.ArgumentTypeError(f"expected one of {', '.join(_TEXTURES)}, got {texture!r}")
-    return texture, noise_level(sigma)
-
-
-_case.__name__ = "texture and noise"  # argparse says "invalid texture and noise value"
 
 
 def run(args: argparse.Namespace) -> int:

@@ -37,6 +37,21 @@ def noise_level(text: str) -> float:
     return value
 
 
+def texture_and_noise(textures: Sequence[str]) -> Callable[[str], tuple[str, float]]:
+    """Return a parser of TEXTURE,S for argparse: a texture's name, and noise."""
+
+    def parse(text: str) -> tuple[str, float]:
+        texture, _, sigma = text.partition(",")
+        if texture not in textures:
+            raise argparse.ArgumentTypeError(
+                f"expected one of {', '.join(textures)}, got {texture!r}"
+            )
+        return texture, noise_level(sigma)
+
+    parse.__name__ = "texture and noise"  # argparse says "invalid texture and noise value"
+    return parse
+
+
 def add_numbers(parser: argparse.ArgumentParser, *numbers: tuple[str, int, int, str]) -> None:
     """Add options that are whole numbers: name, least, default, and what each is."""
     for name, least, default, what in numbers:

@@ -25,9 +25,9 @@ from coded_aperture_ros.cli.bench_options import (
     add_result_options,
     check_result_options,
     folder_of,
-    noise_level,
     report,
     table,
+    texture_and_noise,
 )
 
 _MASKS = ("two_hole", "three_hole", "four_hole")
@@ -82,7 +82,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--cases",
         nargs="+",
-        type=_case,
+        type=texture_and_noise(_TEXTURES),
         default=list(_CASES),
         metavar="TEXTURE,S",
         help=f"texture ({', '.join(_TEXTURES)}) and noise behind an open aperture, which is "
@@ -116,16 +116,6 @@ def add_parser(subparsers: Any) -> None:
         help="tell the noise; by default it is estimated in each frame",
     )
     add_result_options(parser)
-
-
-def _case(text: str) -> tuple[str, float]:
-    texture, _, sigma = text.partition(",")
-    if texture not in _TEXTURES:
-        raise argparse.ArgumentTypeError(f"expected one of {', '.join(_TEXTURES)}, got {texture!r}")
-    return texture, noise_level(sigma)
-
-
-_case.__name__ = "texture and noise"  # argparse says "invalid texture and noise value"
 
 
 def run(args: argparse.Namespace) -> int:

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.clock import Clock, ClockType
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import CameraInfo, Image
@@ -142,7 +141,6 @@ class CameraDriverNode(ManagedNode):
         self._source: Source | None = None
         self._store: CameraInfoStore | None = None
         self._diagnostics: DiagnosticsPublisher | None = None
-        self._timer: Any = None
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
         self._failures = 0
@@ -172,18 +170,15 @@ class CameraDriverNode(ManagedNode):
             )
         self._last = self.statistics.summary()
         self._diagnostics = DiagnosticsPublisher(self, self._status)
-        self._timer = self.create_timer(
-            1.0, self._diagnostics.publish, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
 
     def clean_up(self) -> None:
         """Undo `set_up`."""
-        if self._timer is not None:
-            self.destroy_timer(self._timer)
+        if isinstance(self._source, RgbdSource):
+            self._source.end()
         for made in (self._diagnostics, self._store, self._source):
             if made is not None:
                 made.close()
-        self._timer = self._diagnostics = self._store = self._source = None
+        self._diagnostics = self._store = self._source = None
         self._outputs.close()
 
     def start_work(self) -> None:
@@ -193,10 +188,16 @@ class CameraDriverNode(ManagedNode):
         self._thread.start()
 
     def stop_work(self) -> None:
-        """End the thread."""
+        """End the thread, and let go of the camera."""
         self._stopping.set()
         if self._thread is not None:
             self._thread.join(5.0)
+        if self._source is not None:
+            self._source.close()
+
+    def end(self) -> None:
+        """End the thread, and let go of the camera."""
+        self.stop_work()
 
     def _opened(self, config: CameraDriverConfig) -> Source:
         if config.source == RGBD:
@@ -253,7 +254,6 @@ class CameraDriverNode(ManagedNode):
             if self._failing:
                 self._failing, retry_s = False, _RETRY_S[0]
                 self.get_logger().info("frames are coming again")
-        source.close()
 
     def _tell_failure(self, source: Source, error: Exception) -> None:
         self.statistics.count_rejected("source", str(error))

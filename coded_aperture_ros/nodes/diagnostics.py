@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
@@ -258,7 +259,7 @@ def _warnings(
 
 
 class DiagnosticsPublisher:
-    """Publishes a node's status on /diagnostics; the node calls `publish` once a second.
+    """Publishes a node's status on /diagnostics once a second.
 
     By a steady clock: under `use_sim_time` a timer of the node's own clock would stand still
     until a /clock comes.
@@ -270,13 +271,15 @@ class DiagnosticsPublisher:
         self._publisher = node.create_publisher(
             DiagnosticArray, "/diagnostics", QoSProfile(depth=5)
         )
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(1.0, self._publish, clock=steady)
 
-    def publish(self) -> None:
-        """Publish the present state."""
+    def _publish(self) -> None:
         message = DiagnosticArray(status=[self._status()])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
 
     def close(self) -> None:
-        """Destroy the publisher."""
+        """Tell no more."""
+        self._node.destroy_timer(self._timer)
         self._node.destroy_publisher(self._publisher)

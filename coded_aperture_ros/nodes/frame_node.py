@@ -93,8 +93,7 @@ class FrameNode(ManagedNode, Generic[Item]):
         self._taken_up_s = 0.0
         self._rate_limit = RateLimit()
         self._worker: NewestWorker[Item] | None = None
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timers: list[Any] = []
+        self._timer: Any = None
         self._diagnostics: DiagnosticsPublisher | None = None
         self._jumps = self.get_clock().create_jump_callback(
             JumpThreshold(
@@ -157,16 +156,14 @@ class FrameNode(ManagedNode, Generic[Item]):
         self._outputs.open()
         self._last = self.statistics.summary()
         self._diagnostics = DiagnosticsPublisher(self, self._status)
-        self._timers = [
-            self.create_timer(_LAZY_PERIOD_S, self._update_listening, clock=self._steady),
-            self.create_timer(1.0, self._diagnostics.publish, clock=self._steady),
-        ]
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self.create_timer(_LAZY_PERIOD_S, self._update_listening, clock=steady)
 
     def clean_up(self) -> None:
         """Undo `set_up`."""
-        for timer in self._timers:
-            self.destroy_timer(timer)
-        self._timers = []
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+            self._timer = None
         if self._diagnostics is not None:
             self._diagnostics.close()
             self._diagnostics = None
@@ -186,10 +183,18 @@ class FrameNode(ManagedNode, Generic[Item]):
     def stop_work(self) -> None:
         """Listen no more, and wait for the frame in work."""
         self._inputs.close()
+        self._end_worker()
+        self.rest()
+
+    def end(self) -> None:
+        """End the threads."""
+        self._end_worker()
+        self.unload()
+
+    def _end_worker(self) -> None:
         worker, self._worker = self._worker, None
         if worker is not None:
             worker.stop()
-        self.rest()
 
     def offer(self, item: Item) -> None:
         """Hand an item to the worker, unless the rate is limited; what still waits is dropped."""

@@ -90,14 +90,18 @@ class ManagedNode(ABC, LifecycleNode):
     def clean_up(self) -> None:
         """Let go of everything that `set_up` made."""
 
+    @abstractmethod
+    def end(self) -> None:
+        """End the node's own threads, and let go of files and devices.
+
+        An executor may be waiting for the node's timers and subscriptions meanwhile, so nothing of
+        ROS may be destroyed.
+        """
+
     def close(self) -> None:
         """End all work; the node can then be destroyed. May be called again."""
-        if self._active:
-            self._active = False
-            self.stop_work()
-        if self._configured:
-            self._configured = False
-            self.clean_up()
+        self._active = False
+        self.end()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Set the node up; if that fails it stays unconfigured."""
@@ -125,7 +129,11 @@ class ManagedNode(ABC, LifecycleNode):
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """End the work, in whatever state the node is."""
-        return self._carried_out("be shut down", self.close)
+        active, self._active = self._active, False
+        configured, self._configured = self._configured, False
+        if active:
+            self.stop_work()
+        return self._carried_out("be shut down", self.clean_up) if configured else _SUCCESS
 
     def _carried_out(self, what: str, step: Any) -> TransitionCallbackReturn:
         try:

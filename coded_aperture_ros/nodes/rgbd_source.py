@@ -50,11 +50,10 @@ class RgbdSource:
         self._inputs = Inputs(node, None)
         self._inputs.add(_IMAGE, Image, self._on_image)
         self._inputs.add(_DEPTH, Image, self._on_depth)
+        self._inputs.open()
 
     def read(self) -> Capture | None:
         """Wait for the next pair; an `InputError` where none comes or it cannot be used."""
-        if not self._inputs.are_open:
-            self._inputs.open()
         with self._changed:
             self._changed.wait_for(lambda: self._pair is not None, _WAIT_S)
             pair, self._pair = self._pair, None
@@ -68,7 +67,13 @@ class RgbdSource:
         return Capture(coded, depth_m, sharp, stamp_of(pair[0].header))
 
     def close(self) -> None:
-        """Listen no more."""
+        """Forget what has come."""
+        self._pairs.clear()
+        with self._changed:
+            self._pair = None
+
+    def end(self) -> None:
+        """Listen no more; only where no executor waits for the node."""
         self._inputs.close()
 
     def _on_image(self, message: Image) -> None:

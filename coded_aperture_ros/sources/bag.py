@@ -26,6 +26,11 @@ class BagSource:
     topic : str, optional
         By default the only topic of images, or `image_raw`.
 
+    Attributes
+    ----------
+    damage : str
+        What is wrong with the bag, in words; see `Bag`.
+
     Raises
     ------
     InputError
@@ -36,7 +41,8 @@ class BagSource:
 
     def __init__(self, path: str | os.PathLike[str], loop: bool, topic: str | None = None) -> None:
         self._path, self._loop = Path(path), loop
-        self._bag = Bag(path)
+        self._bag: Bag | None = Bag(path)
+        self.damage = self._bag.damage
         try:
             self._topic = image_topic(self._bag.topics, topic)
         except InputError as error:
@@ -45,11 +51,6 @@ class BagSource:
         self._convert = Conversion()
         self._messages: Iterator[Recorded] | None = None
         self._any = False
-
-    @property
-    def damage(self) -> str:
-        """What is wrong with the bag, in words; see `Bag`."""
-        return self._bag.damage
 
     def read(self) -> Capture | None:
         """Return the next frame, None after the last.
@@ -66,12 +67,15 @@ class BagSource:
         return Capture(picture.pixels, stamp_ns=picture.stamp_ns or message.time_ns)
 
     def close(self) -> None:
-        """Close the files."""
-        self._messages = None
-        self._bag.close()
+        """Close the files; the next `read` opens them again and begins with the first frame."""
+        bag, self._bag, self._messages = self._bag, None, None
+        if bag is not None:
+            bag.close()
 
     def _next(self) -> Recorded | None:
         while True:
+            if self._bag is None:
+                self._bag = Bag(self._path)
             if self._messages is None:
                 self._messages, self._any = self._bag.messages(self._topic.name), False
             for message in self._messages:
