@@ -50,6 +50,8 @@ def cases(count):
     return settings(
         max_examples=math.ceil(count * TIMES),
         deadline=None,
+        # The tests try the same cases every time, `make fuzz` others each time.
+        derandomize=TIMES < 1,
         suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
     )
 
