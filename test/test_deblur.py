@@ -87,6 +87,18 @@ def test_flat_frame_stays_flat_up_to_its_border(stack, value):
     assert Deblurrer(stack).deblur(frame, blur) == pytest.approx(frame, abs=2e-3)
 
 
+@pytest.mark.parametrize("band", ["full", "half"])
+@pytest.mark.parametrize("shape", [(160, 200), (157, 203)])
+def test_opposite_borders_that_differ_do_not_ring(stack, band, shape):
+    # Blur leaves a slope as it is.
+    down, across = np.linspace(0, 0.3, shape[0]), np.linspace(0.1, 0.6, shape[1])
+    slope = (down[:, None] + across).astype(np.float32)
+    result = Deblurrer(stack, DeblurConfig(band=band, noise=0.001)).deblur(
+        slope, np.full(shape, 10.0, np.float32)
+    )
+    assert np.abs(result - slope).max() < 0.02
+
+
 def test_smoothness_trades_noise_for_sharpness(stack):
     noise = np.random.default_rng(2).normal(0.5, 0.01, (128, 128)).astype(np.float32)
     blur = np.full(noise.shape, 6.0, np.float32)

@@ -79,7 +79,7 @@ class DeblurConfig:
     )
     band: str = option(
         "full",
-        "Frequencies that fast deblurs: half, the lower half, takes two thirds of the time, and "
+        "Frequencies that fast deblurs: half, the lower half, takes half of the time, and "
         "leaves details where the blur is only a few pixels as they are.",
         choices=("full", "half"),
         read_only=True,
