@@ -61,11 +61,11 @@ def frame_score(
     reference_m = depth_from_pixels(at_size(reference, depth_m.shape))
     known = np.isfinite(reference_m)
     both = known & np.isfinite(depth_m)
-    relative = np.full(depth_m.shape, np.nan, np.float32)
     found, true = depth_m[both], reference_m[both]
-    relative[both] = error = (found - true) / true
-    reliability = Reliability.of(confidence[both], np.abs(error) <= RIGHT_WITHIN)
-    return FrameScore(RelativeError.of(relative, known), apart_ns, reliability, reference_m)
+    errors = np.abs((found - true) / true)
+    reliability = Reliability.of(confidence[both], errors <= RIGHT_WITHIN)
+    error = RelativeError.of_known(errors, int(np.count_nonzero(known)))
+    return FrameScore(error, apart_ns, reliability, reference_m)
 
 
 def at_size(reference: NDArray, shape: tuple[int, ...]) -> NDArray:

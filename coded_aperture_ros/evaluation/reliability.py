@@ -57,14 +57,16 @@ class Reliability:
                 f"confidence and right: expected one shape, got {list(confidence.shape)} and "
                 f"{list(right.shape)}"
             )
-        values = confidence.ravel().astype(np.float64)
-        if not ((values >= 0) & (values <= 1)).all():
+        values = confidence.ravel()
+        if values.size and not (values.min() >= 0 and values.max() <= 1):
             raise InputError("confidence: expected values in [0, 1]")
         index = np.minimum((values * bins).astype(np.intp), bins - 1)
+        # Both counts at once: a video has many of them.
+        wrong, good = np.bincount(index + bins * right.ravel(), minlength=2 * bins).reshape(2, bins)
         return cls(
-            count=np.bincount(index, minlength=bins),
+            count=wrong + good,
             confidence_sum=np.bincount(index, values, minlength=bins).astype(np.float64),
-            right=np.bincount(index[right.ravel()], minlength=bins),
+            right=good,
         )
 
     @classmethod

@@ -254,8 +254,11 @@ class RelativeError:
     def of(relative: NDArray[np.floating], part: NDArray[np.bool_]) -> "RelativeError":
         """Summarise signed relative errors, NaN where unknown, of a part of the pixels."""
         errors = np.abs(relative[part])
-        errors = errors[np.isfinite(errors)]
-        pixels = int(np.count_nonzero(part))
+        return RelativeError.of_known(errors[np.isfinite(errors)], int(np.count_nonzero(part)))
+
+    @staticmethod
+    def of_known(errors: NDArray[np.floating], pixels: int) -> "RelativeError":
+        """Summarise the errors, without sign, of those of so many pixels that have a depth."""
         if not errors.size:
             nothing = float("nan")
             return RelativeError(nothing, nothing, nothing, 0.0 if pixels else nothing, pixels)
