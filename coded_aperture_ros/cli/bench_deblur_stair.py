@@ -27,11 +27,12 @@ from coded_aperture_ros.cli.bench_deblur_methods import (
 from coded_aperture_ros.cli.bench_deblur_pictures import as_rgb, enlarged, side_by_side
 from coded_aperture_ros.cli.bench_methods import BANK, Setting, identify, mask_of
 from coded_aperture_ros.cli.bench_options import (
+    add_picture_options,
     add_result_options,
+    add_sigmas_option,
     at_least,
     check_result_options,
     folder_of,
-    noise_level,
     report,
     table,
 )
@@ -123,15 +124,7 @@ def add_parser(subparsers: Any) -> None:
         metavar="MASK",
         help="names or files (default four_hole levin)",
     )
-    parser.add_argument(
-        "--sigmas",
-        nargs="+",
-        type=noise_level,
-        default=list(_SIGMAS),
-        metavar="S",
-        help="noise behind an open aperture; a frame has S divided by the open fraction of the "
-        f"mask's square (default {' '.join(f'{sigma:g}' for sigma in _SIGMAS)})",
-    )
+    add_sigmas_option(parser, _SIGMAS)
     add_method_options(parser)
     parser.add_argument(
         "--repeats",
@@ -164,14 +157,7 @@ def add_parser(subparsers: Any) -> None:
         metavar="R",
         help=f"vectors in the bank's common basis (default {_RANK})",
     )
-    parser.add_argument(
-        "--images", metavar="DIR", help="pictures of this folder instead of the built-in ones"
-    )
-    parser.add_argument(
-        "--known-noise",
-        action="store_true",
-        help="tell our own methods the noise; by default they estimate it in each frame",
-    )
+    add_picture_options(parser)
     add_result_options(parser)
 
 

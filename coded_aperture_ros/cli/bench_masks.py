@@ -10,8 +10,8 @@ from coded_aperture_ros.cli.bench_cells import measure_cells
 from coded_aperture_ros.cli.bench_options import (
     add_numbers,
     add_result_options,
+    add_sigmas_option,
     check_result_options,
-    noise_level,
     report,
     table,
 )
@@ -46,14 +46,7 @@ def add_parser(subparsers: Any) -> None:
         ("window", 16, 96, "side of the bank's patches, px"),
         ("rank", 1, 400, "vectors in the bank's common basis"),
     )
-    parser.add_argument(
-        "--sigmas",
-        nargs="+",
-        type=noise_level,
-        default=[0.001, 0.005],
-        metavar="S",
-        help="noise behind an open aperture, above 0 (default 0.001 0.005)",
-    )
+    add_sigmas_option(parser, (0.001, 0.005), ", above 0")
     add_result_options(parser)
 
 

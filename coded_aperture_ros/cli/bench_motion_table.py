@@ -8,12 +8,12 @@ from typing import Any
 
 from coded_aperture_ros.cli.bench_cells import measure_cells
 from coded_aperture_ros.cli.bench_options import (
+    add_cases_option,
     add_numbers,
     add_result_options,
     check_result_options,
     report,
     table,
-    texture_and_noise,
 )
 
 _MASKS = ("disc", "A", "B", "C")
@@ -60,16 +60,7 @@ def add_parser(subparsers: Any) -> None:
         metavar="MASK",
         help=f"some of {', '.join(_MASKS)} (default all)",
     )
-    parser.add_argument(
-        "--cases",
-        nargs="+",
-        type=texture_and_noise(_TEXTURES),
-        default=list(_CASES),
-        metavar="TEXTURE,S",
-        help=f"texture ({', '.join(_TEXTURES)}) and noise behind an open aperture, which is "
-        "divided by the open third of the masks "
-        f"(default {' '.join(f'{texture},{sigma:g}' for texture, sigma in _CASES)})",
-    )
+    add_cases_option(parser, _TEXTURES, _CASES, "open third of the masks")
     add_numbers(parser, ("window", 40, 48, "side of the windows, px"))
     parser.add_argument(
         "--rank",

@@ -14,6 +14,8 @@ from coded_aperture_ros.files import atomic_output
 from coded_aperture_ros.threads import processors
 
 RESULTS = "results.json"
+# What the noise of a frame is made of.
+OF_THE_MASK = "; a frame has S divided by the open fraction of the mask's square"
 
 
 def at_least(least: int) -> Callable[[str], int]:
@@ -110,15 +112,7 @@ def add_cell_options(
         metavar="MASK",
         help="names or files (default four_hole levin)",
     )
-    parser.add_argument(
-        "--sigmas",
-        nargs="+",
-        type=noise_level,
-        default=list(sigmas),
-        metavar="S",
-        help="noise behind an open aperture; a frame has S divided by the open fraction of the "
-        f"mask's square (default {' '.join(f'{sigma:g}' for sigma in sigmas)})",
-    )
+    add_sigmas_option(parser, sigmas)
     parser.add_argument(
         "--methods",
         nargs="+",
@@ -168,19 +162,59 @@ def add_cell_options(
         metavar="PX",
         help="distance between the bank's patches (default: as the command depth)",
     )
+    add_picture_options(parser)
+    add_result_options(parser)
+
+
+def add_sigmas_option(
+    parser: argparse.ArgumentParser, sigmas: Sequence[float], what: str = OF_THE_MASK
+) -> None:
+    """Add the noises to measure at; `what` says to what they apply."""
+    parser.add_argument(
+        "--sigmas",
+        nargs="+",
+        type=noise_level,
+        default=list(sigmas),
+        metavar="S",
+        help=f"noise behind an open aperture{what} "
+        f"(default {' '.join(f'{sigma:g}' for sigma in sigmas)})",
+    )
+
+
+def add_cases_option(
+    parser: argparse.ArgumentParser,
+    textures: Sequence[str],
+    cases: Sequence[tuple[str, float]],
+    share: str,
+) -> None:
+    """Add pairs of texture and noise to measure with; `share` is the part that masks let pass."""
+    parser.add_argument(
+        "--cases",
+        nargs="+",
+        type=texture_and_noise(textures),
+        default=list(cases),
+        metavar="TEXTURE,S",
+        help=f"texture ({', '.join(textures)}) and noise behind an open aperture, which is "
+        f"divided by the {share} "
+        f"(default {' '.join(f'{texture},{sigma:g}' for texture, sigma in cases)})",
+    )
+
+
+def add_picture_options(parser: argparse.ArgumentParser) -> None:
+    """Add which pictures are the textures, and whether the noise in them is told."""
     parser.add_argument(
         "--images", metavar="DIR", help="pictures of this folder instead of the built-in ones"
     )
     parser.add_argument(
         "--known-noise",
         action="store_true",
-        help="tell the bank the noise; by default it estimates the noise of each frame",
+        help="tell the methods of this project the noise; by default they estimate it in each "
+        "frame",
     )
-    add_result_options(parser)
 
 
-def add_result_options(parser: argparse.ArgumentParser) -> None:
-    """Add what all benchmarks of accuracy have."""
+def add_jobs_option(parser: argparse.ArgumentParser) -> None:
+    """Add how many processes share the work."""
     parser.add_argument(
         "--jobs",
         type=at_least(1),
@@ -188,6 +222,11 @@ def add_result_options(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="processes (default: one for each processor)",
     )
+
+
+def add_result_options(parser: argparse.ArgumentParser) -> None:
+    """Add what all benchmarks of accuracy have."""
+    add_jobs_option(parser)
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
     parser.add_argument("--output", metavar="DIR", help=f"write {RESULTS} and figures (PNG)")
 

@@ -21,13 +21,14 @@ from coded_aperture_ros.cli.bench_methods import (
     simple_methods,
 )
 from coded_aperture_ros.cli.bench_options import (
+    add_cases_option,
     add_numbers,
+    add_picture_options,
     add_result_options,
     check_result_options,
     folder_of,
     report,
     table,
-    texture_and_noise,
 )
 
 _MASKS = ("two_hole", "three_hole", "four_hole")
@@ -79,16 +80,7 @@ def add_parser(subparsers: Any) -> None:
         metavar="MASK",
         help=f"names or files (default {' '.join(_MASKS)})",
     )
-    parser.add_argument(
-        "--cases",
-        nargs="+",
-        type=texture_and_noise(_TEXTURES),
-        default=list(_CASES),
-        metavar="TEXTURE,S",
-        help=f"texture ({', '.join(_TEXTURES)}) and noise behind an open aperture, which is "
-        "divided by the open fraction of the mask's square "
-        f"(default {' '.join(f'{texture},{sigma:g}' for texture, sigma in _CASES)})",
-    )
+    add_cases_option(parser, _TEXTURES, _CASES, "open fraction of the mask's square")
     parser.add_argument(
         "--methods",
         nargs="+",
@@ -107,14 +99,7 @@ def add_parser(subparsers: Any) -> None:
         ("repeats", 1, 1, "planes of every level, with other crops and noise"),
         ("seed", 0, 0, "of the first repeat"),
     )
-    parser.add_argument(
-        "--images", metavar="DIR", help="pictures of this folder instead of the built-in ones"
-    )
-    parser.add_argument(
-        "--known-noise",
-        action="store_true",
-        help="tell the noise; by default it is estimated in each frame",
-    )
+    add_picture_options(parser)
     add_result_options(parser)
 
 

@@ -6,7 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.bench_options import noise_level, table
+from coded_aperture_ros.cli.bench_options import (
+    add_sigmas_option,
+    table,
+)
 from coded_aperture_ros.cli.checks import check_output, check_suffix
 from coded_aperture_ros.cli.options import add_config_options, config_from
 
@@ -35,14 +38,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "masks", nargs="*", metavar="NAME|FILE", help="masks (default: all with names)"
     )
-    parser.add_argument(
-        "--sigmas",
-        nargs="+",
-        type=noise_level,
-        default=[0.001, 0.005],
-        metavar="S",
-        help="noise behind an open aperture, above 0 (default 0.001 0.005)",
-    )
+    add_sigmas_option(parser, (0.001, 0.005), ", above 0")
     parser.add_argument(
         "--figure", metavar="PNG", help="draw the distances of all pairs of levels (figure 9.5)"
     )

@@ -6,11 +6,13 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.bench_options import at_least, table
+from coded_aperture_ros.cli.bench_options import (
+    add_jobs_option,
+    table,
+)
 from coded_aperture_ros.cli.checks import check_output, check_suffix
 from coded_aperture_ros.cli.options import add_config_options, config_from
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.threads import processors
 
 _SHOWN = 8
 _EPILOG = """examples:
@@ -42,13 +44,7 @@ def add_parser(subparsers: Any) -> None:
         metavar="NPZ",
         help="file that the search is saved to after every round, and goes on from",
     )
-    parser.add_argument(
-        "--jobs",
-        type=at_least(1),
-        default=processors(),
-        metavar="N",
-        help="processes (default: one for each processor)",
-    )
+    add_jobs_option(parser)
     parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",

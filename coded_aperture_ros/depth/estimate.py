@@ -12,6 +12,7 @@ from coded_aperture_ros.depth.frame import brightness_at, grey_image, usable_win
 from coded_aperture_ros.depth.levels import (
     agreeing_levels,
     confidence_of,
+    is_unsure,
     knows_nothing,
     level_evidence,
     level_probability,
@@ -64,7 +65,7 @@ class DepthEstimate:
 
     def where_confident(self, threshold: float) -> "DepthEstimate":
         """Return the estimate with NaN wherever the confidence is below the threshold."""
-        unknown = ~(self.confidence >= threshold) | ~(self.confidence > 0)
+        unknown = is_unsure(self.confidence, threshold)
 
         def known(values: NDArray[np.float32]) -> NDArray[np.float32]:
             values = values.copy()
@@ -315,7 +316,7 @@ class DepthEstimator:
         noise = seen.noise * float(np.sqrt(seen.channels))
         if config.unknown == "nearest":
             nearest = nearest_plausible_level(probability, self._nearest_first)[np.ix_(*patches)]
-            unsure = ~(confidence >= config.confidence_threshold) | (confidence == 0)
+            unsure = is_unsure(confidence, config.confidence_threshold)
             level = np.where(unsure, self._nearer(level, nearest), level)
             estimate = self._in_metres(level, confidence, noise).enlarged(size)
         else:

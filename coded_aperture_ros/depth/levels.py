@@ -142,6 +142,11 @@ def confidence_of(
     return np.asarray(confidence.astype(np.float32).reshape(-1)[index], np.float32)
 
 
+def is_unsure(confidence: NDArray[np.float32], threshold: float) -> NDArray[np.bool_]:
+    """Return where the depth counts as unknown: below the threshold, and where nothing is known."""
+    return ~(confidence >= threshold) | ~(confidence > 0)
+
+
 def knows_nothing(probability: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return which patches [rows, columns] find all levels alike."""
     alike: NDArray[np.bool_] = probability.max(axis=-1) <= 1.0001 / probability.shape[-1]

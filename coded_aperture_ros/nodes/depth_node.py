@@ -194,11 +194,10 @@ class DepthNode(FrameNode[Image]):
         if self.wants("depth/confidence"):
             confidence = image_from_array(estimate.confidence, "32FC1", header)
             self.send("depth/confidence", confidence)
-        info = self._info.info(self._model.camera, frame_size, size, header)
-        if self.wants("depth/camera_info"):
-            self.send("depth/camera_info", info)
         config = self.configs[DepthNodeConfig]
-        if self.wants("depth/points"):
+        if self.wants("depth/camera_info") or self.wants("depth/points"):
+            info = self._info.info(self._model.camera, frame_size, size, header)
+            self.send("depth/camera_info", info)
             points = points_of_depth(
                 depth_m, estimate.confidence, info.p, self._range.near_m, config.points_far_m
             )

@@ -14,6 +14,9 @@ from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverriding
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.nodes.local_topics import LocalTopics
 
+# History, depth and reliability of every topic are parameters.
+_OVERRIDABLE = QoSOverridingOptions.with_default_policies()
+
 
 class Outputs:
     """The topics of a node's results, with QoS that users can change by parameters.
@@ -138,32 +141,23 @@ class Inputs:
 
 
 def _publisher(node: Node, message_type: type, topic: str) -> Any:
-    qos = QoSProfile(
-        depth=5, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE
-    )
+    qos = _qos(5, ReliabilityPolicy.RELIABLE)
     with _readable_qos_errors(topic):
-        return node.create_publisher(
-            message_type,
-            topic,
-            qos,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
+        return node.create_publisher(message_type, topic, qos, qos_overriding_options=_OVERRIDABLE)
 
 
 def _subscription(
     node: Node, message_type: type, topic: str, callback: Callable[[Any], None]
 ) -> Any:
-    qos = QoSProfile(
-        depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT
-    )
+    qos = _qos(1, ReliabilityPolicy.BEST_EFFORT)
     with _readable_qos_errors(topic):
         return node.create_subscription(
-            message_type,
-            topic,
-            callback,
-            qos,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            message_type, topic, callback, qos, qos_overriding_options=_OVERRIDABLE
         )
+
+
+def _qos(depth: int, reliability: ReliabilityPolicy) -> QoSProfile:
+    return QoSProfile(depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=reliability)
 
 
 @contextmanager
