@@ -16,8 +16,9 @@ from coded_aperture_ros.share import share_directory
 
 _LAST_LINES = 15
 # Niceness counts only within a session (Linux autogroups), so the nodes stay in this one; Ctrl-C
-# then reaches them too, which they take as it is meant.
-_NICENESS = {"deblur_node": 19}
+# then reaches them too, which they take as it is meant. With 19 a busy computer would leave
+# deblurring nothing.
+_NICENESS = {"deblur_node": 5}
 # Four processes with a segment of 64 MiB each.
 SHARED_MEMORY_MB = 280
 
