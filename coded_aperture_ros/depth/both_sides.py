@@ -1,0 +1,147 @@
+"""Levels on both sides of the focal plane: the evidence of the two, and how sure the side is."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank import FilterBank, PatchGrid
+from coded_aperture_ros.depth.config import DepthConfig
+from coded_aperture_ros.depth.levels import knows_nothing, level_probability
+from coded_aperture_ros.depth.regularize import regularized_level
+from coded_aperture_ros.depth.side import SideFinder
+
+# Neighbours within a window's side, whose levels differ by at most so many, are one surface.
+_ONE_SURFACE = 3.0
+# A patch's odds of the sides count with this share beside the evidence of its spectrum: windows
+# overlap, and a texture that is mistaken for another side's is so in many of them.
+_SHARE = 0.15
+# Natural logarithm of the odds for as many windows' worth of evidence, fitted on planes with
+# photographs so that the confidence of a side is how often it is right.
+_ODDS = 3.0
+
+
+def has_both_sides(bank: FilterBank) -> bool:
+    """Return whether a bank has levels before and behind the focal plane."""
+    sizes = bank.blur_sizes_px
+    return bool(bank.stack.in_pixels and (sizes < 0).any() and (sizes > 0).any())
+
+
+def with_side(
+    evidence: NDArray[np.float32],
+    finder: SideFinder,
+    bank: FilterBank,
+    grey: NDArray[np.float32],
+    grid: PatchGrid,
+    noise: float,
+    config: DepthConfig,
+    brightness: NDArray[np.float32] | None = None,
+) -> NDArray[np.float32]:
+    """Return the evidence against every level, where it is the spectrum's, with that of its phase.
+
+    Spectra tell the size of the blur. With the PSF of that size, and with the same turned by 180
+    degrees, the frame is deconvolved, and the levels of the less likely side get evidence against
+    them.
+
+    Parameters
+    ----------
+    evidence : ndarray, float32 [rows, columns, L]
+        See `level_evidence`; the same for both sides.
+    finder : SideFinder
+    bank : FilterBank
+    grey : ndarray, float32 [height, width]
+        The frame.
+    grid : PatchGrid
+    noise : float
+        Standard deviation of the frame's noise.
+    config : DepthConfig
+        Says how blur sizes are regularised.
+    brightness : ndarray, float32 [rows, columns], optional
+        See `regularized_level`.
+    """
+    sizes = bank.blur_sizes_px
+    longer = np.sign(sizes[np.abs(sizes).argmax()])
+    one_side = np.flatnonzero(sizes * longer >= 0)
+    of_sizes = evidence[..., one_side]
+    chosen = np.rint(regularized_level(of_sizes, config, brightness)).astype(np.intp)
+    far = finder.log_odds(grey, grid, one_side[chosen], noise)
+    far[knows_nothing(level_probability(evidence))] = 0
+    far *= np.float32(_SHARE)
+    # -log p of each level's side.
+    against = np.logaddexp(0, -np.sign(sizes).astype(np.float32) * far[..., None])
+    both = evidence + against
+    both -= both.min(axis=-1, keepdims=True)
+    return np.asarray(both, np.float32)
+
+
+def given_side(
+    probability: NDArray[np.float32], blur_sizes_px: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Return the probability of every level if its side of the focal plane is the right one.
+
+    Takes and gives [rows, columns, L]. Patches that know nothing are left as they are.
+    """
+    given = probability.copy()
+    for side in (blur_sizes_px > 0, blur_sizes_px <= 0):
+        total = given[..., side].sum(axis=-1, keepdims=True)
+        given[..., side] /= np.maximum(total, np.float32(1e-12))
+    known = ~knows_nothing(probability)
+    return np.where(known[..., None], given, probability)
+
+
+def far_log_odds(
+    evidence: NDArray[np.float32], blur_sizes_px: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Return the logarithm of the odds that a patch is beyond the focal plane [rows, columns].
+
+    From the evidence against all levels [rows, columns, L]: a blur size that only one side has
+    tells it too.
+    """
+    probability = level_probability(evidence)
+    far, near = (
+        probability[..., side].sum(axis=-1) + np.float32(1e-6)
+        for side in (blur_sizes_px > 0, blur_sizes_px <= 0)
+    )
+    return np.asarray(np.log(far / near), np.float32)
+
+
+def side_confidence(
+    level: NDArray[np.float32],
+    log_odds: NDArray[np.float32],
+    grid: PatchGrid,
+    blur_sizes_px: NDArray[np.float64],
+) -> NDArray[np.float32]:
+    """Return how likely it is that each patch is on the side of its level.
+
+    What the patch and its neighbours on the same surface tell, together.
+
+    Parameters
+    ----------
+    level : ndarray, float32 [rows, columns]
+        Chosen fractional levels.
+    log_odds : ndarray, float32 [rows, columns]
+        See `far_log_odds`.
+    grid : PatchGrid
+    blur_sizes_px : ndarray, float64 [L]
+        Signed.
+
+    Returns
+    -------
+    ndarray, float32 [rows, columns]
+        Probability.
+    """
+    reach = max(round(grid.window_px / grid.stride_px), 1)
+    offsets = range(-reach, reach + 1)
+    total = np.zeros_like(log_odds)
+    rows, columns = level.shape
+    around = np.pad(level, reach, constant_values=np.float32(np.inf))
+    told = np.pad(log_odds, reach)
+    for down in offsets:
+        for right in offsets:
+            window = (
+                slice(reach + down, reach + down + rows),
+                slice(reach + right, reach + right + columns),
+            )
+            total += np.where(np.abs(around[window] - level) <= _ONE_SURFACE, told[window], 0)
+    # Windows that overlap tell the same again.
+    independent = total / reach**2
+    side = np.sign(np.interp(level, np.arange(len(blur_sizes_px)), blur_sizes_px))
+    return np.asarray(1 / (1 + np.exp(-side * _ODDS * independent)), np.float32)
