@@ -152,7 +152,7 @@ def measure_cell(cell: Cell) -> Measured:
         camera, near_m, far_m = plane_camera(mask)
         frames = _planes(cell, camera)
     else:
-        frame, camera, near_m, far_m = _scene(cell, mask)
+        frame, camera, near_m, far_m = _scene(cell, cell.scene, mask)
         frames = iter([frame])
     estimators = SideEstimators(camera, near_m, far_m, cell.levels, config)
     estimates, seconds = [], []
@@ -197,12 +197,12 @@ def _planes(cell: Cell, camera: Any) -> Any:
         )
 
 
-def _scene(cell: Cell, mask: Any) -> tuple[Any, Any, float, float]:
+def _scene(cell: Cell, folder: Path, mask: Any) -> tuple[Any, Any, float, float]:
     """Return a coded frame of a scene, its camera and the ends of the depths that are learned."""
     from coded_aperture_ros.evaluation.ray_traced import load_sharp
     from coded_aperture_ros.evaluation.sides import focused_between, make_scene_on_both_sides
 
-    sharp, depth_m = load_sharp(cell.scene)
+    sharp, depth_m = load_sharp(folder)
     near_m, far_m = float(depth_m.min()), float(depth_m.max())
     camera = focused_between(mask, near_m, far_m, depth_m.shape, _SCENE_REACH_PX)
     frame = make_scene_on_both_sides(sharp, depth_m, camera, cell.sigma, cell.seed)

@@ -19,17 +19,14 @@ from coded_aperture_ros.optics import PsfStack
 # leaves unexplained, as a share of the texture at every frequency.
 _SLOPE = 2.4
 _CONTRAST = 0.02
-_MODEL_ERROR = 0.06
+_MODEL_ERROR = 0.1
 # Gradients below this share of their surroundings' are taken to be of one size.
 _FLOOR = 0.1
 _TINY = 1e-12
 # Natural logarithm of the odds for a difference of one in the mean logarithm of the squared
-# gradients; less from this blur size on, where fewer of the window's gradients are independent.
-# Fitted on planes with photographs.
-_GAIN = 25.0
-_GAIN_UP_TO_PX = 6.0
-# No patch is surer than this.
-_MOST_LOG_ODDS = 6.0
+# gradients, on planes with photographs. No patch is surer than the second.
+_GAIN = 15.0
+MOST_LOG_ODDS = 6.0
 _MARGIN_PX = 16
 
 
@@ -52,7 +49,7 @@ class SideFinder:
             scipy.fft.next_fast_len(side + 2 * self._margin_px, real=True) for side in shape
         )
         self._padded = height, width
-        self._prior = _CONTRAST * power_spectrum(_SLOPE, self._padded)
+        self._prior = (_CONTRAST * power_spectrum(_SLOPE, self._padded)).astype(np.float32)
         self._transfers: dict[int, NDArray[np.complex64]] = {}
 
     def log_odds(
@@ -84,12 +81,11 @@ class SideFinder:
         spectrum = scipy.fft.rfft2(self._extended(grey))
         found = np.zeros(level.shape, np.float32)
         for one in np.unique(level):
-            size_px = float(self._stack.blur_sizes_px[one])
             clearer = self._clearer(spectrum, int(one), noise)
-            gain = np.sign(size_px) * _GAIN * min(1.0, _GAIN_UP_TO_PX / max(abs(size_px), 1e-6))
+            own_side = np.float32(np.sign(self._stack.blur_sizes_px[one]))
             here = level == one
-            found[here] = gain * mean_at(clearer, grid, grid.window_px)[here]
-        return np.clip(found, -_MOST_LOG_ODDS, _MOST_LOG_ODDS)
+            found[here] = own_side * _GAIN * mean_at(clearer, grid, grid.window_px)[here]
+        return np.clip(found, -MOST_LOG_ODDS, MOST_LOG_ODDS)
 
     def _clearer(
         self, spectrum: NDArray[np.complex64], level: int, noise: float
@@ -100,8 +96,8 @@ class SideFinder:
         """
         transfer = self._transfer(level)
         passed = transfer.real**2 + transfer.imag**2
-        gain = self._prior / ((passed + np.float32(_MODEL_ERROR**2)) * self._prior + noise**2)
-        filtered = spectrum * gain.astype(np.float32)
+        power = (passed + np.float32(_MODEL_ERROR**2)) * self._prior + np.float32(noise**2)
+        filtered = spectrum * (self._prior / power)
         own = self._gradients(filtered * np.conj(transfer))
         other = self._gradients(filtered * transfer)  # the transform of the PSF turned around
         logarithm = np.zeros(self._shape, np.float32)
