@@ -9,7 +9,7 @@ from coded_aperture_ros.depth.levels import knows_nothing, level_probability
 from coded_aperture_ros.depth.regularize import regularized_level
 from coded_aperture_ros.depth.side import MOST_LOG_ODDS, SideFinder
 
-# Neighbours within a window's side, whose levels differ by at most so many, are one surface.
+# Neighbours within a window's side whose levels differ by at most so many are one surface.
 _ONE_SURFACE = 3.0
 # A patch's odds of the sides count with this share beside the evidence of its spectrum: windows
 # overlap, and a texture that looks like one of the other side does so in many of them. From
@@ -53,7 +53,7 @@ def with_side(
 
     Spectra tell the size of the blur. With the PSF of that size, and with the same turned by 180
     degrees, the frame is deconvolved, and the levels of the less likely side get evidence against
-    them.
+    them: by the mean of the patch and its neighbours with about the same blur.
 
     Parameters
     ----------
@@ -78,6 +78,8 @@ def with_side(
     chosen = np.rint(regularized_level(of_sizes, config, brightness)).astype(np.intp)
     far = finder.log_odds(grey, grid, one_side[chosen], noise)
     far[knows_nothing(level_probability(evidence))] = 0
+    levels = chosen.astype(np.float32)
+    far = _around(far, levels, grid) / _around(np.ones_like(far), levels, grid)
     far *= np.float32(_SHARE)
     # -log p of each level's side.
     against = np.logaddexp(0, -np.sign(sizes).astype(np.float32) * far[..., None])
@@ -112,7 +114,7 @@ def far_log_odds(
     probability = level_probability(evidence)
     far, near = (
         probability[..., side].sum(axis=-1) + np.float32(1e-6)
-        for side in (blur_sizes_px > 0, blur_sizes_px <= 0)
+        for side in (blur_sizes_px > 0, blur_sizes_px < 0)
     )
     # A size mistaken for one that only one side has must not outweigh all that phases tell.
     surest = np.float32(_SHARE * MOST_LOG_ODDS)
@@ -144,20 +146,29 @@ def side_confidence(
     ndarray, float32 [rows, columns]
         Probability.
     """
-    reach = max(round(grid.window_px / grid.stride_px), 1)
-    offsets = range(-reach, reach + 1)
-    total = np.zeros_like(log_odds)
-    rows, columns = level.shape
-    around = np.pad(level, reach, constant_values=np.float32(np.inf))
-    told = np.pad(log_odds, reach)
-    for down in offsets:
-        for right in offsets:
-            window = (
-                slice(reach + down, reach + down + rows),
-                slice(reach + right, reach + right + columns),
-            )
-            total += np.where(np.abs(around[window] - level) <= _ONE_SURFACE, told[window], 0)
     # Windows that overlap tell the same again.
-    independent = total / reach**2
+    independent = _around(log_odds, level, grid) / _reach(grid) ** 2
     side = np.sign(np.interp(level, np.arange(len(blur_sizes_px)), blur_sizes_px))
     return np.asarray(1 / (1 + np.exp(-side * independent)), np.float32)
+
+
+def _reach(grid: PatchGrid) -> int:
+    """Return how many patches away the next window begins."""
+    return max(round(grid.window_px / grid.stride_px), 1)
+
+
+def _around(
+    values: NDArray[np.float32], level: NDArray[np.float32], grid: PatchGrid
+) -> NDArray[np.float32]:
+    """Return the sum over each patch and its neighbours on the same surface [rows, columns]."""
+    reach = _reach(grid)
+    rows, columns = values.shape
+    other_levels = np.pad(level, reach, constant_values=np.float32(np.inf))
+    others = np.pad(values, reach)
+    total = np.zeros_like(values)
+    for down in range(2 * reach + 1):
+        for right in range(2 * reach + 1):
+            shifted = slice(down, down + rows), slice(right, right + columns)
+            same = np.abs(other_levels[shifted] - level) <= _ONE_SURFACE
+            total += np.where(same, others[shifted], 0)
+    return total
