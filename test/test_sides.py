@@ -301,7 +301,7 @@ def test_the_benchmark_tells_masks_apart(capsys):
     assert zhou["right"] > 0.9 and zhou["confident_right"] > 0.95
     assert zhou["level_error"] < 1.5 * zhou["told_level_error"] + 0.5
     assert disc["confident"] == 0 and disc["confident_right"] is None
-    assert "side told" in call(capsys, *arguments[:-2], "--levels", 9, "--jobs", 1).out
+    assert "side told" in call(capsys, *arguments[:-3], 2, "--levels", 9, "--jobs", 1).out
 
 
 def test_a_wrong_side_is_scored_as_one(camera):
