@@ -87,7 +87,6 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--regularize",
         nargs="+",
-        choices=list(bank_methods().values()),
         default=["semiglobal"],
         metavar="HOW",
         help="none, semiglobal, ... (default semiglobal)",
@@ -119,6 +118,11 @@ def run(args: argparse.Namespace) -> int:
     check_result_options(args)
     for mask in args.masks:
         mask_of(mask)
+    for how in args.regularize:
+        if how not in bank_methods().values():
+            args.usage_error(
+                f"--regularize: unknown {how!r}, use some of {', '.join(bank_methods().values())}"
+            )
     cells = [
         Cell(
             mask, scene, sigma, how, args.levels, args.planes, args.repeats, args.seed, args.images
