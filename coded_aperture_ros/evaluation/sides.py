@@ -19,7 +19,7 @@ from coded_aperture_ros.evaluation.textures import Textures
 from coded_aperture_ros.optics import Camera, Mask, render_psf
 from coded_aperture_ros.simulation import render_coded_frame
 
-# A blur of less has no side: of the named masks, none is told from itself turned around.
+# The side of less blur is not scored: it matters little, and of no blur there is none.
 SMALLEST_BLUR_PX = 2.0
 REACH_PX = 20.0
 PLANE_SIZE = (240, 320)
