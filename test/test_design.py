@@ -148,6 +148,7 @@ OPENINGS = {  # number, width over extent, closed parts that fall out; counted b
     "three_hole": (3, 4 / 17, 0),
     "four_hole": (4, 4 / 17, 0),
     "four_wide": (4, 2 / 11, 2),
+    "three_wide": (3, 3 / 7, 0),
     "annulus": (1, 1 / 8, 1),
     "veeraraghavan": (8, 1 / 7, 1),
     "zhou": (2, 3 / 11, 0),

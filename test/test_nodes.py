@@ -11,12 +11,14 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
 from rclpy.qos import ReliabilityPolicy, qos_profile_sensor_data
 from ros_helpers import Ros, wait_until
+from scipy.signal import fftconvolve
 from sensor_msgs.msg import CameraInfo, Image
 from small_camera import CAMERA, DEPTH_M, HEIGHT, NEAR_M, WIDTH, coded_wall, write_model
 from std_msgs.msg import Header
 
 from coded_aperture_ros.depth import map_size
 from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.evaluation import load_textures
 from coded_aperture_ros.nodes.deblur_node import DeblurNode
 from coded_aperture_ros.nodes.depth_node import DepthNode
 from coded_aperture_ros.nodes.frame_model import ModelConfig, guarded_range
@@ -26,7 +28,7 @@ from coded_aperture_ros.nodes.messages import (
     pixels_from_frame,
     stamp_ns,
 )
-from coded_aperture_ros.optics import load_camera
+from coded_aperture_ros.optics import load_camera, render_psf
 
 DEPTH_OUTPUTS = {
     "depth/image": Image,
@@ -391,6 +393,28 @@ def test_a_bank_is_learned_at_start(ros, model, coded):
     assert abs(np.nanmedian(depth) - DEPTH_M) < 0.06 * DEPTH_M
 
 
+@pytest.mark.parametrize("depth_m", [1.45, 3.2])
+def test_both_sides_of_the_focal_plane_by_the_camera_file_alone(ros, model, tmp_path, depth_m):
+    both = {"side": "both", "focus_distance_m": 2.0, "mask_extent_mm": 80.0}
+    (tmp_path / "camera.yaml").write_text(
+        yaml.safe_dump({**CAMERA, **both, "mask": {"name": "three_wide"}})
+    )
+    camera = load_camera(tmp_path / "camera.yaml")
+    psf = render_psf(camera.mask, float(camera.blur_size_px(depth_m)))
+    shape = HEIGHT + len(psf) - 1, WIDTH + len(psf) - 1
+    (texture,) = load_textures("natural").crops(1, *shape, np.random.default_rng(4))
+    frame = fftconvolve(texture, psf, mode="valid")
+    frame += 0.001 * np.random.default_rng(0).standard_normal(frame.shape)
+    learned = {**model, "camera_file": str(tmp_path / "camera.yaml"), "bank": "", "levels": 21}
+    learned.update({"learn.window_px": 48, "learn.rank": 64, "stride_px": 8})
+    chain = Chain(ros, learned, subscribe=("depth/image",))
+    depth = array_from_image(
+        chain.result(image_from_array(frame.astype(np.float32), "32FC1", Header()))
+    )
+    assert np.isfinite(depth).mean() > 0.3
+    assert np.nanmedian(depth) == pytest.approx(depth_m, rel=0.06)
+
+
 @pytest.mark.parametrize(
     ("near_m", "far_m", "is_what_it_is_called"),
     [(1.3, 1.7, np.isposinf), (1.15, 1.7, np.isposinf), (2.4, 4.0, np.isneginf)],
@@ -414,6 +438,7 @@ def test_a_learned_bank_knows_what_is_out_of_range(
         ({}, 1.05, 100.0),
         ({"focus_distance_m": 5.0, "side": "near"}, 1.3, 4.0),
         ({"focus_distance_m": 5.0, "side": "near"}, 1.3, 4.99),
+        ({"focus_distance_m": 2.0, "side": "both"}, 1.3, 4.0),
     ],
 )
 def test_a_level_is_learned_on_either_side_of_the_range(tmp_path, changes, near_m, far_m):

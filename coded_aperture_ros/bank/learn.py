@@ -75,7 +75,8 @@ def learn_bank_for_camera(
     near_m, far_m : float
         Depth range, metres.
     levels : int
-        Number of levels, equally spaced in blur size; at least 2.
+        Number of levels, equally spaced in blur size; at least 2. On both sides of the focus they
+        mirror each other, so that one end may lie a little beyond the range.
     config, progress, prior
         See `learn_bank`.
 
@@ -109,7 +110,7 @@ def stack_for_camera(
         there are fewer than two levels.
     """
     check_levels(levels)
-    blur_sizes = np.linspace(*camera.blur_range_px(near_m, far_m), levels)
+    blur_sizes = _blur_sizes(camera, near_m, far_m, levels)
     depths_m = camera.depth_m(blur_sizes)
     if not np.isfinite(depths_m).all():
         raise InputError(
@@ -117,6 +118,24 @@ def stack_for_camera(
             "differ little in blur, 100 times the distance of the focus is enough"
         )
     return dataclasses.replace(render_psf_stack(camera.mask, blur_sizes), depths_m=depths_m)
+
+
+def _blur_sizes(camera: Camera, near_m: float, far_m: float, levels: int) -> NDArray[np.float64]:
+    """Return equally spaced blur sizes; with the focus among them, the same on both sides of it.
+
+    Else the side with a level just there would seem the likelier one. To have that, one end may lie
+    a little beyond the range.
+    """
+    smallest_px, largest_px = camera.blur_range_px(near_m, far_m)
+    if not smallest_px < 0 < largest_px:
+        return np.linspace(smallest_px, largest_px, levels)
+    if levels < 3:
+        raise InputError(f"levels on both sides of the focus: at least 3 are needed, got {levels}")
+    beyond = np.arange(1, levels - 1)
+    steps = np.maximum(largest_px / beyond, -smallest_px / (levels - 1 - beyond))
+    steps[steps * beyond >= max(camera.blur_at_infinity_px, largest_px * (1 + 1e-9))] = np.inf
+    best = int(steps.argmin())
+    return np.arange(beyond[best] - levels + 1, beyond[best] + 1) * steps[best]
 
 
 def learn_bank(

@@ -100,8 +100,8 @@ def _with_new_depths(
 ) -> FilterBank:
     """Return the same filters with the depths that their blur sizes have now."""
     sizes_px = bank.blur_sizes_px
-    side = 1 if camera.side == "far" else -1
-    if np.sign(np.median(sizes_px)) != side:
+    side = {"far": 1, "near": -1, "both": 0}[camera.side]
+    if np.sign(np.median(sizes_px)) * side < 0:
         raise InputError(
             f"the bank's blur sizes are {sizes_px.min():.1f} to {sizes_px.max():.1f} px, on the "
             f"other side of the focus than the camera's side {camera.side}: give a depth range, "

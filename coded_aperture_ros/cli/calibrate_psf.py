@@ -109,6 +109,11 @@ def run(args: argparse.Namespace) -> int:
     elif len(depths_m) != len(names):
         args.usage_error(f"--depths: {len(depths_m)} for {len(names)} pictures: give one for each")
     camera = None if args.camera is None else load_camera(args.camera)
+    if camera is not None and camera.side == "both":
+        raise InputError(
+            f"{args.camera}: side: both: PSFs of one side are measured at a time, give a camera "
+            "file with side: far or near"
+        )
     mask = _mask(args.mask) if args.mask is not None else camera.mask if camera else None
     sign = None if camera is None else 1.0 if camera.side == "far" else -1.0
     expected = None if camera is None or depths_m is None else camera.blur_size_px(depths_m)

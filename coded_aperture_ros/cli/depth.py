@@ -46,7 +46,8 @@ def add_parser(subparsers: Any) -> None:
         help="estimate depth from coded frames",
         description="Estimate the depth of every pixel of coded frames. Beside each depth "
         "map x.npy its confidence, 0 to 1, is written to x.confidence.npy; where that is low, the "
-        "depth is unknown (NaN, or 0 in a 16-bit PNG).",
+        "depth is unknown (NaN, or 0 in a 16-bit PNG). With levels on both sides of the focal "
+        "plane (side: both), x.side.npy has the probability that the side is right.",
         epilog=_EPILOG,
     )
     add_input_options(
@@ -75,6 +76,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     import numpy as np
 
+    from coded_aperture_ros.depth import has_both_sides
     from coded_aperture_ros.optics import load_camera
 
     check_motion_options(args)
@@ -88,7 +90,13 @@ def run(args: argparse.Namespace) -> int:
             estimator = moving(args, estimator)
     expected = expected_motion_of(args, camera)
     summaries: list[dict[str, Any]] = []
-    frames = named_frames(args, ".npy", _SUFFIXES, lambda path: _outputs(path, args))
+    both_sides = has_both_sides(estimator.bank)
+    frames = named_frames(
+        args,
+        ".npy",
+        _SUFFIXES,
+        lambda path: [*_outputs(path, args), *([_side_output(path)] if both_sides else [])],
+    )
     for frame in frames:
         start = time.perf_counter()
         with naming(frame.source):
@@ -136,6 +144,11 @@ def _in_words(summary: dict[str, Any]) -> str:
     return f"{found}; noise {summary['noise']:.4f}, {summary['seconds']:.2f} s"
 
 
+def _side_output(path: Path) -> Path:
+    """Return the file of how sure the side of the focal plane is."""
+    return path.with_suffix(f".side{'.npy' if path.suffix.lower() == '.npy' else '.tiff'}")
+
+
 def _outputs(path: Path, args: argparse.Namespace) -> list[Path]:
     """Return the files of depth and confidence, and of pictures and motion if wanted."""
     # A PNG cannot hold floating values.
@@ -162,6 +175,8 @@ def _write(path: Path, values: Any, estimate: Any, args: argparse.Namespace) -> 
     depth_path, confidence_path, *others = _outputs(path, args)
     write_depth(depth_path, values)
     write_depth(confidence_path, estimate.confidence)
+    if estimate.side_confidence is not None:
+        write_depth(_side_output(path), estimate.side_confidence)
     if args.pictures:
         write_image(others[0], depth_picture(values, unit="" if args.levels else "m"))
         write_image(others[1], confidence_picture(estimate.confidence))

@@ -1,6 +1,7 @@
 """Options that choose what estimates depth, which `depth` and `bag` share."""
 
 import argparse
+import logging
 from typing import Any
 
 from coded_aperture_ros.cli.checks import naming
@@ -81,7 +82,7 @@ def estimator_of(args: argparse.Namespace, camera: Any) -> Any:
     """
     from coded_aperture_ros.bank import load_bank
     from coded_aperture_ros.calibration import with_noise_of
-    from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+    from coded_aperture_ros.depth import DepthConfig, DepthEstimator, side_warning
     from coded_aperture_ros.simple import (
         SimpleConfig,
         SimpleEstimator,
@@ -103,4 +104,7 @@ def estimator_of(args: argparse.Namespace, camera: Any) -> Any:
         )
     with naming(args.camera or args.bank):
         config = with_noise_of(camera, config_from(args, DepthConfig))
-        return DepthEstimator(bank, config, camera)
+        estimator = DepthEstimator(bank, config, camera)
+    if warning := side_warning(bank):
+        logging.warning(warning)
+    return estimator

@@ -3,6 +3,7 @@
 import argparse
 import dataclasses
 import json
+import logging
 import math
 import time
 from pathlib import Path
@@ -52,7 +53,7 @@ def add_parser(subparsers: Any) -> None:
         "mask and a range of blur sizes, from a model of natural images and the mask or measured "
         "PSFs, or, where these are not known, from pictures of textured planes at known depths "
         "parallel to the sensor. Masks with names: levin, two_hole, three_hole, "
-        "four_hole, annulus, veeraraghavan, zhou, mura, disc, four_wide.",
+        "four_hole, annulus, veeraraghavan, zhou, mura, disc, four_wide, three_wide.",
         epilog=_EPILOG,
     )
     source = parser.add_mutually_exclusive_group(required=True)
@@ -126,6 +127,7 @@ def _add_config_options(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     from coded_aperture_ros.bank import save_bank
+    from coded_aperture_ros.depth import side_warning
 
     _check_usage(args)
     check_suffix(args.output, [".npz"])
@@ -137,6 +139,8 @@ def run(args: argparse.Namespace) -> int:
     else:
         bank = _learned(args) if args.budget_ms is None else _tuned(args, trials)
     save_bank(bank, args.output)
+    if warning := side_warning(bank):
+        logging.warning(warning)
     summary = {
         "output": args.output,
         "levels": bank.levels,
@@ -265,6 +269,10 @@ def _tuned(args: argparse.Namespace, trials: list[Any]) -> Any:
     from coded_aperture_ros.optics import load_camera
 
     camera, prior = load_camera(args.camera), _prior(args)
+    if camera.side == "both":
+        raise InputError(
+            f"{args.camera}: side: both: a bank is tuned for one side only, leave out --budget-ms"
+        )
     near_m, far_m = args.depth_range
     levels = _LEVELS if args.levels is None else args.levels
 

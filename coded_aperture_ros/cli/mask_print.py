@@ -26,7 +26,7 @@ def add_parser(subparsers: Any) -> None:
         help="draw a mask at true scale, with a ruler and cut lines (PDF or SVG)",
         description="Draw a mask on an A4 page at true scale, with rulers in mm, cut lines and a "
         "mark for the way it sits in the lens. Masks with names: levin, two_hole, three_hole, "
-        "four_hole, annulus, veeraraghavan, zhou, mura, disc, four_wide.",
+        "four_hole, annulus, veeraraghavan, zhou, mura, disc, four_wide, three_wide.",
         epilog=_EPILOG,
     )
     parser.add_argument(

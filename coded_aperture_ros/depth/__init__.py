@@ -1,5 +1,6 @@
 """Depth of every pixel from one coded frame and a filter bank."""
 
+from coded_aperture_ros.depth.both_sides import has_both_sides, side_warning
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.estimate import (
     DepthEstimate,
@@ -28,8 +29,10 @@ __all__ = [
     "estimate_noise",
     "estimate_video",
     "filled",
+    "has_both_sides",
     "high_power",
     "map_size",
     "nearest_obstacle_m",
     "points_of_depth",
+    "side_warning",
 ]

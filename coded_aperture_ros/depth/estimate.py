@@ -7,6 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import FilterBank, PatchGrid
+from coded_aperture_ros.depth.both_sides import (
+    far_log_odds,
+    given_side,
+    has_both_sides,
+    side_confidence,
+    with_side,
+)
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.frame import brightness_at, grey_image, usable_windows
 from coded_aperture_ros.depth.levels import (
@@ -21,6 +28,7 @@ from coded_aperture_ros.depth.levels import (
 from coded_aperture_ros.depth.noise import estimate_noise, high_power
 from coded_aperture_ros.depth.regularize import regularized_level
 from coded_aperture_ros.depth.rims import DEPTH_EDGE_PX, trim_foreground
+from coded_aperture_ros.depth.side import SideFinder
 from coded_aperture_ros.depth.stages import Stages
 from coded_aperture_ros.depth.still import StillAverage, frames_of_patches
 from coded_aperture_ros.depth.temporal import TemporalFilter
@@ -55,6 +63,9 @@ class DepthEstimate:
         is right to one level).
     noise : float
         Standard deviation of the noise of one channel, as estimated or given; without shot noise.
+    side_confidence : ndarray or None
+        Probability, in [0, 1], that the level is on the right side of the focal plane; it is part
+        of `confidence`. None if the bank has levels of one side only.
     """
 
     level: NDArray[np.float32]
@@ -62,6 +73,7 @@ class DepthEstimate:
     depth_m: NDArray[np.float32] | None
     confidence: NDArray[np.float32]
     noise: float
+    side_confidence: NDArray[np.float32] | None = dataclasses.field(default=None, kw_only=True)
 
     def where_confident(self, threshold: float) -> "DepthEstimate":
         """Return the estimate with NaN wherever the confidence is below the threshold."""
@@ -94,6 +106,7 @@ class DepthEstimate:
             blur_size_px=large(self.blur_size_px),
             depth_m=None if self.depth_m is None else large(self.depth_m),
             confidence=large(self.confidence),
+            side_confidence=None if self.side_confidence is None else large(self.side_confidence),
         )
 
 
@@ -175,6 +188,8 @@ class DepthEstimator:
         at_levels = self._blur_sizes_px if self._depths_m is None else self._depths_m
         self._nearest_first = np.argsort(at_levels[::_STEPS], kind="stable")
         self._engine: Engine | None = None
+        self._both_sides = has_both_sides(bank)
+        self._sides: SideFinder | None = None
         self._shape: tuple[int, ...] = ()
         frames = self.config.temporal_frames
         self._still = StillAverage(2 * frames) if frames else None
@@ -282,7 +297,22 @@ class DepthEstimator:
         evidence = level_evidence(energies, self.bank.evidence_repetition)
         evidence[~seen.usable] = 0
         stages.lap("energies")
+        if self._both_sides:
+            evidence = self._with_side(seen, grey, evidence)
+            stages.lap("side")
         return evidence
+
+    def _with_side(
+        self, seen: Observation, grey: NDArray[np.float32], evidence: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Return the evidence with what the phase of the frame tells of the side."""
+        if self._sides is None:
+            self._sides = SideFinder(self.bank.stack, grey.shape)
+        noise = seen.noise
+        if seen.shot_variance is not None:
+            noise = float(np.sqrt(noise**2 + np.median(seen.shot_variance)))
+        args = (evidence, self._sides, self.bank, grey, seen.grid, noise, self.config)
+        return with_side(*args, seen.brightness)
 
     def decide(
         self,
@@ -303,10 +333,21 @@ class DepthEstimator:
         # Patches that are far apart do not need every pixel of a large map.
         finest = -(-np.array(shape) // max(grid.stride_px // _MAP_PX_PER_PATCH, 1))
         drawn = (min(size[0], int(finest[0])), min(size[1], int(finest[1])))
+        of_patches = level
         level = self._trimmed(upsample(level, grid, shape, drawn), drawn[1] / shape[1])
         patches = nearest_patches(grid, shape, drawn)
         probability = level_probability(evidence)
-        confidence = confidence_of(level, probability, patches, self._agreement)
+        of_side = None
+        if self._both_sides:
+            sizes = self.bank.blur_sizes_px
+            of_side = side_confidence(of_patches, far_log_odds(evidence, sizes), grid, sizes)
+            of_side = of_side[np.ix_(*patches)]
+            given = given_side(probability, sizes)
+            confidence = confidence_of(level, given, patches, self._agreement)
+            # Where both sides' depths are about the same, either is right.
+            confidence *= np.where(self._sides_agree(level), 1, of_side)
+        else:
+            confidence = confidence_of(level, probability, patches, self._agreement)
         unknown = knows_nothing(probability)
         if config.regularize != "none" and not unknown.all():
             unknown[:] = False  # they have the level of their neighbours
@@ -318,9 +359,9 @@ class DepthEstimator:
             nearest = nearest_plausible_level(probability, self._nearest_first)[np.ix_(*patches)]
             unsure = is_unsure(confidence, config.confidence_threshold)
             level = np.where(unsure, self._nearer(level, nearest), level)
-            estimate = self._in_metres(level, confidence, noise).enlarged(size)
+            estimate = self._in_metres(level, confidence, noise, of_side).enlarged(size)
         else:
-            estimate = self._in_metres(level, confidence, noise)
+            estimate = self._in_metres(level, confidence, noise, of_side)
             estimate = estimate.where_confident(config.confidence_threshold).enlarged(size)
         self.stages.lap("map")
         return estimate
@@ -333,7 +374,7 @@ class DepthEstimator:
             # Only now: a frame that does not suit leaves the old plan as it is.
             self.close()
             self.reset()
-            self._engine, self._shape = engine, shape
+            self._engine, self._shape, self._sides = engine, shape, None
         return self._engine
 
     def _new_engine(self, shape: tuple[int, ...], stride_px: int) -> Engine:
@@ -362,12 +403,29 @@ class DepthEstimator:
         nearer = np.minimum if self._nearest_first[0] == 0 else np.maximum
         return np.asarray(nearer(level, other.astype(np.float32)))
 
+    def _sides_agree(self, level: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Return where the level of the other side with the same blur is as good."""
+        sizes, index = self.bank.blur_sizes_px, np.arange(self.bank.levels)
+        order = np.argsort(sizes)
+        mirrored = np.rint(np.interp(-sizes, sizes[order], index[order]))
+        first, last = self._agreement
+        agree = (first <= mirrored) & (mirrored <= last)
+        # A size that the other side does not have is on this one.
+        agree &= (-sizes >= sizes.min()) & (-sizes <= sizes.max())
+        return np.asarray(agree[np.rint(level).astype(np.intp)])
+
     def _in_metres(
-        self, level: NDArray[np.float32], confidence: NDArray[np.float32], noise: float
+        self,
+        level: NDArray[np.float32],
+        confidence: NDArray[np.float32],
+        noise: float,
+        of_side: NDArray[np.float32] | None = None,
     ) -> DepthEstimate:
         index = (level * _STEPS + np.float32(0.5)).astype(np.int32)
         depth = None if self._depths_m is None else self._depths_m[index]
-        return DepthEstimate(level, self._blur_sizes_px[index], depth, confidence, noise)
+        return DepthEstimate(
+            level, self._blur_sizes_px[index], depth, confidence, noise, side_confidence=of_side
+        )
 
     def _tables(self) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         """Return blur sizes and depths of fractional levels, `_STEPS` for each."""
@@ -393,8 +451,8 @@ class DepthEstimator:
                 f"camera: its mask {self.camera.mask.name} is not the one that the bank was "
                 f"learned for ({self.bank.learned_from}): learn the bank for this camera"
             )
-        wrong_side = self.bank.blur_sizes_px * (1 if self.camera.side == "far" else -1) < 0
-        if wrong_side.any():
+        far = {"far": 1, "near": -1, "both": 0}[self.camera.side]
+        if (self.bank.blur_sizes_px * far < 0).any():
             raise InputError(
                 f"camera: its side is {self.camera.side}, but the bank has blur sizes of the other "
                 "side of the focal plane: learn the bank for this camera"

@@ -98,6 +98,32 @@ def stair_maps(maps: Mapping[str, NDArray[np.floating]], levels: int, path: Path
     _save(figure, path)
 
 
+def signed_blur_maps(maps: Mapping[str, NDArray[np.floating]], path: PathLike) -> None:
+    """Draw maps of signed blur side by side: red before the focal plane, blue beyond it.
+
+    Parameters
+    ----------
+    maps : mapping of str to ndarray of float, shape [rows, columns]
+        Titles, and blur sizes in px; NaN is grey.
+    path : path-like
+    """
+    rows, columns = next(iter(maps.values())).shape
+    largest = max(float(np.nanmax(np.abs(values), initial=0.0)) for values in maps.values())
+    height = _PANEL_INCHES * rows / columns
+    figure = _figure(_PANEL_INCHES * len(maps) + 0.8, height + 0.3)
+    drawn = None
+    for axes, (title, values) in zip(
+        figure.subplots(1, len(maps), squeeze=False)[0], maps.items(), strict=True
+    ):
+        axes.set_facecolor(_UNKNOWN)
+        drawn = axes.imshow(values, cmap="RdBu", vmin=-largest, vmax=largest)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        axes.set_title(title, fontsize=9)
+    figure.colorbar(drawn, ax=figure.axes, label="blur, px", fraction=0.03)
+    _save(figure, path)
+
+
 def edge_profiles(
     panels: Mapping[str, Mapping[str, NDArray[np.floating]]],
     truths: Mapping[str, NDArray[np.floating]],

@@ -46,10 +46,11 @@ class RayTracedScene:
         InputError
             Naming what is missing.
         """
+        sharp, depth_m = load_sharp(folder)
         return cls(
             coded=read_image(folder / f"coded_{mask_name}_linear.png") * _FULL_SCALE,
-            sharp=read_image(folder / "aif_linear.png") * _FULL_SCALE,
-            depth_m=read_depth(folder / "depth_0.1mm.png", _DEPTH_UNIT_M),
+            sharp=sharp,
+            depth_m=depth_m,
             camera=scene_camera(folder, mask_name),
         )
 
@@ -91,6 +92,26 @@ class RayTracedScene:
             return np.full(jump.shape, np.inf)
         distance: NDArray[np.float64] = ndimage.distance_transform_edt(~jump)
         return distance
+
+
+def load_sharp(folder: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Read a still's sharp picture and its depth, for cameras other than that of the scene.
+
+    Returns
+    -------
+    sharp : ndarray, float32 [rows, columns, 3]
+        Linear light.
+    depth_m : ndarray, float32 [rows, columns]
+
+    Raises
+    ------
+    InputError
+        Naming what is missing.
+    """
+    return (
+        read_image(folder / "aif_linear.png") * _FULL_SCALE,
+        read_depth(folder / "depth_0.1mm.png", _DEPTH_UNIT_M),
+    )
 
 
 def scene_camera(folder: Path, mask_name: str) -> Camera:

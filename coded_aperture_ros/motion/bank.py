@@ -16,6 +16,7 @@ from coded_aperture_ros.bank import (
     power_spectrum,
 )
 from coded_aperture_ros.bank.factor import common_basis, fitted_coefficients
+from coded_aperture_ros.depth import has_both_sides
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.motion.kernels import Motions, blurred_psf, motion_kernel
 from coded_aperture_ros.optics import PsfStack
@@ -75,8 +76,14 @@ def learn_motion_bank(
     Raises
     ------
     InputError
-        If the longest motion and the largest PSF together do not fit the bank's window.
+        If the longest motion and the largest PSF together do not fit the bank's window, or the
+        bank has levels on both sides of the focal plane.
     """
+    if has_both_sides(bank):
+        raise InputError(
+            "motion: the bank has levels on both sides of the focal plane, which are not told "
+            "apart where things move: learn a bank for one side"
+        )
     psfs, fourier = bank.stack.psfs, bank.fourier
     width = psfs.shape[-1] + len(motion_kernel((motions.longest_px, 0.0))) - 1
     if width > bank.window_px:

@@ -23,6 +23,7 @@ from coded_aperture_ros.depth import (
     map_size,
     nearest_obstacle_m,
     points_of_depth,
+    side_warning,
 )
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.motion import (
@@ -149,6 +150,8 @@ class DepthNode(FrameNode[Image]):
                 raise InputError("method: simple has no bank: leave the parameter bank empty")
             learn = self._neighbour_model
         self._model = FrameModel(self, self.configs, learn)
+        if warning := side_warning(self._model.bank):
+            self.get_logger().warning(warning)
         self._estimator = self._new_estimator()
 
     def unload(self) -> None:

@@ -252,7 +252,8 @@ def guarded_range(camera: Camera, config: ModelConfig) -> tuple[float, float, in
     beyond = np.array([ends[0] - step, ends[1] + step])
     # At most half of the way to the plane in focus or to infinity.
     focus_end = np.argmin(np.abs(ends))
-    if abs(beyond[focus_end]) < abs(ends[focus_end]) / 2 or beyond[focus_end] * ends[0] < 0:
+    nearer_focus = abs(beyond[focus_end]) < abs(ends[focus_end]) / 2
+    if ends[0] * ends[1] > 0 and (nearer_focus or beyond[focus_end] * ends[0] < 0):
         beyond[focus_end] = ends[focus_end] / 2
     beyond[1] = min(beyond[1], (ends[1] + camera.blur_at_infinity_px) / 2)
     near_m, far_m = camera.depth_m(beyond)

@@ -34,7 +34,7 @@ _NUMBERS: dict[str, tuple[type, Option]] = {
     "noise": (float, Option("Noise of one channel in the dark, linear light", "", 0, 0.5)),
     "noise_gain": (float, Option("Variance of shot noise per unit of light", "", 0, 0.1)),
 }
-_SIDE = Option("Side of the focal plane that the scene is on", choices=("far", "near"))
+_SIDE = Option("Side of the focal plane that the scene is on", choices=("far", "near", "both"))
 _PHYSICAL = ("focal_length_mm", "pixel_pitch_um")
 _OPTIONAL = ("lens_mask_distance_mm", "side", "camera_info", "noise", "noise_gain")
 _KEYS = (*_NUMBERS, "side", "mask", "camera_info")
@@ -58,8 +58,9 @@ class Camera:
         Outer extent of the mask's grid, `M` of thesis eq. 3.28.
     lens_mask_distance_mm : float
         How far the mask sits in front of the lens; negative between lens and sensor.
-    side : {"far", "near"}
-        Which side of the focal plane the scene is on: beyond it, or between it and the lens.
+    side : {"far", "near", "both"}
+        Which side of the focal plane the scene is on: beyond it, between it and the lens, or both;
+        with both, the mask has to tell them apart, see `Mask.asymmetry`.
     focal_length_mm : float or None
         Focal length of the lens, where it is known: f-numbers need it, and what becomes of the
         image distance when the focus is moved.
@@ -185,14 +186,14 @@ class Camera:
                 f"beyond {nearest:g} m"
             )
         focus = self.focus_distance_m
-        if near_m < focus < far_m:
+        if self.side != "both" and near_m < focus < far_m:
             raise InputError(
                 f"the focus at {focus:g} m lies inside the depth range {near_m:g} to {far_m:g} m: "
                 "points on the two sides of the focal plane give the same blur (a symmetric mask, "
                 "or any power spectrum, cannot tell them apart); focus before or beyond the range, "
-                "or narrow the range to one side"
+                "narrow the range to one side, or, with an asymmetric mask, set side: both"
             )
-        if (self.side == "far") != (near_m >= focus):
+        if self.side != "both" and (self.side == "far") != (near_m >= focus):
             actual, other = ("near", "in front of") if self.side == "far" else ("far", "beyond")
             raise InputError(
                 f"the depth range {near_m:g} to {far_m:g} m lies {other} the focus at {focus:g} m "

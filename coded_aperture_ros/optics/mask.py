@@ -31,6 +31,8 @@ _FOUR_WIDE = """
 11110001111 10010001111 10110001101 11110001011 00000000000 00000000000
 00000000000 11110000111 11110000011 11110001001 11110001111
 """
+# Found likewise, and by how well the side of the focal plane can be told.
+_THREE_WIDE = "0000111 0000111 0000111 0000000 1110111 1110111 1110111"
 _MURA_PRIME = 13
 # The holes are 4/17 of the extent wide; half cells are needed to centre one of them.
 _HOLE_GRID = 34
@@ -74,6 +76,16 @@ class Mask:
     def open_fraction(self) -> float:
         """Open area over the area of the square that bounds the mask's grid."""
         return float(self.transmission.sum(dtype=np.float64)) / max(self.transmission.shape) ** 2
+
+    @property
+    def asymmetry(self) -> float:
+        """How far the mask is from itself turned by 180 degrees: 0 the same, 1 nothing in common.
+
+        Share of the open area that is closed in the turned one. Without any, the blur is the same
+        before and behind the focal plane, and the side cannot be told.
+        """
+        grid = self.transmission.astype(np.float64)
+        return float(np.abs(grid - grid[::-1, ::-1]).sum() / (2 * grid.sum()))
 
     @property
     def digest(self) -> str:
@@ -192,5 +204,6 @@ _BUILDERS: dict[str, Callable[[], NDArray[np.float32]]] = {
     "mura": _mura,
     "disc": lambda: _ring(0.0),
     "four_wide": lambda: _grid(_FOUR_WIDE),
+    "three_wide": lambda: _grid(_THREE_WIDE),
 }
 MASK_NAMES = tuple(_BUILDERS)

@@ -1,0 +1,144 @@
+"""Which side of the focal plane the scene is on, from the phase of its spectrum (thesis 9.3).
+
+A power spectrum is the same before and behind the focal plane, where the PSF is the mask and the
+mask turned by 180 degrees. Only the phase differs: deconvolved with the PSF of the right side a
+patch is a photograph, whose gradients are few and large. With the other side's, which has the same
+gain at every frequency, its phases are scrambled, and the same power is spread over all pixels.
+"""
+
+import cv2
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank import PatchGrid, power_spectrum
+from coded_aperture_ros.depth.frame import mean_at
+from coded_aperture_ros.optics import PsfStack
+
+# Photographs' power spectrum: fall-off and contrast; and what one blur size for the whole frame
+# leaves unexplained, as a share of the texture at every frequency.
+_SLOPE = 2.4
+_CONTRAST = 0.02
+_MODEL_ERROR = 0.1
+# Gradients below this share of their surroundings' are taken to be of one size.
+_FLOOR = 0.1
+_TINY = 1e-12
+# Natural logarithm of the odds for a difference of one in the mean logarithm of the squared
+# gradients, on planes with photographs. No patch is surer than the second.
+_GAIN = 15.0
+MOST_LOG_ODDS = 6.0
+_MARGIN_PX = 16
+
+
+class SideFinder:
+    """Tells the two sides of the focal plane apart, for frames of one size.
+
+    Parameters
+    ----------
+    stack : PsfStack
+        L levels; their blur sizes are signed.
+    shape : (int, int)
+        Rows and columns of the frames.
+    """
+
+    def __init__(self, stack: PsfStack, shape: tuple[int, ...]) -> None:
+        self._stack = stack
+        self._shape = shape
+        self._margin_px = max(_MARGIN_PX, stack.psfs.shape[-1] // 2)
+        height, width = (
+            scipy.fft.next_fast_len(side + 2 * self._margin_px, real=True) for side in shape
+        )
+        self._padded = height, width
+        self._prior = (_CONTRAST * power_spectrum(_SLOPE, self._padded)).astype(np.float32)
+        self._transfers: dict[int, NDArray[np.complex64]] = {}
+
+    def log_odds(
+        self,
+        grey: NDArray[np.float32],
+        grid: PatchGrid,
+        level: NDArray[np.intp],
+        noise: float,
+    ) -> NDArray[np.float32]:
+        """Return how much likelier it is that each patch lies beyond the focal plane.
+
+        Parameters
+        ----------
+        grey : ndarray, float32 [height, width]
+            Linear light, without NaN.
+        grid : PatchGrid
+            Where the patches lie, rows by columns.
+        level : ndarray of int [rows, columns]
+            A level with each patch's blur size, of either side.
+        noise : float
+            Standard deviation.
+
+        Returns
+        -------
+        ndarray, float32 [rows, columns]
+            Natural logarithm of the odds of the far side, against the near one; 0 where the two
+            PSFs are the same.
+        """
+        spectrum = scipy.fft.rfft2(self._extended(grey))
+        found = np.zeros(level.shape, np.float32)
+        for one in np.unique(level):
+            clearer = self._clearer(spectrum, int(one), noise)
+            own_side = np.float32(np.sign(self._stack.blur_sizes_px[one]))
+            here = level == one
+            found[here] = own_side * _GAIN * mean_at(clearer, grid, grid.window_px)[here]
+        return np.clip(found, -MOST_LOG_ODDS, MOST_LOG_ODDS)
+
+    def _clearer(
+        self, spectrum: NDArray[np.complex64], level: int, noise: float
+    ) -> NDArray[np.float32]:
+        """Return by how much clearer the frame is by a level's PSF than by that turned around.
+
+        The logarithm of the ratio of the squared gradients, of every pixel [height, width].
+        """
+        transfer = self._transfer(level)
+        passed = transfer.real**2 + transfer.imag**2
+        power = (passed + np.float32(_MODEL_ERROR**2)) * self._prior + np.float32(noise**2)
+        filtered = spectrum * (self._prior / power)
+        own = self._gradients(filtered * np.conj(transfer))
+        other = self._gradients(filtered * transfer)  # the transform of the PSF turned around
+        logarithm = np.zeros(self._shape, np.float32)
+        for mine, others in zip(own, other, strict=True):
+            side = (2 * self._margin_px + 1,) * 2
+            floor = _FLOOR**2 / 2 * cv2.blur(mine + others, side) + _TINY
+            logarithm += cv2.log((others + floor) / (mine + floor))
+        return logarithm
+
+    def _gradients(self, transform: NDArray[np.complex64]) -> list[NDArray[np.float32]]:
+        """Return the squared differences to the right and down, within the frame."""
+        margin = self._margin_px
+        sharp = scipy.fft.irfft2(transform, self._padded)
+        height, width = self._shape
+        rows, columns = slice(margin, margin + height), slice(margin, margin + width)
+        here = sharp[rows, columns]
+        right = sharp[rows, margin + 1 : margin + 1 + width]
+        below = sharp[margin + 1 : margin + 1 + height, columns]
+        return [np.square(right - here), np.square(below - here)]
+
+    def _transfer(self, level: int) -> NDArray[np.complex64]:
+        if level not in self._transfers:
+            psf = self._stack.psfs[level]
+            padded = np.zeros(self._padded, np.float32)
+            padded[: len(psf), : len(psf)] = psf
+            centred = np.roll(padded, (-(len(psf) // 2),) * 2, axis=(0, 1))
+            self._transfers[level] = scipy.fft.rfft2(centred)
+        return self._transfers[level]
+
+    def _extended(self, grey: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the frame with a margin, in which each border turns into the opposite one.
+
+        For a transform, which goes on with the first row after the last: a step between them would
+        ring as far as filters reach.
+        """
+        extended = grey - grey.mean()
+        for axis, full in enumerate(self._padded):
+            extended = np.moveaxis(extended, axis, 0)
+            more = full - len(extended)
+            share = (0.5 - 0.5 * np.cos(np.pi * (np.arange(more) + 0.5) / more))[:, None]
+            between = extended[-1] * (1 - share) + extended[0] * share
+            extended = np.concatenate([extended, between.astype(np.float32)])
+            extended = np.moveaxis(np.roll(extended, self._margin_px, axis=0), 0, axis)
+        return extended
