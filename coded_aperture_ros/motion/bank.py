@@ -41,11 +41,21 @@ class MotionBank:
     motions : Motions
     product : FilterBank
         Its levels are all pairs: those of the first motion, then of the second, and so on.
+    expected : ndarray, float32 [slopes, M, L, K]
+        Power of texture of unit contrast behind every pair, model error included: the weights
+        of `product` without a common basis are made of it.
     """
 
     still: FilterBank
     motions: Motions
     product: FilterBank
+    expected: NDArray[np.float32]
+
+    @property
+    def exact(self) -> bool:
+        """Whether the common basis is that of all frequencies."""
+        counts = np.count_nonzero(self.still.fourier.multiplicity)
+        return self.product.basis_vectors >= int(counts)
 
     @property
     def levels(self) -> int:
@@ -123,7 +133,8 @@ def learn_motion_bank(
         truncation_error=float("nan"),
         learned_from=f"{bank.learned_from}, {len(motions)} motions",
     )
-    return MotionBank(bank, motions, product)
+    expected = expected.reshape(-1, len(motions), bank.levels, fourier.size)
+    return MotionBank(bank, motions, product, expected)
 
 
 def _expected_powers(

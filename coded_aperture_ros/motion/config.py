@@ -35,9 +35,17 @@ class MotionConfig:
         read_only=True,
     )
     motion_rank: int = option(
-        256,
+        128,
         "Vectors in the common basis of the filters of all motions.",
         minimum=1,
+        maximum=4096,
+        read_only=True,
+    )
+    finalists: int = option(
+        5,
+        "Motions, the likeliest of each patch, that are compared under several textures, without "
+        "the common basis; 0: it decides.",
+        minimum=0,
         maximum=4096,
         read_only=True,
     )
