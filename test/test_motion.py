@@ -19,7 +19,7 @@ from coded_aperture_ros.motion import (
     learn_motion_bank,
     motion_kernel,
 )
-from coded_aperture_ros.motion.bank import _expected_powers
+from coded_aperture_ros.motion.bank import expected_powers
 from coded_aperture_ros.optics import Intrinsics, Mask, render_psf_stack
 
 MASK = Mask.from_rows(["101", "000", "100"])
@@ -112,9 +112,9 @@ def test_opposite_motions_are_one():
     assert motions.distances_px([0.0, 0.0])[0] == 0
 
 
-def test_expected_powers_are_those_of_the_basis(bank):
+def testexpected_powers_are_those_of_the_basis(bank):
     some = Motions(MOTION.motions.vectors_px[[0, 5]])
-    powers = _expected_powers(bank.still, some, iter)
+    powers = expected_powers(bank.still, some, iter)
     for motion, level in ((0, 1), (1, 4)):
         vector = tuple(some.vectors_px[motion])
         psf = blurred_psf(bank.still.stack.psfs[level], vector)

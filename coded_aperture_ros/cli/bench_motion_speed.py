@@ -29,7 +29,7 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "speed",
         help="time of a frame with and without motion",
-        description="Median processor time of a frame, one thread: of defocus alone, with all motions, "
+        description="Median processor time of a frame, one thread: of defocus alone, with all "
         "and with those that a gyroscope lets expect. The three take turns on the same frame.",
         epilog=_EPILOG,
     )

@@ -97,7 +97,7 @@ def learn_motion_bank(
         )
     prior = dataclasses.replace(bank.prior, contrasts=bank.prior.contrasts[::_EVERY_CONTRAST])
     ratios = bank.ratios[::_EVERY_CONTRAST]
-    expected = _expected_powers(bank, motions, progress) + np.float32(prior.model_error**2)
+    expected = expected_powers(bank, motions, progress) + np.float32(prior.model_error**2)
     shape = expected.shape[:-1]  # [slopes, M * L]
     expected = expected.reshape(-1, fourier.size)
     multiplicity = fourier.multiplicity.astype(np.float64)
@@ -137,10 +137,10 @@ def learn_motion_bank(
     return MotionBank(bank, motions, product, expected)
 
 
-def _expected_powers(
+def expected_powers(
     bank: FilterBank,
     motions: Motions,
-    progress: Callable[[Iterable[Any]], Iterable[Any]],
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> NDArray[np.float32]:
     """Return the expected power of every product of motion and level [slopes, M * L, K].
 

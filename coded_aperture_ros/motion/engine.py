@@ -9,6 +9,7 @@ from coded_aperture_ros.bank.bank import LEAST_EXCESS, OWN_NOISE
 from coded_aperture_ros.engine import NumpyEngine
 from coded_aperture_ros.motion.bank import MotionBank
 from coded_aperture_ros.motion.exact import ExactEnergies
+from coded_aperture_ros.motion.refine import most_likely_motion
 
 # Patches whose hypotheses are tried at a time: what a product of matrices gives for one motion
 # should stay in a core's cache until the least is found.
@@ -57,6 +58,7 @@ class MotionEngine(NumpyEngine):
         finalists: int = 0,
     ) -> None:
         super().__init__(bank.product, shape, stride_px, threads)
+        self._motion_bank = bank
         self._motions, self._levels = len(bank.motions), bank.levels
         ratios = len(bank.product.ratios)
         # Motion by motion: [M, ratios, slopes * L, R + 1].
@@ -186,9 +188,30 @@ class MotionEngine(NumpyEngine):
             texture[patches] = np.min(least, axis=0).argmin(axis=0)
 
         self._workers.each(find, tasks)
+        exact.take(self._spectra(), texture, tried)
+
+    def _spectra(self) -> NDArray[np.float32]:
+        """Return the products of the transforms in units of the noise, and 1 [patches, F + 1]."""
         spectra = self._products * self._precision.reshape(-1, 1)
         spectra[:, -1] = 1
-        exact.take(spectra, texture, tried)
+        return spectra
+
+    def refined(
+        self,
+        noise: float | NDArray[np.float32],
+        patches: NDArray[np.bool_],
+        start_px: NDArray[np.float64],
+        tolerance_px: float,
+    ) -> NDArray[np.float64]:
+        """Return the likeliest motion of some patches [rows, columns]; see `most_likely_motion`.
+
+        Of the frame, and with the noise, that `of_all` took last.
+        """
+        spectra = self._spectra()[patches.ravel()]
+        tried = self._tried(noise)
+        return most_likely_motion(
+            self._motion_bank, self._plan, spectra, tried, start_px, tolerance_px
+        )
 
     def _excess_of(
         self, motion: int, tried: slice, seen: NDArray[np.float32], thread: int

@@ -124,7 +124,7 @@ class MotionEstimator(DepthEstimator):
         if candidates is not None:
             evidence = self._evidence(engine.of_some(noise, candidates), seen)
             self.stages.lap("energies")
-            self._separated = separate_expected(evidence, candidates)
+            self._separated = separate_expected(evidence, candidates, self.motion_bank.motions)
         else:
             evidence = self._evidence(engine.of_all(noise), seen)
             still = np.flatnonzero(np.hypot(*self.motion_bank.motions.vectors_px.T) == 0)
@@ -132,7 +132,14 @@ class MotionEstimator(DepthEstimator):
                 of_still = self._evidence(engine.of_still(noise)[None], seen)[0]
                 evidence[still] = of_still + evidence[still].min(axis=1, keepdims=True)
             self.stages.lap("energies")
-            self._separated = separate(evidence, self.motion_bank.motions, self.motion)
+            self._separated = separate(
+                evidence,
+                self.motion_bank.motions,
+                self.motion,
+                seen.grid.window_px / seen.grid.stride_px,
+            )
+            if self.motion.refinement_px:
+                self._refine(engine, noise, seen)
         self.stages.lap("motion")
         return self._separated.level_evidence
 
@@ -147,8 +154,8 @@ class MotionEstimator(DepthEstimator):
         estimate = super().decide(seen, evidence, own, size)
         separated = self._separated
         assert separated is not None  # `evidence_of` has been called
-        motions, grid, shape = self.motion_bank.motions, seen.grid, seen.grey.shape
-        vectors = self._towards_expected(motions.vectors_px[separated.motion], grid, shape)
+        grid, shape = seen.grid, seen.grey.shape
+        vectors = self._towards_expected(separated.vectors_px[separated.motion], grid, shape)
         confidence = self._motion_confidence(separated)
         vectors[~seen.usable], confidence[~seen.usable] = np.nan, 0
         rows, columns = nearest_patches(grid, shape, estimate.level.shape)
@@ -162,6 +169,18 @@ class MotionEstimator(DepthEstimator):
             motion_confidence=drawn(confidence),
             searched=self._searched,
         )
+
+    def _refine(self, engine: MotionEngine, noise: NDArray[np.float32], seen: Observation) -> None:
+        """Search for what exactly the motions are that occur."""
+        separated = self._separated
+        assert separated is not None  # as the caller knows
+        vectors = separated.vectors_px.copy()
+        for index in np.unique(separated.motion):
+            here = (separated.motion == index) & seen.usable
+            if vectors[index].any() and here.any():
+                tolerance = self.motion.refinement_px
+                vectors[index] = engine.refined(noise, here, vectors[index], tolerance)
+        self._separated = dataclasses.replace(separated, vectors_px=vectors)
 
     def _motion_confidence(self, separated: Separated) -> NDArray[np.float32]:
         """Return the probability of what is as good as each patch's motion [rows, columns]."""
