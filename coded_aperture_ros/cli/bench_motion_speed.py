@@ -30,7 +30,8 @@ def add_parser(subparsers: Any) -> None:
         "speed",
         help="time of a frame with and without motion",
         description="Median processor time of a frame, one thread: of defocus alone, with all "
-        "and with those that a gyroscope lets expect. The three take turns on the same frame.",
+        "motions, and with those that a gyroscope lets expect. The three take turns on the same "
+        "frame.",
         epilog=_EPILOG,
     )
     add_size_option(parser, _SIZE)
