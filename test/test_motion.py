@@ -305,7 +305,9 @@ def test_finalists_of_some_motions_are_those_of_all(bank):
     near = np.broadcast_to([2, 1, 3], (rows, columns, 3))
     some = engine.of_some(0.001, near)
     assert (some.min(axis=1).argmin(axis=0) == 0).mean() > 0.95
-    assert np.median(some.min(axis=(0, 1)) - every) == pytest.approx(0, abs=0.01 * float(np.ptp(some)))
+    assert np.median(some.min(axis=(0, 1)) - every) == pytest.approx(
+        0, abs=0.01 * float(np.ptp(some))
+    )
 
 
 def test_products_of_another_engine_do_for_defocus_alone(bank):

@@ -16,8 +16,6 @@ from coded_aperture_ros.motion.refine import most_likely_motion
 _PATCHES = 256
 # Every so many motions are enough to find the texture of a patch.
 _EVERY_MOTION = 4
-# Of motions that are expected, how many are compared under several textures.
-_EXPECTED_FINALISTS = 1
 # Motions, and the patches that they are tried on.
 _Task = tuple[Sequence[int], NDArray[np.intp]]
 
@@ -119,6 +117,8 @@ class MotionEngine(NumpyEngine):
     ) -> NDArray[np.float32]:
         """Return the energies of some motions for each patch [k, L, rows, columns].
 
+        Under one texture each: there are no finalists.
+
         Parameters
         ----------
         noise : float, or ndarray, float32 [rows, columns]
@@ -141,10 +141,7 @@ class MotionEngine(NumpyEngine):
             self._compete(noise, energies, tasks)
         else:
             self._take_textures(self._exact, noise, [(some[:1], part) for some, part in tasks])
-            index = candidates.reshape(-1, count).T
-            energies[:] = self._exact.of_some(index)
-            seeded = np.zeros(index.shape, bool)
-            self._exact.compare_best(energies, index, seeded, _EXPECTED_FINALISTS, 1)
+            energies[:] = self._exact.of_some(candidates.reshape(-1, count).T)
         return energies.reshape(count, self._levels, rows, columns)
 
     def _project_row(self, row: int, thread: int) -> None:

@@ -74,6 +74,8 @@ class MotionEstimator(DepthEstimator):
         self.motion_bank = bank
         self.motion = motion or MotionConfig()
         self._apart_px = bank.motions.distances_px(bank.motions.vectors_px)
+        self._nearest_first = np.argsort(self._apart_px, axis=1, kind="stable")
+        self._field = np.empty((0, 0, 2))
         self._motion_engine: MotionEngine | None = None
         self._expected: ExpectedMotion | None = None
         self._separated: Separated | None = None
@@ -155,7 +157,7 @@ class MotionEstimator(DepthEstimator):
         separated = self._separated
         assert separated is not None  # `evidence_of` has been called
         grid, shape = seen.grid, seen.grey.shape
-        vectors = self._towards_expected(separated.vectors_px[separated.motion], grid, shape)
+        vectors = self._towards_expected(separated.vectors_px[separated.motion])
         confidence = self._motion_confidence(separated)
         vectors[~seen.usable], confidence[~seen.usable] = np.nan, 0
         rows, columns = nearest_patches(grid, shape, estimate.level.shape)
@@ -207,7 +209,7 @@ class MotionEstimator(DepthEstimator):
         if expected.angle_rad is None:
             self._searched = expected.reason
             return None
-        field = expected.at(grid.row_centres, grid.column_centres, shape[1])
+        field = self._field = expected.at(grid.row_centres, grid.column_centres, shape[1])
         longest = float(np.hypot(*np.moveaxis(field, -1, 0)).max())
         if longest > _LONGER * motions.longest_px:
             self._searched = (
@@ -218,17 +220,13 @@ class MotionEstimator(DepthEstimator):
         # As the middle of all that are nearest to the same one, so that there are few sets.
         nearest = motions.distances_px(field).argmin(axis=-1)
         count = min(self.motion.prior_motions, len(motions))
-        order = np.argsort(self._apart_px, axis=1, kind="stable")
-        return np.asarray(order[:, :count][nearest])
+        return np.asarray(self._nearest_first[:, :count][nearest])
 
-    def _towards_expected(
-        self, vectors: NDArray[np.float64], grid: PatchGrid, shape: tuple[int, ...]
-    ) -> NDArray[np.float64]:
+    def _towards_expected(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return motions the way round that is expected."""
-        if self._searched or self._expected is None:
+        if self._searched:
             return vectors.copy()
-        field = self._expected.at(grid.row_centres, grid.column_centres, shape[1])
-        against = np.sum(vectors * field, axis=-1, keepdims=True) < 0
+        against = np.sum(vectors * self._field, axis=-1, keepdims=True) < 0
         return np.where(against, -vectors, vectors)
 
     def _new_engine(self, shape: tuple[int, ...], stride_px: int) -> Engine:

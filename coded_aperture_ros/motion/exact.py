@@ -14,8 +14,8 @@ from coded_aperture_ros.engine import Workers
 from coded_aperture_ros.engine.plan import Plan
 from coded_aperture_ros.motion.bank import MotionBank
 
-# The last few of each patch are compared under so many contrasts, at most.
-MOST_CONTRASTS = 3
+# The last few of each patch are compared under so many contrasts, around the one that suits it.
+_CONTRASTS = 3
 # Patches whose hypotheses are tried at a time.
 _PATCHES = 128
 # Ratios of contrast and noise whose weights are kept, more than one frame needs: noise varies.
@@ -45,7 +45,7 @@ class ExactEnergies:
         self._tried = slice(0, 0)
         size = plan.features.shape[1] + 1
         slopes, motions, levels, _ = bank.expected.shape
-        excess = max(motions, MOST_CONTRASTS * slopes) * levels * _PATCHES
+        excess = max(motions, _CONTRASTS * slopes) * levels * _PATCHES
         self._seen = np.empty((workers.threads, _PATCHES, size), np.float32)
         self._excess = np.empty((workers.threads, excess), np.float32)
 
@@ -100,7 +100,6 @@ class ExactEnergies:
         motions: NDArray[np.intp],
         seeded: NDArray[np.bool_],
         count: int,
-        contrasts: int = MOST_CONTRASTS,
     ) -> None:
         """Lower the energies of the best few motions to the least under several textures.
 
@@ -114,15 +113,13 @@ class ExactEnergies:
             Which are among the few anyway.
         count : int
             How many of each patch.
-        contrasts : int, optional
-            Under how many contrasts, around the one that suits the patch; all slopes of each.
         """
         best = energies.min(axis=1)
         best[seeded] = -np.inf
         count = min(count, len(best))
         rows = np.argpartition(best, count - 1, axis=0)[:count].T.ravel()
         patches = np.repeat(np.arange(best.shape[1]), count)
-        contrasts = min(contrasts, self._tried.stop - self._tried.start)
+        contrasts = min(_CONTRASTS, self._tried.stop - self._tried.start)
         first = self._texture[0, patches] - contrasts // 2
         first = np.clip(first, self._tried.start, self._tried.stop - contrasts)
         keys = np.array([motions[rows, patches], first])
