@@ -9,6 +9,7 @@ from scipy.signal import fftconvolve
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank, learn_bank_for_camera
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.engine import NumpyEngine
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.motion import (
     MotionConfig,
@@ -19,7 +20,9 @@ from coded_aperture_ros.motion import (
     learn_motion_bank,
     motion_kernel,
 )
-from coded_aperture_ros.motion.bank import _expected_powers
+from coded_aperture_ros.motion.bank import expected_powers
+from coded_aperture_ros.motion.engine import MotionEngine
+from coded_aperture_ros.motion.occurring import occurring_motions, refined_motion
 from coded_aperture_ros.optics import Intrinsics, Mask, render_psf_stack
 
 MASK = Mask.from_rows(["101", "000", "100"])
@@ -112,9 +115,9 @@ def test_opposite_motions_are_one():
     assert motions.distances_px([0.0, 0.0])[0] == 0
 
 
-def test_expected_powers_are_those_of_the_basis(bank):
+def testexpected_powers_are_those_of_the_basis(bank):
     some = Motions(MOTION.motions.vectors_px[[0, 5]])
-    powers = _expected_powers(bank.still, some, iter)
+    powers = expected_powers(bank.still, some, iter)
     for motion, level in ((0, 1), (1, 4)):
         vector = tuple(some.vectors_px[motion])
         psf = blurred_psf(bank.still.stack.psfs[level], vector)
@@ -132,9 +135,9 @@ def test_defocus_and_motion_are_identified_together(bank, level, motion):
     found = MotionEstimator(bank, CONFIG, motion=MOTION).estimate(frame)
     assert np.abs(found.level - level).mean() < 0.3
     apart = np.hypot(*np.moveaxis(found.motion_px - vector, -1, 0))
-    assert (apart < 0.01).mean() > 0.9
+    assert (apart < 0.3).mean() > 0.9
     assert found.motion_px.shape == (*frame.shape, 2)
-    assert found.motion_confidence[apart < 0.01].mean() > 0.5
+    assert found.motion_confidence[apart < 0.3].mean() > 0.5
     assert 0 <= found.motion_confidence.min() <= found.motion_confidence.max() <= 1 + 1e-6
     assert found.searched == "nothing expected"
 
@@ -145,7 +148,7 @@ def test_depth_of_what_moves_in_front_of_a_scene():
     (scene,) = scenes.make_moving_scenes(MASK, 0.001, which=[1])
     camera = scenes.scene_camera(MASK)
     still = learn_bank_for_camera(camera, scenes.NEAR_M, scenes.FAR_M, 14)
-    together = learn_motion_bank(still, MotionConfig().motions, 256)
+    together = learn_motion_bank(still, MotionConfig().motions, MotionConfig().motion_rank)
     config = DepthConfig(confidence_threshold=0.0, saturation=2.0)
     alone = scenes.depth_error(DepthEstimator(still, config, camera).estimate(scene.coded), scene)
     found = MotionEstimator(together, config, camera).estimate(scene.coded)
@@ -153,8 +156,8 @@ def test_depth_of_what_moves_in_front_of_a_scene():
     assert error["mean_object"] < 0.5 * alone["mean_object"]
     assert error["mean_scene"] < 1.1 * alone["mean_scene"]
     apart = scenes.motion_error_px(found.motion_px, scene)
-    assert apart["motion_object"] < 4  # of 8.5 px
-    assert apart["motion_scene"] < 2
+    assert apart["motion_object"] < 3  # of 8.5 px
+    assert apart["motion_scene"] < 0.5
 
 
 def test_a_full_basis_is_exact(bank):
@@ -252,12 +255,10 @@ def test_maps_of_another_size(bank):
     found = MotionEstimator(bank, CONFIG, motion=MOTION).estimate(frame, (64, 80))
     assert found.level.shape == found.motion_confidence.shape == (64, 80)
     # In pixels of the frame all the same.
-    assert np.median(found.motion_px[..., 0]) == pytest.approx(6, abs=1e-3)
+    assert np.median(found.motion_px[..., 0]) == pytest.approx(6, abs=0.2)
 
 
 def test_threads_and_subsets_change_nothing(bank):
-    from coded_aperture_ros.motion.engine import MotionEngine
-
     frame = moving_plane(2, (6.0, 0.0))
     engine = MotionEngine(bank, frame.shape, 16)
     engine.project(frame)
@@ -273,3 +274,81 @@ def test_threads_and_subsets_change_nothing(bank):
     some = engine.of_some(0.002, candidates)
     index = np.moveaxis(candidates, -1, 0)[:, None]
     assert some == pytest.approx(np.take_along_axis(every, index, axis=0), abs=1e-2)
+
+
+@pytest.mark.parametrize("noise", [0.0003, 0.003])
+def test_finalists_are_found_as_by_an_exact_search(bank, noise):
+    exact = learn_motion_bank(bank.still, bank.motions, 100_000)
+    coarse = learn_motion_bank(bank.still, bank.motions, 48)
+    frame = moving_plane(3, tuple(bank.motions.vectors_px[5]), seed=3)
+    found = {}
+    for name, of, finalists in (("exact", exact, 0), ("coarse", coarse, 0), ("few", coarse, 4)):
+        engine = MotionEngine(of, frame.shape, 16, finalists=finalists)
+        engine.project(frame)
+        found[name] = engine.of_all(noise).copy()
+    best = {name: energies.min(axis=1).argmin(axis=0) for name, energies in found.items()}
+    assert (best["few"] == best["exact"]).mean() > 0.95
+    if noise < 0.001:  # noise hides what the common basis leaves out
+        assert (best["coarse"] == best["exact"]).mean() < 0.9
+    # What is tried under fewer textures can only seem less likely.
+    excess = found["few"] - found["exact"]
+    assert excess.min() > -1e-3 * float(np.ptp(found["exact"]))
+    least = [found[name].min(axis=(0, 1)) for name in ("few", "exact")]
+    assert (np.abs(least[0] - least[1]) < 1e-3 * np.ptp(found["exact"])).mean() > 0.95
+
+
+def test_finalists_of_some_motions_are_those_of_all(bank):
+    engine = MotionEngine(bank, (HEIGHT, WIDTH), 16, finalists=3)
+    engine.project(moving_plane(2, (6.0, 0.0)))
+    every = engine.of_all(0.001).min(axis=(0, 1))
+    rows, columns = every.shape
+    near = np.broadcast_to([2, 1, 3], (rows, columns, 3))
+    some = engine.of_some(0.001, near)
+    assert (some.min(axis=1).argmin(axis=0) == 0).mean() > 0.95
+    assert np.median(some.min(axis=(0, 1)) - every) == pytest.approx(
+        0, abs=0.01 * float(np.ptp(some))
+    )
+
+
+def test_products_of_another_engine_do_for_defocus_alone(bank):
+    frame = moving_plane(1, (0.0, 0.0))
+    moving = MotionEngine(bank, frame.shape, 16)
+    moving.project(frame)
+    alone = NumpyEngine(bank.still, frame.shape, 16)
+    alone.project(frame)
+    energies = np.moveaxis(alone.energies(0.002), -1, 0)
+    assert moving.of_still(0.002) == pytest.approx(energies, abs=1e-4 * float(np.ptp(energies)))
+
+
+def test_few_motions_occur():
+    motions = MOTION.motions
+    # Texture speaks for another motion, by little, at every patch: all of these are of none.
+    evidence = np.full((len(motions), 12, 16), 10.0, np.float32)
+    evidence[5], evidence[0] = 0.0, 3.0
+    assert occurring_motions(evidence, motions, 3).tolist() == [0]
+    # Something moves.
+    evidence[:, 4:9, 5:12] = 20.0
+    evidence[7, 4:9, 5:12] = 0.0
+    assert occurring_motions(evidence, motions, 3).tolist() == [0, 7]
+
+
+def test_a_motion_is_refined_by_parabolas():
+    motions = Motions.grid(8, [2.0, 4.0, 6.0, 8.0])
+    true = np.array([4.6 * np.cos(1.3), 4.6 * np.sin(1.3)])
+    right, down = motions.vectors_px.T
+    length, angle = np.hypot(right, down), np.arctan2(down, right)
+    turn = (angle - 1.3 + np.pi / 2) % np.pi - np.pi / 2
+    total = (length - 4.6) ** 2 + 30 * turn**2
+    nearest = int(motions.distances_px(true).argmin())
+    assert refined_motion(total, motions, nearest) == pytest.approx(true, abs=1e-6)
+    # Nothing lies beyond the longest.
+    longest = int(motions.distances_px((8.0, 0.0)).argmin())
+    assert np.hypot(*refined_motion(total, motions, longest)) == pytest.approx(8)
+
+
+def test_a_motion_between_those_that_are_told_apart_is_searched_for(bank):
+    config = dataclasses.replace(MOTION, refinement_px=0.1)
+    true = np.array([6.9, 1.9])
+    assert bank.motions.distances_px(true).min() > 2
+    found = MotionEstimator(bank, CONFIG, motion=config).estimate(moving_plane(3, tuple(true), 2))
+    assert np.median(np.hypot(*np.moveaxis(found.motion_px - true, -1, 0))) < 0.3

@@ -15,6 +15,7 @@ from coded_aperture_ros.cli.bench_options import (
 from coded_aperture_ros.cli.progress import progress
 
 _METHODS = ("none", "cg", "sparse")
+_REFINEMENT_PX = 0.1
 _EPILOG = """examples:
   depth of six scenes with and without motion as a hypothesis:
     coded_aperture bench motion scenes
@@ -85,7 +86,8 @@ def run(args: argparse.Namespace) -> int:
     mask = table_masks()[0][args.mask] if args.mask in ("A", "B", "C") else mask_of(args.mask)
     camera = frames.scene_camera(mask)
     bank = learn_bank_for_camera(camera, frames.NEAR_M, frames.FAR_M, args.levels)
-    settings = MotionConfig()
+    # What is to be deblurred is worth the search.
+    settings = MotionConfig(refinement_px=0.0 if args.deblur == "none" else _REFINEMENT_PX)
     motion_bank = learn_motion_bank(bank, settings.motions, settings.motion_rank)
     config = DepthConfig(confidence_threshold=0.0, saturation=2.0, stride_px=8)
     alone = DepthEstimator(bank, config, camera)

@@ -29,8 +29,9 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "speed",
         help="time of a frame with and without motion",
-        description="Median time of a frame, one thread: of defocus alone, with all motions, and "
-        "with those that a gyroscope lets expect. The three take turns on the same frame.",
+        description="Median processor time of a frame, one thread: of defocus alone, with all "
+        "motions, and with those that a gyroscope lets expect. The three take turns on the same "
+        "frame.",
         epilog=_EPILOG,
     )
     add_size_option(parser, _SIZE)
@@ -87,9 +88,9 @@ def run(args: argparse.Namespace) -> int:
     times: dict[str, list[float]] = {name: [] for name in ways}
     for _ in progress(range(args.repeats + 1), args.repeats + 1, "frame"):
         for name, way in ways.items():
-            start = time.perf_counter()
+            start = time.process_time()
             way()
-            times[name].append(time.perf_counter() - start)
+            times[name].append(time.process_time() - start)
     # The first frame pays for the plan.
     median = {name: float(np.median(seconds[1:])) for name, seconds in times.items()}
     base = median["defocus alone"]

@@ -10,6 +10,8 @@ from coded_aperture_ros.depth import DEPTH_EDGE_PX
 _SPECK_PX = 9
 # How far from a depth edge the smaller blur size is used, px.
 _EDGE_REACH_PX = 10
+# How far blur sizes are averaged, px, and how much they may differ on one surface.
+_CALM_PX, _SAME_SURFACE_PX = 20, 1.0
 # What the model of blur leaves unexplained on a plane without noise: standard deviation, linear
 # light.
 MODEL_ERROR = 0.0015
@@ -41,6 +43,14 @@ def sharper_near_edges(
     amount = np.abs(blur)
     least = cv2.erode(amount, np.ones((2 * reach_px + 1,) * 2, np.uint8))
     return np.where(amount - least > DEPTH_EDGE_PX, np.copysign(least, blur), blur)
+
+
+def calm(blur: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return blur sizes averaged over surfaces, whose edges stay.
+
+    The inverse of a long motion rings where the other blur is wrong by little.
+    """
+    return np.asarray(cv2.bilateralFilter(blur, 3 * _CALM_PX | 1, _SAME_SURFACE_PX, _CALM_PX))
 
 
 def model_weight(blur: NDArray[np.float32], noise: float) -> NDArray[np.float32]:

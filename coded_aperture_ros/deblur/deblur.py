@@ -5,7 +5,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import PatchGrid
-from coded_aperture_ros.deblur.blur_map import model_weight, sharper_near_edges, without_specks
+from coded_aperture_ros.deblur.blur_map import (
+    calm,
+    model_weight,
+    sharper_near_edges,
+    without_specks,
+)
 from coded_aperture_ros.deblur.colour import from_opponents, opponents
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fast import REDUCTION, InverseFilters, smoothed
@@ -114,6 +119,8 @@ class Deblurrer:
         motion = self._checked_motion(motion_px, frame.shape)
         usable, frame = _usable(frame)
         blur = self._safe_blur(blur_size_px, frame)
+        if motion is not None and self.stack.in_pixels and self.config.edge_reach:
+            blur = calm(blur)
         noise = noise or self.config.noise or _estimated_noise(frame)
         channels = opponents(frame)
         frames = np.ones((1, 1), np.float32)

@@ -82,6 +82,17 @@ class NumpyEngine:
         self._workers.each(partial(self._transform_rows, overlapping), starts)
         self._workers.each(self._project_row, range(self.grid.rows))
 
+    def take_products(self, products: NDArray[np.float32]) -> None:
+        """Take a frame that an engine with the same windows has transformed.
+
+        Parameters
+        ----------
+        products : ndarray, float32 [patches, (2 V + U) H]
+            Of the transforms; see `Plan`.
+        """
+        functions = self._functions.reshape(len(self._functions), -1)
+        np.matmul(self._plan.features, products.T, out=functions)
+
     def energies(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the energies of the frame taken last [rows, columns, L]."""
         plan, bank = self._plan, self._bank

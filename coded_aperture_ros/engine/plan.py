@@ -76,11 +76,7 @@ class Plan:
         cosines, sines = np.cos(angle) * bank.fourier.window, np.sin(angle) * bank.fourier.window
         pairs = slice(1, paired + 1)
 
-        functions = functions.reshape(n, half + 1, -1)[:, :columns]
-        positive = functions[pairs]
-        negative = functions[: -paired - 1 : -1]
-        features = np.concatenate([positive + negative, 2 * (negative - positive)])
-        features = np.concatenate([features, functions[unpaired]])
+        features = _of_products(functions, n, columns, paired, unpaired)
 
         count = float(bank.fourier.multiplicity.sum())
         gains = np.exp(bank.log_determinants.astype(np.float64).reshape(-1, 1) / count)
@@ -92,10 +88,27 @@ class Plan:
             horizontal=_float32(np.concatenate([cosines[:columns], sines[:columns]])),
             vertical=_float32(np.concatenate([cosines[pairs], sines[pairs], cosines[unpaired]])),
             paired=paired,
-            features=_float32(features.reshape(-1, rank + 1).T),
+            features=_float32(features.T),
             hypotheses=_float32(np.hstack([weights, own_noise]) * gains),
             count=count,
         )
+
+    def of_products(self, functions: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Return linear functions of power as functions of the products of transforms.
+
+        Parameters
+        ----------
+        functions : ndarray [K, n]
+            Of the power of every frequency, in the order of ``scipy.fft.rfft2``.
+
+        Returns
+        -------
+        ndarray [(2 V + U) H, n]
+            Of ``q`` and ``x``; see `features`.
+        """
+        columns, half = len(self.horizontal) // 2, self.grid.window_px // 2
+        unpaired = [0, half][: len(self.vertical) - 2 * self.paired]
+        return _of_products(functions, self.grid.window_px, columns, self.paired, unpaired)
 
     @property
     def pixel_rows(self) -> int:
@@ -126,5 +139,16 @@ class Plan:
         return 2.0 * patches * self.hypotheses.size * ratios / of
 
 
-def _float32(values: NDArray[np.float64]) -> NDArray[np.float32]:
+def _of_products(
+    functions: NDArray[np.floating], window_px: int, columns: int, paired: int, unpaired: list[int]
+) -> NDArray[np.floating]:
+    count = functions.shape[1]
+    functions = functions.reshape(window_px, window_px // 2 + 1, count)[:, :columns]
+    positive = functions[1 : paired + 1]
+    negative = functions[: -paired - 1 : -1]
+    parts = [positive + negative, 2 * (negative - positive), functions[unpaired]]
+    return np.concatenate(parts).reshape(-1, count)
+
+
+def _float32(values: NDArray[np.floating]) -> NDArray[np.float32]:
     return np.ascontiguousarray(values, np.float32)

@@ -11,7 +11,7 @@ from coded_aperture_ros.depth.noise import NOISE_FLOOR
 from coded_aperture_ros.depth.upsample import nearest_patches
 from coded_aperture_ros.evaluation.stair import crops_generator, with_noise
 from coded_aperture_ros.evaluation.textures import Textures
-from coded_aperture_ros.motion import Motions, blurred_psf, learn_motion_bank
+from coded_aperture_ros.motion import MotionConfig, Motions, blurred_psf, learn_motion_bank
 from coded_aperture_ros.motion.engine import MotionEngine
 from coded_aperture_ros.motion.fragmentation import Fragmentation, analyse_fragmentation
 from coded_aperture_ros.optics import Mask, render_psf_stack
@@ -79,7 +79,7 @@ def identify_motions(
     textures: Textures,
     sigma: float,
     window_px: int = 48,
-    rank: int = 4096,
+    config: MotionConfig | None = None,
     seed: int = 0,
 ) -> dict[str, Identification]:
     """Identify defocus and motion of images, one for every level and motion (thesis 7.6.1).
@@ -96,8 +96,9 @@ def identify_motions(
         Noise behind an open aperture; divided by the mask's open fraction.
     window_px : int, optional
         Side of the bank's patches.
-    rank : int, optional
-        See `learn_motion_bank`; by default exact.
+    config : MotionConfig, optional
+        Its rank and finalists are what frames are worked on with, by default. A rank of as many as
+        there are frequencies, or more, is exact.
     seed : int, optional
         Of crops and noise.
 
@@ -108,7 +109,13 @@ def identify_motions(
     """
     motions, stack = table_motions(), render_psf_stack(mask, BLUR_SIZES_PX)
     still = learn_bank(stack, LearnConfig(window_px=window_px, rank=1))
-    engine = MotionEngine(learn_motion_bank(still, motions, rank), (SIDE_PX, SIDE_PX), _STRIDE_PX)
+    config = config or MotionConfig()
+    engine = MotionEngine(
+        learn_motion_bank(still, motions, config.motion_rank),
+        (SIDE_PX, SIDE_PX),
+        _STRIDE_PX,
+        finalists=config.finalists,
+    )
     reach = (stack.psfs.shape[-1] + int(np.ceil(motions.longest_px))) // 2 + 1
     whole = SIDE_PX + 2 * reach
     random, random_texture = crops_generator(seed), textures.kind == "random"

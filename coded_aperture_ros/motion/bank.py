@@ -42,11 +42,21 @@ class MotionBank:
     motions : Motions
     product : FilterBank
         Its levels are all pairs: those of the first motion, then of the second, and so on.
+    expected : ndarray, float32 [slopes, M, L, K]
+        Power of texture of unit contrast behind every pair, model error included: the weights
+        of `product` without a common basis are made of it.
     """
 
     still: FilterBank
     motions: Motions
     product: FilterBank
+    expected: NDArray[np.float32]
+
+    @property
+    def exact(self) -> bool:
+        """Whether the common basis is that of all frequencies."""
+        counts = np.count_nonzero(self.still.fourier.multiplicity)
+        return self.product.basis_vectors >= int(counts)
 
     @property
     def levels(self) -> int:
@@ -94,7 +104,7 @@ def learn_motion_bank(
         )
     prior = dataclasses.replace(bank.prior, contrasts=bank.prior.contrasts[::_EVERY_CONTRAST])
     ratios = bank.ratios[::_EVERY_CONTRAST]
-    expected = _expected_powers(bank, motions, progress) + np.float32(prior.model_error**2)
+    expected = expected_powers(bank, motions, progress) + np.float32(prior.model_error**2)
     shape = expected.shape[:-1]  # [slopes, M * L]
     expected = expected.reshape(-1, fourier.size)
     multiplicity = fourier.multiplicity.astype(np.float64)
@@ -130,13 +140,14 @@ def learn_motion_bank(
         truncation_error=float("nan"),
         learned_from=f"{bank.learned_from}, {len(motions)} motions",
     )
-    return MotionBank(bank, motions, product)
+    expected = expected.reshape(-1, len(motions), bank.levels, fourier.size)
+    return MotionBank(bank, motions, product, expected)
 
 
-def _expected_powers(
+def expected_powers(
     bank: FilterBank,
     motions: Motions,
-    progress: Callable[[Iterable[Any]], Iterable[Any]],
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> NDArray[np.float32]:
     """Return the expected power of every product of motion and level [slopes, M * L, K].
 

@@ -35,9 +35,17 @@ class MotionConfig:
         read_only=True,
     )
     motion_rank: int = option(
-        256,
+        128,
         "Vectors in the common basis of the filters of all motions.",
         minimum=1,
+        maximum=4096,
+        read_only=True,
+    )
+    finalists: int = option(
+        5,
+        "Motions, the likeliest of each patch, that are compared under several textures, without "
+        "the common basis; 0: it decides.",
+        minimum=0,
         maximum=4096,
         read_only=True,
     )
@@ -47,8 +55,16 @@ class MotionConfig:
         minimum=0.0,
         maximum=100.0,
     )
+    refinement_px: float = option(
+        0.0,
+        "Motions that occur are searched for to this accuracy, half a second or more for each; 0: "
+        "they lie where a parabola through the energies of those that are told apart is least.",
+        unit="px",
+        minimum=0.0,
+        maximum=1.0,
+    )
     stillness: float = option(
-        3.0,
+        0.5,
         "Evidence (natural logarithm) that a patch must have to be taken for moving.",
         minimum=0.0,
         maximum=100.0,

@@ -11,7 +11,7 @@ from coded_aperture_ros.depth.estimate import Observation
 from coded_aperture_ros.depth.levels import level_evidence
 from coded_aperture_ros.depth.still import frames_of_patches
 from coded_aperture_ros.depth.upsample import nearest_patches
-from coded_aperture_ros.engine import Engine, NumpyEngine
+from coded_aperture_ros.engine import Engine
 from coded_aperture_ros.motion.bank import MotionBank
 from coded_aperture_ros.motion.config import MotionConfig
 from coded_aperture_ros.motion.engine import MotionEngine
@@ -73,8 +73,10 @@ class MotionEstimator(DepthEstimator):
         super().__init__(bank.still, config, camera)
         self.motion_bank = bank
         self.motion = motion or MotionConfig()
+        self._apart_px = bank.motions.distances_px(bank.motions.vectors_px)
+        self._nearest_first = np.argsort(self._apart_px, axis=1, kind="stable")
+        self._field = np.empty((0, 0, 2))
         self._motion_engine: MotionEngine | None = None
-        self._still_engine: NumpyEngine | None = None
         self._expected: ExpectedMotion | None = None
         self._separated: Separated | None = None
         self._searched = ""
@@ -124,16 +126,22 @@ class MotionEstimator(DepthEstimator):
         if candidates is not None:
             evidence = self._evidence(engine.of_some(noise, candidates), seen)
             self.stages.lap("energies")
-            self._separated = separate_expected(evidence, candidates)
+            self._separated = separate_expected(evidence, candidates, self.motion_bank.motions)
         else:
             evidence = self._evidence(engine.of_all(noise), seen)
-            # The bank of defocus alone is more exact where nothing moves: its basis is its own.
             still = np.flatnonzero(np.hypot(*self.motion_bank.motions.vectors_px.T) == 0)
             if still.size:
-                of_still = self._still_evidence(grey, noise, seen)
+                of_still = self._evidence(engine.of_still(noise)[None], seen)[0]
                 evidence[still] = of_still + evidence[still].min(axis=1, keepdims=True)
             self.stages.lap("energies")
-            self._separated = separate(evidence, self.motion_bank.motions, self.motion)
+            self._separated = separate(
+                evidence,
+                self.motion_bank.motions,
+                self.motion,
+                seen.grid.window_px / seen.grid.stride_px,
+            )
+            if self.motion.refinement_px:
+                self._refine(engine, noise, seen)
         self.stages.lap("motion")
         return self._separated.level_evidence
 
@@ -148,22 +156,38 @@ class MotionEstimator(DepthEstimator):
         estimate = super().decide(seen, evidence, own, size)
         separated = self._separated
         assert separated is not None  # `evidence_of` has been called
-        motions, grid, shape = self.motion_bank.motions, seen.grid, seen.grey.shape
-        vectors = self._towards_expected(motions.vectors_px[separated.motion], grid, shape)
+        grid, shape = seen.grid, seen.grey.shape
+        vectors = self._towards_expected(separated.vectors_px[separated.motion])
         confidence = self._motion_confidence(separated)
         vectors[~seen.usable], confidence[~seen.usable] = np.nan, 0
-        patches = np.ix_(*nearest_patches(grid, shape, estimate.level.shape))
+        rows, columns = nearest_patches(grid, shape, estimate.level.shape)
+
+        def drawn(values: NDArray[np.float32]) -> NDArray[np.float32]:
+            return np.take(np.take(values, columns, axis=1), rows, axis=0)
+
         return MotionEstimate(
             **{field.name: getattr(estimate, field.name) for field in dataclasses.fields(estimate)},
-            motion_px=vectors.astype(np.float32)[patches],
-            motion_confidence=confidence[patches],
+            motion_px=drawn(vectors.astype(np.float32)),
+            motion_confidence=drawn(confidence),
             searched=self._searched,
         )
+
+    def _refine(self, engine: MotionEngine, noise: NDArray[np.float32], seen: Observation) -> None:
+        """Search for what exactly the motions are that occur."""
+        separated = self._separated
+        assert separated is not None  # as the caller knows
+        vectors = separated.vectors_px.copy()
+        for index in np.unique(separated.motion):
+            here = (separated.motion == index) & seen.usable
+            if vectors[index].any() and here.any():
+                tolerance = self.motion.refinement_px
+                vectors[index] = engine.refined(noise, here, vectors[index], tolerance)
+        self._separated = dataclasses.replace(separated, vectors_px=vectors)
 
     def _motion_confidence(self, separated: Separated) -> NDArray[np.float32]:
         """Return the probability of what is as good as each patch's motion [rows, columns]."""
         motions = self.motion_bank.motions
-        apart = motions.distances_px(motions.vectors_px)
+        apart = self._apart_px
         length = np.hypot(*motions.vectors_px.T)
         near = apart <= np.maximum(_AGREEMENT_PX, _AGREEMENT_SHARE * length[:, None])
         agree = near[separated.motion[None], separated.candidates]
@@ -176,15 +200,6 @@ class MotionEstimator(DepthEstimator):
         evidence[~seen.usable] = 0
         return np.moveaxis(evidence, -1, 0).reshape(energies.shape)
 
-    def _still_evidence(
-        self, grey: NDArray[np.float32], noise: NDArray[np.float32], seen: Observation
-    ) -> NDArray[np.float32]:
-        """Return the evidence against every level if nothing moves [L, rows, columns]."""
-        engine = self._still_engine
-        assert engine is not None  # made with the other
-        engine.project(grey)
-        return self._evidence(np.moveaxis(engine.energies(noise), -1, 0)[None], seen)[0]
-
     def _candidates(self, grid: PatchGrid, shape: tuple[int, ...]) -> NDArray[np.intp] | None:
         """Return which motions to try at every patch [rows, columns, k]; None for all."""
         expected, motions = self._expected, self.motion_bank.motions
@@ -194,7 +209,7 @@ class MotionEstimator(DepthEstimator):
         if expected.angle_rad is None:
             self._searched = expected.reason
             return None
-        field = expected.at(grid.row_centres, grid.column_centres, shape[1])
+        field = self._field = expected.at(grid.row_centres, grid.column_centres, shape[1])
         longest = float(np.hypot(*np.moveaxis(field, -1, 0)).max())
         if longest > _LONGER * motions.longest_px:
             self._searched = (
@@ -205,22 +220,19 @@ class MotionEstimator(DepthEstimator):
         # As the middle of all that are nearest to the same one, so that there are few sets.
         nearest = motions.distances_px(field).argmin(axis=-1)
         count = min(self.motion.prior_motions, len(motions))
-        order = np.argsort(motions.distances_px(motions.vectors_px), axis=1, kind="stable")
-        return np.asarray(order[:, :count][nearest])
+        return np.asarray(self._nearest_first[:, :count][nearest])
 
-    def _towards_expected(
-        self, vectors: NDArray[np.float64], grid: PatchGrid, shape: tuple[int, ...]
-    ) -> NDArray[np.float64]:
+    def _towards_expected(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return motions the way round that is expected."""
-        if self._searched or self._expected is None:
+        if self._searched:
             return vectors.copy()
-        field = self._expected.at(grid.row_centres, grid.column_centres, shape[1])
-        against = np.sum(vectors * field, axis=-1, keepdims=True) < 0
+        against = np.sum(vectors * self._field, axis=-1, keepdims=True) < 0
         return np.where(against, -vectors, vectors)
 
     def _new_engine(self, shape: tuple[int, ...], stride_px: int) -> Engine:
         """Return what computes the energies of frames of a size."""
         threads = self.config.threads
-        self._motion_engine = MotionEngine(self.motion_bank, shape, stride_px, threads)
-        self._still_engine = NumpyEngine(self.bank, shape, stride_px, threads)
+        self._motion_engine = MotionEngine(
+            self.motion_bank, shape, stride_px, threads, self.motion.finalists
+        )
         return self._motion_engine

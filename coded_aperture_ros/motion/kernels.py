@@ -149,8 +149,8 @@ class Motions:
 
         Takes [..., 2], gives [..., M].
         """
-        others = np.asarray(to_px, np.float64)[..., None, :]
-        apart, opposite = (
-            np.hypot(*np.moveaxis(others - sign * self.vectors_px, -1, 0)) for sign in (1, -1)
-        )
-        return np.minimum(apart, opposite)
+        right, down = np.moveaxis(np.asarray(to_px, np.float64)[..., None, :], -1, 0)
+        of_right, of_down = self.vectors_px.T
+        squared = (right - of_right) ** 2 + (down - of_down) ** 2
+        opposite = (right + of_right) ** 2 + (down + of_down) ** 2
+        return np.asarray(np.sqrt(np.minimum(squared, opposite)))
