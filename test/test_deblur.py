@@ -11,10 +11,9 @@ from coded_aperture_ros.deblur.inverse import (
     image_prior,
     wiener_filters,
 )
-from coded_aperture_ros.deblur.psf_basis import transfer_function
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.evaluation import psnr_db
-from coded_aperture_ros.optics import Mask, render_psf, render_psf_stack
+from coded_aperture_ros.optics import Mask, render_psf, render_psf_stack, transfer_function
 
 SIZES = np.linspace(1.0, 11.0, 11)
 NOISE = 0.002

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.deblur.inverse import MODEL_ERRORS, InverseBasis
 from coded_aperture_ros.engine import Workers
-from coded_aperture_ros.optics import PsfStack
+from coded_aperture_ros.optics import PsfStack, periodic, periodic_shape
 
 # Model errors for which there are filters, and how finely maps are looked up between them.
 _MODEL_ERRORS = np.geomspace(MODEL_ERRORS[0], MODEL_ERRORS[-1], 4)
@@ -58,7 +58,7 @@ class InverseFilters:
     def prepare(self, shape: tuple[int, int]) -> None:
         """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
         for noise in _NOISES[:-1]:
-            self._transforms(noise, self._padded_shape(shape))
+            self._transforms(noise, periodic_shape(shape, self._extension_px))
 
     def places(self, blur: NDArray[np.float32]) -> NDArray[np.intp]:
         """Return the place of every pixel in the tables of coefficients, of any rank and noise.
@@ -92,7 +92,9 @@ class InverseFilters:
         """
         basis_noise = min(_NOISES, key=lambda known: abs(np.log(known / noise)))
         height, width = channels[0].shape
-        transforms = self._transforms(basis_noise, self._padded_shape((height, width)))
+        transforms = self._transforms(
+            basis_noise, periodic_shape((height, width), self._extension_px)
+        )
         # Steps of a tenth of a decade: there are few different tables.
         lookup = self._lookup_table(basis_noise, round(10 * np.log10(noise)))
         weights = self._weights(lookup, places, (height, width))
@@ -116,8 +118,9 @@ class InverseFilters:
         transforms: NDArray[np.complex64],
         weights: list[NDArray[np.float32]],
     ) -> NDArray[np.float32]:
-        shape, (height, width) = self._padded_shape(channel.shape), channel.shape
-        spectrum = scipy.fft.rfft2(self._padded(channel), workers=self._workers.threads)
+        height, width = channel.shape
+        shape = periodic_shape(channel.shape, self._extension_px)
+        spectrum = scipy.fft.rfft2(periodic(channel, shape), workers=self._workers.threads)
         sums = [np.zeros_like(channel) for _ in range(self._workers.threads)]
 
         def add(kernel: int, thread: int) -> None:
@@ -126,29 +129,6 @@ class InverseFilters:
 
         self._workers.each(add, range(len(weights)))
         return np.sum(sums, axis=0) if len(sums) > 1 else sums[0]
-
-    def _padded(self, channel: NDArray[np.float32]) -> NDArray[np.float32]:
-        # Transforms are periodic: the frame's last row and column pass into the first ones as
-        # smoothly as blurred texture does. A step there would ring far into the frame (7 dB near
-        # the border of a simulated room), and mirrored texture is not blurred like the rest.
-        height, width = channel.shape
-        padded = np.empty(self._padded_shape(channel.shape), np.float32)
-        padded[:height, :width] = channel
-        across, down = (
-            _passage(full - side)
-            for full, side in zip(padded.T.shape, (width, height), strict=True)
-        )
-        first, last = channel[:, :1], channel[:, -1:]
-        padded[:height, width:] = last + across * (first - last)
-        first, last = padded[:1], padded[height - 1 : height]
-        padded[height:] = last + down[:, None] * (first - last)
-        return padded
-
-    def _padded_shape(self, shape: tuple[int, ...]) -> tuple[int, int]:
-        height, width = (
-            scipy.fft.next_fast_len(side + self._extension_px, real=True) for side in shape
-        )
-        return height, width
 
     def _new_basis(self, noise: float) -> InverseBasis:
         return InverseBasis.learn(self._stack, noise, self._rank)
@@ -167,11 +147,6 @@ class InverseFilters:
             above = (position - lower).astype(np.float32)[:, None, None]
             table = np.moveaxis(table[lower] * (1 - above) + table[lower + 1] * above, 0, axis)
         return np.ascontiguousarray(table.reshape(-1, table.shape[-1]).T)
-
-
-def _passage(pixels: int) -> NDArray[np.float32]:
-    """Return the steps of a smooth way from 0 to 1, without its ends."""
-    return (0.5 - 0.5 * np.cos(np.pi * np.arange(1, pixels + 1) / (pixels + 1))).astype(np.float32)
 
 
 def smoothed(sharp: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -7,8 +7,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import power_spectrum
-from coded_aperture_ros.deblur.psf_basis import transfer_function
-from coded_aperture_ros.optics import PsfStack
+from coded_aperture_ros.optics import PsfStack, transfer_function
 
 # Power spectrum of photographs in linear light: fall-off and contrast (variance).
 _SLOPE = 2.4

@@ -11,10 +11,11 @@ from coded_aperture_ros.deblur.operator import (
     frame_within,
     scene_around,
 )
-from coded_aperture_ros.deblur.psf_basis import PsfBasis, transfer_function
+from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.engine import Workers
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.motion import motion_kernel
+from coded_aperture_ros.optics import transfer_function
 
 # Motions that a frame is divided among, at most; rarer ones are taken for the nearest of these.
 _MOST_MOTIONS = 8

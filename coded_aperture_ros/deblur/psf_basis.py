@@ -8,21 +8,13 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import power_spectrum
-from coded_aperture_ros.optics import PsfStack
+from coded_aperture_ros.optics import PsfStack, transfer_function
 
 # What the missing kernels may leave out of a blurred photograph, as a share of its contrast.
 _TOLERANCE = 0.002
 _SLOPE = 2.4
 # Blur sizes are looked up at so many steps between two levels of the stack.
 _STEPS = 16
-
-
-def transfer_function(psf: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.complex64]:
-    """Return the transform of a centred PSF for images of `shape`, as by ``scipy.fft.rfft2``."""
-    width = len(psf)
-    padded = np.zeros(shape, np.float32)
-    padded[:width, :width] = psf
-    return scipy.fft.rfft2(np.roll(padded, (-(width // 2), -(width // 2)), axis=(0, 1)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import PatchGrid, power_spectrum
 from coded_aperture_ros.depth.frame import mean_at
-from coded_aperture_ros.optics import PsfStack
+from coded_aperture_ros.optics import PsfStack, periodic, periodic_shape, transfer_function
 
 # Photographs' power spectrum: fall-off and contrast; and what one blur size for the whole frame
 # leaves unexplained, as a share of the texture at every frequency.
@@ -27,7 +27,9 @@ _TINY = 1e-12
 # gradients, on planes with photographs. No patch is surer than the second.
 _GAIN = 15.0
 MOST_LOG_ODDS = 6.0
-_MARGIN_PX = 16
+# Frames are extended by this, or by the width of the PSFs; it is what a gradient's surroundings
+# are, too.
+_AROUND_PX = 32
 
 
 class SideFinder:
@@ -44,12 +46,9 @@ class SideFinder:
     def __init__(self, stack: PsfStack, shape: tuple[int, ...]) -> None:
         self._stack = stack
         self._shape = shape
-        self._margin_px = max(_MARGIN_PX, stack.psfs.shape[-1] // 2)
-        height, width = (
-            scipy.fft.next_fast_len(side + 2 * self._margin_px, real=True) for side in shape
-        )
-        self._padded = height, width
-        self._prior = (_CONTRAST * power_spectrum(_SLOPE, self._padded)).astype(np.float32)
+        self._around_px = max(_AROUND_PX, stack.psfs.shape[-1])
+        self._periodic = periodic_shape(shape, self._around_px)
+        self._prior = (_CONTRAST * power_spectrum(_SLOPE, self._periodic)).astype(np.float32)
         self._transfers: dict[int, NDArray[np.complex64]] = {}
 
     def log_odds(
@@ -78,7 +77,7 @@ class SideFinder:
             Natural logarithm of the odds of the far side, against the near one; 0 where the two
             PSFs are the same.
         """
-        spectrum = scipy.fft.rfft2(self._extended(grey))
+        spectrum = scipy.fft.rfft2(periodic(grey - grey.mean(), self._periodic))
         found = np.zeros(level.shape, np.float32)
         for one in np.unique(level):
             clearer = self._clearer(spectrum, int(one), noise)
@@ -102,43 +101,20 @@ class SideFinder:
         other = self._gradients(filtered * transfer)  # the transform of the PSF turned around
         logarithm = np.zeros(self._shape, np.float32)
         for mine, others in zip(own, other, strict=True):
-            side = (2 * self._margin_px + 1,) * 2
+            side = (self._around_px | 1,) * 2
             floor = _FLOOR**2 / 2 * cv2.blur(mine + others, side) + _TINY
             logarithm += cv2.log((others + floor) / (mine + floor))
         return logarithm
 
     def _gradients(self, transform: NDArray[np.complex64]) -> list[NDArray[np.float32]]:
         """Return the squared differences to the right and down, within the frame."""
-        margin = self._margin_px
-        sharp = scipy.fft.irfft2(transform, self._padded)
+        sharp = scipy.fft.irfft2(transform, self._periodic)
         height, width = self._shape
-        rows, columns = slice(margin, margin + height), slice(margin, margin + width)
-        here = sharp[rows, columns]
-        right = sharp[rows, margin + 1 : margin + 1 + width]
-        below = sharp[margin + 1 : margin + 1 + height, columns]
+        here = sharp[:height, :width]
+        right, below = sharp[:height, 1 : width + 1], sharp[1 : height + 1, :width]
         return [np.square(right - here), np.square(below - here)]
 
     def _transfer(self, level: int) -> NDArray[np.complex64]:
         if level not in self._transfers:
-            psf = self._stack.psfs[level]
-            padded = np.zeros(self._padded, np.float32)
-            padded[: len(psf), : len(psf)] = psf
-            centred = np.roll(padded, (-(len(psf) // 2),) * 2, axis=(0, 1))
-            self._transfers[level] = scipy.fft.rfft2(centred)
+            self._transfers[level] = transfer_function(self._stack.psfs[level], self._periodic)
         return self._transfers[level]
-
-    def _extended(self, grey: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the frame with a margin, in which each border turns into the opposite one.
-
-        For a transform, which goes on with the first row after the last: a step between them would
-        ring as far as filters reach.
-        """
-        extended = grey - grey.mean()
-        for axis, full in enumerate(self._padded):
-            extended = np.moveaxis(extended, axis, 0)
-            more = full - len(extended)
-            share = (0.5 - 0.5 * np.cos(np.pi * (np.arange(more) + 0.5) / more))[:, None]
-            between = extended[-1] * (1 - share) + extended[0] * share
-            extended = np.concatenate([extended, between.astype(np.float32)])
-            extended = np.moveaxis(np.roll(extended, self._margin_px, axis=0), 0, axis)
-        return extended

@@ -13,11 +13,10 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.deblur.inverse import transfer_function
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.evaluation.reference.deconvolution import PeriodicPicture
 from coded_aperture_ros.evaluation.restoration import missing_scikit_image
-from coded_aperture_ros.optics import PsfStack
+from coded_aperture_ros.optics import PsfStack, transfer_function
 
 # A level that is found here and there is not worth deconvolving everything in between.
 _TILE_PX = 128

@@ -19,8 +19,8 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import power_spectrum
-from coded_aperture_ros.deblur.inverse import transfer_function
 from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.optics import transfer_function
 
 _LUCY_ITERATIONS = 6
 # Less light, or less than one standard deviation of the noise, counts as that much.
