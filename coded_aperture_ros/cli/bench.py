@@ -8,7 +8,7 @@ from coded_aperture_ros.cli.options import add_commands
 
 BENCHMARKS: dict[str, Any] = {
     name: import_module(f"coded_aperture_ros.cli.bench_{name.replace('-', '_')}")
-    for name in ("accuracy", "deblur", "speed", "simple-speed", "motion", "masks")
+    for name in ("accuracy", "deblur", "speed", "simple-speed", "motion", "masks", "blind")
 }
 _EPILOG = """examples:
   blur identification on the thesis' stair of blur sizes, next to the numbers of the thesis:
@@ -23,6 +23,8 @@ _EPILOG = """examples:
     coded_aperture bench motion table
   predicted against measured errors of random masks:
     coded_aperture bench masks
+  masks found from planes at unknown distances:
+    coded_aperture bench blind
   what each benchmark is, and its options:
     coded_aperture bench accuracy --help
 """
