@@ -26,7 +26,7 @@ class BlindConfig:
     least_cells: int = option(7, "Masks have at least so many cells a side.", minimum=3, maximum=24)
     most_cells: int = option(17, "Masks have at most so many cells a side.", minimum=3, maximum=24)
     starts: int = option(
-        4, "Random starts for each width of a cell that is tried.", minimum=1, maximum=1000
+        2, "Random starts for each number and width of cells.", minimum=1, maximum=1000
     )
     seed: int = option(0, "Of the random starts.", minimum=0)
 

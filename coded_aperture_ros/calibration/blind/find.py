@@ -44,10 +44,12 @@ _END = 0.015
 _ROOMY = 0.75
 _MARGIN = 1.08
 _ROOM = 1.1
-# Widths of cells to try are so much apart; the best are looked at more closely.
-_RATIO = 1.025
+# The mixture's light ends within this factor of the mask's.
+_UNCERTAIN = 1.09
+# Widths of a grid to try are so many cells apart; next to the best ones more closely.
+_CELL_STEP = 0.35
 _PROMISING = 3
-_FINER = np.array([-0.012, -0.006, 0.006, 0.012])
+_FINER = np.array([0.985, 0.9925, 1.0075, 1.015])
 # What a cell more has to gain: to be open or closed is one bit.
 _PER_CELL = 2 * np.log(2)
 _ROUNDS = 2
@@ -165,12 +167,16 @@ class _Search:
             fit = self._mixture(fit.sizes_px * min(extent * _MARGIN, 1))
             extent = _extent(fit)
         found = FoundSpectra.of_fit(fit, self.likelihood)
-        grid, cell_share = self._grid(fit, found, extent)
-        fit, grid = self._refined(fit, grid, cell_share)
+        grid, width = self._grid(fit, found, extent)
+        fit, grid = self._refined(fit, grid, width)
         explained = self._explained(fit, grid)
-        rows, columns = (np.flatnonzero(grid.cells.any(axis=axis)) for axis in (1, 0))
-        cropped = grid.cells[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-        if cropped.all() or explained < _LEAST_EXPLAINED:
+        cropped = grid.cells[_bounds(grid.cells)]
+        if cropped.all():
+            raise InputError(
+                "no mask is to be seen in the spectra of the planes, only an open rectangle: is "
+                "there a mask with a pattern in the lens?"
+            )
+        if explained < _LEAST_EXPLAINED:
             raise InputError(
                 "no mask is to be seen in the spectra of the planes "
                 f"({explained:.0%} of their structure explained): is there a mask with a pattern "
@@ -199,38 +205,43 @@ class _Search:
         return fit.climb(self.likelihood, _FINE_STEPS // 2)
 
     def _grid(self, fit: FreeFit, found: FoundSpectra, extent: float) -> tuple[BinaryGrid, float]:
-        """Find the grid of cells, and the width of a cell over that of the mixture's grid."""
-        fewest, most = self.config.least_cells, self.config.most_cells
-        count = int(np.ceil(np.log(1.1 * most / fewest) / np.log(_RATIO)))
-        shares = 1.05 * extent / fewest / _RATIO ** np.arange(count)
-        tried: list[tuple[float, BinaryGrid]] = []
-        for share in self.progress([*shares, *range(_PROMISING * len(_FINER))]):
-            if isinstance(share, float):
-                some = (self.config.starts + 1) // 2
-                tried.append((share, self._best(fit, found, extent, share, some)))
+        """Find the grid of cells, and its width over that of the mixture's grid."""
+        candidates = [
+            (cells, float(width))
+            for cells in range(self.config.least_cells, self.config.most_cells + 1)
+            for width in _widths(extent, cells)
+        ]
+        tried: list[_Tried] = []
+        for step in self.progress([*candidates, *range(_PROMISING)]):
+            if isinstance(step, tuple):
+                tried.append(self._best(fit, found, *step))
                 continue
-            if share == 0:
-                tried.sort(key=lambda one: _penalised(one[1]))
-                promising = [one[0] for one in tried[:_PROMISING]]
-            nearby = promising[share // len(_FINER)] * (1 + float(_FINER[share % len(_FINER)]))
-            grid = self._best(fit, found, extent, nearby, self.config.starts)
-            tried.append((nearby, grid))
-        share, grid = min(tried, key=lambda one: _penalised(one[1]))
-        return grid, share
+            if step == 0:
+                tried.sort(key=_penalised)
+            promising = tried[step]
+            for factor in _FINER:
+                width = promising.width * float(factor)
+                grid = promising.grid.cells
+                tried.append(self._best(fit, found, len(grid), width, [grid]))
+        best = min(tried, key=_penalised)
+        return best.grid, best.width
 
     def _best(
-        self, fit: FreeFit, found: FoundSpectra, extent: float, share: float, starts: int
-    ) -> BinaryGrid:
-        cells = int(np.ceil(min(extent * _MARGIN, 1.0) / share - 0.05))
-        misfit = GridMisfit(self.likelihood, found, cells, share * fit.sizes_px)
-        return best_grid(misfit, starts, self.random)
+        self,
+        fit: FreeFit,
+        found: FoundSpectra,
+        cells: int,
+        width: float,
+        grids: Sequence[NDArray[np.float64]] = (),
+    ) -> "_Tried":
+        """Return the best grid of a number of cells and a width over that of the mixture's grid."""
+        misfit = GridMisfit(self.likelihood, found, cells, fit.sizes_px * width / cells)
+        return _Tried(best_grid(misfit, self.config.starts, self.random, grids), width)
 
-    def _refined(
-        self, fit: FreeFit, grid: BinaryGrid, cell_share: float
-    ) -> tuple[FreeFit, BinaryGrid]:
+    def _refined(self, fit: FreeFit, grid: BinaryGrid, width: float) -> tuple[FreeFit, BinaryGrid]:
         """Refine sizes and cells in turn, each with the others as found."""
         cells = len(grid.cells)
-        sizes_px = fit.sizes_px * cell_share * cells
+        sizes_px = fit.sizes_px * width
         for _ in range(_ROUNDS):
             # The grid may be wider than the mask, and so wider than any blur.
             fit = FreeFit(normalised(grid.cells[None]), sizes_px, fit.log_noise)
@@ -242,11 +253,13 @@ class _Search:
         return dataclasses.replace(fit, parts=normalised(grid.cells[None])), grid
 
     def _explained(self, fit: FreeFit, grid: BinaryGrid) -> float:
-        """Compare the misfit with that of a mask without a pattern, of the same extent."""
+        """Compare the misfit with that of an open rectangle of the same extent."""
         found = FoundSpectra.of_fit(fit, self.likelihood)
         cells = len(grid.cells)
         misfit = GridMisfit(self.likelihood, found, cells, fit.sizes_px / cells)
-        return 1 - misfit.of_grid(grid.cells) / misfit.of_grid(np.ones_like(grid.cells))
+        opened = np.zeros_like(grid.cells)
+        opened[_bounds(grid.cells)] = 1
+        return 1 - misfit.of_grid(grid.cells) / misfit.of_grid(opened)
 
     def _spectra(self, fit: FreeFit) -> NDArray[np.float64]:
         """Return measured and explained spectra, of the windows of least contrast."""
@@ -259,11 +272,31 @@ class _Search:
         return spectra.reshape(len(first), 2, n, -1)
 
 
-def _penalised(grid: BinaryGrid) -> float:
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Tried:
+    """A grid, and its width over that of the mixture's grid."""
+
+    grid: BinaryGrid
+    width: float
+
+
+def _widths(extent: float, cells: int) -> NDArray[np.float64]:
+    """Return widths of grids of cells to try, near that of the mask as the mixture has it."""
+    low, high = extent / _UNCERTAIN, min(extent * _UNCERTAIN, 1.0)
+    count = int(np.ceil(np.log(high / low) * cells / _CELL_STEP)) + 1
+    return np.geomspace(low, high, count)
+
+
+def _penalised(tried: _Tried) -> float:
     """Return the misfit with what the choice of the cells adds to it."""
-    rows, columns = (np.flatnonzero(grid.cells.any(axis=axis)) for axis in (1, 0))
-    area = (int(np.ptp(rows)) + 1) * (int(np.ptp(columns)) + 1)
-    return float(grid.misfit + _PER_CELL * area)
+    rows, columns = tried.grid.cells[_bounds(tried.grid.cells)].shape
+    return float(tried.grid.misfit + _PER_CELL * rows * columns)
+
+
+def _bounds(cells: NDArray[np.float64]) -> tuple[slice, slice]:
+    """Return the rows and the columns between the first and the last with an open cell."""
+    rows, columns = (np.flatnonzero(cells.any(axis=axis)) for axis in (1, 0))
+    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
 def _blobs(count: int, cells: int) -> NDArray[np.float64]:
