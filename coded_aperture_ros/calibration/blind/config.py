@@ -24,7 +24,7 @@ class BlindConfig:
         maximum=64,
     )
     least_cells: int = option(7, "Masks have at least so many cells a side.", minimum=3, maximum=24)
-    most_cells: int = option(17, "Masks have at most so many cells a side.", minimum=3, maximum=24)
+    most_cells: int = option(13, "Masks have at most so many cells a side.", minimum=3, maximum=24)
     starts: int = option(
         2, "Random starts for each number and width of cells.", minimum=1, maximum=1000
     )

@@ -37,7 +37,7 @@ _FEWEST = 4
 _HIGHEST_FREQUENCY = 0.4
 _COARSE_PARTS, _FINE_PARTS = 2, 3
 _COARSE_CELLS, _FINE_CELLS = 16, 24
-_COARSE_STEPS, _FINE_STEPS, _SIZE_STEPS = 60, 200, 100
+_COARSE_STEPS, _FINE_STEPS, _SIZE_STEPS = 60, 200, 60
 # The mixture's autocorrelation, relative to its middle, where the mask ends.
 _END = 0.015
 # A grid of the mixture much wider than the mask wastes its cells.
@@ -46,13 +46,13 @@ _MARGIN = 1.08
 _ROOM = 1.1
 # The mixture's light ends within this factor of the mask's.
 _UNCERTAIN = 1.09
-# Widths of a grid to try are so many cells apart; next to the best ones more closely.
+# Widths of a grid to try are so many cells apart; the best numbers of cells are refined.
 _CELL_STEP = 0.35
-_PROMISING = 3
-_FINER = np.array([0.985, 0.9925, 1.0075, 1.015])
+_PROMISING = 5
 # What a cell more has to gain: to be open or closed is one bit.
 _PER_CELL = 2 * np.log(2)
 _ROUNDS = 2
+_FLIPS, _LIKELY_FLIPS = 12, 12
 _LEAST_EXPLAINED = 0.25
 
 
@@ -167,10 +167,14 @@ class _Search:
             fit = self._mixture(fit.sizes_px * min(extent * _MARGIN, 1))
             extent = _extent(fit)
         found = FoundSpectra.of_fit(fit, self.likelihood)
-        grid, width = self._grid(fit, found, extent)
-        fit, grid = self._refined(fit, grid, width)
-        explained = self._explained(fit, grid)
-        cropped = grid.cells[_bounds(grid.cells)]
+        tried = self._tried(fit, found, extent)
+        # The quadratic function is right near the mixture only: the likelihood itself decides.
+        refined = [self._refined(fit, found, one) for one in self.progress(tried)]
+        fit = min(refined, key=lambda one: self._value(one) + _PER_CELL * _area(one.parts[0]))
+        fit = self._flipped(fit, found)
+        cells = (fit.parts[0] > 0).astype(np.float64)
+        explained = self._explained(fit, found)
+        cropped = cells[_bounds(cells)]
         if cropped.all():
             raise InputError(
                 "no mask is to be seen in the spectra of the planes, only an open rectangle: is "
@@ -185,7 +189,7 @@ class _Search:
             )
         return BlindMask(
             mask=Mask("found", cropped.astype(np.float32)),
-            blur_sizes_px=fit.sizes_px * max(cropped.shape) / len(grid.cells),
+            blur_sizes_px=fit.sizes_px * max(cropped.shape) / len(cells),
             explained=explained,
             spectra=self._spectra(fit),
             reaches_limit=reaches_limit,
@@ -204,27 +208,19 @@ class _Search:
         fit = fit.climb(self.likelihood, _FINE_STEPS // 2)
         return fit.climb(self.likelihood, _FINE_STEPS // 2)
 
-    def _grid(self, fit: FreeFit, found: FoundSpectra, extent: float) -> tuple[BinaryGrid, float]:
-        """Find the grid of cells, and its width over that of the mixture's grid."""
+    def _tried(self, fit: FreeFit, found: FoundSpectra, extent: float) -> "list[_Tried]":
+        """Return the best grids of some numbers of cells, the best number first."""
         candidates = [
             (cells, float(width))
             for cells in range(self.config.least_cells, self.config.most_cells + 1)
             for width in _widths(extent, cells)
         ]
-        tried: list[_Tried] = []
-        for step in self.progress([*candidates, *range(_PROMISING)]):
-            if isinstance(step, tuple):
-                tried.append(self._best(fit, found, *step))
-                continue
-            if step == 0:
-                tried.sort(key=_penalised)
-            promising = tried[step]
-            for factor in _FINER:
-                width = promising.width * float(factor)
-                grid = promising.grid.cells
-                tried.append(self._best(fit, found, len(grid), width, [grid]))
-        best = min(tried, key=_penalised)
-        return best.grid, best.width
+        best: dict[int, _Tried] = {}
+        for cells, width in self.progress(candidates):
+            tried = self._best(fit, found, cells, width)
+            if cells not in best or tried.grid.misfit < best[cells].grid.misfit:
+                best[cells] = tried
+        return sorted(best.values(), key=_penalised)[:_PROMISING]
 
     def _best(
         self,
@@ -232,34 +228,55 @@ class _Search:
         found: FoundSpectra,
         cells: int,
         width: float,
-        grids: Sequence[NDArray[np.float64]] = (),
     ) -> "_Tried":
         """Return the best grid of a number of cells and a width over that of the mixture's grid."""
         misfit = GridMisfit(self.likelihood, found, cells, fit.sizes_px * width / cells)
-        return _Tried(best_grid(misfit, self.config.starts, self.random, grids), width)
+        return _Tried(best_grid(misfit, self.config.starts, self.random), width)
 
-    def _refined(self, fit: FreeFit, grid: BinaryGrid, width: float) -> tuple[FreeFit, BinaryGrid]:
+    def _refined(self, mixture: FreeFit, found: FoundSpectra, tried: "_Tried") -> FreeFit:
         """Refine sizes and cells in turn, each with the others as found."""
-        cells = len(grid.cells)
-        sizes_px = fit.sizes_px * width
+        cells, sizes_px = tried.grid.cells, mixture.sizes_px * tried.width
         for _ in range(_ROUNDS):
-            # The grid may be wider than the mask, and so wider than any blur.
-            fit = FreeFit(normalised(grid.cells[None]), sizes_px, fit.log_noise)
+            fit = FreeFit(normalised(cells[None]), sizes_px, mixture.log_noise)
             fit = fit.climb(self.likelihood, _SIZE_STEPS, masks=False)
             sizes_px = fit.sizes_px
-            found = FoundSpectra.of_fit(fit, self.likelihood)
-            misfit = GridMisfit(self.likelihood, found, cells, sizes_px / cells)
-            grid = best_grid(misfit, 0, self.random, [grid.cells])
-        return dataclasses.replace(fit, parts=normalised(grid.cells[None])), grid
+            misfit = GridMisfit(self.likelihood, found, len(cells), sizes_px / len(cells))
+            cells = best_grid(misfit, 0, self.random, [cells]).cells
+        return dataclasses.replace(fit, parts=normalised(cells[None]))
 
-    def _explained(self, fit: FreeFit, grid: BinaryGrid) -> float:
+    def _flipped(self, fit: FreeFit, found: FoundSpectra) -> FreeFit:
+        """Open and close single cells while that is likelier."""
+        value = self._value(fit)
+        for _ in range(_FLIPS):
+            cells = (fit.parts[0] > 0).astype(np.float64)
+            misfit = GridMisfit(self.likelihood, found, len(cells), fit.sizes_px / len(cells))
+            likely = np.argsort(misfit.of_flips(cells))[:_LIKELY_FLIPS]
+            changed = []
+            for cell in likely:
+                flipped = cells.copy()
+                flipped.flat[cell] = 1 - flipped.flat[cell]
+                changed.append(dataclasses.replace(fit, parts=normalised(flipped[None])))
+            values = [self._value(one) for one in changed]
+            if min(values) >= value:
+                break
+            value, fit = min(values), changed[int(np.argmin(values))]
+        return fit.climb(self.likelihood, _SIZE_STEPS, masks=False)
+
+    def _value(self, fit: FreeFit) -> float:
+        """Return twice the negative log-likelihood of one window of each group."""
+        groups = self.likelihood.group(fit.parts, fit.sizes_px, fit.log_noise)
+        value, _ = self.likelihood.value_and_gradient(
+            fit.parts, fit.sizes_px, groups.textures, fit.log_noise, groups
+        )
+        return float(value * groups.count.sum() * self.likelihood.multiplicity.sum())
+
+    def _explained(self, fit: FreeFit, found: FoundSpectra) -> float:
         """Compare the misfit with that of an open rectangle of the same extent."""
-        found = FoundSpectra.of_fit(fit, self.likelihood)
-        cells = len(grid.cells)
-        misfit = GridMisfit(self.likelihood, found, cells, fit.sizes_px / cells)
-        opened = np.zeros_like(grid.cells)
-        opened[_bounds(grid.cells)] = 1
-        return 1 - misfit.of_grid(grid.cells) / misfit.of_grid(opened)
+        cells = (fit.parts[0] > 0).astype(np.float64)
+        misfit = GridMisfit(self.likelihood, found, len(cells), fit.sizes_px / len(cells))
+        opened = np.zeros_like(cells)
+        opened[_bounds(cells)] = 1
+        return 1 - misfit.of_grid(cells) / misfit.of_grid(opened)
 
     def _spectra(self, fit: FreeFit) -> NDArray[np.float64]:
         """Return measured and explained spectra, of the windows of least contrast."""
@@ -289,8 +306,12 @@ def _widths(extent: float, cells: int) -> NDArray[np.float64]:
 
 def _penalised(tried: _Tried) -> float:
     """Return the misfit with what the choice of the cells adds to it."""
-    rows, columns = tried.grid.cells[_bounds(tried.grid.cells)].shape
-    return float(tried.grid.misfit + _PER_CELL * rows * columns)
+    return float(tried.grid.misfit + _PER_CELL * _area(tried.grid.cells))
+
+
+def _area(cells: NDArray[np.float64]) -> int:
+    """Return how many cells the smallest rectangle around the open ones has."""
+    return int(cells[_bounds(cells)].size)
 
 
 def _bounds(cells: NDArray[np.float64]) -> tuple[slice, slice]:
