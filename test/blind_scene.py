@@ -10,7 +10,7 @@ from coded_aperture_ros.optics import Mask, render_psf
 MASK = Mask.from_rows(["#..##", "##...", ".#.##", "....#", "###.#"])
 SIZES_PX = np.array([9.0, 5.0, 12.0, 7.5, 6.0, 10.5])
 NOISE = 0.001
-CONFIG = BlindConfig(largest_blur_px=14, least_cells=4, most_cells=7, starts=2)
+CONFIG = BlindConfig(largest_blur_px=14, least_cells=4, most_cells=6)
 
 
 def plane(size_px, seed, mask=MASK, side=208, noise=NOISE):

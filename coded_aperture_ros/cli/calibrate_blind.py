@@ -99,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
     _write_files(args, found, filters, summary)
     if found.reaches_limit:
         logging.warning(
-            "the blur may be larger than %d px: try a larger --largest-blur-px",
+            "the blur is larger than %d px: try a larger --largest-blur-px",
             config.largest_blur_px,
         )
     print(json.dumps(summary, allow_nan=False) if args.json else _text(summary))

@@ -74,7 +74,7 @@ class BlindMask:
         Logarithm of the power of each picture's windows, as it is and as the mask explains it, at
         the frequencies of ``rfft2``; NaN at those that were not looked at.
     reaches_limit : bool
-        Whether the mask fills the largest blur that was reckoned with; it may then be wider.
+        Whether a picture is blurred by more than was reckoned with; by how much is uncertain then.
     """
 
     mask: Mask
@@ -162,7 +162,6 @@ class _Search:
     def run(self, relative_sizes: NDArray[np.float64]) -> BlindMask:
         fit = self._mixture(relative_sizes * self.widest_px)
         extent = _extent(fit)
-        reaches_limit = bool(fit.sizes_px.max() * extent > 0.97 * self.widest_px)
         if extent < _ROOMY:
             fit = self._mixture(fit.sizes_px * min(extent * _MARGIN, 1))
             extent = _extent(fit)
@@ -187,12 +186,13 @@ class _Search:
                 "in the lens, and are all planes on one side of the focus, blurred by 5 px and "
                 f"more, and by at most largest_blur_px, {self.config.largest_blur_px} px?"
             )
+        sizes_px = fit.sizes_px * max(cropped.shape) / len(cells)
         return BlindMask(
             mask=Mask("found", cropped.astype(np.float32)),
-            blur_sizes_px=fit.sizes_px * max(cropped.shape) / len(cells),
+            blur_sizes_px=sizes_px,
             explained=explained,
             spectra=self._spectra(fit),
-            reaches_limit=reaches_limit,
+            reaches_limit=bool(sizes_px.max() > self.widest_px),
         )
 
     def _mixture(self, sizes_px: NDArray[np.float64]) -> FreeFit:
