@@ -14,6 +14,7 @@ import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -169,7 +170,8 @@ class _Search:
         tried = self._tried(fit, found, extent)
         # The quadratic function is right near the mixture only: the likelihood itself decides.
         refined = [self._refined(fit, found, one) for one in self.progress(tried)]
-        fit = min(refined, key=lambda one: self._value(one) + _PER_CELL * _area(one.parts[0]))
+        fit = min(refined, key=self._penalised_value)
+        fit = min([fit, *self._redrawn(fit)], key=self._penalised_value)
         fit = self._flipped(fit, found)
         cells = (fit.parts[0] > 0).astype(np.float64)
         explained = self._explained(fit, found)
@@ -244,6 +246,19 @@ class _Search:
             cells = best_grid(misfit, 0, self.random, [cells]).cells
         return dataclasses.replace(fit, parts=normalised(cells[None]))
 
+    def _redrawn(self, fit: FreeFit) -> list[FreeFit]:
+        """Draw a mask with every other number of cells, for openings that lie between its own."""
+        cells = (fit.parts[0] > 0).astype(np.float64)
+        counts = range(self.config.least_cells, self.config.most_cells + 1)
+        redrawn = []
+        for count in counts:
+            size = (count, count)
+            grid = cv2.resize(cells, size, interpolation=cv2.INTER_AREA) > 0.5
+            if count != len(cells) and grid.any():
+                one = dataclasses.replace(fit, parts=normalised(grid[None].astype(np.float64)))
+                redrawn.append(one.climb(self.likelihood, _SIZE_STEPS, masks=False))
+        return redrawn
+
     def _flipped(self, fit: FreeFit, found: FoundSpectra) -> FreeFit:
         """Open and close single cells while that is likelier."""
         value = self._value(fit)
@@ -269,6 +284,9 @@ class _Search:
             fit.parts, fit.sizes_px, groups.textures, fit.log_noise, groups
         )
         return float(value * groups.count.sum() * self.likelihood.multiplicity.sum())
+
+    def _penalised_value(self, fit: FreeFit) -> float:
+        return self._value(fit) + _PER_CELL * _area(fit.parts[0])
 
     def _explained(self, fit: FreeFit, found: FoundSpectra) -> float:
         """Compare the misfit with that of an open rectangle of the same extent."""
