@@ -265,9 +265,9 @@ class _Search:
         for _ in range(_FLIPS):
             cells = (fit.parts[0] > 0).astype(np.float64)
             misfit = GridMisfit(self.likelihood, found, len(cells), fit.sizes_px / len(cells))
-            likely = np.argsort(misfit.of_flips(cells))[:_LIKELY_FLIPS]
+            likely = {*np.argsort(misfit.of_flips(cells))[:_LIKELY_FLIPS], *_alone(cells)}
             changed = []
-            for cell in likely:
+            for cell in sorted(likely):
                 flipped = cells.copy()
                 flipped.flat[cell] = 1 - flipped.flat[cell]
                 changed.append(dataclasses.replace(fit, parts=normalised(flipped[None])))
@@ -330,6 +330,13 @@ def _penalised(tried: _Tried) -> float:
 def _area(cells: NDArray[np.float64]) -> int:
     """Return how many cells the smallest rectangle around the open ones has."""
     return int(cells[_bounds(cells)].size)
+
+
+def _alone(cells: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return which cells differ from all their neighbours above, below, left and right, flat."""
+    padded = np.pad(cells, 1)
+    around = (padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:])
+    return np.flatnonzero(np.all([other != cells for other in around], axis=0))
 
 
 def _bounds(cells: NDArray[np.float64]) -> tuple[slice, slice]:
