@@ -53,7 +53,9 @@ class Planes:
                 f"take at least {_FEWEST}, better 10 or more, at different depths"
             )
         for image, depth, name in zip(self.images, depths, self.names, strict=True):
-            _check_picture(image, float(depth), name, self.images[0].shape[:2], self.names[0])
+            if not 0 < depth < np.inf:
+                raise InputError(f"{name}: depth_m {depth:g} is not a positive distance in metres")
+            check_picture(image, name, self.images[0].shape[:2], self.names[0])
         for first, second in itertools.pairwise(np.argsort(depths, kind="stable")):
             if depths[first] == depths[second]:
                 raise InputError(
@@ -117,15 +119,25 @@ def _entry(listing: Path, number: int, entry: Any) -> tuple[Path, float]:
     return listing.parent / entry["file"], float(entry["depth_m"])
 
 
-def _check_picture(
-    image: NDArray[np.float32],
-    depth_m: float,
-    name: str,
-    shape: tuple[int, ...],
-    first: str,
+def check_picture(
+    image: NDArray[np.float32], name: str, shape: tuple[int, ...], first: str
 ) -> None:
-    if not 0 < depth_m < np.inf:
-        raise InputError(f"{name}: depth_m {depth_m:g} is not a positive distance in metres")
+    """Refuse the picture of a plane that nothing can be learned from.
+
+    Parameters
+    ----------
+    image : ndarray, float32 [rows, columns] or [rows, columns, 3]
+        Linear light in [0, 1].
+    name : str
+        What to call it.
+    shape, first
+        Rows and columns of the first picture, and its name.
+
+    Raises
+    ------
+    InputError
+        If it is of another size, not finite or saturated.
+    """
     if image.shape[:2] != shape:
         raise InputError(
             f"{name}: {image.shape[1]}x{image.shape[0]} px, but {first} has "

@@ -3,9 +3,10 @@
 import dataclasses
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from coded_aperture_ros.bank import PatchGrid, Planes
 from coded_aperture_ros.depth.noise import NOISE_FLOOR, high_power
@@ -30,6 +31,7 @@ class PlaneCheck:
     ----------
     file : str
     depth_m : float
+        NaN where it is not known.
     brightness : float
         Mean, linear light in [0, 1].
     brightest : float
@@ -86,9 +88,20 @@ def check_planes(planes: Planes, window_px: int) -> list[PlaneCheck]:
     InputError
         Naming every picture that nothing can be learned from, and what to do.
     """
+    return check_pictures(planes.images, planes.names, window_px, planes.depths_m)
+
+
+def check_pictures(
+    images: Sequence[NDArray[np.float32]],
+    names: Sequence[str],
+    window_px: int,
+    depths_m: ArrayLike = np.nan,
+) -> list[PlaneCheck]:
+    """Measure every picture, whether its depth is known (see `check_planes`) or not (NaN)."""
+    depths = np.broadcast_to(np.asarray(depths_m, np.float64), len(images))
     checks = [
         _check(image, name, float(depth), window_px)
-        for image, name, depth in zip(planes.images, planes.names, planes.depths_m, strict=True)
+        for image, name, depth in zip(images, names, depths, strict=True)
     ]
     useless = [
         f"{check.file}: contrast {check.contrast:.2g} is not above the noise of {check.noise:.2g} "

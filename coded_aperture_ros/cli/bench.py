@@ -8,7 +8,16 @@ from coded_aperture_ros.cli.options import add_commands
 
 BENCHMARKS: dict[str, Any] = {
     name: import_module(f"coded_aperture_ros.cli.bench_{name.replace('-', '_')}")
-    for name in ("accuracy", "deblur", "speed", "simple-speed", "motion", "masks", "sign")
+    for name in (
+        "accuracy",
+        "deblur",
+        "speed",
+        "simple-speed",
+        "motion",
+        "masks",
+        "sign",
+        "blind",
+    )
 }
 _EPILOG = """examples:
   blur identification on the thesis' stair of blur sizes, next to the numbers of the thesis:
@@ -25,6 +34,8 @@ _EPILOG = """examples:
     coded_aperture bench masks
   both sides of the focal plane:
     coded_aperture bench sign
+  masks found from planes at unknown distances:
+    coded_aperture bench blind
   what each benchmark is, and its options:
     coded_aperture bench accuracy --help
 """

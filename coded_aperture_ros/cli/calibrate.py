@@ -20,7 +20,7 @@ from coded_aperture_ros.errors import InputError
 # What is measured from pictures; without an action, the command designs.
 ACTIONS: dict[str, Any] = {
     name: import_module(f"coded_aperture_ros.cli.calibrate_{name}")
-    for name in ("noise", "planes", "psf")
+    for name in ("blind", "noise", "planes", "psf")
 }
 
 _EPILOG = """examples:

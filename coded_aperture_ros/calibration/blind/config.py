@@ -1,0 +1,43 @@
+"""What the search for an unknown mask reckons with."""
+
+import dataclasses
+
+from coded_aperture_ros.configuration import check_options, option
+from coded_aperture_ros.errors import InputError
+
+
+@dataclasses.dataclass(frozen=True)
+class BlindConfig:
+    """How large blur and mask may be, and how long to search.
+
+    Raises
+    ------
+    InputError
+        Naming the setting that is out of range.
+    """
+
+    largest_blur_px: int = option(
+        32,
+        "No picture is blurred more than that; the pictures have to be four times as wide.",
+        unit="px",
+        minimum=8,
+        maximum=64,
+    )
+    least_cells: int = option(7, "Masks have at least so many cells a side.", minimum=3, maximum=24)
+    most_cells: int = option(13, "Masks have at most so many cells a side.", minimum=3, maximum=24)
+    starts: int = option(
+        2, "Random starts for each number and width of cells.", minimum=1, maximum=1000
+    )
+    seed: int = option(0, "Of the random starts.", minimum=0)
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        if self.least_cells > self.most_cells:
+            raise InputError(
+                f"least_cells: {self.least_cells} is more than most_cells, {self.most_cells}"
+            )
+
+    @property
+    def window_px(self) -> int:
+        """Side of the windows that the likelihood is that of."""
+        return 2 * self.largest_blur_px

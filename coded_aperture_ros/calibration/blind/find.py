@@ -1,0 +1,373 @@
+"""The mask of a camera from pictures of planes at unknown distances (thesis 10.2).
+
+1. Spectra are matched with one another: the blur sizes but for a common factor.
+2. A mixture of masks, whose autocorrelation is easy to climb to, is fitted together with the
+   sizes; where it ends is the largest blur in pixels.
+3. Grids of cells of all widths are tried: the binary one that explains the spectra best is the
+   mask.
+
+A power spectrum has no phases, so that a mask and the same mask turned by 180 degrees cannot be
+told apart.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank import WindowedFourierBasis
+from coded_aperture_ros.bank.mask_fit import normalised
+from coded_aperture_ros.bank.mask_likelihood import MaskLikelihood
+from coded_aperture_ros.bank.planes import check_picture
+from coded_aperture_ros.calibration.blind.config import BlindConfig
+from coded_aperture_ros.calibration.blind.free_fit import FreeFit
+from coded_aperture_ros.calibration.blind.grid_misfit import FoundSpectra, GridMisfit
+from coded_aperture_ros.calibration.blind.grid_search import BinaryGrid, best_grid
+from coded_aperture_ros.calibration.blind.relative_sizes import relative_blur_sizes
+from coded_aperture_ros.calibration.blind.windows import mean_by_contrast, window_powers
+from coded_aperture_ros.calibration.planes_checks import check_pictures
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.optics import Mask
+
+Progress = Callable[[Iterable[Any]], Iterable[Any]]
+
+_FEWEST = 4
+_HIGHEST_FREQUENCY = 0.4
+_COARSE_PARTS, _FINE_PARTS = 2, 3
+_COARSE_CELLS, _FINE_CELLS = 16, 24
+_COARSE_STEPS, _FINE_STEPS, _SIZE_STEPS = 60, 200, 60
+# The mixture's autocorrelation, relative to its middle, where the mask ends.
+_END = 0.015
+# A grid of the mixture much wider than the mask wastes its cells.
+_ROOMY = 0.75
+_MARGIN = 1.08
+_ROOM = 1.1
+# The mixture's light ends within this factor of the mask's.
+_UNCERTAIN = 1.09
+# Widths of a grid to try are so many cells apart; the best numbers of cells are refined.
+_CELL_STEP = 0.35
+_PROMISING = 5
+# What a cell more has to gain: to be open or closed is one bit.
+_PER_CELL = 2 * np.log(2)
+_ROUNDS = 2
+_FLIPS, _LIKELY_FLIPS = 12, 12
+_LEAST_EXPLAINED = 0.25
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class BlindMask:
+    """A mask found from planes at unknown distances.
+
+    Attributes
+    ----------
+    mask : Mask
+        Binary, cropped to where it is open. As found, or turned by 180 degrees: spectra do not
+        tell.
+    blur_sizes_px : ndarray, float64 [planes]
+        Width of the mask's extent in each picture, unsigned.
+    explained : float
+        What of the structure of the spectra the mask explains, 0 to 1; an open square explains
+        nothing.
+    spectra : ndarray, float64 [planes, 2, n, n // 2 + 1]
+        Logarithm of the power of each picture's windows, as it is and as the mask explains it, at
+        the frequencies of ``rfft2``; NaN at those that were not looked at.
+    reaches_limit : bool
+        Whether a picture is blurred by more than was reckoned with; by how much is uncertain then.
+    """
+
+    mask: Mask
+    blur_sizes_px: NDArray[np.float64]
+    explained: float
+    spectra: NDArray[np.float64]
+    reaches_limit: bool
+
+
+def find_mask(
+    images: Sequence[NDArray[np.float32]],
+    names: Sequence[str],
+    config: BlindConfig | None = None,
+    progress: Progress = iter,
+) -> BlindMask:
+    """Find mask and blur sizes from pictures of textured planes at unknown distances.
+
+    Parameters
+    ----------
+    images : sequence of ndarray, float32 [rows, columns] or [rows, columns, 3]
+        Linear light, all of one camera and setting, each of a plane parallel to the sensor, all on
+        one side of the focus, in any order. The textures need not be the same.
+    names : sequence of str
+        What to call each in messages.
+    config : BlindConfig, optional
+    progress : callable, optional
+        Wraps the iteration over the steps, as ``tqdm.tqdm`` does.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than four planes, one is no use (size, light, texture), all are blurred
+        alike, or no mask is to be seen in their spectra.
+    """
+    config = config or BlindConfig()
+    greys = _checked(images, names, config)
+    sizes = relative_blur_sizes(greys, names, 2 * config.window_px)
+    return _Search(greys, config, progress).run(sizes)
+
+
+def _checked(
+    images: Sequence[NDArray[np.float32]], names: Sequence[str], config: BlindConfig
+) -> list[NDArray[np.float32]]:
+    """Return the grey pictures, or refuse them."""
+    if len(images) < _FEWEST:
+        raise InputError(
+            f"{len(images)} planes are too few to tell the mask from the textures: take at least "
+            f"{_FEWEST}, better 8 or more, at different distances"
+        )
+    for image, name in zip(images, names, strict=True):
+        check_picture(image, name, images[0].shape[:2], names[0])
+    least = 2 * config.window_px
+    if min(images[0].shape[:2]) < least:
+        raise InputError(
+            f"{names[0]}: {images[0].shape[1]}x{images[0].shape[0]} px are too few for blur of up "
+            f"to {config.largest_blur_px} px: {least} px each way are needed, or a smaller "
+            "largest_blur_px"
+        )
+    check_pictures(images, names, config.window_px)
+    return [
+        np.ascontiguousarray(image if image.ndim == 2 else image.mean(axis=2), np.float32)
+        for image in images
+    ]
+
+
+class _Search:
+    """The steps of `find_mask` after the relative sizes."""
+
+    def __init__(
+        self, images: list[NDArray[np.float32]], config: BlindConfig, progress: Progress
+    ) -> None:
+        fourier = WindowedFourierBasis(config.window_px, _HIGHEST_FREQUENCY)
+        stride = config.window_px // 4
+        means = [
+            mean_by_contrast(window_powers(image, fourier, stride), fourier) for image in images
+        ]
+        self.config = config
+        self.fourier = fourier
+        self.progress = progress
+        self.widest_px = float(config.largest_blur_px)
+        # A grid that is a cell too wide still has room.
+        self.likelihood = MaskLikelihood(means, fourier, _ROOM * self.widest_px)
+        self.random = np.random.default_rng(config.seed)
+
+    def run(self, relative_sizes: NDArray[np.float64]) -> BlindMask:
+        fit = self._mixture(relative_sizes * self.widest_px)
+        extent = _extent(fit)
+        if extent < _ROOMY:
+            fit = self._mixture(fit.sizes_px * min(extent * _MARGIN, 1))
+            extent = _extent(fit)
+        found = FoundSpectra.of_fit(fit, self.likelihood)
+        tried = self._tried(fit, found, extent)
+        # The quadratic function is right near the mixture only: the likelihood itself decides.
+        refined = [self._refined(fit, found, one) for one in self.progress(tried)]
+        fit = min(refined, key=self._penalised_value)
+        fit = min([fit, *self._redrawn(fit)], key=self._penalised_value)
+        fit = self._flipped(fit, found)
+        cells = (fit.parts[0] > 0).astype(np.float64)
+        explained = self._explained(fit, found)
+        cropped = cells[_bounds(cells)]
+        if cropped.all():
+            raise InputError(
+                "no mask is to be seen in the spectra of the planes, only an open rectangle: is "
+                "there a mask with a pattern in the lens?"
+            )
+        if explained < _LEAST_EXPLAINED:
+            raise InputError(
+                "no mask is to be seen in the spectra of the planes "
+                f"({explained:.0%} of their structure explained): is there a mask with a pattern "
+                "in the lens, and are all planes on one side of the focus, blurred by 5 px and "
+                f"more, and by at most largest_blur_px, {self.config.largest_blur_px} px?"
+            )
+        sizes_px = fit.sizes_px * max(cropped.shape) / len(cells)
+        return BlindMask(
+            mask=Mask("found", cropped.astype(np.float32)),
+            blur_sizes_px=sizes_px,
+            explained=explained,
+            spectra=self._spectra(fit),
+            reaches_limit=bool(sizes_px.max() > self.widest_px),
+        )
+
+    def _mixture(self, sizes_px: NDArray[np.float64]) -> FreeFit:
+        """Fit a mixture and the sizes, coarse masks first."""
+        fit = FreeFit(
+            _blobs(_COARSE_PARTS, _COARSE_CELLS), sizes_px, self.likelihood.first_log_noise
+        )
+        fit = fit.climb(self.likelihood, _COARSE_STEPS // 2)
+        fit = fit.climb(self.likelihood, _COARSE_STEPS // 2)
+        cells = min(_FINE_CELLS, int(np.ceil(sizes_px.max())))
+        # Afresh: the coarse ones' cells would stay visible.
+        fit = dataclasses.replace(fit, parts=_blobs(_FINE_PARTS, cells))
+        fit = fit.climb(self.likelihood, _FINE_STEPS // 2)
+        return fit.climb(self.likelihood, _FINE_STEPS // 2)
+
+    def _tried(self, fit: FreeFit, found: FoundSpectra, extent: float) -> "list[_Tried]":
+        """Return the best grids of some numbers of cells, the best number first."""
+        candidates = [
+            (cells, float(width))
+            for cells in range(self.config.least_cells, self.config.most_cells + 1)
+            for width in _widths(extent, cells)
+        ]
+        best: dict[int, _Tried] = {}
+        for cells, width in self.progress(candidates):
+            tried = self._best(fit, found, cells, width)
+            if cells not in best or tried.grid.misfit < best[cells].grid.misfit:
+                best[cells] = tried
+        return sorted(best.values(), key=_penalised)[:_PROMISING]
+
+    def _best(
+        self,
+        fit: FreeFit,
+        found: FoundSpectra,
+        cells: int,
+        width: float,
+    ) -> "_Tried":
+        """Return the best grid of a number of cells and a width over that of the mixture's grid."""
+        misfit = GridMisfit(self.likelihood, found, cells, fit.sizes_px * width / cells)
+        return _Tried(best_grid(misfit, self.config.starts, self.random), width)
+
+    def _refined(self, mixture: FreeFit, found: FoundSpectra, tried: "_Tried") -> FreeFit:
+        """Refine sizes and cells in turn, each with the others as found."""
+        cells, sizes_px = tried.grid.cells, mixture.sizes_px * tried.width
+        for _ in range(_ROUNDS):
+            fit = FreeFit(normalised(cells[None]), sizes_px, mixture.log_noise)
+            fit = fit.climb(self.likelihood, _SIZE_STEPS, masks=False)
+            sizes_px = fit.sizes_px
+            misfit = GridMisfit(self.likelihood, found, len(cells), sizes_px / len(cells))
+            cells = best_grid(misfit, 0, self.random, [cells]).cells
+        return dataclasses.replace(fit, parts=normalised(cells[None]))
+
+    def _redrawn(self, fit: FreeFit) -> list[FreeFit]:
+        """Draw a mask with every other number of cells, for openings that lie between its own."""
+        cells = (fit.parts[0] > 0).astype(np.float64)
+        counts = range(self.config.least_cells, self.config.most_cells + 1)
+        redrawn = []
+        for count in counts:
+            size = (count, count)
+            grid = cv2.resize(cells, size, interpolation=cv2.INTER_AREA) > 0.5
+            if count != len(cells) and grid.any():
+                one = dataclasses.replace(fit, parts=normalised(grid[None].astype(np.float64)))
+                redrawn.append(one.climb(self.likelihood, _SIZE_STEPS, masks=False))
+        return redrawn
+
+    def _flipped(self, fit: FreeFit, found: FoundSpectra) -> FreeFit:
+        """Open and close single cells while that is likelier."""
+        value = self._value(fit)
+        for _ in range(_FLIPS):
+            cells = (fit.parts[0] > 0).astype(np.float64)
+            misfit = GridMisfit(self.likelihood, found, len(cells), fit.sizes_px / len(cells))
+            likely = {*np.argsort(misfit.of_flips(cells))[:_LIKELY_FLIPS], *_alone(cells)}
+            changed = []
+            for cell in sorted(likely):
+                flipped = cells.copy()
+                flipped.flat[cell] = 1 - flipped.flat[cell]
+                changed.append(dataclasses.replace(fit, parts=normalised(flipped[None])))
+            values = [self._value(one) for one in changed]
+            if min(values) >= value:
+                break
+            value, fit = min(values), changed[int(np.argmin(values))]
+        return fit.climb(self.likelihood, _SIZE_STEPS, masks=False)
+
+    def _value(self, fit: FreeFit) -> float:
+        """Return twice the negative log-likelihood of one window of each group."""
+        groups = self.likelihood.group(fit.parts, fit.sizes_px, fit.log_noise)
+        value, _ = self.likelihood.value_and_gradient(
+            fit.parts, fit.sizes_px, groups.textures, fit.log_noise, groups
+        )
+        return float(value * groups.count.sum() * self.likelihood.multiplicity.sum())
+
+    def _penalised_value(self, fit: FreeFit) -> float:
+        return self._value(fit) + _PER_CELL * _area(fit.parts[0])
+
+    def _explained(self, fit: FreeFit, found: FoundSpectra) -> float:
+        """Compare the misfit with that of an open rectangle of the same extent."""
+        cells = (fit.parts[0] > 0).astype(np.float64)
+        misfit = GridMisfit(self.likelihood, found, len(cells), fit.sizes_px / len(cells))
+        opened = np.zeros_like(cells)
+        opened[_bounds(cells)] = 1
+        return 1 - misfit.of_grid(cells) / misfit.of_grid(opened)
+
+    def _spectra(self, fit: FreeFit) -> NDArray[np.float64]:
+        """Return measured and explained spectra, of the windows of least contrast."""
+        found = FoundSpectra.of_fit(fit, self.likelihood)
+        _, first = np.unique(found.groups.plane, return_index=True)
+        powers = np.stack([found.groups.mean, found.signal + found.noise], axis=1)[first]
+        n = self.config.window_px
+        spectra = np.full((len(first), 2, n * (n // 2 + 1)), np.nan)
+        spectra[..., self.fourier.multiplicity > 0] = np.log(powers)
+        return spectra.reshape(len(first), 2, n, -1)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Tried:
+    """A grid, and its width over that of the mixture's grid."""
+
+    grid: BinaryGrid
+    width: float
+
+
+def _widths(extent: float, cells: int) -> NDArray[np.float64]:
+    """Return widths of grids of cells to try, near that of the mask as the mixture has it."""
+    low, high = extent / _UNCERTAIN, min(extent * _UNCERTAIN, 1.0)
+    count = int(np.ceil(np.log(high / low) * cells / _CELL_STEP)) + 1
+    return np.geomspace(low, high, count)
+
+
+def _penalised(tried: _Tried) -> float:
+    """Return the misfit with what the choice of the cells adds to it."""
+    return float(tried.grid.misfit + _PER_CELL * _area(tried.grid.cells))
+
+
+def _area(cells: NDArray[np.float64]) -> int:
+    """Return how many cells the smallest rectangle around the open ones has."""
+    return int(cells[_bounds(cells)].size)
+
+
+def _alone(cells: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return which cells differ from all their neighbours above, below, left and right, flat."""
+    padded = np.pad(cells, 1)
+    around = (padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:])
+    return np.flatnonzero(np.all([other != cells for other in around], axis=0))
+
+
+def _bounds(cells: NDArray[np.float64]) -> tuple[slice, slice]:
+    """Return the rows and the columns between the first and the last with an open cell."""
+    rows, columns = (np.flatnonzero(cells.any(axis=axis)) for axis in (1, 0))
+    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+
+
+def _blobs(count: int, cells: int) -> NDArray[np.float64]:
+    """Return random masks, brightest in their middle [count, cells, cells]."""
+    x = (np.arange(cells) + 0.5) / cells - 0.5
+    blob = np.exp(-(x[:, None] ** 2 + x**2) / (2 * 0.3**2))
+    random = np.random.default_rng(0).uniform(size=(count, cells, cells))
+    return normalised(blob * random**2)
+
+
+def _autocorrelation(parts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the sum of the autocorrelations of masks, lag zero in the middle [2m - 1, 2m - 1]."""
+    cells = parts.shape[-1]
+    torus = (2 * cells, 2 * cells)
+    whole = np.fft.irfft2((np.abs(np.fft.rfft2(parts, torus)) ** 2).sum(axis=0), torus)
+    return np.asarray(np.fft.fftshift(whole)[1:, 1:])
+
+
+def _extent(fit: FreeFit) -> float:
+    """Return the width of the mask over that of the mixture's grid: where its light ends."""
+    cells = fit.parts.shape[-1]
+    autocorrelation = _autocorrelation(fit.parts)
+    middle = autocorrelation[cells - 1, cells - 1]
+    reaches = []
+    for axis in (0, 1):
+        profile = autocorrelation.max(axis=axis)[cells - 1 :] / middle
+        reaches.append(int(np.flatnonzero(profile > _END)[-1]) + 1)
+    return max(reaches) / cells

@@ -1,0 +1,186 @@
+"""How badly grids of cells explain the spectra of planes, as a quadratic function.
+
+A spectrum is linear in the autocorrelation of the mask's grid. Near the spectra that were found
+the likelihood is quadratic in them, and what smooth textures and noise can make up for is
+projected out. What remains is a small matrix, with which a million grids can be tried.
+"""
+
+import dataclasses
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank.mask_likelihood import Groups, MaskLikelihood
+from coded_aperture_ros.bank.mask_spectra import half_plane
+from coded_aperture_ros.calibration.blind.free_fit import FreeFit
+
+_NEGLIGIBLE = 1e-9
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FoundSpectra:
+    """The spectra of a fit, around which the likelihood is expanded.
+
+    Attributes
+    ----------
+    groups : Groups
+    signal : ndarray, float64 [G, K]
+        Power of the blurred texture.
+    noise : ndarray, float64 [G, 1]
+        Its variance.
+    """
+
+    groups: Groups
+    signal: NDArray[np.float64]
+    noise: NDArray[np.float64]
+
+    @classmethod
+    def of_fit(cls, fit: FreeFit, likelihood: MaskLikelihood) -> "FoundSpectra":
+        """Take the spectra of a fit, with the textures that suit it best."""
+        groups = likelihood.group(fit.parts, fit.sizes_px, fit.log_noise)
+        power = likelihood.spectra.expected(fit.parts, fit.sizes_px).power
+        signal = np.exp(groups.textures @ likelihood.texture) * power[groups.slope, groups.plane]
+        return cls(groups, signal, np.exp(fit.log_noise)[groups.plane, None])
+
+
+class GridMisfit:
+    """The misfit of square grids of n x n cells of given widths.
+
+    It is about twice the negative log-likelihood of one window of each group.
+
+    Parameters
+    ----------
+    likelihood : MaskLikelihood
+    found : FoundSpectra
+    cells : int
+        Of the grid, along a side.
+    cells_px : ndarray, float64 [planes]
+        Width of a cell at each plane.
+    """
+
+    def __init__(
+        self,
+        likelihood: MaskLikelihood,
+        found: FoundSpectra,
+        cells: int,
+        cells_px: NDArray[np.float64],
+    ) -> None:
+        self.cells = cells
+        self.lags = half_plane(cells - 1)
+        self._add_up(likelihood, found, cells_px)
+        # Where the grid lies among closed cells, and what lies at each lag of every cell.
+        self._width = 3 * cells - 2
+        row, column = (axis.ravel()[:, None] + cells - 1 for axis in np.mgrid[:cells, :cells])
+        down, across = self.lags.T
+        self._ahead = (row + down) * self._width + column + across
+        self._behind = (row - down) * self._width + column - across
+        self._at_zero = int(np.flatnonzero(~self.lags.any(axis=1))[0])
+
+    def _add_up(
+        self, likelihood: MaskLikelihood, found: FoundSpectra, cells_px: NDArray[np.float64]
+    ) -> None:
+        groups = found.groups
+        trust = np.sqrt(likelihood.multiplicity) / (found.signal + found.noise)
+        gain = trust * np.exp(groups.textures @ likelihood.texture)
+        signal = trust * found.signal
+        data = trust * (groups.mean - found.noise)
+        hessian = np.zeros((len(self.lags), len(self.lags)))
+        slope = np.zeros(len(self.lags))
+        light = np.zeros(len(self.lags))
+        for plane, cell_px in enumerate(cells_px):
+            stretched = self._stretched(likelihood, float(cell_px))
+            for texture in np.unique(groups.slope[groups.plane == plane]):
+                by_lag = likelihood.spectra.operators[texture] @ stretched
+                members = np.flatnonzero((groups.plane == plane) & (groups.slope == texture))
+                rows = by_lag * np.sqrt(np.sum(gain[members] ** 2, axis=0))[:, None]
+                hessian += rows.T @ rows
+                for group in members:
+                    free = np.column_stack([(signal[group] * likelihood.texture).T, trust[group]])
+                    basis, _ = np.linalg.qr(free)
+                    light += (signal[group] * gain[group]) @ by_lag
+                    made_up = (basis.T * gain[group]) @ by_lag
+                    hessian -= made_up.T @ made_up
+                    rest = data[group] - basis @ (basis.T @ data[group])
+                    slope += (gain[group] * rest) @ by_lag
+        # The mask's light is that of the spectra found.
+        self._light = light / np.sum(signal**2)
+        values, vectors = np.linalg.eigh(hessian)
+        kept = values > _NEGLIGIBLE * values.max()
+        roots = np.sqrt(values[kept])
+        self._root = (vectors[:, kept] * roots).T
+        self._target = vectors[:, kept].T @ slope / roots
+
+    def _stretched(self, likelihood: MaskLikelihood, cell_px: float) -> NDArray[np.float64]:
+        """Return the autocorrelation in pixels of each lag of the grid [pixel lags, lags]."""
+        reach = likelihood.spectra.width - 1
+        kernel = _square_overlap(
+            np.arange(-reach, reach + 1)[:, None] - np.arange(1 - self.cells, self.cells) * cell_px,
+            cell_px,
+        )
+        vertical, horizontal = likelihood.spectra.lags.T + reach
+        down, across = self.lags.T
+        middle = self.cells - 1
+
+        def at(sign: int) -> NDArray[np.float64]:
+            rows = kernel[:, middle + sign * down][vertical]
+            columns = kernel[:, middle + sign * across][horizontal]
+            return np.asarray(rows * columns)
+
+        return np.where(self.lags.any(axis=1), at(1) + at(-1), at(1))
+
+    def autocorrelation(self, grid: NDArray) -> NDArray[np.float64]:
+        """Return that of a grid [n, n], at `lags`."""
+        torus = (2 * self.cells, 2 * self.cells)
+        whole = scipy.fft.irfft2(np.abs(scipy.fft.rfft2(grid, torus)) ** 2, torus)
+        return np.asarray(whole[self.lags[:, 0], self.lags[:, 1]])
+
+    def misfit(self, autocorrelation: NDArray) -> NDArray[np.float64]:
+        """Return the misfit of autocorrelations [..., lags]; their scale does not matter."""
+        light = autocorrelation @ self._light
+        error = (autocorrelation / light[..., None]) @ self._root.T - self._target
+        return np.asarray(np.sum(error**2, axis=-1))
+
+    def of_grid(self, grid: NDArray) -> float:
+        """Return the misfit of a grid [n, n]."""
+        return float(self.misfit(self.autocorrelation(grid)))
+
+    def of_flips(self, grid: NDArray) -> NDArray[np.float64]:
+        """Return the misfit of a binary grid with each of its cells changed [n * n].
+
+        Not finite where no cell would be open.
+        """
+        change = 1.0 - 2.0 * np.asarray(grid, np.float64).ravel()
+        changes = change[:, None] * self._neighbours(grid)
+        changes[:, self._at_zero] = change
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return self.misfit(self.autocorrelation(grid) + changes)
+
+    def value_and_gradient(self, x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        """Return the misfit of a grid of any transmissions, flat, and its gradient."""
+        neighbours = self._neighbours(x.reshape(self.cells, self.cells))
+        autocorrelation = x @ neighbours / 2
+        light = autocorrelation @ self._light
+        error = self._root @ (autocorrelation / light) - self._target
+        by_scaled = 2 * error @ self._root
+        by_lag = by_scaled / light - self._light * (by_scaled @ autocorrelation) / light**2
+        return float(error @ error), neighbours @ by_lag
+
+    def _neighbours(self, grid: NDArray) -> NDArray[np.float64]:
+        """Sum of the two cells at each lag from every cell [n * n, lags]."""
+        n = self.cells
+        padded = np.zeros((self._width, self._width))
+        padded[n - 1 : 2 * n - 1, n - 1 : 2 * n - 1] = grid
+        return np.asarray(padded.ravel()[self._ahead] + padded.ravel()[self._behind])
+
+
+def _square_overlap(lag: NDArray[np.float64], cell_px: float) -> NDArray[np.float64]:
+    """Autocorrelation of a cell one pixel's integral away from a point, along one axis.
+
+    That of a box one pixel wide, convolved with that of a box as wide as the cell; unit sum.
+    """
+    total = np.zeros_like(lag)
+    for pixel, one in ((-1, 1), (0, -2), (1, 1)):
+        for cell, other in ((-1, 1), (0, -2), (1, 1)):
+            total += one * other * np.maximum(lag + pixel + cell * cell_px, 0) ** 3 / 6
+    return np.asarray(total / cell_px**2)

@@ -1,0 +1,168 @@
+"""How much more one plane is blurred than another, without knowing the mask.
+
+The same mask shapes all spectra, stretched: twice the blur has its zeros at half the frequency. On
+a logarithmic axis of frequency stretching is shifting, so that spectra are matched by correlation,
+direction by direction, after what is smooth (texture) has been taken away.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.fft
+import scipy.ndimage
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank.fourier import WindowedFourierBasis
+from coded_aperture_ros.calibration.blind.windows import mean_by_contrast, window_powers
+from coded_aperture_ros.errors import InputError
+
+_DIRECTIONS = 48
+# Of the logarithm of frequency.
+_STEP = 0.02
+# The lowest frequencies, in cycles per window, lie within the window's own width; the highest, in
+# cycles per pixel, in the corners of the spectrum.
+_LOWEST_CYCLES, _HIGHEST = 4, 0.42
+# Above this ratio of power to noise the shape of a spectrum is to be seen.
+_ABOVE_NOISE = 1.5
+_SMOOTH_DEGREE = 2
+# Blur sizes are looked for up to this ratio (9), in steps.
+_REACH = round(2.2 / _STEP)
+_ROUNDS = 5
+_LEAST_CORRELATION = 0.35
+_LEAST_RANGE = 1.15
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Shape:
+    """What stands out of a spectrum, and how far to trust it; both [directions, frequencies]."""
+
+    deviation: NDArray[np.float64]
+    weight: NDArray[np.float64]
+
+
+def relative_blur_sizes(
+    images: Sequence[NDArray[np.float32]], names: Sequence[str], window_px: int
+) -> NDArray[np.float64]:
+    """Estimate the blur sizes of planes but for a common factor.
+
+    Parameters
+    ----------
+    images : sequence of ndarray, float32 [rows, columns]
+        Grey, none smaller than a window.
+    names : sequence of str
+        What to call each in messages.
+    window_px : int
+        Four times the largest blur: the spectrum has to be resolved finely.
+
+    Returns
+    -------
+    ndarray, float64 [planes]
+        The largest is 1; good to some per cent.
+
+    Raises
+    ------
+    InputError
+        If a spectrum has nothing in common with the others, or all are blurred alike.
+    """
+    shapes = [_shape(image, window_px) for image in images]
+    count = len(shapes)
+    gains = np.zeros((count, count, 2 * _REACH + 1))
+    strongest = np.zeros((count, count))
+    for i in range(count):
+        for j in range(count):
+            if i != j:
+                gains[i, j], strongest[i, j] = _likelihood_of_shifts(shapes[i], shapes[j])
+    for name, correlation in zip(names, strongest.max(axis=1), strict=True):
+        if correlation < _LEAST_CORRELATION:
+            raise InputError(
+                f"{name}: its spectrum has nothing in common with those of the other planes "
+                f"(correlation {correlation:.2f}): blur there is too little or too much, or the "
+                "mask has no pattern"
+            )
+    shifts = _consistent(gains)
+    sizes = np.exp(_STEP * (shifts.min() - shifts))
+    if sizes.min() * _LEAST_RANGE > 1:
+        raise InputError(
+            "all planes are blurred alike, to "
+            f"{1 / sizes.min() - 1:.0%}: mask and texture cannot be told apart; take planes at "
+            "different distances, all on one side of the focus"
+        )
+    return np.asarray(sizes)
+
+
+def _shape(image: NDArray[np.float32], window_px: int) -> _Shape:
+    """Return the spectrum's deviation from what is smooth, in polar coordinates."""
+    fourier = WindowedFourierBasis(window_px)
+    powers = window_powers(image, fourier, window_px // 4)
+    mean = mean_by_contrast(powers, fourier, classes=1)[0].astype(np.float64)
+    noise = float(mean @ fourier.noise_weights)
+    logarithm = np.arange(np.log(_LOWEST_CYCLES / window_px), np.log(_HIGHEST), _STEP)
+    angle = (np.arange(_DIRECTIONS) + 0.5) * np.pi / _DIRECTIONS
+    # The half plane with positive horizontal frequencies; rows wrap around.
+    half = mean.reshape(window_px, -1)
+    radius = window_px * np.exp(logarithm)
+    rows = radius * np.cos(angle)[:, None]
+    columns = radius * np.sin(angle)[:, None]
+    polar = scipy.ndimage.map_coordinates(
+        np.log(np.roll(half, window_px // 2, axis=0)),
+        [rows + window_px // 2, columns],
+        order=1,
+        mode="nearest",
+    )
+    ratio = np.exp(polar) / noise
+    weight = np.where(ratio > _ABOVE_NOISE, (1 - 1 / np.maximum(ratio, 1)) ** 2, 0)
+    powers_of_frequency = np.vander(logarithm - logarithm.mean(), _SMOOTH_DEGREE + 1)
+    deviation = np.empty_like(polar)
+    for line, weights, out in zip(polar, np.sqrt(weight + 1e-6), deviation, strict=True):
+        terms = weights[:, None] * powers_of_frequency
+        smooth, *_ = np.linalg.lstsq(terms, weights * line, rcond=None)
+        out[:] = line - powers_of_frequency @ smooth
+    return _Shape(deviation, weight)
+
+
+def _likelihood_of_shifts(first: _Shape, second: _Shape) -> tuple[NDArray[np.float64], float]:
+    """Return what is gained by taking two spectra for one, shifted, and the best correlation.
+
+    The gain is that of normal variables of the correlation that is found, for every shift of the
+    second from ``-_REACH`` to ``_REACH``.
+    """
+    period = 2 * first.weight.shape[1] + 2 * _REACH
+
+    def correlated(a: NDArray, b: NDArray) -> NDArray[np.float64]:
+        spectrum = np.conj(scipy.fft.rfft(a, period)) * scipy.fft.rfft(b, period)
+        both = scipy.fft.irfft(spectrum.sum(axis=0), period)
+        return np.asarray(both[np.arange(-_REACH, _REACH + 1)])
+
+    a, v = first.deviation, first.weight
+    b, w = second.deviation, second.weight
+    common = np.maximum(correlated(v, w), 0)
+    scale = np.sqrt(np.maximum(correlated(v * a**2, w) * correlated(v, w * b**2), 1e-9))
+    correlation = np.clip(correlated(v * a, w * b) / scale, 0, 0.99)
+    gain = -common * np.log(1 - correlation**2)
+    return gain, float(correlation[gain.argmax()])
+
+
+def _consistent(gains: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the shift of every spectrum under which all pairs together gain most [planes]."""
+    count = len(gains)
+    places = np.arange(-2 * _REACH, 2 * _REACH + 1)
+
+    def gain_of(j: int, others: dict[int, int]) -> NDArray[np.float64]:
+        total = np.zeros(len(places))
+        for i, place in others.items():
+            apart = places - place
+            near = np.abs(apart) <= _REACH
+            total[near] += gains[i, j, apart[near] + _REACH]
+        return total
+
+    best = gains.max(axis=2)
+    found = {int(np.unravel_index(best.argmax(), best.shape)[0]): 0}
+    while len(found) < count:  # the surest first
+        _, j = max((best[i, j], j) for i in found for j in range(count) if j not in found)
+        found[j] = int(places[gain_of(j, found).argmax()])
+    for _ in range(_ROUNDS):
+        for j in range(count):
+            others = {i: place for i, place in found.items() if i != j}
+            found[j] = int(places[gain_of(j, others).argmax()])
+    return np.array([found[i] for i in range(count)], float)

@@ -1,0 +1,182 @@
+"""`coded_aperture calibrate blind`: an unknown mask from planes at unknown distances."""
+
+import argparse
+import json
+import logging
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, config_from
+from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.errors import InputError
+
+_EPILOG = """examples:
+  the mask, and a bank for the blur sizes of the pictures:
+    coded_aperture calibrate blind planes --output found -o bank.npz
+  pictures blurred by 16 px at most, of a mask of 5 to 9 cells a side:
+    coded_aperture calibrate blind a.png b.png c.png d.png --largest-blur-px 16 \\
+        --least-cells 5 --most-cells 9 --output found
+
+Take 8 planes or more, parallel to the sensor, all on one side of the focus, at different distances
+that need not be known, with fine texture all over. Whether the mask is as found or turned by 180
+degrees, spectra do not tell: if deblurred pictures look worse than blurred ones, turn it.
+"""
+_REPORT, _MASK, _PICTURE_OF_MASK, _PICTURE = (
+    "calibrate_blind.json", "mask.npy", "mask.png", "spectra.png",
+)  # fmt: skip
+_LEVELS = 40
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the action to the parser of `calibrate`."""
+    parser = subparsers.add_parser(
+        "blind",
+        help="find an unknown mask from pictures of planes at unknown distances",
+        description="Find the mask and the blur size of every picture from their power spectra "
+        "alone (thesis 10.2). The mask is taken to be of square cells, open or closed. It is found "
+        "up to a rotation by 180 degrees.",
+        epilog=_EPILOG,
+    )
+    parser.add_argument(
+        "inputs", nargs="+", metavar="FOLDER|PICTURE", help="pictures, or a folder of them"
+    )
+    add_gamma_option(parser)
+    parser.add_argument(
+        "--output",
+        metavar="DIR",
+        help=f"folder for {_MASK}, {_PICTURE_OF_MASK}, {_PICTURE} and {_REPORT}",
+    )
+    parser.add_argument(
+        "-o", metavar="FILE", dest="bank", help="bank (.npz) from the least to the largest blur"
+    )
+    parser.add_argument(
+        "--levels", type=int, default=_LEVELS, metavar="N", help=f"of the bank (default {_LEVELS})"
+    )
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser.add_late_options = _add_config_options
+
+
+def _add_config_options(parser: argparse.ArgumentParser) -> None:
+    from coded_aperture_ros.bank import LearnConfig
+    from coded_aperture_ros.calibration.blind import BlindConfig
+
+    add_config_options(parser, BlindConfig, "search")
+    add_config_options(parser, LearnConfig, "filters of the bank")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the action; return its exit status."""
+    from coded_aperture_ros.bank import LearnConfig
+    from coded_aperture_ros.calibration.blind import BlindConfig, find_mask
+    from coded_aperture_ros.images import read_image
+
+    if args.bank is None and args.output is None:
+        args.usage_error("say where the results go with --output DIR or -o bank.npz, or both")
+    if args.levels < 2:
+        args.usage_error(f"--levels: at least 2 are needed, got {args.levels}")
+    try:
+        config, filters = config_from(args, BlindConfig), config_from(args, LearnConfig)
+    except InputError as error:
+        args.usage_error(f"--{error}".replace("_", "-"))
+    if args.bank is not None:
+        check_suffix(args.bank, [".npz"])
+        check_output(args.bank)
+        if filters.window_px < config.largest_blur_px:
+            args.usage_error(
+                f"--window-px: blur of --largest-blur-px {config.largest_blur_px} does not fit "
+                f"patches of {filters.window_px} px"
+            )
+    if args.output is not None:
+        check_output(Path(args.output) / _REPORT)
+    names = _pictures(args.inputs)
+    start = time.perf_counter()
+    images = [read_image(name, args.gamma) for name in names]
+    found = find_mask(images, names, config, progress)
+    summary = _summary(args, names, found, round(time.perf_counter() - start, 3))
+    _write_files(args, found, filters, summary)
+    if found.reaches_limit:
+        logging.warning(
+            "the blur is larger than %d px: try a larger --largest-blur-px",
+            config.largest_blur_px,
+        )
+    print(json.dumps(summary, allow_nan=False) if args.json else _text(summary))
+    return 0
+
+
+def _pictures(inputs: list[str]) -> list[str]:
+    from coded_aperture_ros.images import open_sequence
+
+    if len(inputs) > 1 or not Path(inputs[0]).is_dir():
+        return inputs
+    return [str(path) for path in open_sequence(inputs[0]).pictures]
+
+
+def _summary(
+    args: argparse.Namespace, names: list[str], found: Any, seconds: float
+) -> dict[str, Any]:
+    cells = found.mask.transmission
+    return {
+        "bank": args.bank,
+        "output": args.output,
+        "mask": ["".join("#" if cell else "." for cell in row) for row in cells],
+        "light": round(found.mask.open_fraction, 4),
+        "explained": round(found.explained, 4),
+        "orientation": "as found or turned by 180 degrees",
+        "reaches_limit": found.reaches_limit,
+        "planes": [
+            {"file": name, "blur_size_px": round(float(size), 3)}
+            for name, size in zip(names, found.blur_sizes_px, strict=True)
+        ],
+        "seconds": seconds,
+    }
+
+
+def _write_files(args: argparse.Namespace, found: Any, filters: Any, summary: Any) -> None:
+    """Write the bank and all files of the output folder, or none."""
+    import numpy as np
+
+    from coded_aperture_ros.bank import learn_bank, save_bank
+    from coded_aperture_ros.calibration.blind import blind_picture, mask_picture
+    from coded_aperture_ros.files import atomic_output
+    from coded_aperture_ros.images import write_image
+    from coded_aperture_ros.optics import render_psf_stack
+
+    with ExitStack() as stack:
+
+        def output(name: str) -> Path:
+            return stack.enter_context(atomic_output(Path(args.output) / name))
+
+        if args.output is not None:
+            report = json.dumps(summary, indent=1, allow_nan=False)
+            output(_REPORT).write_text(report + "\n", encoding="utf-8")
+            with output(_MASK).open("wb") as file:
+                np.save(file, found.mask.transmission)
+            write_image(output(_PICTURE_OF_MASK), mask_picture(found.mask.transmission))
+            write_image(output(_PICTURE), blind_picture(found))
+        if args.bank is not None:
+            sizes = found.blur_sizes_px
+            levels = np.linspace(sizes.min(), sizes.max(), args.levels)
+            bank = learn_bank(
+                render_psf_stack(found.mask, levels),
+                filters,
+                learned_from=f"mask found in {len(sizes)} planes at unknown distances",
+            )
+            save_bank(bank, stack.enter_context(atomic_output(args.bank)))
+
+
+def _text(summary: Any) -> str:
+    planes = sorted(summary["planes"], key=lambda plane: float(plane["blur_size_px"]))
+    rows = summary["mask"]
+    lines = [
+        f"mask of {len(rows[0])}x{len(rows)} cells, {summary['light']:.0%} of the square open; "
+        f"{summary['explained']:.0%} of the structure of the spectra explained",
+        *(f"  {row}" for row in rows),
+        "as it was found; spectra do not tell it from the same mask turned by 180 degrees",
+        f"  {'':40}{'blur px':>8}",
+        *(f"  {plane['file'][-40:]:40}{plane['blur_size_px']:8.2f}" for plane in planes),
+    ]
+    wrote = [str(place) for place in (summary["output"], summary["bank"]) if place]
+    return "\n".join([*lines, f"{', '.join(wrote)}; {summary['seconds']:.0f} s"])
