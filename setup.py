@@ -76,6 +76,7 @@ setup(
             "ruff>=0.6",
             "mypy>=1.11",
             "types-PyYAML",
+            "distributed>=2024.1",
             "colcon-core>=0.17",
             "colcon-ros>=0.5",
             "mcap>=1.2",
