@@ -49,7 +49,8 @@ class InverseFilters:
 
     def __init__(self, stack: PsfStack, rank: int, workers: Workers) -> None:
         self._stack, self._rank, self._workers = stack, rank, workers
-        self._extension_px = max(_EXTENSION_PX, stack.psfs.shape[-1])
+        # A PSF reaches so far across the passage from one border to the other, and no farther.
+        self._extension_px = max(_EXTENSION_PX, stack.psfs.shape[-1] - 1)
         self._order = np.argsort(stack.blur_sizes_px)
         self._basis = lru_cache(maxsize=len(_NOISES))(self._new_basis)
         self._transforms = lru_cache(maxsize=len(_NOISES))(self._new_transforms)

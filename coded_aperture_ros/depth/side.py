@@ -46,7 +46,7 @@ class SideFinder:
     def __init__(self, stack: PsfStack, shape: tuple[int, ...]) -> None:
         self._stack = stack
         self._shape = shape
-        self._around_px = max(_AROUND_PX, stack.psfs.shape[-1])
+        self._around_px = max(_AROUND_PX, stack.psfs.shape[-1] - 1)
         self._periodic = periodic_shape(shape, self._around_px)
         self._prior = (_CONTRAST * power_spectrum(_SLOPE, self._periodic)).astype(np.float32)
         self._transfers: dict[int, NDArray[np.complex64]] = {}
