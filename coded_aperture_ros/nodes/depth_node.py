@@ -200,11 +200,13 @@ class DepthNode(FrameNode[Image]):
         config = self.configs[DepthNodeConfig]
         if self.wants("depth/camera_info") or self.wants("depth/points"):
             info = self._info.info(self._model.camera, frame_size, size, header)
-            self.send("depth/camera_info", info)
-            points = points_of_depth(
-                depth_m, estimate.confidence, info.p, self._range.near_m, config.points_far_m
-            )
-            self.send("depth/points", cloud_from_points(points, header))
+            if self.wants("depth/camera_info"):
+                self.send("depth/camera_info", info)
+            if self.wants("depth/points"):
+                points = points_of_depth(
+                    depth_m, estimate.confidence, info.p, self._range.near_m, config.points_far_m
+                )
+                self.send("depth/points", cloud_from_points(points, header))
         if isinstance(estimate, MotionEstimate) and self.wants("depth/motion"):
             self.send("depth/motion", image_from_motion(estimate.motion_px, header))
         obstacle_m = nearest_obstacle_m(depth_m, config.obstacle_share)
