@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy import ndimage, signal
 
+from coded_aperture_ros.bank import image_prior
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.deblur.fill import filled_blur_map
 from coded_aperture_ros.deblur.inverse import (
     InverseBasis,
-    image_prior,
     wiener_filters,
 )
 from coded_aperture_ros.errors import InputError

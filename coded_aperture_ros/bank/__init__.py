@@ -13,7 +13,7 @@ from coded_aperture_ros.bank.learn import (
 from coded_aperture_ros.bank.learn_planes import learn_bank_for_pattern, learn_bank_from_planes
 from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.bank.planes import Planes
-from coded_aperture_ros.bank.prior import NaturalImagePrior, power_spectrum
+from coded_aperture_ros.bank.prior import NaturalImagePrior, image_prior, power_spectrum
 from coded_aperture_ros.bank.subspace import SubspaceBank, learn_subspace_bank
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "ProjectedFrame",
     "SubspaceBank",
     "WindowedFourierBasis",
+    "image_prior",
     "learn_bank",
     "learn_bank_for_camera",
     "learn_bank_for_pattern",

@@ -7,6 +7,11 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.errors import InputError
 
+# Photographs in linear light, where one spectrum has to do for all patches: fall-off and contrast
+# (variance).
+_SLOPE = 2.4
+_CONTRAST = 0.02
+
 
 @dataclasses.dataclass(frozen=True)
 class NaturalImagePrior:
@@ -64,3 +69,8 @@ def power_spectrum(slope: float, shape: tuple[int, int]) -> NDArray[np.float64]:
     frequency[0, 0] = 1 / max(shape)
     power = frequency**-slope
     return power / np.mean(np.fft.irfft2(power, shape)[0, 0])
+
+
+def image_prior(shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Return the power spectrum of photographs of `shape`, as by ``scipy.fft.rfft2``."""
+    return (_CONTRAST * power_spectrum(_SLOPE, shape)).astype(np.float32)

@@ -9,6 +9,8 @@ from typing import Any
 from coded_aperture_ros.cli.bench_cells import measure_cells
 from coded_aperture_ros.cli.bench_methods import mask_of
 from coded_aperture_ros.cli.bench_options import (
+    add_images_option,
+    add_masks_option,
     add_numbers,
     add_result_options,
     add_size_option,
@@ -42,13 +44,7 @@ def add_parser(subparsers: Any) -> None:
         "the true and with the found PSFs.",
         epilog=_EPILOG,
     )
-    parser.add_argument(
-        "--masks",
-        nargs="+",
-        default=list(_MASKS),
-        metavar="MASK",
-        help=f"names or files (default {' '.join(_MASKS)})",
-    )
+    add_masks_option(parser, _MASKS)
     parser.add_argument(
         "--sigma",
         type=noise_level,
@@ -63,9 +59,7 @@ def add_parser(subparsers: Any) -> None:
         ("repeats", 1, 1, "other crops, orders and noise"),
     )
     add_size_option(parser, _SIZE)
-    parser.add_argument(
-        "--images", metavar="DIR", help="pictures of this folder instead of the built-in ones"
-    )
+    add_images_option(parser)
     add_result_options(parser)
 
 

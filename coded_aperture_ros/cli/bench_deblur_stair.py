@@ -27,6 +27,7 @@ from coded_aperture_ros.cli.bench_deblur_methods import (
 from coded_aperture_ros.cli.bench_deblur_pictures import as_rgb, enlarged, side_by_side
 from coded_aperture_ros.cli.bench_methods import BANK, Setting, identify, mask_of
 from coded_aperture_ros.cli.bench_options import (
+    add_masks_option,
     add_picture_options,
     add_result_options,
     add_sigmas_option,
@@ -117,13 +118,7 @@ def add_parser(subparsers: Any) -> None:
         help="natural (unselected crops of photographs), soft (the same at half size) or random "
         "(white noise) (default natural)",
     )
-    parser.add_argument(
-        "--masks",
-        nargs="+",
-        default=["four_hole", "levin"],
-        metavar="MASK",
-        help="names or files (default four_hole levin)",
-    )
+    add_masks_option(parser, ("four_hole", "levin"))
     add_sigmas_option(parser, _SIGMAS)
     add_method_options(parser)
     parser.add_argument(

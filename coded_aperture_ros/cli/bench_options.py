@@ -105,13 +105,7 @@ def add_cell_options(
     rank: int,
 ) -> None:
     """Add the options of the benchmarks that make their own frames."""
-    parser.add_argument(
-        "--masks",
-        nargs="+",
-        default=["four_hole", "levin"],
-        metavar="MASK",
-        help="names or files (default four_hole levin)",
-    )
+    add_masks_option(parser, ("four_hole", "levin"))
     add_sigmas_option(parser, sigmas)
     parser.add_argument(
         "--methods",
@@ -200,11 +194,27 @@ def add_cases_option(
     )
 
 
-def add_picture_options(parser: argparse.ArgumentParser) -> None:
-    """Add which pictures are the textures, and whether the noise in them is told."""
+def add_masks_option(parser: argparse.ArgumentParser, masks: Sequence[str]) -> None:
+    """Add the masks to measure with."""
+    parser.add_argument(
+        "--masks",
+        nargs="+",
+        default=list(masks),
+        metavar="MASK",
+        help=f"names or files (default {' '.join(masks)})",
+    )
+
+
+def add_images_option(parser: argparse.ArgumentParser) -> None:
+    """Add which pictures are the textures; see `folder_of`."""
     parser.add_argument(
         "--images", metavar="DIR", help="pictures of this folder instead of the built-in ones"
     )
+
+
+def add_picture_options(parser: argparse.ArgumentParser) -> None:
+    """Add which pictures are the textures, and whether the noise in them is told."""
+    add_images_option(parser)
     parser.add_argument(
         "--known-noise",
         action="store_true",

@@ -11,11 +11,13 @@ from typing import Any
 from coded_aperture_ros.cli.bench_cells import measure_cells
 from coded_aperture_ros.cli.bench_methods import bank_methods, mask_of
 from coded_aperture_ros.cli.bench_options import (
+    add_images_option,
+    add_masks_option,
     add_numbers,
     add_result_options,
+    add_sigmas_option,
     check_result_options,
     folder_of,
-    noise_level,
     report,
     table,
 )
@@ -68,22 +70,8 @@ def add_parser(subparsers: Any) -> None:
         "for each side, who is told the side of every pixel.",
         epilog=_EPILOG,
     )
-    parser.add_argument(
-        "--masks",
-        nargs="+",
-        default=list(_MASKS),
-        metavar="MASK",
-        help=f"names or files (default {' '.join(_MASKS)})",
-    )
-    parser.add_argument(
-        "--sigmas",
-        nargs="+",
-        type=noise_level,
-        default=[0.001],
-        metavar="S",
-        help="noise behind an open aperture; a frame has S divided by the open fraction of the "
-        "mask's square (default 0.001)",
-    )
+    add_masks_option(parser, _MASKS)
+    add_sigmas_option(parser, (0.001,))
     parser.add_argument(
         "--regularize",
         nargs="+",
@@ -98,9 +86,7 @@ def add_parser(subparsers: Any) -> None:
         ("repeats", 1, 1, "planes of every blur size"),
         ("seed", 0, 0, "of crops and noise"),
     )
-    parser.add_argument(
-        "--images", metavar="DIR", help="pictures of this folder instead of the built-in ones"
-    )
+    add_images_option(parser)
     parser.add_argument(
         "--scenes",
         nargs="+",

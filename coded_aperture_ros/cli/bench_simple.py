@@ -22,6 +22,7 @@ from coded_aperture_ros.cli.bench_methods import (
 )
 from coded_aperture_ros.cli.bench_options import (
     add_cases_option,
+    add_masks_option,
     add_numbers,
     add_picture_options,
     add_result_options,
@@ -73,13 +74,7 @@ def add_parser(subparsers: Any) -> None:
         "has it, the filter bank with a window of the same size, and reference methods.",
         epilog=_EPILOG,
     )
-    parser.add_argument(
-        "--masks",
-        nargs="+",
-        default=list(_MASKS),
-        metavar="MASK",
-        help=f"names or files (default {' '.join(_MASKS)})",
-    )
+    add_masks_option(parser, _MASKS)
     add_cases_option(parser, _TEXTURES, _CASES, "open fraction of the mask's square")
     parser.add_argument(
         "--methods",

@@ -6,22 +6,14 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import power_spectrum
+from coded_aperture_ros.bank import image_prior
 from coded_aperture_ros.optics import PsfStack, transfer_function
 
-# Power spectrum of photographs in linear light: fall-off and contrast (variance).
-_SLOPE = 2.4
-_CONTRAST = 0.02
 # Model errors whose inverse filters span those of all in between.
 MODEL_ERRORS = (0.06, 0.1, 0.3)
 _ROWS_AT_A_TIME = 16
 # A basis filter with less than this share of the power of the strongest one is rounding error.
 _LEAST_POWER = 1e-8
-
-
-def image_prior(shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Return the power spectrum of photographs of `shape`, as by ``scipy.fft.rfft2``."""
-    return (_CONTRAST * power_spectrum(_SLOPE, shape)).astype(np.float32)
 
 
 def wiener_filters(

@@ -11,14 +11,12 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import PatchGrid, power_spectrum
+from coded_aperture_ros.bank import PatchGrid, image_prior
 from coded_aperture_ros.depth.frame import mean_at
 from coded_aperture_ros.optics import PsfStack, periodic, periodic_shape, transfer_function
 
-# Photographs' power spectrum: fall-off and contrast; and what one blur size for the whole frame
-# leaves unexplained, as a share of the texture at every frequency.
-_SLOPE = 2.4
-_CONTRAST = 0.02
+# What one blur size for the whole frame leaves unexplained, as a share of the texture at every
+# frequency.
 _MODEL_ERROR = 0.1
 # Gradients below this share of their surroundings' are taken to be of one size.
 _FLOOR = 0.1
@@ -48,7 +46,7 @@ class SideFinder:
         self._shape = shape
         self._around_px = max(_AROUND_PX, stack.psfs.shape[-1] - 1)
         self._periodic = periodic_shape(shape, self._around_px)
-        self._prior = (_CONTRAST * power_spectrum(_SLOPE, self._periodic)).astype(np.float32)
+        self._prior = image_prior(self._periodic)
         self._transfers: dict[int, NDArray[np.complex64]] = {}
 
     def log_odds(
