@@ -2,8 +2,8 @@
 
 import os
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from coded_aperture_ros.errors import InputError
@@ -48,6 +48,24 @@ def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise InputError(f"cannot write {target}: {error.strerror or error}") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def atomic_outputs() -> Iterator[Callable[[str | os.PathLike[str]], Path]]:
+    """Yield `atomic_output` for several files, none of which appears before the block succeeds.
+
+    Yields
+    ------
+    callable
+        Given the file to create or replace, it returns where the block must write it.
+
+    Raises
+    ------
+    InputError
+        See `atomic_output`.
+    """
+    with ExitStack() as files:
+        yield lambda path: files.enter_context(atomic_output(path))
 
 
 def _give_usual_permissions(path: Path) -> None:

@@ -8,7 +8,6 @@ import dataclasses
 import json
 import logging
 import math
-from contextlib import ExitStack
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -185,22 +184,19 @@ def _write_files(
     from coded_aperture_ros.design import curves_of
     from coded_aperture_ros.design.figures import draw_design, has_matplotlib
     from coded_aperture_ros.design.page import write_page
-    from coded_aperture_ros.files import atomic_output
+    from coded_aperture_ros.files import atomic_outputs
 
     near_m, far_m = args.depth_range
     ranges = summary["focus_range_m"], summary["mask_range_mm"]
     curves = curves_of(camera, near_m, far_m, config, args.focus_range)
     lists = {name: values.tolist() for name, values in vars(curves).items()}
-    with ExitStack() as stack:
-
-        def output(name: str) -> Path:
-            return stack.enter_context(atomic_output(Path(args.output) / name))
-
+    folder = Path(args.output)
+    with atomic_outputs() as output:
         numbers = _as_json({**summary, "curves": lists})
-        output(_NUMBERS).write_text(numbers + "\n", encoding="utf-8")
-        write_page(camera, near_m, far_m, best, config, *ranges, output(_PAGE))
+        output(folder / _NUMBERS).write_text(numbers + "\n", encoding="utf-8")
+        write_page(camera, near_m, far_m, best, config, *ranges, output(folder / _PAGE))
         if has_matplotlib():
-            draw_design(setting, curves, near_m, far_m, output(_PICTURE))
+            draw_design(setting, curves, near_m, far_m, output(folder / _PICTURE))
 
 
 def _as_json(summary: Any) -> str:

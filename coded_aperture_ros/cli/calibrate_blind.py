@@ -4,7 +4,6 @@ import argparse
 import json
 import logging
 import time
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -140,22 +139,19 @@ def _write_files(args: argparse.Namespace, found: Any, filters: Any, summary: An
 
     from coded_aperture_ros.bank import learn_bank, save_bank
     from coded_aperture_ros.calibration.blind import blind_picture, mask_picture
-    from coded_aperture_ros.files import atomic_output
+    from coded_aperture_ros.files import atomic_outputs
     from coded_aperture_ros.images import write_image
     from coded_aperture_ros.optics import render_psf_stack
 
-    with ExitStack() as stack:
-
-        def output(name: str) -> Path:
-            return stack.enter_context(atomic_output(Path(args.output) / name))
-
+    with atomic_outputs() as output:
         if args.output is not None:
+            folder = Path(args.output)
             report = json.dumps(summary, indent=1, allow_nan=False)
-            output(_REPORT).write_text(report + "\n", encoding="utf-8")
-            with output(_MASK).open("wb") as file:
+            output(folder / _REPORT).write_text(report + "\n", encoding="utf-8")
+            with output(folder / _MASK).open("wb") as file:
                 np.save(file, found.mask.transmission)
-            write_image(output(_PICTURE_OF_MASK), mask_picture(found.mask.transmission))
-            write_image(output(_PICTURE), blind_picture(found))
+            write_image(output(folder / _PICTURE_OF_MASK), mask_picture(found.mask.transmission))
+            write_image(output(folder / _PICTURE), blind_picture(found))
         if args.bank is not None:
             sizes = found.blur_sizes_px
             levels = np.linspace(sizes.min(), sizes.max(), args.levels)
@@ -164,7 +160,7 @@ def _write_files(args: argparse.Namespace, found: Any, filters: Any, summary: An
                 filters,
                 learned_from=f"mask found in {len(sizes)} planes at unknown distances",
             )
-            save_bank(bank, stack.enter_context(atomic_output(args.bank)))
+            save_bank(bank, output(args.bank))
 
 
 def _text(summary: Any) -> str:

@@ -6,7 +6,6 @@ import json
 import math
 import sys
 import time
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -300,21 +299,18 @@ def _write_files(args: argparse.Namespace, found: Any, camera: Any, summary: Any
     import numpy as np
 
     from coded_aperture_ros.bank import save_bank
-    from coded_aperture_ros.files import atomic_output
+    from coded_aperture_ros.files import atomic_outputs
 
-    with ExitStack() as stack:
-
-        def output(name: str) -> Path:
-            return stack.enter_context(atomic_output(Path(args.output) / name))
-
+    with atomic_outputs() as output:
         if args.output is not None:
+            folder = Path(args.output)
             report = json.dumps(summary, indent=1, allow_nan=False)
-            output(_REPORT).write_text(report + "\n", encoding="utf-8")
-            with output(_MASK).open("wb") as file:
+            output(folder / _REPORT).write_text(report + "\n", encoding="utf-8")
+            with output(folder / _MASK).open("wb") as file:
                 np.save(file, found.pattern.mask.transmission)
             if camera is not None and math.isfinite(found.pattern.focus_distance_m):
-                output(_CAMERA).write_text(_camera_text(summary, camera), encoding="utf-8")
-        save_bank(found.bank, stack.enter_context(atomic_output(args.bank)))
+                output(folder / _CAMERA).write_text(_camera_text(summary, camera), encoding="utf-8")
+        save_bank(found.bank, output(args.bank))
 
 
 def _camera_text(summary: Any, camera: Any) -> str:

@@ -6,7 +6,6 @@ import logging
 import math
 import re
 import time
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -230,15 +229,15 @@ def _measured(args: argparse.Namespace, number: int, picture: Any, mask: Any, si
 def _write(args: argparse.Namespace, stack: Any, centred: Any) -> None:
     """Write the stack and the picture, or neither."""
     from coded_aperture_ros.calibration.psf import psf_picture
-    from coded_aperture_ros.files import atomic_output
+    from coded_aperture_ros.files import atomic_outputs
     from coded_aperture_ros.images import write_image
 
     width = max(one.width_px for one in centred)
-    with ExitStack() as files:
+    with atomic_outputs() as output:
         if args.picture is not None:
             drawn = psf_picture([one.psf(width) for one in centred])
-            write_image(files.enter_context(atomic_output(args.picture)), drawn, 8, 2.2)
-        stack.save(files.enter_context(atomic_output(args.output)))
+            write_image(output(args.picture), drawn, 8, 2.2)
+        stack.save(output(args.output))
 
 
 def _row(measured: Any) -> dict[str, Any]:
