@@ -78,7 +78,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "options",
         nargs="*",
-        default=["--stride-px", "32", "--deblur-rank", "4", "--deblur-band", "half"],
+        default=["--stride-px", "32", "--deblur-rank", "3", "--deblur-band", "half"],
         help="further options of the program, behind -- (default: %(default)s)",
     )
     return parser.parse_args()

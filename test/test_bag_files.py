@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -339,11 +340,18 @@ def test_results_come_in_order_however_long_each_takes():
             busy -= 1
         return number**2
 
-    results = in_order(work, items(), threads=3, ahead=5)
-    assert next(results) == 0
-    assert len(started) <= 6  # no more than was asked for
-    assert list(results) == [number**2 for number in range(1, 20)]
+    with ThreadPoolExecutor(3) as pool:
+        results = in_order(lambda item: pool.submit(work, item), items(), ahead=5)
+        assert next(results) == (0, 0)
+        assert len(started) <= 6  # no more than was asked for
+        assert list(results) == [(number, number**2) for number in range(1, 20)]
     assert most <= 3
+
+
+def test_an_item_without_work_keeps_its_place():
+    with ThreadPoolExecutor(1) as pool:
+        results = in_order(lambda item: pool.submit(abs, item) if item else None, [-1, 0, -2], 2)
+        assert list(results) == [(-1, 1), (0, None), (-2, 2)]
 
 
 def test_a_failure_in_a_thread_comes_out():
@@ -352,8 +360,8 @@ def test_a_failure_in_a_thread_comes_out():
             raise InputError("three")
         return number
 
-    with pytest.raises(InputError, match="three"):
-        list(in_order(work, range(9), threads=2, ahead=4))
+    with ThreadPoolExecutor(2) as pool, pytest.raises(InputError, match="three"):
+        list(in_order(lambda item: pool.submit(work, item), range(9), ahead=4))
 
 
 def test_a_closed_source_begins_again(scene, tmp_path):

@@ -277,11 +277,12 @@ def test_smaller_map_follows_the_edges_of_the_frame():
     assert (large[:, :66] == 9).all()
 
 
-def test_gaps_are_filled_from_the_surer_of_the_neighbours():
-    blur = np.array([[4, np.nan, 8, 8, 8]], np.float32)
-    confidence = np.array([[0.1, 0, 0.9, 0.9, 0.9]], np.float32)
-    frame = np.zeros((1, 5), np.float32)
-    assert filled_blur_map(blur, frame, confidence).tolist() == [[4, 8, 8, 8, 8]]
+def test_larger_map_is_the_mean_of_what_is_known_in_it():
+    nothing = np.nan
+    blur = np.array([[4, 6, nothing, nothing], [5, nothing, nothing, nothing]], np.float32)
+    frame = np.zeros((2, 4), np.float32)
+    small = filled_blur_map(blur, frame, reduction=2)
+    np.testing.assert_allclose(small, [[5, 5]])
 
 
 def test_averaged_frames_of_a_video_are_better_than_single_ones(stack, sharp):

@@ -2,7 +2,7 @@
 
 import dataclasses
 import sys
-from functools import cached_property
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,14 @@ _NS = 1_000_000_000
 _ENCODINGS = {("u1", 2): "mono8", ("u2", 2): "mono16", ("u1", 3): "rgb8"}
 
 
+@cache
+def _type_store() -> Any:
+    """Return the types of messages; it takes a fifth of a second until all of them were used."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Picture:
     """An image message.
@@ -47,18 +55,15 @@ class Picture:
     @property
     def stamp_ns(self) -> int:
         """When the picture was taken."""
-        stamp: int = self.header.stamp.sec * _NS + self.header.stamp.nanosec
-        return stamp
+        return stamp_ns_of(self.header)
 
 
 class Conversion:
     """Reads and makes the few types of messages that a camera's bag has."""
 
-    @cached_property
+    @property
     def _store(self) -> Any:
-        from rosbags.typesys import Stores, get_typestore
-
-        return get_typestore(Stores.ROS2_JAZZY)
+        return _type_store()
 
     def topic(self, name: str, type_name: str) -> Topic:
         """Return a topic of a type of messages that is made here."""
@@ -190,3 +195,9 @@ class Conversion:
             return self._store.deserialize_cdr(data, type_name)
         except Exception as error:  # whatever a decoder makes of bytes that are something else
             raise MessageError("message", f"a message is not a {type_name}: {error}") from error
+
+
+def stamp_ns_of(header: Any) -> int:
+    """Return the stamp of a header, as rosbags has it."""
+    stamp: int = header.stamp.sec * _NS + header.stamp.nanosec
+    return stamp

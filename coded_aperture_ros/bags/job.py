@@ -6,10 +6,11 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.bags.conversion import Conversion, Picture
+from coded_aperture_ros.bags.conversion import Conversion, stamp_ns_of
 from coded_aperture_ros.bags.figures import check_matplotlib
 from coded_aperture_ros.bags.page import PAGE, write_report
-from coded_aperture_ros.bags.process import BagPipeline
+from coded_aperture_ros.bags.process import BagPipeline, Frame
+from coded_aperture_ros.bags.processes import working
 from coded_aperture_ros.bags.reading import Bag, Recorded, Topic
 from coded_aperture_ros.bags.record import Record
 from coded_aperture_ros.bags.score import References
@@ -21,12 +22,13 @@ from coded_aperture_ros.bags.topics import (
     image_topic,
     namespace_of,
 )
+from coded_aperture_ros.bags.work import FrameWork
 from coded_aperture_ros.bags.writing import bag_output
-from coded_aperture_ros.deblur import Deblurrer
+from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthEstimator, map_size
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.images import Gamma
-from coded_aperture_ros.messages import MessageError, frame_from_pixels
+from coded_aperture_ros.messages import MessageError
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.threads import processors
 
@@ -46,8 +48,8 @@ class BagJob:
     camera : Camera
     new_estimator : callable
         Returns the estimator for the camera of the frames, which may be resized.
-    new_deblurrer : callable or None
-        Returns what deblurs with an estimator's PSFs; None: no all-in-focus frames.
+    deblur : DeblurConfig or None
+        None: no all-in-focus frames.
     gamma : float or "srgb"
         Of 8-bit frames.
     map_size : str
@@ -59,7 +61,7 @@ class BagJob:
     namespace: str | None
     camera: Camera
     new_estimator: Callable[[Camera], DepthEstimator]
-    new_deblurrer: Callable[[DepthEstimator], Deblurrer] | None
+    deblur: DeblurConfig | None
     gamma: Gamma = 1.0
     map_size: str = "auto"
 
@@ -105,27 +107,29 @@ class BagJob:
         started_s: float,
     ) -> dict[str, Any]:
         image, reference, outputs = self._topics(bag)
-        first, camera = first_picture(bag, image, self.camera)
-        height, width = first.pixels.shape[:2]
-        estimator = self.new_estimator(camera)
-        deblurrer = self.new_deblurrer(estimator) if self.new_deblurrer else None
-        size = map_size((height, width), self.map_size)
-        pipeline = BagPipeline(
-            image, outputs, camera, estimator, deblurrer, self.gamma, size, processors()
+        first, size, camera = first_frame(bag, image, self.camera)
+        depth_size = map_size(size, self.map_size)
+        work = FrameWork(
+            image.type_name,
+            size,
+            self.gamma,
+            self.new_estimator(camera),
+            depth_size,
+            self.deblur,
         )
-        pipeline.prepare(frame_from_pixels(first.pixels, self.gamma))
-        record = Record()
-        preparation_s = time.perf_counter() - started_s
-        with bag_output(target, bag.storage) as writer:
+        pipeline = BagPipeline(image, outputs, camera, depth_size, self.deblur is not None)
+        record = Record(image.type_name)
+        with working(work, first) as submit, bag_output(target, bag.storage) as writer:
+            preparation_s = time.perf_counter() - started_s
             for topic in (*bag.topics.values(), *pipeline.topics()):
                 writer.add_topic(topic)
             record.start()
             references = _References(reference, record)
-            steps = pipeline.run(bag, writer, camera_info_topic(bag.topics, image))
-            for copies, result in progress(steps, image.count):
-                if result is not None:
-                    record.add(result)
-                references.step(copies, result)
+            steps = pipeline.run(bag, writer, submit, camera_info_topic(bag.topics, image))
+            for copies, frame in progress(steps, image.count):
+                if frame is not None:
+                    record.add(frame)
+                references.step(copies, frame)
             references.end()
             writer.close()
             record.stop()
@@ -143,8 +147,8 @@ class BagJob:
                 "used": record.used,
                 "faults": dict(pipeline.faults),
                 "fault_reasons": pipeline.reasons,
-                "size": [height, width],
-                "depth_size": list(size),
+                "size": list(size),
+                "depth_size": list(depth_size),
                 "depth": record.depth(),
                 "reference": references.results(),
                 "timing": {
@@ -171,8 +175,8 @@ class BagJob:
         return image, reference, outputs
 
 
-def first_picture(bag: Bag, topic: Topic, camera: Camera) -> tuple[Picture, Camera]:
-    """Return the first image of a topic that can be used, and the camera resized to it.
+def first_frame(bag: Bag, topic: Topic, camera: Camera) -> tuple[bytes, tuple[int, int], Camera]:
+    """Return the first message of a topic that can be used, its size, and the camera of that size.
 
     Raises
     ------
@@ -182,9 +186,8 @@ def first_picture(bag: Bag, topic: Topic, camera: Camera) -> tuple[Picture, Came
     convert, reason = Conversion(), ""
     for message in bag.messages(topic.name):
         try:
-            picture = convert.picture(message.data, topic.type_name)
-            height, width = picture.pixels.shape[:2]
-            return picture, camera.fitted(width, height)
+            height, width = convert.picture(message.data, topic.type_name).pixels.shape[:2]
+            return message.data, (height, width), camera.fitted(width, height)
         except InputError as error:
             reason = reason or str(error)
     reason = reason or "there is none"
@@ -199,16 +202,18 @@ class _References:
         self._topic, self._record = topic, record
         self._pairs, self._convert = References(), Conversion()
 
-    def step(self, copies: Iterable[Recorded], result: Any) -> None:
+    def step(self, copies: Iterable[Recorded], frame: Frame | None) -> None:
         if self._topic is None:
             return
         for message in copies:
             if message.topic == self._topic.name:
                 picture = self._convert.depth(message.data)
                 self._pairs.add_reference(picture.stamp_ns, picture.pixels)
-        if result is not None and result.estimate is not None:
-            estimate, stamp_ns = result.estimate, result.picture.stamp_ns
-            self._pairs.add_frame(result.index, stamp_ns, estimate.depth_m, estimate.confidence)
+        if frame is not None:
+            result = frame.result
+            if result.depth_m is not None and result.confidence is not None:
+                stamp_ns = stamp_ns_of(result.header)
+                self._pairs.add_frame(frame.index, stamp_ns, result.depth_m, result.confidence)
         self._note(end=False)
 
     def end(self) -> None:

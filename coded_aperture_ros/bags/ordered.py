@@ -1,8 +1,8 @@
-"""Work in several threads whose results come in the order of the items."""
+"""Work that is done side by side, and whose results come in the order of the items."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -10,31 +10,33 @@ Result = TypeVar("Result")
 
 
 def in_order(
-    work: Callable[[Item], Result], items: Iterable[Item], threads: int, ahead: int
-) -> Iterator[Result]:
-    """Yield ``work(item)`` for every item, in their order, while threads work on those that follow.
-
-    Such iterators make a pipeline if the items of one are the results of another. With one thread
-    the items are worked on one after the other.
+    submit: Callable[[Item], "Future[Result] | None"], items: Iterable[Item], ahead: int
+) -> Iterator[tuple[Item, Result | None]]:
+    """Yield every item with its result, in their order, while others work on those that follow.
 
     Parameters
     ----------
-    work : callable
+    submit : callable
+        Has the work on an item done; None: there is none to do.
     items : iterable
         Gone through by whoever takes the results.
-    threads : int
     ahead : int
         Items that are taken before the first of them is asked for, at most; bounds the memory.
     """
-    waiting: deque[Future[Result]] = deque()
-    with ThreadPoolExecutor(threads, "bag") as pool:
-        try:
-            for item in items:
-                waiting.append(pool.submit(work, item))
-                if len(waiting) >= ahead:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
-        finally:
-            for future in waiting:
+    waiting: deque[tuple[Item, Future[Result] | None]] = deque()
+
+    def first() -> tuple[Item, Result | None]:
+        item, future = waiting.popleft()
+        return item, future.result() if future else None
+
+    try:
+        for item in items:
+            waiting.append((item, submit(item)))
+            if len(waiting) >= ahead:
+                yield first()
+        while waiting:
+            yield first()
+    finally:
+        for _, future in waiting:
+            if future:
                 future.cancel()

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bags.process import FrameResult
+from coded_aperture_ros.bags.conversion import Conversion, stamp_ns_of
+from coded_aperture_ros.bags.process import Frame
 from coded_aperture_ros.bags.score import FrameScore, summary
+from coded_aperture_ros.evaluation.metrics import median
 from coded_aperture_ros.evaluation.speed.times import Times
 from coded_aperture_ros.messages import frame_from_pixels
 
@@ -42,6 +44,11 @@ class Sample:
 class Record:
     """Notes the results of all frames, and keeps a few of them.
 
+    Parameters
+    ----------
+    type_name : str
+        Of the messages of frames.
+
     Attributes
     ----------
     frames : int
@@ -52,7 +59,8 @@ class Record:
         By index, without the references themselves.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, type_name: str) -> None:
+        self._type_name = type_name
         self.frames = 0
         self.samples: dict[int, Sample] = {}
         self.scores: dict[int, FrameScore] = {}
@@ -61,17 +69,17 @@ class Record:
         self._spacing = 1
         self._start_s = time.perf_counter()
         self._stop_s = self._start_s
-        self._processor_s = 0.0
+        self._processor_s, self._own_start_s = 0.0, 0.0
 
     def start(self) -> None:
         """Begin to take the time."""
         self._start_s = time.perf_counter()
-        self._processor_s = time.process_time()
+        self._own_start_s = time.process_time()
 
     def stop(self) -> None:
         """Stop taking the time."""
         self._stop_s = time.perf_counter()
-        self._processor_s = time.process_time() - self._processor_s
+        self._processor_s += time.process_time() - self._own_start_s
 
     @property
     def used(self) -> int:
@@ -83,26 +91,26 @@ class Record:
         """Between `start` and `stop`."""
         return self._stop_s - self._start_s
 
-    def add(self, result: FrameResult) -> None:
+    def add(self, frame: Frame) -> None:
         """Note the result of a frame."""
         self.frames += 1
-        estimate, picture = result.estimate, result.picture
-        if estimate is None or picture is None or estimate.depth_m is None:
+        result = frame.result
+        self._processor_s += result.processor_s
+        if result.depth_m is None or result.confidence is None:
             return
-        known = np.isfinite(estimate.depth_m)
-        depths = estimate.depth_m[known]
-        self._rows[result.index] = {
-            "stamp_ns": picture.stamp_ns or result.time_ns,
-            "coverage": float(known.mean()),
-            "median_depth_m": float(np.median(depths)) if depths.size else None,
-            "mean_confidence": float(estimate.confidence.mean()),
-            "noise": estimate.noise,
+        depths = result.depth_m[np.isfinite(result.depth_m)]
+        self._rows[frame.index] = {
+            "stamp_ns": stamp_ns_of(result.header) or frame.recorded.time_ns,
+            "coverage": depths.size / result.depth_m.size,
+            "median_depth_m": median(depths) if depths.size else None,
+            "mean_confidence": float(result.confidence.mean()),
+            "noise": result.noise,
             **{f"{stage}_s": seconds for stage, seconds in result.seconds.items()},
         }
         for stage, seconds in result.seconds.items():
             self._seconds[stage].append(seconds)
-        if result.index % self._spacing == 0:
-            self._keep(result)
+        if frame.index % self._spacing == 0:
+            self._keep(frame)
 
     def add_score(self, index: int, score: FrameScore) -> None:
         """Note how good the depth of a frame is."""
@@ -159,22 +167,19 @@ class Record:
             },
         }
 
-    def _keep(self, result: FrameResult) -> None:
+    def _keep(self, frame: Frame) -> None:
         """Keep a sample; every other one goes whenever there are too many."""
-        estimate, picture = result.estimate, result.picture
-        assert estimate is not None
-        assert estimate.depth_m is not None
-        assert picture is not None
-        sharp = None
-        if result.sharp is not None and result.frame is not None:
-            sharp = _shown(result.sharp, picture.encoding)
-        self.samples[result.index] = Sample(
-            result.index,
+        result = frame.result
+        assert result.depth_m is not None
+        assert result.confidence is not None
+        picture = Conversion().picture(frame.recorded.data, self._type_name)
+        self.samples[frame.index] = Sample(
+            frame.index,
             picture.stamp_ns,
             frame_from_pixels(picture.pixels),
-            sharp,
-            estimate.depth_m,
-            estimate.confidence,
+            None if result.sharp is None else _shown(result.sharp, result.encoding),
+            result.depth_m,
+            result.confidence,
         )
         while len(self.samples) > _SAMPLES:
             self._spacing *= 2

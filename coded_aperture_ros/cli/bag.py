@@ -100,25 +100,21 @@ def run(args: argparse.Namespace) -> int:
         args.usage_error("the following arguments are required: --camera")
     from coded_aperture_ros.bags import check_bag_output
     from coded_aperture_ros.bags.job import BagJob
-    from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
+    from coded_aperture_ros.deblur import DeblurConfig
     from coded_aperture_ros.optics import load_camera
 
     source, target = Path(args.input), Path(args.output)
     check_bag_output(target, [source], args.overwrite)
     deblur = None
     if args.deblur != "none":
-        config = DeblurConfig(method=args.deblur, rank=args.deblur_rank, band=args.deblur_band)
-
-        def deblur(estimator: Any) -> Deblurrer:
-            return Deblurrer(estimator.bank.stack, config)
-
+        deblur = DeblurConfig(method=args.deblur, rank=args.deblur_rank, band=args.deblur_band)
     job = BagJob(
         topic=args.topic,
         reference_topic=args.reference_depth,
         namespace=args.namespace,
         camera=load_camera(args.camera),
         new_estimator=lambda camera: estimator_of(args, camera),
-        new_deblurrer=deblur,
+        deblur=deblur,
         gamma=args.gamma,
         map_size=args.output_size,
     )

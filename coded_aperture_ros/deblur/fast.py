@@ -18,11 +18,9 @@ _STEPS_PER_ERROR = 4
 # The error that a change of blur size within reach of the filters makes, per pixel of its standard
 # deviation; from the best choice on ray-traced scenes.
 _ERROR_PER_PX = 0.03
-# Weights change slowly: a map of so many times fewer rows and columns tells them.
-REDUCTION = 2
-# How far the surroundings matter, in px of that map: about the largest blur, where
-# filters reach strongest.
-_SURROUNDINGS_PX = 21
+# How far the surroundings matter, in px of the frame: about the largest blur, where filters reach
+# strongest.
+_SURROUNDINGS_PX = 42
 # Frames are extended by this, or by the width of the PSFs, before they are filtered. Twice as much
 # gains 0.2 dB near the border.
 _EXTENSION_PX = 32
@@ -45,7 +43,14 @@ class InverseFilters:
         Kernels of the basis.
     workers : Workers
         Threads to share the work with.
+
+    Attributes
+    ----------
+    reduction : int
+        Weights change slowly: a map of so many times fewer rows and columns tells them.
     """
+
+    reduction = 2
 
     def __init__(self, stack: PsfStack, rank: int, workers: Workers) -> None:
         self._stack, self._rank, self._workers = stack, rank, workers
@@ -66,11 +71,11 @@ class InverseFilters:
 
         Parameters
         ----------
-        blur : ndarray, float32 [rows / 2, columns / 2], rounded up (`REDUCTION`)
+        blur : ndarray, float32 [rows / reduction, columns / reduction], rounded up
             Signed blur sizes in px of the frame, finite.
         """
         level = _index_among(self._stack.blur_sizes_px[self._order], blur)
-        error = _index_among(np.log(_MODEL_ERRORS), _log_model_error(blur))
+        error = _index_among(np.log(_MODEL_ERRORS), _log_model_error(blur, self.reduction))
         columns = _STEPS_PER_ERROR * (len(_MODEL_ERRORS) - 1) + 1
         row = np.rint(level * _STEPS_PER_LEVEL)
         row *= columns
@@ -86,7 +91,7 @@ class InverseFilters:
         ----------
         channels : list of ndarray, float32 [rows, columns]
             Finite.
-        places : ndarray, intp [rows / 2, columns / 2]
+        places : ndarray, intp [rows / reduction, columns / reduction]
             See `places`.
         noise : float
             Standard deviation, > 0.
@@ -168,9 +173,9 @@ def _index_among(places: NDArray[np.floating], values: NDArray[np.float32]) -> N
     return np.clip((values - first) / step, 0, np.float32(last))
 
 
-def _log_model_error(blur: NDArray[np.float32]) -> NDArray[np.float32]:
+def _log_model_error(blur: NDArray[np.float32], reduction: int) -> NDArray[np.float32]:
     """Logarithm of every pixel's model error, from how much the blur size changes around it."""
-    side = (_SURROUNDINGS_PX, _SURROUNDINGS_PX)
+    side = (_SURROUNDINGS_PX // reduction | 1,) * 2
     # Variances of differences from the overall mean keep their digits in single precision.
     centred = blur - blur.mean()
     variance = cv2.blur(centred * centred, side)

@@ -21,15 +21,11 @@ def covers_frame(map_shape: tuple[int, ...], frame_shape: tuple[int, ...]) -> bo
 
 
 def filled_blur_map(
-    blur_size_px: NDArray[np.float32],
-    frame: NDArray[np.float32],
-    confidence: NDArray[np.float32] | None = None,
-    reduction: int = 1,
+    blur_size_px: NDArray[np.float32], frame: NDArray[np.float32], reduction: int = 1
 ) -> NDArray[np.float32]:
     """Fill the gaps of a blur map and bring it to the size of its frame, or a part of that.
 
-    Gaps take the value of the nearest known pixel; with a confidence, of the nearest one that is
-    at least as sure as half of those that are known.
+    Gaps take the value of the nearest known pixel.
 
     Parameters
     ----------
@@ -37,7 +33,6 @@ def filled_blur_map(
         Signed blur sizes in pixels of the frame; not finite where unknown.
     frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
         The frame that the map covers; it guides the edges of a smaller map.
-    confidence : ndarray, float32 [map rows, map columns], optional
     reduction : int, optional
         So many times smaller than the frame the map shall be.
 
@@ -60,22 +55,29 @@ def filled_blur_map(
             f"proportions of the frame of {frame.shape[1]}x{frame.shape[0]} px: give the map of "
             "this frame, of its size or smaller"
         )
-    known = np.isfinite(blur_size_px)
+    rows, columns = (-(-length // reduction) for length in frame.shape[:2])
+    blur = np.ascontiguousarray(blur_size_px, np.float32)
+    if len(blur) > rows:
+        blur = _reduced(blur, (columns, rows))  # first: then there is less to fill
+    known = np.isfinite(blur)
     if not known.any():
         raise InputError("blur map: no pixel has a known depth, so there is nothing to deblur by")
-    filled = np.ascontiguousarray(blur_size_px, np.float32)
     if not known.all():
-        source = known
-        if confidence is not None:
-            source = known & (confidence >= np.median(confidence[known]))
-        filled = np.where(known, filled, filled[source][_nearest(source)])
-    rows, columns = (-(-length // reduction) for length in frame.shape[:2])
-    if filled.shape == (rows, columns):
-        return filled
-    if len(filled) > rows:
-        return np.asarray(cv2.resize(filled, (columns, rows), interpolation=cv2.INTER_AREA))
+        blur = np.where(known, blur, blur[known][_nearest(known)])
+    if blur.shape == (rows, columns):
+        return blur
     guide = cv2.resize(frame, (columns, rows), interpolation=cv2.INTER_AREA)
-    return _enlarged(filled, guide if guide.ndim == 2 else guide.mean(axis=2))
+    return _enlarged(blur, guide if guide.ndim == 2 else guide.mean(axis=2))
+
+
+def _reduced(blur: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+    """Return a map at a smaller size (columns, rows): means of what is known, NaN without any."""
+    known = np.isfinite(blur)
+    if known.all():
+        return np.asarray(cv2.resize(blur, size, interpolation=cv2.INTER_AREA))
+    total = cv2.resize(np.where(known, blur, 0), size, interpolation=cv2.INTER_AREA)
+    share = cv2.resize(known.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    return np.divide(total, share, out=np.full_like(total, np.nan), where=share > 0)
 
 
 def _nearest(source: NDArray[np.bool_]) -> NDArray[np.intp]:

@@ -27,6 +27,8 @@ class HalfBandFilters(InverseFilters):
         See `InverseFilters`.
     """
 
+    reduction = 4
+
     def __init__(self, stack: PsfStack, rank: int, workers: Workers) -> None:
         super().__init__(stack, rank, workers)
         self._extension_px = -(-self._extension_px // 2)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.evaluation.metrics import median
 from coded_aperture_ros.evaluation.ray_traced import RayTracedScene
 from coded_aperture_ros.images import SRGB, read_depth, read_image
 from coded_aperture_ros.optics import Camera, Mask
@@ -263,7 +264,7 @@ class RelativeError:
             nothing = float("nan")
             return RelativeError(nothing, nothing, nothing, 0.0 if pixels else nothing, pixels)
         return RelativeError(
-            median=float(np.median(errors)),
+            median=median(errors),
             mean=float(np.mean(errors, dtype=np.float64)),
             within_10_percent=float(np.mean(errors <= _RIGHT_WITHIN)),
             coverage=errors.size / pixels,

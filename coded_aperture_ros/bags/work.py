@@ -1,0 +1,147 @@
+"""What is made of one frame of a bag."""
+
+import dataclasses
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bags.conversion import Conversion, Picture
+from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
+from coded_aperture_ros.depth import DepthEstimator
+from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.images import Gamma
+from coded_aperture_ros.messages import MessageError, frame_from_pixels, pixels_from_frame
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FrameResult:
+    """What was made of a frame; also of one that could not be used.
+
+    Attributes
+    ----------
+    fault, reason : str
+        Why something is missing, in a word and in a line; empty if all is well.
+    header : std_msgs/Header or None
+        Of the frame, as rosbags has it.
+    encoding : str
+        Of the all-in-focus frame.
+    depth_m, confidence : ndarray, float32 [rows, columns], or None
+    noise : float
+        See `DepthEstimate`.
+    sharp : ndarray or None
+        All in focus, as stored; None if that was not wanted.
+    seconds : dict of str to float
+        What `decode`, `depth` and `deblur` took.
+    processor_s : float
+        Time of the processor.
+    """
+
+    fault: str = ""
+    reason: str = ""
+    header: Any = None
+    encoding: str = ""
+    depth_m: NDArray[np.float32] | None = None
+    confidence: NDArray[np.float32] | None = None
+    noise: float = 0.0
+    sharp: NDArray | None = None
+    seconds: dict[str, float] = dataclasses.field(default_factory=dict)
+    processor_s: float = 0.0
+
+
+class FrameWork:
+    """Reads a frame, estimates its depth, and deblurs it.
+
+    Parameters
+    ----------
+    type_name : str
+        Of the messages.
+    size : (int, int)
+        Rows and columns of the frames.
+    gamma : float or "srgb"
+        Of 8-bit frames.
+    estimator : DepthEstimator
+        For frames of that size.
+    map_size : (int, int)
+        Rows and columns of the depth images.
+    deblur : DeblurConfig or None
+        None: no all-in-focus frames are made.
+    """
+
+    def __init__(
+        self,
+        type_name: str,
+        size: tuple[int, int],
+        gamma: Gamma,
+        estimator: DepthEstimator,
+        map_size: tuple[int, int],
+        deblur: DeblurConfig | None,
+    ) -> None:
+        self._type_name, self._size, self._gamma = type_name, size, gamma
+        self._estimator, self._map_size = estimator, map_size
+        self._convert = Conversion()
+        self.deblur_config = deblur
+        self._deblurrer: Deblurrer | None = None
+
+    @property
+    def remembers(self) -> bool:
+        """Whether a frame's depth depends on those before it."""
+        return self._estimator.config.temporal_frames > 0
+
+    def prepare(self, data: bytes) -> None:
+        """Do with a message of a frame what the first one would wait for."""
+        self(data)
+        self._estimator.reset()
+
+    def __call__(self, data: bytes) -> FrameResult:
+        """Return what is made of a message of a frame."""
+        start_s, processor_s = time.perf_counter(), time.process_time()
+        seconds: dict[str, float] = {}
+
+        def lap(stage: str) -> None:
+            nonlocal start_s
+            start_s, before_s = time.perf_counter(), start_s
+            seconds[stage] = start_s - before_s
+
+        def failed(error: InputError, kind: str, **known: Any) -> FrameResult:
+            kind = error.kind if isinstance(error, MessageError) else kind
+            return FrameResult(kind, str(error), **known)
+
+        try:
+            picture, frame = self._decoded(data)
+            lap("decode")
+            estimate = self._estimator.estimate(frame, self._map_size)
+            lap("depth")
+        except InputError as error:
+            return failed(error, "frame")
+        if estimate.depth_m is None:
+            return FrameResult("frame", "the bank and the camera file give no depth")
+        found: dict[str, Any] = {
+            "header": picture.header,
+            "encoding": picture.encoding,
+            "depth_m": estimate.depth_m,
+            "confidence": estimate.confidence,
+            "noise": estimate.noise,
+            "seconds": seconds,
+        }
+        if self.deblur_config is not None:
+            if self._deblurrer is None:
+                self._deblurrer = Deblurrer(self._estimator.bank.stack, self.deblur_config)
+            try:
+                sharp = self._deblurrer.deblur(frame, estimate.blur_size_px, estimate.noise)
+            except InputError as error:
+                return failed(error, "no depth", **found)
+            found["sharp"] = pixels_from_frame(sharp, picture.encoding, self._gamma)
+            lap("deblur")
+        return FrameResult(**found, processor_s=time.process_time() - processor_s)
+
+    def _decoded(self, data: bytes) -> tuple[Picture, NDArray[np.float32]]:
+        picture = self._convert.picture(data, self._type_name)
+        rows, columns = picture.pixels.shape[:2]
+        if (rows, columns) != self._size:
+            raise MessageError(
+                "size",
+                f"the frame is {columns}x{rows}, others are {self._size[1]}x{self._size[0]}",
+            )
+        return picture, frame_from_pixels(picture.pixels, self._gamma)
