@@ -23,7 +23,7 @@ from coded_aperture_ros.bags import Conversion, bag_output
 from coded_aperture_ros.bags.conversion import CAMERA_INFO, IMAGE
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera, save_bank
 from coded_aperture_ros.evaluation import CodedVideo, load_video
-from coded_aperture_ros.messages import pixels_from_frame
+from coded_aperture_ros.messages import millimetres_from_depth, pixels_from_frame
 from coded_aperture_ros.threads import processors
 
 RATE_HZ = 30
@@ -66,7 +66,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--frames", type=int, default=48)
     parser.add_argument("--noise", type=float, default=0.002, help="of the frames")
     parser.add_argument("--encodings", nargs="+", default=["mono8"], help="of the frames")
-    parser.add_argument("--levels", type=int, default=20, help="of the bank")
+    parser.add_argument("--levels", type=int, default=16, help="of the bank")
     parser.add_argument("--window-px", type=int, default=64, help="of the bank")
     parser.add_argument("--rank", type=int, default=32, help="of the bank")
     parser.add_argument(
@@ -78,7 +78,16 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "options",
         nargs="*",
-        default=["--stride-px", "32", "--deblur-rank", "3", "--deblur-band", "half"],
+        default=[
+            "--stride-px",
+            "36",
+            "--output-size",
+            "quarter",
+            "--deblur-rank",
+            "3",
+            "--deblur-band",
+            "half",
+        ],
         help="further options of the program, behind -- (default: %(default)s)",
     )
     return parser.parse_args()
@@ -109,7 +118,7 @@ def write_bank(video: CodedVideo, args: argparse.Namespace, path: Path) -> None:
 
 
 def write_bag(video: CodedVideo, path: Path, storage: str, encoding: str, noise: float) -> None:
-    """Write a bag with coded frames, camera models and true depth."""
+    """Write a bag with coded frames, camera models and true depth, as RGB-D cameras send it."""
     convert = Conversion()
     info = convert.info_of(video.camera.intrinsics)
     random = np.random.default_rng(0)
@@ -128,7 +137,7 @@ def write_bag(video: CodedVideo, path: Path, storage: str, encoding: str, noise:
             messages = (
                 convert.image(pixels, encoding, header),
                 convert.scaled_camera_info(info, size, header),
-                convert.image(depth_m, "32FC1", header),
+                convert.image(millimetres_from_depth(depth_m), "16UC1", header),
             )
             for topic, data in zip(TOPICS, messages, strict=True):
                 writer.write(topic, time_ns, data)

@@ -1,13 +1,16 @@
 """Bags that were cut off, places that cannot be written to, and bags as a source of frames."""
 
+import contextlib
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,6 +38,7 @@ from coded_aperture_ros.bags.ordered import in_order
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.sources import BagSource, SequenceSource, open_source
+from coded_aperture_ros.threads import processors
 
 STORAGES = ("mcap", "sqlite3")
 
@@ -341,7 +345,7 @@ def test_results_come_in_order_however_long_each_takes():
         return number**2
 
     with ThreadPoolExecutor(3) as pool:
-        results = in_order(lambda item: pool.submit(work, item), items(), ahead=5)
+        results = in_order(lambda item: pool.submit(work, item).result, items(), ahead=5)
         assert next(results) == (0, 0)
         assert len(started) <= 6  # no more than was asked for
         assert list(results) == [(number, number**2) for number in range(1, 20)]
@@ -350,7 +354,9 @@ def test_results_come_in_order_however_long_each_takes():
 
 def test_an_item_without_work_keeps_its_place():
     with ThreadPoolExecutor(1) as pool:
-        results = in_order(lambda item: pool.submit(abs, item) if item else None, [-1, 0, -2], 2)
+        results = in_order(
+            lambda item: pool.submit(abs, item).result if item else None, [-1, 0, -2], ahead=2
+        )
         assert list(results) == [(-1, 1), (0, None), (-2, 2)]
 
 
@@ -361,7 +367,58 @@ def test_a_failure_in_a_thread_comes_out():
         return number
 
     with ThreadPoolExecutor(2) as pool, pytest.raises(InputError, match="three"):
-        list(in_order(lambda item: pool.submit(work, item), range(9), ahead=4))
+        list(in_order(lambda item: pool.submit(work, item).result, range(9), ahead=4))
+
+
+def forked_processes(pid):
+    """Return the processes that a program has had forked by its fork server, in no order."""
+    parents = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it may end meanwhile
+            parents[int(stat.parent.name)] = int(stat.read_text().rpartition(")")[2].split()[1])
+    servers = {child for child, parent in parents.items() if parent == pid}
+    return {child for child, parent in parents.items() if parent in servers}
+
+
+def wait_for(condition, seconds=30):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        value = condition()
+        if value:
+            return value
+        time.sleep(0.05)
+    raise AssertionError(f"nothing within {seconds} s")
+
+
+@pytest.mark.skipif(processors() < 2, reason="with one processor all is done by one process")
+@pytest.mark.parametrize("whom", ["program", "worker"])
+def test_nothing_stays_of_a_program_or_a_worker_that_is_killed(scene, tmp_path, whom):
+    bag, target = write_bag(tmp_path / "in", recording(scene, frames=600)), tmp_path / "out"
+    before = everything(tmp_path)
+    arguments = [str(part) for part in command(scene, bag, target)]
+    program = subprocess.Popen(
+        [sys.executable, "-m", "coded_aperture_ros.cli.main", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        wait_for(lambda: list(tmp_path.glob(".out-*/out/*")))  # it has begun to write
+        workers = forked_processes(program.pid)
+        assert len(workers) == processors()
+        if whom == "program":
+            program.kill()
+        else:
+            os.kill(min(workers), signal.SIGKILL)
+        _, said = program.communicate(timeout=60)
+        wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers), 5)
+    finally:
+        program.kill()
+    if whom == "worker":
+        assert program.returncode == 1
+        assert "a process that worked on frames ended by itself" in said.splitlines()[-1]
+        assert "Traceback" not in said
+        assert everything(tmp_path) == before
 
 
 def test_a_closed_source_begins_again(scene, tmp_path):

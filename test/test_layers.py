@@ -9,7 +9,17 @@ PACKAGE = "coded_aperture_ros"
 
 # Bottom first. The modules of the first row may use each other.
 LAYERS = (
-    ("__init__", "errors", "files", "configuration", "archive", "share", "blas", "threads"),
+    (
+        "__init__",
+        "errors",
+        "files",
+        "configuration",
+        "archive",
+        "share",
+        "blas",
+        "threads",
+        "fork_server",
+    ),
     ("images",),
     ("messages",),
     ("optics",),

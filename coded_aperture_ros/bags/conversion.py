@@ -70,7 +70,7 @@ class Conversion:
         definition, _ = self._store.generate_msgdef(type_name, ros_version=2)
         return Topic(name, type_name, definition, self._store.hash_rihs01(type_name))
 
-    def picture(self, data: bytes, type_name: str) -> Picture:
+    def picture(self, data: bytes | memoryview, type_name: str) -> Picture:
         """Read a raw or compressed image.
 
         Raises
@@ -90,7 +90,7 @@ class Conversion:
             )
         return Picture(message.header, pixels, encoding)
 
-    def depth(self, data: bytes) -> Picture:
+    def depth(self, data: bytes | memoryview) -> Picture:
         """Read a depth image; `messages.depth_from_pixels` turns its pixels into metres.
 
         Raises
@@ -105,7 +105,7 @@ class Conversion:
             )
         return picture
 
-    def camera_info(self, data: bytes) -> Any:
+    def camera_info(self, data: bytes | memoryview) -> Any:
         """Read a camera model; `MessageError` of kind "message" if it is none."""
         return self._read(data, CAMERA_INFO)
 
@@ -190,7 +190,7 @@ class Conversion:
         sent: memoryview = self._store.serialize_cdr(message, type_name)
         return sent
 
-    def _read(self, data: bytes, type_name: str) -> Any:
+    def _read(self, data: bytes | memoryview, type_name: str) -> Any:
         try:
             return self._store.deserialize_cdr(data, type_name)
         except Exception as error:  # whatever a decoder makes of bytes that are something else

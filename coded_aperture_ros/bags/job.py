@@ -118,6 +118,7 @@ class BagJob:
             self.deblur,
         )
         pipeline = BagPipeline(image, outputs, camera, depth_size, self.deblur is not None)
+        pipeline.prepare()
         record = Record(image.type_name)
         with working(work, first) as submit, bag_output(target, bag.storage) as writer:
             preparation_s = time.perf_counter() - started_s

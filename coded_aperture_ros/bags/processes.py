@@ -1,48 +1,38 @@
 """Processes that work on the frames of a bag side by side.
 
-Threads of one process got in each other's way: two processors did 1.1 times as many frames as one,
+Threads of one process got in each other's way: two processors did 1.2 times as many frames as one,
 two processes do 1.9 times as many.
 """
 
-import ctypes
+import contextlib
+import itertools
 import multiprocessing
 import os
 import signal
-import time
+import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from queue import SimpleQueue
+from typing import Any
 
 import cv2
 
 from coded_aperture_ros.bags.work import FrameResult, FrameWork
 from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.fork_server import load_in_fork_server
 from coded_aperture_ros.threads import processors
 
-_PR_SET_PDEATHSIG = 1
-# So long a process waits before it says that it is ready, so that another one answers too.
-_EACH_S = 0.01
-
-_work: FrameWork | None = None
-
-Submit = Callable[[bytes], "Future[FrameResult]"]
-
-
-def use_fork_server() -> None:
-    """Let the process begin to load that others are forked from; the sooner, the less is waited."""
-    from multiprocessing import forkserver
-
-    multiprocessing.set_forkserver_preload([__name__])
-    forkserver.ensure_running()
+Wait = Callable[[], FrameResult]
+Submit = Callable[[bytes], Wait]
 
 
 @contextmanager
 def working(work: FrameWork, first: bytes) -> Iterator[Submit]:
-    """Yield what has work done on messages, in as many processes as there are processors.
+    """Yield what has work done on a message, and returns what waits for the result.
 
-    With a memory of frames the work is that of one process, in the order of the frames; with one
-    processor, of a thread of this process.
+    There are as many processes as processors, which take turns. If the work remembers frames, it is
+    that of one process, in their order; with one processor, of this one.
 
     Parameters
     ----------
@@ -57,44 +47,87 @@ def working(work: FrameWork, first: bytes) -> Iterator[Submit]:
     """
     if processors() == 1:
         work.prepare(first)
-        with ThreadPoolExecutor(1, "bag") as pool:
-            yield lambda data: pool.submit(work, data)
+        yield lambda data: lambda: work(data)
         return
-    count = 1 if work.remembers else processors()
-    use_fork_server()
-    # A plain fork would inherit the locks of libraries' threads, but not the threads.
-    context = multiprocessing.get_context("forkserver")
-    with ProcessPoolExecutor(count, context, _begin, (work, first)) as pool:
-        try:
-            ready: set[int] = set()
-            while len(ready) < count:
-                ready |= {future.result() for future in [pool.submit(_ready) for _ in range(count)]}
-            yield lambda data: pool.submit(_work_on, data)
-        except BrokenProcessPool as error:
-            raise InputError(
-                "a process that worked on frames ended by itself, perhaps for lack of memory"
-            ) from error
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+    load_in_fork_server(__name__)
+    workers: list[_Worker] = []
+    try:
+        for _ in range(1 if work.remembers else processors()):
+            workers.append(_Worker(work, first))
+        for worker in workers:
+            worker.wait()  # until it is ready
+        turns = itertools.cycle(workers)
+        yield lambda data: next(turns).begin(data)
+    finally:
+        for worker in workers:
+            worker.end()
 
 
-def _begin(work: FrameWork, first: bytes) -> None:
-    """Begin to be one of the processes."""
-    global _work
-    # A terminal sends Ctrl-C to all processes: the first one answers it for them. And whatever
-    # happens to it, none of them stays.
+class _Worker:
+    """A process that works on one message after the other; it may be given several."""
+
+    def __init__(self, work: FrameWork, first: bytes) -> None:
+        # A plain fork would inherit the locks of libraries' threads, but not the threads.
+        context = multiprocessing.get_context("forkserver")
+        self._connection, other = context.Pipe()
+        self._process = context.Process(target=_serve, args=(other, work, first), daemon=True)
+        self._process.start()
+        other.close()
+
+    def begin(self, data: bytes) -> Wait:
+        with _telling_its_end():
+            self._connection.send_bytes(data)
+        return self.wait
+
+    def wait(self) -> FrameResult:
+        """Return the result of the first message that it has not been returned of."""
+        with _telling_its_end():
+            result = self._connection.recv()
+        if isinstance(result, Exception):
+            raise result
+        return result
+
+    def end(self) -> None:
+        self._process.kill()
+        self._process.join()
+        self._connection.close()
+
+
+@contextmanager
+def _telling_its_end() -> Iterator[None]:
+    try:
+        yield
+    except (EOFError, ConnectionError) as error:
+        raise InputError(
+            "a process that worked on frames ended by itself, perhaps for lack of memory"
+        ) from error
+
+
+def _serve(connection: Connection, work: FrameWork, first: bytes) -> None:
+    """Be one of the processes."""
+    # A terminal sends Ctrl-C to all processes: the program answers it for them.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     cv2.setNumThreads(1)
-    work.prepare(first)
-    _work = work
+    messages: SimpleQueue[bytes] = SimpleQueue()
+    threading.Thread(target=_take, args=(connection, messages), daemon=True).start()
+    answer: Any = None
+    try:
+        work.prepare(first)
+    except Exception as error:
+        answer = error
+    with contextlib.suppress(ConnectionError):  # the program has ended
+        while True:
+            connection.send(answer)
+            try:
+                answer = work(messages.get())
+            except Exception as error:
+                answer = error
 
 
-def _ready() -> int:
-    time.sleep(_EACH_S)
-    return os.getpid()
-
-
-def _work_on(data: bytes) -> FrameResult:
-    assert _work is not None
-    return _work(data)
+def _take(connection: Connection, messages: "SimpleQueue[bytes]") -> None:
+    """Take messages as they come: who sends them does not wait, and may be killed."""
+    try:
+        while True:
+            messages.put(connection.recv_bytes())
+    except (EOFError, ConnectionError):
+        os._exit(1)

@@ -128,7 +128,7 @@ class Deblurrer:
             channels, frames = self._steady.add(channels, noise)
         if self.config.method == "fast":
             # One noise for the whole frame: that of places with few frames, which would show it.
-            few = float(np.quantile(frames, _FEW))
+            few = float(np.quantile(frames, _FEW)) if frames.size > 1 else 1.0
             noise *= float(np.sqrt(self.config.smoothness / few))
             sharp = from_opponents(self._in_closed_form(channels, blur, noise))
             if self.config.band == "full":

@@ -1,5 +1,6 @@
 """Linear light: what a sensor counts, and what picture files and displays store instead."""
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -76,13 +77,17 @@ def pixels_from_linear(
     image: NDArray, bits: int, gamma: Gamma = 1.0
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
     """Quantise linear light to 8 or 16 bits; clipped to 0..1, NaN becomes 0."""
-    maximum, dtype = {8: (255.0, np.uint8), 16: (65535.0, np.uint16)}[bits]
     values = np.clip(image, 0.0, 1.0)
     unknown = np.isnan(values)
     if unknown.any():
         values[unknown] = 0.0
-    scaled = encode(values, gamma) * np.float32(maximum)
-    return np.rint(scaled, out=scaled).astype(dtype)
+    stored = encode(values, gamma)
+    if bits == 8 and stored.size:
+        # Scales, rounds and converts in one go, to the same numbers.
+        row = np.ascontiguousarray(stored).reshape(1, -1)
+        return np.asarray(cv2.convertScaleAbs(row, alpha=255.0)).reshape(stored.shape)
+    maximum, dtype = {8: (255.0, np.uint8), 16: (65535.0, np.uint16)}[bits]
+    return np.rint(stored * np.float32(maximum)).astype(dtype)
 
 
 def _check(gamma: Gamma) -> None:
