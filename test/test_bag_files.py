@@ -370,6 +370,16 @@ def test_a_failure_in_a_thread_comes_out():
         list(in_order(lambda item: pool.submit(work, item).result, range(9), ahead=4))
 
 
+@pytest.mark.skipif(processors() < 2, reason="with one processor all is done by one process")
+@pytest.mark.parametrize("options", [(), ("--temporal-frames", "3")])
+def test_processes_write_what_one_process_writes(scene, tmp_path, capsys, monkeypatch, options):
+    bag = write_bag(tmp_path / "in", recording(scene, frames=9))
+    assert call(capsys, *command(scene, bag, tmp_path / "several", *options)).status == 0
+    monkeypatch.setattr("coded_aperture_ros.bags.processes.processors", lambda: 1)
+    assert call(capsys, *command(scene, bag, tmp_path / "one", *options)).status == 0
+    assert read(tmp_path / "several") == read(tmp_path / "one")
+
+
 def forked_processes(pid):
     """Return the processes that a program has had forked by its fork server, in no order."""
     parents = {}

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bags.conversion import Conversion, Picture
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
-from coded_aperture_ros.depth import DepthEstimator
+from coded_aperture_ros.depth import DepthEstimator, Stages
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.images import Gamma
 from coded_aperture_ros.messages import MessageError, frame_from_pixels, pixels_from_frame
@@ -80,9 +80,9 @@ class FrameWork:
     ) -> None:
         self._type_name, self._size, self._gamma = type_name, size, gamma
         self._estimator, self._map_size = estimator, map_size
+        self._deblur = deblur
+        self._deblurrer: Deblurrer | None = None  # made where the work is done
         self._convert = Conversion()
-        self.deblur_config = deblur
-        self._deblurrer: Deblurrer | None = None
 
     @property
     def remembers(self) -> bool:
@@ -96,45 +96,41 @@ class FrameWork:
 
     def __call__(self, data: bytes) -> FrameResult:
         """Return what is made of a message of a frame."""
-        start_s, processor_s = time.perf_counter(), time.process_time()
-        seconds: dict[str, float] = {}
+        started_s = time.process_time()
+        result = self._result(data)
+        return dataclasses.replace(result, processor_s=time.process_time() - started_s)
 
-        def lap(stage: str) -> None:
-            nonlocal start_s
-            start_s, before_s = time.perf_counter(), start_s
-            seconds[stage] = start_s - before_s
-
-        def failed(error: InputError, kind: str, **known: Any) -> FrameResult:
-            kind = error.kind if isinstance(error, MessageError) else kind
-            return FrameResult(kind, str(error), **known)
-
+    def _result(self, data: bytes) -> FrameResult:
+        stages = Stages()
+        stages.start()
         try:
             picture, frame = self._decoded(data)
-            lap("decode")
+            stages.lap("decode")
             estimate = self._estimator.estimate(frame, self._map_size)
-            lap("depth")
+            stages.lap("depth")
         except InputError as error:
-            return failed(error, "frame")
+            return FrameResult(*_fault(error, "frame"))
         if estimate.depth_m is None:
             return FrameResult("frame", "the bank and the camera file give no depth")
-        found: dict[str, Any] = {
-            "header": picture.header,
-            "encoding": picture.encoding,
-            "depth_m": estimate.depth_m,
-            "confidence": estimate.confidence,
-            "noise": estimate.noise,
-            "seconds": seconds,
-        }
-        if self.deblur_config is not None:
-            if self._deblurrer is None:
-                self._deblurrer = Deblurrer(self._estimator.bank.stack, self.deblur_config)
-            try:
-                sharp = self._deblurrer.deblur(frame, estimate.blur_size_px, estimate.noise)
-            except InputError as error:
-                return failed(error, "no depth", **found)
-            found["sharp"] = pixels_from_frame(sharp, picture.encoding, self._gamma)
-            lap("deblur")
-        return FrameResult(**found, processor_s=time.process_time() - processor_s)
+        result = FrameResult(
+            header=picture.header,
+            encoding=picture.encoding,
+            depth_m=estimate.depth_m,
+            confidence=estimate.confidence,
+            noise=estimate.noise,
+            seconds=stages.seconds,
+        )
+        if self._deblur is None:
+            return result
+        self._deblurrer = self._deblurrer or Deblurrer(self._estimator.bank.stack, self._deblur)
+        try:
+            sharp = self._deblurrer.deblur(frame, estimate.blur_size_px, estimate.noise)
+        except InputError as error:
+            fault, reason = _fault(error, "no depth")
+            return dataclasses.replace(result, fault=fault, reason=reason)
+        pixels = pixels_from_frame(sharp, picture.encoding, self._gamma)
+        stages.lap("deblur")
+        return dataclasses.replace(result, sharp=pixels, seconds=stages.seconds)
 
     def _decoded(self, data: bytes) -> tuple[Picture, NDArray[np.float32]]:
         picture = self._convert.picture(data, self._type_name)
@@ -145,3 +141,8 @@ class FrameWork:
                 f"the frame is {columns}x{rows}, others are {self._size[1]}x{self._size[0]}",
             )
         return picture, frame_from_pixels(picture.pixels, self._gamma)
+
+
+def _fault(error: InputError, otherwise: str) -> tuple[str, str]:
+    """Return a fault in a word and in a line."""
+    return error.kind if isinstance(error, MessageError) else otherwise, str(error)
