@@ -41,8 +41,11 @@ ROLES = ("driver", "depth", "deblur")
 class Driver(Node):
     """Publishes the same pixels with new stamps."""
 
-    def __init__(self, size: tuple[int, int], rate_hz: float, local: LocalTopics | None) -> None:
+    def __init__(
+        self, size: tuple[int, int], rate_hz: float, encoding: str, local: LocalTopics | None
+    ) -> None:
         super().__init__("driver")
+        self._encoding = encoding
         self._outputs = Outputs(self, {"image_raw": Image}, local)
         self._outputs.open()
         random = np.random.default_rng(0)
@@ -64,7 +67,9 @@ class Driver(Node):
             if self._outputs.listened("image_raw"):
                 stamp = self.get_clock().now().to_msg()
                 header = Header(frame_id="camera", stamp=stamp)
-                self._outputs.send("image_raw", image_from_array(self._pixels, "bgr8", header))
+                self._outputs.send(
+                    "image_raw", image_from_array(self._pixels, self._encoding, header)
+                )
                 self.sent += 1
             due_s += self._period_s
             self._stopping.wait(max(0.0, due_s - time.monotonic()))
@@ -130,12 +135,14 @@ class Deblur(FrameNode[tuple[Image, Image]]):
         self.sent(item[0].header)
 
 
-def run_roles(roles: Sequence[str], size: tuple[int, int], rate_hz: float, seconds: float) -> None:
+def run_roles(
+    roles: Sequence[str], size: tuple[int, int], rate_hz: float, seconds: float, encoding: str
+) -> None:
     """Run nodes for some seconds and print their frames and the processor time meanwhile."""
     rclpy.init(args=["--ros-args", "-p", "lazy:=false"])
     local = LocalTopics() if len(roles) > 1 else None
     makers = {
-        "driver": functools.partial(Driver, size, rate_hz, local),
+        "driver": functools.partial(Driver, size, rate_hz, encoding, local),
         "depth": functools.partial(Depth, local),
         "deblur": functools.partial(Deblur, local),
     }
@@ -166,7 +173,7 @@ def frames_of(nodes: dict[str, Any]) -> dict[str, int]:
 
 def compare(args: argparse.Namespace) -> dict[str, Any]:
     """Run the three nodes in three processes, and in one."""
-    settings = [args.size, str(args.rate), str(args.seconds)]
+    settings = [args.size, str(args.rate), str(args.seconds), args.encoding]
     results = {}
     for name, groups in (("processes", [[role] for role in ROLES]), ("pipeline", [ROLES])):
         programs = [
@@ -248,7 +255,7 @@ def measure_link(args: argparse.Namespace) -> list[dict[str, Any]]:
                 subscriber = subprocess.Popen(
                     [sys.executable, __file__, "--receive", *link], **common
                 )
-                settings = [args.size, str(args.rate), str(args.seconds)]
+                settings = [args.size, str(args.rate), str(args.seconds), args.encoding]
                 driver = subprocess.Popen(
                     [sys.executable, __file__, "--roles", "driver", "--settings", *settings],
                     **common,
@@ -277,16 +284,18 @@ def main() -> int:
     parser.add_argument("--size", default="1280x720", metavar="WxH", help="default 1280x720")
     parser.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="default 30")
     parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="default 10")
+    parser.add_argument("--encoding", choices=("rgb8", "bgr8"), default="rgb8", help="default rgb8")
     parser.add_argument("--link", action="store_true", help="measure frames that arrive instead")
     parser.add_argument("--roles", nargs="+", choices=ROLES, help=argparse.SUPPRESS)
-    parser.add_argument("--settings", nargs=3, help=argparse.SUPPRESS)
+    parser.add_argument("--settings", nargs=4, help=argparse.SUPPRESS)
     parser.add_argument("--receive", nargs=3, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.receive:
         receive(args.receive[0] == "1", int(args.receive[1]), float(args.receive[2]))
     if args.roles:
         width, height = map(int, args.settings[0].split("x"))
-        run_roles(args.roles, (height, width), float(args.settings[1]), float(args.settings[2]))
+        rate_hz, seconds = map(float, args.settings[1:3])
+        run_roles(args.roles, (height, width), rate_hz, seconds, args.settings[3])
     if args.link:
         measure_link(args)
     else:
