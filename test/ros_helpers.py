@@ -6,7 +6,6 @@ import os
 import subprocess
 import sys
 import threading
-import time
 import warnings
 
 import rclpy
@@ -16,19 +15,12 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
+from waiting import wait_until as wait_until
 
 with warnings.catch_warnings():
     # Imported by rclpy with the first message; uses modules that Python has deprecated.
     warnings.simplefilter("ignore", DeprecationWarning)
     import rosidl_generator_py  # noqa: F401
-
-
-def wait_until(condition, timeout_s=10.0):
-    """Wait until a condition holds; return its value, false after the timeout."""
-    deadline = time.monotonic() + timeout_s
-    while not (value := condition()) and time.monotonic() < deadline:
-        time.sleep(0.01)
-    return value
 
 
 def start_node(node, parameters, *arguments, **options):

@@ -32,6 +32,7 @@ from cli_scene import call, everything
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import CompressionMode
+from waiting import wait_until
 
 from coded_aperture_ros.bags import Bag, bag_output, is_bag
 from coded_aperture_ros.bags.ordered import in_order
@@ -390,16 +391,6 @@ def forked_processes(pid):
     return {child for child, parent in parents.items() if parent in servers}
 
 
-def wait_for(condition, seconds=30):
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        value = condition()
-        if value:
-            return value
-        time.sleep(0.05)
-    raise AssertionError(f"nothing within {seconds} s")
-
-
 @pytest.mark.skipif(processors() < 2, reason="with one processor all is done by one process")
 @pytest.mark.parametrize("whom", ["program", "worker"])
 def test_nothing_stays_of_a_program_or_a_worker_that_is_killed(scene, tmp_path, whom):
@@ -413,7 +404,8 @@ def test_nothing_stays_of_a_program_or_a_worker_that_is_killed(scene, tmp_path, 
         text=True,
     )
     try:
-        wait_for(lambda: list(tmp_path.glob(".out-*/out/*")))  # it has begun to write
+        # It has begun to write.
+        assert wait_until(lambda: list(tmp_path.glob(".out-*/out/*")), 30)
         workers = forked_processes(program.pid)
         assert len(workers) == processors()
         if whom == "program":
@@ -421,7 +413,7 @@ def test_nothing_stays_of_a_program_or_a_worker_that_is_killed(scene, tmp_path, 
         else:
             os.kill(min(workers), signal.SIGKILL)
         _, said = program.communicate(timeout=60)
-        wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers), 5)
+        assert wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers), 5)
     finally:
         program.kill()
     if whom == "worker":
