@@ -318,7 +318,10 @@ def test_videos_are_scored_without_a_filter(capsys, ray_traced, rgbd):
     assert static["moving"]["pixels"] == 3 * 32 * 32
     assert moving["flicker"] is moving["moving"] is moving["around_moving"] is None
     assert moving["change"]["std"] < 0.2
-    assert results["filtered_over_unfiltered"] == []
+    ratios = results["ratios_to_raw"]
+    assert [(ratio["regularize"], ratio["filter"]) for ratio in ratios] == [
+        ("semiglobal", "none")
+    ] * 2
 
 
 @pytest.mark.skipif(not hasattr(depth, "estimate_video"), reason="depth has no filter over time")
@@ -329,7 +332,7 @@ def test_filters_over_time_are_measured_beside_none(capsys, ray_traced):
     results = json.loads(result.out)
     filters = [(cell["filter"], cell["temporal_frames"]) for cell in results["cells"]]
     assert filters == [("none", 0), ("causal", 3), ("windowed", 3)]
-    causal, windowed = results["filtered_over_unfiltered"]
+    causal, windowed = results["ratios_to_raw"]
     assert (causal["filter"], windowed["filter"]) == ("causal", "windowed")
     for ratios in (causal, windowed):
         assert ratios["flicker mean"] < 0.9
@@ -350,7 +353,7 @@ def test_tables_and_pictures_are_written(capsys, ray_traced, tmp_path):
     assert len(json.loads((tmp_path / "results.json").read_text())["cells"]) == 1
 
 
-def test_every_filter_is_compared_with_the_same_without():
+def test_all_are_compared_with_every_frame_and_patch_by_itself():
     assert list(_ways(["semiglobal"], [4.0])) == [
         ("none", "none", 0.0),
         ("semiglobal", "none", 0.0),
@@ -381,15 +384,16 @@ def test_every_filter_is_compared_with_the_same_without():
         row("tv", "causal", 4.0, 0.1),
         row("none", "windowed", 2.5, 0.1),
     ]
-    causal, windowed = _ratios(rows)
-    assert (causal["regularize"], causal["median"], causal["mean"]) == ("tv", 0.5, 0.5)
+    regularized, causal, windowed = _ratios(rows)
+    assert (regularized["filter"], regularized["median"]) == ("none", 0.4)
+    assert (causal["regularize"], causal["median"], causal["mean"]) == ("tv", 0.2, 0.2)
     assert (windowed["regularize"], windowed["change robust"]) == ("none", 0.2)
     assert causal["flicker median"] is causal["moving mean"] is None
     assert causal["change"] is None  # nothing to divide by
     text = _tables(rows, [causal, windowed])
     assert "causal 4" in text
     assert "windowed 2.5" in text
-    assert "0.50" in text
+    assert "0.20" in text
 
 
 @pytest.mark.parametrize(

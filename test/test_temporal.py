@@ -233,7 +233,7 @@ def test_neighbours_of_a_level_stay_possible():
     temporal, grey, keep = TemporalFilter(4.0), fine_texture(), np.exp(-1 / 4)
     temporal.add(evidence_for(4, 10.0), grey, GRID, NOISE)
     result = temporal.add(NOTHING, grey, GRID, NOISE)
-    expected = keep * np.array([10, 10, 10, 2, 0, 2, 10, 10, 10])
+    expected = keep * np.array([10, 10, 10, 4, 0, 4, 10, 10, 10])
     assert result == pytest.approx(np.broadcast_to(expected, result.shape), abs=1e-3)
 
 

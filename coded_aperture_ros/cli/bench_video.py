@@ -38,7 +38,7 @@ _WITHOUT_UNREST_RGB = (60, 60, 120)
 _UNREST = {"static": "deviation over time", "moving": "change from frame to frame"}
 _UNFILTERED, _CAUSAL, _WINDOWED = "none", "causal", "windowed"
 _NAMES = ("video", "regularize", "filter")
-# What is compared between filtered and unfiltered: the keys of a row, and a column's title.
+# What is compared with every frame and patch by itself: the keys of a row, and a column's title.
 _RATIOS = (
     ("everywhere", "median", "median"),
     ("everywhere", "mean", "mean"),
@@ -226,7 +226,7 @@ def run(args: argparse.Namespace) -> int:
             "seed": args.seed,
             "seconds": round(time.perf_counter() - start, 1),
             "cells": rows,
-            "filtered_over_unfiltered": ratios,
+            "ratios_to_raw": ratios,
         },
         lambda: _tables(rows, ratios),
         lambda folder: _draw(measured, folder),
@@ -341,28 +341,26 @@ def _rounded(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def _ratios(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Divide what was measured with each filter by the same without."""
-    unfiltered = {_place(row): row for row in rows if row["filter"] == _UNFILTERED}
+    """Divide what was measured in each way by the same of every frame and patch by itself."""
+    raw = {row["video"]: row for row in rows if _is_raw(row)}
     return [
         {
             **{name: row[name] for name in (*_NAMES, "temporal_frames")},
-            **{title: _ratio(row, unfiltered[_place(row)], *key) for *key, title in _RATIOS},
+            **{title: _ratio(row, raw[row["video"]], *key) for *key, title in _RATIOS},
         }
         for row in rows
-        if row["filter"] != _UNFILTERED
+        if not _is_raw(row)
     ]
 
 
-def _place(row: dict[str, Any]) -> tuple[str, str]:
-    return row["video"], row["regularize"]
+def _is_raw(row: dict[str, Any]) -> bool:
+    return bool(row["regularize"] == "none" and row["filter"] == _UNFILTERED)
 
 
-def _ratio(
-    filtered: dict[str, Any], unfiltered: dict[str, Any], part: str, name: str
-) -> float | None:
-    if filtered[part] is None or not unfiltered[part][name] > 0:
+def _ratio(row: dict[str, Any], raw: dict[str, Any], part: str, name: str) -> float | None:
+    if row[part] is None or not raw[part][name] > 0:
         return None
-    return round(filtered[part][name] / unfiltered[part][name], 3)
+    return round(row[part][name] / raw[part][name], 3)
 
 
 def _tables(rows: Sequence[dict[str, Any]], ratios: Sequence[dict[str, Any]]) -> str:
@@ -383,7 +381,9 @@ def _tables(rows: Sequence[dict[str, Any]], ratios: Sequence[dict[str, Any]]) ->
             ]
             for row in ratios
         ]
-        parts.append(f"filtered over unfiltered\n{table([*_NAMES, *titles], lines)}")
+        parts.append(
+            f"over those of every frame and patch by itself\n{table([*_NAMES, *titles], lines)}"
+        )
     return "\n\n".join(parts)
 
 

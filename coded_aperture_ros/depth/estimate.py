@@ -327,7 +327,7 @@ class DepthEstimator:
         """
         config, grid, shape = self.config, seen.grid, seen.grey.shape
         size = size or (shape[0], shape[1])
-        level = regularized_level(evidence, config, seen.brightness, own)
+        level = regularized_level(evidence, config, seen.brightness, own, grid.stride_px)
         self.stages.lap("regularise")
 
         # Patches that are far apart do not need every pixel of a large map.

@@ -1,12 +1,11 @@
 """Choosing the levels of all patches together: neighbours usually lie on one surface."""
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.levels import refine_level
+from coded_aperture_ros.depth.surface import on_surfaces
 from coded_aperture_ros.errors import InputError
 
 # Evidence against a level counts up to here; beyond, it is an outlier (natural logarithm).
@@ -31,8 +30,12 @@ def regularized_level(
     config: DepthConfig,
     brightness: NDArray[np.float32] | None = None,
     own: NDArray[np.float32] | None = None,
+    stride_px: int = 8,
 ) -> NDArray[np.float32]:
     """Return the fractional level of every patch.
+
+    A whole level is chosen for each, and with neighbours then a surface through these, see
+    `on_surfaces`; `tv` does both at once.
 
     Parameters
     ----------
@@ -45,6 +48,8 @@ def regularized_level(
     own : ndarray, float32 [rows, columns, L], optional
         The evidence of one frame, where `evidence` is that of several: it is not cut off and has
         not drifted, and tells where the minimum is between two levels. Not for `tv`.
+    stride_px : int, optional
+        Distance between patches.
 
     Returns
     -------
@@ -56,25 +61,23 @@ def regularized_level(
     InputError
         If graph cuts are asked for and PyMaxflow is not installed.
     """
+    if config.regularize == "tv":
+        return _total_variation(evidence, config.smoothness)
     own = evidence if own is None else own
-    return _METHODS[config.regularize](evidence, config.smoothness, brightness, own)
-
-
-def _independent(
-    evidence: NDArray[np.float32],
-    smoothness: float,
-    brightness: NDArray[np.float32] | None,
-    own: NDArray[np.float32],
-) -> NDArray[np.float32]:
-    return refine_level(own, evidence.argmin(axis=-1))
+    if config.regularize == "none":
+        return refine_level(own, evidence.argmin(axis=-1))
+    if config.regularize == "graphcut":
+        chosen = _graph_cut(evidence, config.smoothness)
+    else:
+        chosen = _semi_global(evidence, config.smoothness, brightness)
+    return on_surfaces(own, chosen, config.smoothness, stride_px)
 
 
 def _semi_global(
     evidence: NDArray[np.float32],
     smoothness: float,
     brightness: NDArray[np.float32] | None,
-    own: NDArray[np.float32],
-) -> NDArray[np.float32]:
+) -> NDArray[np.intp]:
     """Minimise along rows and columns, both ways, and add up (Hirschmueller, 2008).
 
     Each of the four paths through a patch is minimised exactly, with a small cost for steps of
@@ -97,7 +100,7 @@ def _semi_global(
     # Every path counts the evidence of its patch.
     total = _both_ways(known, down) - 3 * known
     total += _both_ways(known.swapaxes(0, 1), across).swapaxes(0, 1)
-    return refine_level(own, total.argmin(axis=-1))
+    return np.asarray(total.argmin(axis=-1))
 
 
 def _both_ways(evidence: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -125,12 +128,7 @@ def _both_ways(evidence: NDArray[np.float32], weights: NDArray[np.float32]) -> N
     return (costs[:, 0] + costs[::-1, 1]).swapaxes(1, 2)
 
 
-def _graph_cut(
-    evidence: NDArray[np.float32],
-    smoothness: float,
-    brightness: NDArray[np.float32] | None,
-    own: NDArray[np.float32],
-) -> NDArray[np.float32]:
+def _graph_cut(evidence: NDArray[np.float32], smoothness: float) -> NDArray[np.intp]:
     """Alpha expansion of ``-log p + beta min(|d_p - d_q|, edge)`` (thesis eq. 6.25 and 5.24)."""
     try:
         from maxflow.fastmin import aexpansion_grid
@@ -145,15 +143,10 @@ def _graph_cut(
         np.ascontiguousarray(_bounded(evidence), np.float64),
         _CUT_BETA * smoothness * step.astype(np.float64),
     )
-    return refine_level(own, labels)
+    return np.asarray(labels, np.intp)
 
 
-def _total_variation(
-    evidence: NDArray[np.float32],
-    smoothness: float,
-    brightness: NDArray[np.float32] | None,
-    own: NDArray[np.float32],
-) -> NDArray[np.float32]:
+def _total_variation(evidence: NDArray[np.float32], smoothness: float) -> NDArray[np.float32]:
     """Minimise ``sum -log p(v) + (u - v)^2 / (2 theta) + beta |grad u|`` with theta shrinking.
 
     The evidence is not convex in the level, total variation is: they get a variable each, which
@@ -188,11 +181,3 @@ def _bounded(evidence: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the negative logarithm of the probability, up to where it is an outlier's."""
     of_all = np.log(np.exp(-evidence).sum(axis=-1, keepdims=True))
     return np.minimum(evidence + of_all, np.float32(_ENOUGH_EVIDENCE))
-
-
-_METHODS: dict[str, Callable[..., NDArray[np.float32]]] = {
-    "none": _independent,
-    "semiglobal": _semi_global,
-    "graphcut": _graph_cut,
-    "tv": _total_variation,
-}

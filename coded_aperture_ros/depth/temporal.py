@@ -18,7 +18,7 @@ _BANDWIDTH = 0.1
 _OF_A_FRAME = 12.0
 _OF_THE_PAST = 20.0
 # Against a level's neighbour, per frame: surfaces come nearer and go away.
-_DRIFT = 2.0
+_DRIFT = 4.0
 # How much of each shift of -2 to 2 samples leads to the patch before, to the same and to the next.
 _SHIFT_TO_PATCHES = np.array(
     [[1, 0.5, 0, 0, 0], [0, 0.5, 1, 0.5, 0], [0, 0, 0, 0.5, 1]], np.float32
