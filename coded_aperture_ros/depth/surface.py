@@ -8,13 +8,13 @@ from coded_aperture_ros.depth.levels import refine_level
 
 # What a bend of one level costs, beside evidence in natural logarithms, for patches of
 # `_AT_STRIDE_PX`: the same surface bends less from patch to patch if these are nearer.
-_STIFFNESS = 2.0
+_STIFFNESS = 4.0
 _AT_STRIDE_PX = 8
 # Second differences of the evidence are at least this: where a patch knows nothing, the surface of
 # its neighbours goes on.
 _LEAST_CURVATURE = 1e-3
 # Patches that differ by many more levels than this are not on one surface.
-_ONE_SURFACE = 1.3
+_ONE_SURFACE = 0.7
 # After these the levels are within 0.01 of where they would end, or earlier, by what is left of the
 # squared residual.
 _ITERATIONS = 32
