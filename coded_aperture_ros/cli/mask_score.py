@@ -38,7 +38,8 @@ def add_parser(subparsers: Any) -> None:
         "that they make of texture, and the distances of the thesis between the subspaces of "
         "blurred patches (M. Martinello, Coded Aperture Imaging, PhD thesis, 2012, chapter 9). "
         "With pictures, their sharp windows are blurred with each mask too, and told apart as "
-        "depth estimation does. Predictions are for comparing masks; bench accuracy stair measures.",
+        "depth estimation does. Predictions are for comparing masks; bench accuracy stair "
+        "measures.",
         epilog=_EPILOG,
     )
     parser.add_argument(

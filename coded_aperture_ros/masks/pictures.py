@@ -266,6 +266,8 @@ class WindowSpectra:
         for slope in self._prior.slopes:
             # The scale is that of four windows, as in `WindowedFourierBasis.expected_power`.
             texture = power_spectrum(slope, (2 * torus, 2 * torus))[::2, ::2].astype(np.float32)
+            # No window sees the mean; without it, rounding is less than the power in the zeros.
+            texture[0, 0] = 0
             covariance = scipy.fft.irfft2(texture * gain, (torus, torus))
             covariance *= overlap[:, None] * overlap
             spectrum = scipy.fft.rfft2(covariance).real[:, ::4, ::4]
