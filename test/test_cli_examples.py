@@ -58,7 +58,7 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
     assert (tmp_path / "mask.svg").is_file()
 
     score_masks = examples(capsys, "mask score")
-    assert len(score_masks) == 1
+    assert len(score_masks) == 2
     for arguments in score_masks:
         assert "levin" in type_in(arguments)
     # The others take minutes, and a cluster.

@@ -1,10 +1,12 @@
 """Scores of masks: predictions, subspace distances, and the commands that print them."""
 
 import json
+import re
 
+import cv2
 import numpy as np
 import pytest
-from cli_scene import call
+from cli_scene import call, texture
 
 from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.masks import MaskScorer, SceneConfig, subspace_distances
@@ -27,6 +29,13 @@ from coded_aperture_ros.optics import MASK_NAMES, Mask
 
 # A coarse scene, which is quick, and whose cells are wide enough that pixels do not alias.
 SCENE = SceneConfig(levels=6, smallest_px=14.0, largest_px=28.0)
+
+
+def pictures(folder):
+    """Write two pictures into a folder; return it."""
+    for seed in range(2):
+        cv2.imwrite(str(folder / f"{seed}.png"), np.rint(255 * texture(200, 256, seed)))
+    return folder
 
 
 def test_autocorrelations_are_those_of_their_definition():
@@ -177,4 +186,54 @@ def test_benchmark_command(capsys):
     results = json.loads(result.out)
     assert len(results["masks"]) == 3
     assert set(results["rank_correlation"]) == {"0.001", "0.005"}
+    assert set(results["rank_correlation_pictures"]) == {"0.001", "0.005"}
+    assert all(0 < value < 5 for row in results["masks"] for value in row["predicted_pictures"])
     assert results["masks_per_second"] > 0
+
+
+def test_benchmark_command_with_pictures_of_a_folder(tmp_path, capsys):
+    folder = pictures(tmp_path)
+    small = ["--levels", "5", "--side", "48", "--window", "48", "--rank", "32", "--repeats", "1"]
+    small += ["--count", "3", "--windows", "40", "--sigmas", "0.005", "--jobs", "1"]
+    of_folder = call(capsys, "bench", "masks", *small, "--images", folder, "--json")
+    built_in = call(capsys, "bench", "masks", *small)
+    results = json.loads(of_folder.out)
+    assert (results["images"], results["windows"]) == (str(folder), 40)
+    first = results["masks"][0]
+    shown = built_in.out.splitlines()
+    assert "from other crops of the pictures: " in built_in.out
+    titles = re.split(r" {2,}", shown[0])
+    assert titles[3:] == ["predicted 0.005", "pictures 0.005", "measured 0.005"]
+    # Other pictures, other errors; what the mask alone tells stays.
+    alone, with_pictures, measured = (float(value) for value in shown[1].split()[3:])
+    assert alone == pytest.approx(first["predicted"][0], abs=0.006)
+    assert with_pictures != pytest.approx(first["predicted_pictures"][0], abs=0.006)
+    assert measured != pytest.approx(first["measured"][0], abs=0.006)
+
+
+def test_score_command_with_pictures(tmp_path, capsys):
+    folder = pictures(tmp_path)
+    command = ["mask", "score", "four_hole", "disc", "--levels", "8", "--sigmas", "0.01"]
+    command += ["--images", folder, "--windows", "80"]
+    rows = json.loads(call(capsys, *command, "--json").out)["masks"]
+    four_hole, disc = (row["pictures_error"]["0.01"] for row in rows)
+    assert 0 <= four_hole < disc < 7
+    out = call(capsys, *command).out
+    assert "pictures 0.01" in out.splitlines()[1]
+    assert f"  {disc:.2f}" in out
+    assert "pictures" not in call(capsys, *command[:-4]).out
+    alone = json.loads(call(capsys, *command[:-4], "--json").out)["masks"]
+    assert alone[0]["pictures_error"] is None
+
+
+def test_score_command_says_what_pictures_cannot(tmp_path, capsys):
+    folder = pictures(tmp_path)
+    result = call(capsys, "mask", "score", "levin", "--images", folder, "--motion-px", "3")
+    assert result.status == 1
+    assert "motion_px: the prediction from pictures knows none" in result.err
+    result = call(capsys, "mask", "score", "levin", "--windows", "10")
+    assert result.status == 2
+    assert "give --images too" in result.err
+    result = call(capsys, "mask", "score", "levin", "--images", tmp_path / "nothing")
+    assert result.status == 1
+    assert "expected a folder with pictures" in result.err

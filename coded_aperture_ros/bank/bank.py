@@ -1,6 +1,7 @@
 """The filter bank: energies of every blur level for every patch of a frame."""
 
 import dataclasses
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -186,11 +187,28 @@ class FilterBank:
 
     def plausible_ratios(self, noise: float) -> slice:
         """Return which ratios belong to the prior's contrasts under a noise of this deviation."""
-        count = len(self.prior.contrasts)
-        wanted = min(self.prior.contrasts) / noise**2
-        first = int(np.argmin(np.abs(np.log(self.ratios / wanted))))
-        first = min(first, len(self.ratios) - count)
-        return slice(first, first + count)
+        return plausible_ratios(self.ratios, self.prior.contrasts, noise)
+
+
+def plausible_ratios(
+    ratios: NDArray[np.float64], contrasts: Sequence[float], noise: float
+) -> slice:
+    """Return which of `ratios`, in half decades, belong to contrasts under a noise.
+
+    Parameters
+    ----------
+    ratios : ndarray, float64 [S]
+        Contrast over noise variance, increasing.
+    contrasts : sequence of float
+        Variances in half decades, at most S.
+    noise : float
+        Standard deviation, > 0.
+    """
+    count = len(contrasts)
+    wanted = min(contrasts) / noise**2
+    first = int(np.argmin(np.abs(np.log(ratios / wanted))))
+    first = min(first, len(ratios) - count)
+    return slice(first, first + count)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -8,10 +8,13 @@ from typing import Any
 
 from coded_aperture_ros.cli.bench_options import (
     add_sigmas_option,
+    at_least,
+    folder_of,
     table,
 )
 from coded_aperture_ros.cli.checks import check_output, check_suffix
 from coded_aperture_ros.cli.options import add_config_options, config_from
+from coded_aperture_ros.cli.progress import progress
 
 # Subspaces take a millisecond a level, and a figure shows no more.
 _SUBSPACE_LEVELS = 16
@@ -21,6 +24,8 @@ _EPILOG = """examples:
   two of them, at one noise, 20 blur sizes from 5 to 20 px, where things move:
     coded_aperture mask score levin four_hole --sigmas 0.002 --levels 20 --smallest-px 5 \\
         --largest-px 20 --motion-px 3
+  two of them, and what to expect of them with your own pictures:
+    coded_aperture mask score levin four_hole --images pictures/
 """
 
 
@@ -32,13 +37,26 @@ def add_parser(subparsers: Any) -> None:
         description="Predict the depth error and the deblurring error of masks, from the spectra "
         "that they make of texture, and the distances of the thesis between the subspaces of "
         "blurred patches (M. Martinello, Coded Aperture Imaging, PhD thesis, 2012, chapter 9). "
-        "Predictions are for comparing masks; bench accuracy stair measures.",
+        "With pictures, their sharp windows are blurred with each mask too, and told apart as "
+        "depth estimation does. Predictions are for comparing masks; bench accuracy stair "
+        "measures.",
         epilog=_EPILOG,
     )
     parser.add_argument(
         "masks", nargs="*", metavar="NAME|FILE", help="masks (default: all with names)"
     )
     add_sigmas_option(parser, (0.001, 0.005), ", above 0")
+    parser.add_argument(
+        "--images",
+        metavar="DIR",
+        help="predict the depth error with the sharp pictures of this folder too",
+    )
+    parser.add_argument(
+        "--windows",
+        type=at_least(1),
+        metavar="N",
+        help="of the pictures, in all (default 768; a quarter of a second for each mask)",
+    )
     parser.add_argument(
         "--figure", metavar="PNG", help="draw the distances of all pairs of levels (figure 9.5)"
     )
@@ -58,6 +76,8 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.masks import MaskScorer, SceneConfig, subspace_distances
     from coded_aperture_ros.optics import MASK_NAMES
 
+    if args.windows is not None and args.images is None:
+        args.usage_error("--windows: these are windows of pictures, give --images too")
     if args.figure is not None:
         check_suffix(args.figure, (".png",))
         check_output(args.figure, [Path(name) for name in args.masks])
@@ -65,6 +85,7 @@ def run(args: argparse.Namespace) -> int:
     masks = [mask_of(name) for name in names]
     scene = config_from(args, SceneConfig)
     predicted = MaskScorer(scene, args.sigmas).score(masks)
+    with_pictures = _with_pictures(args, scene, masks)
     import numpy as np
 
     sizes = np.linspace(scene.smallest_px, scene.largest_px, min(scene.levels, _SUBSPACE_LEVELS))
@@ -74,6 +95,7 @@ def run(args: argparse.Namespace) -> int:
             "mask": name,
             "light": round(float(predicted.light[index]), 4),
             "depth_error": _of_noises(args.sigmas, predicted.depth_error[index]),
+            "pictures_error": with_pictures[index],
             "deblurring_error": _of_noises(args.sigmas, predicted.deblurring_error[index]),
             "subspace_l1": round(distances[index].l1_fit, 3),
             "subspace_l1_relative": round(distances[index].relative_fit, 4),
@@ -97,6 +119,23 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _with_pictures(
+    args: argparse.Namespace, scene: Any, masks: Sequence[Any]
+) -> list[dict[str, float] | None]:
+    """Return the depth error of every mask with the pictures, at every noise, if there are any."""
+    if args.images is None:
+        return [None] * len(masks)
+    from coded_aperture_ros.evaluation.textures import load_textures
+    from coded_aperture_ros.masks import PictureScorer
+    from coded_aperture_ros.masks.pictures import WINDOWS, patch_side_px, patches_of_pictures
+
+    textures = load_textures("natural", folder_of(args.images))
+    patches = patches_of_pictures(textures, args.windows or WINDOWS, patch_side_px(scene))
+    scorer = PictureScorer(patches, scene, args.sigmas)
+    errors = [scorer.depth_error(mask) for mask in progress(masks, len(masks), "mask")]
+    return [_of_noises(args.sigmas, error) for error in errors]
+
+
 def _of_noises(sigmas: Sequence[float], values: Any) -> dict[str, float]:
     return {
         f"{sigma:g}": round(float(value), 4) for sigma, value in zip(sigmas, values, strict=True)
@@ -112,13 +151,16 @@ def _thesis_l1(name: str) -> float | None:
 
 def _text(rows: Sequence[dict[str, Any]], sigmas: Sequence[float]) -> str:
     noises = [f"{sigma:g}" for sigma in sigmas]
+    pictures = noises if rows[0]["pictures_error"] is not None else []
     header = ["mask", "light", *(f"depth {noise}" for noise in noises)]
+    header += [f"pictures {noise}" for noise in pictures]
     header += [*(f"deblur {noise}" for noise in noises), "L1 fit", "share", "[thesis]"]
     lines = [
         [
             row["mask"],
             f"{row['light']:.2f}",
             *(f"{row['depth_error'][noise]:.2f}" for noise in noises),
+            *(f"{row['pictures_error'][noise]:.2f}" for noise in pictures),
             *(f"{row['deblurring_error'][noise]:.3f}" for noise in noises),
             f"{row['subspace_l1']:.2f}",
             f"{row['subspace_l1_relative']:.2f}",

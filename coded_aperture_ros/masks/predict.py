@@ -104,8 +104,7 @@ class MaskScorer:
     """
 
     def __init__(self, scene: SceneConfig | None = None, sigmas: Sequence[float] = SIGMAS) -> None:
-        if not sigmas or not all(0 < sigma <= 0.5 for sigma in sigmas):
-            raise InputError(f"sigmas: expected noises above 0, at most 0.5, got {list(sigmas)}")
+        check_sigmas(sigmas)
         self.scene = scene or SceneConfig()
         self.sigmas = tuple(sigmas)
         self.frequencies = Frequencies.of_window()
@@ -239,6 +238,18 @@ class MaskScorer:
         frequencies = (self.frequencies.vertical, self.frequencies.horizontal)
         gradient = sum(4 * np.sin(np.pi * cycles / 64) ** 2 for cycles in frequencies)
         return np.asarray(1 + gradient, np.float32)
+
+
+def check_sigmas(sigmas: Sequence[float]) -> None:
+    """Refuse noises that nothing can be predicted for.
+
+    Raises
+    ------
+    InputError
+        If there is none, or one is not above 0.
+    """
+    if not sigmas or not all(0 < sigma <= 0.5 for sigma in sigmas):
+        raise InputError(f"sigmas: expected noises above 0, at most 0.5, got {list(sigmas)}")
 
 
 def check_two_colours(mask: Mask) -> None:
