@@ -145,6 +145,12 @@ def process_figures(pid: int) -> dict[str, float]:
     }
 
 
+def stolen_s() -> float:
+    """Return the time so far that a virtual machine's processors were kept waiting by their host."""
+    of_all = Path("/proc/stat").read_text().splitlines()[0].split()
+    return int(of_all[8]) / os.sysconf("SC_CLK_TCK")
+
+
 def _rounded(function: Any, values: NDArray[np.floating]) -> float | None:
     return round(float(function(values)), 2) if len(values) else None
 
@@ -448,9 +454,9 @@ def measure(
     ):
         wait_for_depth(onlooker, (node, frames))
         onlooker.listen(warm_up_s, (node, frames))
-        begun_ns, before = time.time_ns(), process_figures(node.pid)
+        begun_ns, before, stolen_before_s = time.time_ns(), process_figures(node.pid), stolen_s()
         onlooker.listen(seconds, (node, frames))
-        ended_ns, after = time.time_ns(), process_figures(node.pid)
+        ended_ns, after, stolen_after_s = time.time_ns(), process_figures(node.pid), stolen_s()
         frames.interrupt()  # and receive meanwhile, so that the last frames are not late
         onlooker.listen(_LAST_RESULTS_S, (node,))
         frames.end()
@@ -466,6 +472,7 @@ def measure(
             "late_ms_p99": _rounded(lambda late: np.percentile(late, 99), sent["late_ms"]),
             "left_out": sent["left_out"],
         },
+        "stolen_cores": round((stolen_after_s - stolen_before_s) / seconds, 3),
         "depth": stream_figures(sent["sent_ns"], onlooker.received, begun_ns, ended_ns),
         "node": node_figures(onlooker.statuses, sent["sent_ns"], begun_ns, ended_ns),
         "process": {
@@ -503,6 +510,7 @@ def rows(run: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     yield "frames sent", depth["sent"]
     yield "publisher late, p99 ms", run["publisher"]["late_ms_p99"]
     yield "publisher left out", run["publisher"]["left_out"]
+    yield "processors that the host withheld", run["stolen_cores"]
     yield "depth received", depth["received"]
     yield "depth received, Hz", depth["received_hz"]
     yield "never came", depth["never_came"]

@@ -60,17 +60,21 @@ def on_surfaces(
     curvature = around[..., 0] - 2 * around[..., 1] + around[..., 2]
     curvature = np.maximum(curvature, np.float32(_LEAST_CURVATURE))
     stiffness = smoothness * _STIFFNESS * (_AT_STRIDE_PX / stride_px) ** 2
-    level = _least_bent(refine_level(own, best), curvature, _bending(chosen, stiffness))
+    matrix = _bending_beside(curvature, chosen, stiffness)
+    level = _least_bent(refine_level(own, best), curvature, matrix)
     return np.clip(level, 0, last)
 
 
-def _bending(chosen: NDArray[np.intp], stiffness: float) -> scipy.sparse.dia_matrix:
-    """Return the matrix of the quadratic form of all bends [patches, patches]."""
+def _bending_beside(
+    curvature: NDArray[np.float32], chosen: NDArray[np.intp], stiffness: float
+) -> scipy.sparse.dia_matrix:
+    """Return the matrix of the quadratic form of evidence and bends [patches, patches]."""
     size, columns = chosen.size, chosen.shape[1]
     # What couples each patch with the one so many places after it, in the order of memory.
     couplings = {
         offset: np.zeros(chosen.shape, np.float32) for offset in (0, 1, 2, columns, 2 * columns)
     }
+    couplings[0] += curvature
     for axis, step in ((0, columns), (1, 1)):
         alike = np.exp(-((np.diff(chosen, axis=axis) / _ONE_SURFACE) ** 2)).swapaxes(0, axis)
         weight = stiffness * alike[:-1] * alike[1:]
@@ -83,33 +87,33 @@ def _bending(chosen: NDArray[np.intp], stiffness: float) -> scipy.sparse.dia_mat
         next_one[:-2] -= 2 * weight
         next_one[1:-1] -= 2 * weight
         next_but_one[:-2] += weight
-    both_ways = {
-        sign * offset: coupling.ravel()[: size - offset]
-        for offset, coupling in couplings.items()
-        if offset < size
-        for sign in (1, -1)
-    }
-    return scipy.sparse.diags(list(both_ways.values()), list(both_ways), dtype=np.float32)
+    diagonals = np.zeros((2 * len(couplings) - 1, size), np.float32)
+    offsets = [0, *(sign * offset for offset in list(couplings)[1:] for sign in (1, -1))]
+    for diagonal, offset in zip(diagonals, offsets, strict=True):
+        coupling = couplings[abs(offset)].ravel()[: max(size - abs(offset), 0)]
+        first = max(offset, 0)
+        diagonal[first : first + len(coupling)] = coupling
+    return scipy.sparse.dia_matrix((diagonals, offsets), shape=(size, size))
 
 
 def _least_bent(
-    level: NDArray[np.float32], curvature: NDArray[np.float32], bending: scipy.sparse.dia_matrix
+    level: NDArray[np.float32], curvature: NDArray[np.float32], matrix: scipy.sparse.dia_matrix
 ) -> NDArray[np.float32]:
     """Minimise by conjugate gradients, preconditioned by the diagonal."""
-    data = curvature.ravel()
-    precision = 1 / (data + bending.diagonal())
-    found = level.ravel()
-    residual = -(bending @ found)
+    found = level.ravel().copy()
+    residual = curvature.ravel() * found - matrix @ found
+    precision = 1 / matrix.diagonal()
     step = precision * residual
     size = first = np.vdot(residual, step)
     for _ in range(_ITERATIONS):
         if size <= _SOLVED * first:
             break
-        image = data * step + bending @ step
+        image = matrix @ step
         length = size / np.vdot(step, image)
-        found = found + length * step
+        found += length * step
         residual -= length * image
         conditioned = precision * residual
         before, size = size, np.vdot(residual, conditioned)
-        step = conditioned + size / before * step
+        step *= size / before
+        step += conditioned
     return found.reshape(level.shape)
