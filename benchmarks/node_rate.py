@@ -146,7 +146,7 @@ def process_figures(pid: int) -> dict[str, float]:
 
 
 def stolen_s() -> float:
-    """Return the time so far that a virtual machine's processors were kept waiting by their host."""
+    """Return the time so far that a virtual machine's processors waited for their host."""
     of_all = Path("/proc/stat").read_text().splitlines()[0].split()
     return int(of_all[8]) / os.sysconf("SC_CLK_TCK")
 
