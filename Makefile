@@ -43,13 +43,13 @@ test: $(READY) ## Run every test
 	@$(VENV)/bin/python -m pytest $(TEST_ARGS)
 
 fuzz: $(READY) ## Try more than ten thousand broken messages and files
-	@FUZZ_TIMES=1 $(VENV)/bin/python -m pytest test/test_fuzz.py $(TEST_ARGS)
+	@FUZZ_TIMES=1 $(VENV)/bin/python -m pytest test/system/test_fuzz.py $(TEST_ARGS)
 
 SOAK_SECONDS ?= 1800
 # Settings with which depth_node keeps up with 30 Hz at 640x480 on two processors.
 AT_RATE = -p window_px:=64 -p stride_px:=24 -p highest_frequency:=0.4
 soak: fuzz ## The same, faults of a robot, and half an hour of frames at 30 Hz
-	@GOES_ON_S=2 $(VENV)/bin/python -m pytest test/test_faults.py
+	@GOES_ON_S=2 $(VENV)/bin/python -m pytest test/ros/test_faults.py
 	@$(VENV)/bin/python benchmarks/node_rate.py --rate 30 --seconds $(SOAK_SECONDS) $(AT_RATE)
 
 lint: $(READY) ## Check style and types

@@ -85,10 +85,10 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            f"camera_driver_node = {NAME}.nodes.camera_driver_node:main",
-            f"depth_node = {NAME}.nodes.depth_node:main",
-            f"deblur_node = {NAME}.nodes.deblur_node:main",
-            f"pipeline = {NAME}.nodes.pipeline:main",
+            f"camera_driver_node = {NAME}.ros.camera_driver_node:main",
+            f"depth_node = {NAME}.ros.depth_node:main",
+            f"deblur_node = {NAME}.ros.deblur_node:main",
+            f"pipeline = {NAME}.ros.pipeline:main",
             f"coded_aperture = {NAME}.cli.main:main",
         ],
     },

@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from coded_aperture_benchmarks import CodedVideo, load_video
 
-from coded_aperture_ros.bags import Conversion, bag_output
-from coded_aperture_ros.bags.conversion import CAMERA_INFO, IMAGE
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera, save_bank
-from coded_aperture_ros.evaluation import CodedVideo, load_video
-from coded_aperture_ros.messages import millimetres_from_depth, pixels_from_frame
-from coded_aperture_ros.threads import processors
+from coded_aperture_ros.core.threads import processors
+from coded_aperture_ros.io.bags import Conversion, bag_output
+from coded_aperture_ros.io.bags.conversion import CAMERA_INFO, IMAGE
+from coded_aperture_ros.io.messages import millimetres_from_depth, pixels_from_frame
 
 RATE_HZ = 30
 START_NS = 1_700_000_000 * 10**9

@@ -15,16 +15,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from coded_aperture_benchmarks import RayTracedScene
+from coded_aperture_benchmarks.ray_traced import scene_camera
 
 from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank_for_camera
-from coded_aperture_ros.calibration.planes import calibrate_planes
-from coded_aperture_ros.calibration.planes_folder import load_planes
-from coded_aperture_ros.calibration.planes_remap import remap_bank
-from coded_aperture_ros.calibration.psf import centre_psf, psf_from_dots
+from coded_aperture_ros.calibration.planes.calibrate import calibrate_planes
+from coded_aperture_ros.calibration.planes.folder import load_planes
+from coded_aperture_ros.calibration.planes.remap import remap_bank
+from coded_aperture_ros.calibration.psf.dots import psf_from_dots
+from coded_aperture_ros.calibration.psf.stack import centre_psf
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.evaluation import RayTracedScene
-from coded_aperture_ros.evaluation.ray_traced import scene_camera
 from coded_aperture_ros.optics import Mask, render_psf
 
 NOISE = 0.002

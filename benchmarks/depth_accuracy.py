@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from coded_aperture_benchmarks import RayTracedScene
 
 from coded_aperture_ros.bank import learn_bank, learn_bank_for_camera
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur import Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.evaluation import RayTracedScene, depth_error, psnr_db
+from coded_aperture_ros.metrics import depth_error, psnr_db
 from coded_aperture_ros.optics import PsfStack
 
 SCENES = ("desk", "corridor")

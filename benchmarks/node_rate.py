@@ -28,8 +28,8 @@ from coded_aperture_ros.cli.demo_processes import (
     shared_memory_suffices,
     sigterm_like_ctrl_c,
 )
-from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.share import share_directory
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.share import share_directory
 
 FRAMES = 8
 NOISE = 0.002
@@ -168,8 +168,8 @@ def _longest_row(missing: Iterator[bool]) -> int:
 
 def render_frames(camera_file: Path) -> NDArray[np.uint8]:
     """Return different views of a real scene, coded by the camera's mask, with noise; mono8."""
-    from coded_aperture_ros.nodes.messages import luminance, pixels_from_frame
     from coded_aperture_ros.optics import load_camera
+    from coded_aperture_ros.ros.messages import luminance, pixels_from_frame
     from coded_aperture_ros.simulation import PanningScene, SensorModel, motorcycle_scene
 
     panning = PanningScene(motorcycle_scene(), load_camera(camera_file), period_s=2.0 * FRAMES)
@@ -212,9 +212,9 @@ def publisher(frames_file: Path, camera_file: Path) -> Iterator[Any]:
     from sensor_msgs.msg import CameraInfo, Image
     from std_msgs.msg import Header
 
-    from coded_aperture_ros.nodes.messages import camera_info_from_camera, image_from_array
-    from coded_aperture_ros.nodes.topics import Outputs
     from coded_aperture_ros.optics import load_camera
+    from coded_aperture_ros.ros.messages import camera_info_from_camera, image_from_array
+    from coded_aperture_ros.ros.topics import Outputs
 
     with ros_node("frame_publisher") as (node, _):
         header = Header(frame_id="camera_optical_frame")
@@ -391,7 +391,7 @@ def node_arguments(camera_file: Path, reliable: bool, given: Sequence[str]) -> l
         parameters.append("qos_overrides./image_raw.subscription.reliability:=reliable")
     parameters = [text for text in parameters if not _is_given(text, given)] + list(given)
     arguments = [text for parameter in parameters for text in ("-p", parameter)]
-    return ["-m", "coded_aperture_ros.nodes.depth_node", "--ros-args", *arguments]
+    return ["-m", "coded_aperture_ros.ros.depth_node", "--ros-args", *arguments]
 
 
 def _is_given(parameter: str, given: Sequence[str]) -> bool:

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from coded_aperture_benchmarks import RayTracedScene
 from numpy.typing import NDArray
 
-from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.evaluation import RayTracedScene
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.simulation import render_coded_frame
 
 SCENES = ("desk", "corridor")

@@ -54,7 +54,7 @@ def data_dir() -> Path:
 @pytest.fixture(scope="session")
 def checkout() -> Path:
     """Folder of the project's sources."""
-    return Path(__file__).resolve().parent.parent
+    return Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="session")

@@ -9,17 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bags.record import Sample
-from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.evaluation.plots import reliability_diagram
-from coded_aperture_ros.evaluation.reliability import Reliability
-from coded_aperture_ros.images import (
-    SRGB,
-    Gamma,
-    confidence_picture,
-    decode,
-    depth_picture,
-    pixels_from_linear,
-)
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.imaging import SRGB, Gamma, decode, pixels_from_linear
+from coded_aperture_ros.io import confidence_picture, depth_picture
+from coded_aperture_ros.metrics.figures import reliability_diagram
+from coded_aperture_ros.metrics.reliability import Reliability
 
 _WIDTH_INCHES, _ROW_INCHES, _DOTS_PER_INCH = 8.0, 1.7, 100
 # Pictures are shown at this width; full size would make the page several times as large.

@@ -6,15 +6,21 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.bags.conversion import Conversion, stamp_ns_of
 from coded_aperture_ros.bags.figures import check_matplotlib
 from coded_aperture_ros.bags.page import PAGE, write_report
 from coded_aperture_ros.bags.process import BagPipeline, Frame
 from coded_aperture_ros.bags.processes import working
-from coded_aperture_ros.bags.reading import Bag, Recorded, Topic
 from coded_aperture_ros.bags.record import Record
 from coded_aperture_ros.bags.score import References
-from coded_aperture_ros.bags.topics import (
+from coded_aperture_ros.bags.work import FrameWork
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.threads import processors
+from coded_aperture_ros.deblur import DeblurConfig
+from coded_aperture_ros.depth import DepthEstimator, map_size
+from coded_aperture_ros.imaging import Gamma
+from coded_aperture_ros.io.bags.conversion import Conversion, stamp_ns_of
+from coded_aperture_ros.io.bags.reading import Bag, Recorded, Topic
+from coded_aperture_ros.io.bags.topics import (
     Outputs,
     camera_info_topic,
     check_outputs,
@@ -22,15 +28,9 @@ from coded_aperture_ros.bags.topics import (
     image_topic,
     namespace_of,
 )
-from coded_aperture_ros.bags.work import FrameWork
-from coded_aperture_ros.bags.writing import bag_output
-from coded_aperture_ros.deblur import DeblurConfig
-from coded_aperture_ros.depth import DepthEstimator, map_size
-from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.images import Gamma
-from coded_aperture_ros.messages import MessageError
+from coded_aperture_ros.io.bags.writing import bag_output
+from coded_aperture_ros.io.messages import MessageError
 from coded_aperture_ros.optics import Camera
-from coded_aperture_ros.threads import processors
 
 REPORT = "report"
 

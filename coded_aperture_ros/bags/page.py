@@ -15,8 +15,8 @@ from coded_aperture_ros.bags.figures import (
     series_plot,
 )
 from coded_aperture_ros.bags.record import Record
-from coded_aperture_ros.evaluation.reliability import Reliability
-from coded_aperture_ros.images import Gamma
+from coded_aperture_ros.imaging import Gamma
+from coded_aperture_ros.metrics.reliability import Reliability
 
 PAGE, JSON = "report.html", "report.json"
 _STYLE = """

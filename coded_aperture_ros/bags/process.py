@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from coded_aperture_ros.bags.conversion import CAMERA_INFO, IMAGE, Conversion
 from coded_aperture_ros.bags.ordered import in_order
 from coded_aperture_ros.bags.processes import Submit, Wait
-from coded_aperture_ros.bags.reading import Bag, Recorded, Topic
-from coded_aperture_ros.bags.topics import Outputs
 from coded_aperture_ros.bags.work import FrameResult
-from coded_aperture_ros.bags.writing import BagWriter
-from coded_aperture_ros.messages import MessageError
+from coded_aperture_ros.core.threads import processors
+from coded_aperture_ros.io.bags.conversion import CAMERA_INFO, IMAGE, Conversion
+from coded_aperture_ros.io.bags.reading import Bag, Recorded, Topic
+from coded_aperture_ros.io.bags.topics import Outputs
+from coded_aperture_ros.io.bags.writing import BagWriter
+from coded_aperture_ros.io.messages import MessageError
 from coded_aperture_ros.optics import Camera
-from coded_aperture_ros.threads import processors
 
 # Messages that are copied wait for the next frame, but not more of them than this.
 _WAITING_BYTES = 16 * 2**20

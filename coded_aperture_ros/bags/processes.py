@@ -19,9 +19,9 @@ from typing import Any
 import cv2
 
 from coded_aperture_ros.bags.work import FrameResult, FrameWork
-from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.fork_server import load_in_fork_server
-from coded_aperture_ros.threads import processors
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.fork_server import load_in_fork_server
+from coded_aperture_ros.core.threads import processors
 
 Wait = Callable[[], FrameResult]
 Submit = Callable[[bytes], Wait]

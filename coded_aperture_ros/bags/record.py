@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bags.conversion import Conversion, stamp_ns_of
 from coded_aperture_ros.bags.process import Frame
 from coded_aperture_ros.bags.score import FrameScore, summary
-from coded_aperture_ros.evaluation.metrics import median
-from coded_aperture_ros.evaluation.speed.times import Times
-from coded_aperture_ros.messages import frame_from_pixels
+from coded_aperture_ros.io.bags.conversion import Conversion, stamp_ns_of
+from coded_aperture_ros.io.messages import frame_from_pixels
+from coded_aperture_ros.metrics.errors import median
+from coded_aperture_ros.metrics.times import Times
 
 # Frames that the report shows, at most.
 _SAMPLES = 4

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bags.conversion import Conversion, Picture
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
-from coded_aperture_ros.depth import DepthEstimator, Stages
-from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.images import Gamma
-from coded_aperture_ros.messages import MessageError, frame_from_pixels, pixels_from_frame
+from coded_aperture_ros.depth import DepthEstimator
+from coded_aperture_ros.imaging import Gamma
+from coded_aperture_ros.io.bags.conversion import Conversion, Picture
+from coded_aperture_ros.io.messages import MessageError, frame_from_pixels, pixels_from_frame
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from scipy.cluster.vq import kmeans2
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.prior import NaturalImagePrior
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 _WINDOW_PX = 64
 # Cycles per pixel at which a spectrum is kept; the lowest that a window resolves comes first.

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.archive import read_archive, write_archive
-from coded_aperture_ros.bank.bank import FilterBank
 from coded_aperture_ros.bank.empirical import EmpiricalPrior
-from coded_aperture_ros.bank.learn import check_levels
+from coded_aperture_ros.bank.learning import check_levels
+from coded_aperture_ros.bank.model import FilterBank
 from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.bank.prior import NaturalImagePrior
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.archive import read_archive, write_archive
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask, PsfStack
 
 SCHEMA = "coded-aperture filter bank"

@@ -14,70 +14,12 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.prior import power_spectrum
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.imaging.patches import PatchGrid
 
 # Blur has removed most of the texture above this frequency, cycles per pixel.
 _HIGH_FREQUENCY = 0.42
 _ROWS_AT_A_TIME = 8
-
-
-@dataclasses.dataclass(frozen=True)
-class PatchGrid:
-    """Where the windows of a frame lie.
-
-    Attributes
-    ----------
-    top, left : int
-        First row and column of the first window.
-    stride_px : int
-        Distance between windows.
-    rows, columns : int
-        Number of windows.
-    window_px : int
-        Side of a window.
-    """
-
-    top: int
-    left: int
-    stride_px: int
-    rows: int
-    columns: int
-    window_px: int
-
-    @classmethod
-    def covering(cls, shape: tuple[int, ...], window_px: int, stride_px: int) -> "PatchGrid":
-        """Centre as many windows as fit into a frame of `shape` (rows, columns, ...).
-
-        Raises
-        ------
-        InputError
-            If the frame is smaller than one window.
-        """
-        height, width = shape[:2]
-        if height < window_px or width < window_px:
-            raise InputError(
-                f"image of {width}x{height} px is smaller than the bank's {window_px} px window: "
-                "use a larger image, or learn a bank with a smaller window"
-            )
-        spare_rows, spare_columns = height - window_px, width - window_px
-        return cls(
-            top=spare_rows % stride_px // 2,
-            left=spare_columns % stride_px // 2,
-            stride_px=stride_px,
-            rows=spare_rows // stride_px + 1,
-            columns=spare_columns // stride_px + 1,
-            window_px=window_px,
-        )
-
-    @property
-    def row_centres(self) -> NDArray[np.intp]:
-        """Pixel row of the centre of each row of windows."""
-        return self.top + self.window_px // 2 + self.stride_px * np.arange(self.rows)
-
-    @property
-    def column_centres(self) -> NDArray[np.intp]:
-        """Pixel column of the centre of each column of windows."""
-        return self.left + self.window_px // 2 + self.stride_px * np.arange(self.columns)
 
 
 @dataclasses.dataclass(frozen=True)

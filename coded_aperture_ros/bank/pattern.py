@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coded_aperture_ros.bank.mask_fit import MaskFit
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.calibration.mask.fit import MaskFit
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask, lens, render_psf_stack
 
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 # Photographs in linear light, where one spectrum has to do for all patches: fall-off and contrast
 # (variance).

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera
 
 _BINS = 48

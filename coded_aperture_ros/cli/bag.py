@@ -14,8 +14,8 @@ from coded_aperture_ros.cli.estimators import (
 )
 from coded_aperture_ros.cli.options import add_gamma_option
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.fork_server import load_in_fork_server
-from coded_aperture_ros.threads import processors
+from coded_aperture_ros.core.fork_server import load_in_fork_server
+from coded_aperture_ros.core.threads import processors
 
 # As the nodes: 8 px, which banks have by default, is finer and takes three times as long.
 _STRIDE_PX = 16
@@ -102,9 +102,9 @@ def run(args: argparse.Namespace) -> int:
         args.usage_error("the following arguments are required: --camera")
     if processors() > 1:
         load_in_fork_server("coded_aperture_ros.bags.processes")
-    from coded_aperture_ros.bags import check_bag_output
     from coded_aperture_ros.bags.job import BagJob
     from coded_aperture_ros.deblur import DeblurConfig
+    from coded_aperture_ros.io.bags import check_bag_output
     from coded_aperture_ros.optics import load_camera
 
     source, target = Path(args.input), Path(args.output)

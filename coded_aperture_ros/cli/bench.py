@@ -1,44 +1,15 @@
-"""`coded_aperture bench`: how accurate and how fast the methods are."""
+"""`coded_aperture bench`: hands over to the benchmarks, which are not part of the package."""
 
 import argparse
+import sys
 from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.options import add_commands
+from coded_aperture_ros.core.errors import InputError
 
-BENCHMARKS: dict[str, Any] = {
-    name: import_module(f"coded_aperture_ros.cli.bench_{name.replace('-', '_')}")
-    for name in (
-        "accuracy",
-        "deblur",
-        "speed",
-        "simple-speed",
-        "motion",
-        "masks",
-        "sign",
-        "blind",
-    )
-}
-_EPILOG = """examples:
-  blur identification on the thesis' stair of blur sizes, next to the numbers of the thesis:
-    coded_aperture bench accuracy stair
-  all-in-focus frames of ray-traced scenes, next to other methods of deblurring:
-    coded_aperture bench deblur scenes desk/ corridor/
-  time of a frame and of its stages, next to what the machine could do and to other methods:
-    coded_aperture bench speed
-  the same for masks of a few equal holes:
-    coded_aperture bench simple-speed
-  defocus and motion together:
-    coded_aperture bench motion table
-  predicted against measured errors of random masks:
-    coded_aperture bench masks
-  both sides of the focal plane:
-    coded_aperture bench sign
-  masks found from planes at unknown distances:
-    coded_aperture bench blind
-  what each benchmark is, and its options:
-    coded_aperture bench accuracy --help
-"""
+_PACKAGE = "coded_aperture_benchmarks"
 
 
 def add_parser(subparsers: Any) -> None:
@@ -46,14 +17,25 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "bench",
         help="measure accuracy on frames whose truth is known, and speed",
-        description="Measure how good the methods are, on frames whose truth is known, and how "
-        "fast.",
-        epilog=_EPILOG,
+        add_help=False,  # the benchmarks' own help is the one that is wanted
     )
-    add_commands(parser, "benchmark", BENCHMARKS.values())
+    parser.add_argument("arguments", nargs=argparse.REMAINDER)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
-    status: int = BENCHMARKS[args.benchmark].run(args)
+    status: int = _benchmarks().main(args.arguments)
     return status
+
+
+def _benchmarks() -> Any:
+    """Return the benchmarks' command line: installed, or those of the checkout we run from."""
+    if find_spec(_PACKAGE) is None:
+        folder = Path(__file__).resolve().parents[2] / "benchmarks"
+        if not (folder / _PACKAGE).is_dir():
+            raise InputError(
+                "bench: the benchmarks are not installed: in a checkout of the project, "
+                "'pip install ./benchmarks'"
+            )
+        sys.path.append(str(folder))
+    return import_module(f"{_PACKAGE}.__main__")

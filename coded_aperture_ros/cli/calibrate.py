@@ -14,7 +14,7 @@ from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, naming
 from coded_aperture_ros.cli.options import add_commands, add_config_options, config_from
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 # What is measured from pictures; without an action, the command designs.
 ACTIONS: dict[str, Any] = {
@@ -181,10 +181,10 @@ def _write_files(
     args: argparse.Namespace, camera: Any, config: Any, setting: Any, best: Any, summary: Any
 ) -> None:
     """Write all files of the output folder, or none."""
+    from coded_aperture_ros.core.files import atomic_outputs
     from coded_aperture_ros.design import curves_of
     from coded_aperture_ros.design.figures import draw_design, has_matplotlib
     from coded_aperture_ros.design.page import write_page
-    from coded_aperture_ros.files import atomic_outputs
 
     near_m, far_m = args.depth_range
     ranges = summary["focus_range_m"], summary["mask_range_mm"]

@@ -10,7 +10,7 @@ from typing import Any
 from coded_aperture_ros.cli.checks import check_output, check_suffix
 from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, config_from
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 _EPILOG = """examples:
   the mask, and a bank for the blur sizes of the pictures:
@@ -60,7 +60,7 @@ def add_parser(subparsers: Any) -> None:
 
 def _add_config_options(parser: argparse.ArgumentParser) -> None:
     from coded_aperture_ros.bank import LearnConfig
-    from coded_aperture_ros.calibration.blind import BlindConfig
+    from coded_aperture_ros.calibration.blind.config import BlindConfig
 
     add_config_options(parser, BlindConfig, "search")
     add_config_options(parser, LearnConfig, "filters of the bank")
@@ -69,8 +69,9 @@ def _add_config_options(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the action; return its exit status."""
     from coded_aperture_ros.bank import LearnConfig
-    from coded_aperture_ros.calibration.blind import BlindConfig, find_mask
-    from coded_aperture_ros.images import read_image
+    from coded_aperture_ros.calibration.blind.config import BlindConfig
+    from coded_aperture_ros.calibration.blind.find import find_mask
+    from coded_aperture_ros.io import read_image
 
     if args.bank is None and args.output is None:
         args.usage_error("say where the results go with --output DIR or -o bank.npz, or both")
@@ -106,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _pictures(inputs: list[str]) -> list[str]:
-    from coded_aperture_ros.images import open_sequence
+    from coded_aperture_ros.io import open_sequence
 
     if len(inputs) > 1 or not Path(inputs[0]).is_dir():
         return inputs
@@ -138,9 +139,9 @@ def _write_files(args: argparse.Namespace, found: Any, filters: Any, summary: An
     import numpy as np
 
     from coded_aperture_ros.bank import learn_bank, save_bank
-    from coded_aperture_ros.calibration.blind import blind_picture, mask_picture
-    from coded_aperture_ros.files import atomic_outputs
-    from coded_aperture_ros.images import write_image
+    from coded_aperture_ros.calibration.blind.picture import blind_picture, mask_picture
+    from coded_aperture_ros.core.files import atomic_outputs
+    from coded_aperture_ros.io import write_image
     from coded_aperture_ros.optics import render_psf_stack
 
     with atomic_outputs() as output:

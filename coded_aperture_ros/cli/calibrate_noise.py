@@ -9,7 +9,7 @@ from typing import Any
 from coded_aperture_ros.cli.checks import naming
 from coded_aperture_ros.cli.options import add_gamma_option
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 _EPILOG = """example:
     coded_aperture calibrate noise frame1.png frame2.png frame3.png
@@ -36,8 +36,8 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the action; return its exit status."""
-    from coded_aperture_ros.calibration import noise_from_frames
-    from coded_aperture_ros.images import read_image
+    from coded_aperture_ros.calibration.noise import noise_from_frames
+    from coded_aperture_ros.io import read_image
 
     if len(args.frames) < 2:
         args.usage_error("give two or more frames of one scene")

@@ -12,7 +12,7 @@ from typing import Any
 from coded_aperture_ros.cli.checks import check_output, check_suffix
 from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, config_from
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 _EPILOG = """examples:
   a folder of pictures with planes.json or planes.csv (file, depth_m):
@@ -142,14 +142,14 @@ def _check_usage(args: argparse.Namespace) -> list[float] | None:
 
 def _capture(args: argparse.Namespace) -> None:
     """Take pictures of planes into the folder, one or as many as the user asks for."""
-    from coded_aperture_ros.calibration.planes_folder import add_plane, listed_depths_m
+    from coded_aperture_ros.calibration.planes.folder import add_plane, listed_depths_m
 
     folder = Path(args.inputs[0])
     check_output(folder / "planes.json")
     there = listed_depths_m(folder)
     if there:
         _say(f"{folder}: has planes at {', '.join(f'{depth:g}' for depth in there)} m")
-    from coded_aperture_ros.nodes.plane_capture import FrameGrabber
+    from coded_aperture_ros.ros.plane_capture import FrameGrabber
 
     with FrameGrabber(args.topic, args.gamma if isinstance(args.gamma, float) else 1.0) as grabber:
 
@@ -198,8 +198,8 @@ def _say(text: str) -> None:
 
 def _calibrate(args: argparse.Namespace, depths_m: list[float] | None) -> int:
     from coded_aperture_ros.bank import LearnConfig
-    from coded_aperture_ros.calibration.planes import calibrate_planes
-    from coded_aperture_ros.calibration.planes_folder import load_planes
+    from coded_aperture_ros.calibration.planes.calibrate import calibrate_planes
+    from coded_aperture_ros.calibration.planes.folder import load_planes
     from coded_aperture_ros.optics import load_camera
 
     try:
@@ -299,7 +299,7 @@ def _write_files(args: argparse.Namespace, found: Any, camera: Any, summary: Any
     import numpy as np
 
     from coded_aperture_ros.bank import save_bank
-    from coded_aperture_ros.files import atomic_outputs
+    from coded_aperture_ros.core.files import atomic_outputs
 
     with atomic_outputs() as output:
         if args.output is not None:

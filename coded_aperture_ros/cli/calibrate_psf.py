@@ -12,7 +12,7 @@ from typing import Any
 from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
 from coded_aperture_ros.cli.options import add_gamma_option
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 _EPILOG = """examples:
   from pictures of a grid of dots, one for each depth, with the depth in the name:
@@ -86,7 +86,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the action; return its exit status."""
-    from coded_aperture_ros.calibration.psf import centre_psf, psf_stack
+    from coded_aperture_ros.calibration.psf.stack import centre_psf, psf_stack
     from coded_aperture_ros.optics import load_camera
 
     depths_m = _check_usage(args)
@@ -174,7 +174,7 @@ def _check_usage(args: argparse.Namespace) -> list[float] | None:
 
 
 def _pictures(inputs: list[str]) -> list[str]:
-    from coded_aperture_ros.images import open_sequence
+    from coded_aperture_ros.io import open_sequence
 
     if len(inputs) > 1 or not Path(inputs[0]).is_dir():
         return inputs
@@ -204,7 +204,7 @@ def _mask(name: str) -> Any:
 
 
 def _picture(name: str, gamma: Any, first: str, size: tuple[int, ...] | None) -> Any:
-    from coded_aperture_ros.images import read_image
+    from coded_aperture_ros.io import read_image
 
     picture = read_image(name, gamma)
     if size is not None and picture.shape[:2] != size:
@@ -216,8 +216,9 @@ def _picture(name: str, gamma: Any, first: str, size: tuple[int, ...] | None) ->
 
 
 def _measured(args: argparse.Namespace, number: int, picture: Any, mask: Any, sign: Any) -> Any:
-    from coded_aperture_ros.calibration.psf import psf_from_dots, psf_from_pair
-    from coded_aperture_ros.images import read_image
+    from coded_aperture_ros.calibration.psf.dots import psf_from_dots
+    from coded_aperture_ros.calibration.psf.pair import psf_from_pair
+    from coded_aperture_ros.io import read_image
 
     if args.sharp is None:
         return psf_from_dots(picture, mask, sign)
@@ -228,9 +229,9 @@ def _measured(args: argparse.Namespace, number: int, picture: Any, mask: Any, si
 
 def _write(args: argparse.Namespace, stack: Any, centred: Any) -> None:
     """Write the stack and the picture, or neither."""
-    from coded_aperture_ros.calibration.psf import psf_picture
-    from coded_aperture_ros.files import atomic_outputs
-    from coded_aperture_ros.images import write_image
+    from coded_aperture_ros.calibration.psf.stack import psf_picture
+    from coded_aperture_ros.core.files import atomic_outputs
+    from coded_aperture_ros.io import write_image
 
     width = max(one.width_px for one in centred)
     with atomic_outputs() as output:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from coded_aperture_ros.cli.checks import naming
 from coded_aperture_ros.cli.frames import add_input_options, named_frames
 from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, config_from
 from coded_aperture_ros.cli.stereo_output import StereoOutput, add_stereo_options
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 _EPILOG = """examples:
   with the depth estimated from the frame itself:
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     from coded_aperture_ros.bank import load_bank
     from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
-    from coded_aperture_ros.images import PICTURE_SUFFIXES, write_image
+    from coded_aperture_ros.io import PICTURE_SUFFIXES, write_image
 
     bank = load_bank(args.bank)
     stereo = StereoOutput(args, bank.stack)
@@ -112,7 +112,7 @@ def _blur_sizes(args: argparse.Namespace, bank: Any) -> Any:
     import numpy as np
 
     from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-    from coded_aperture_ros.images import read_depth
+    from coded_aperture_ros.io import read_depth
     from coded_aperture_ros.optics import load_camera
 
     if args.depth == "auto":

@@ -25,11 +25,11 @@ from coded_aperture_ros.cli.demo_report import (
     table,
     write_results,
 )
-from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.share import share_directory
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.share import share_directory
 
 if TYPE_CHECKING:
-    from coded_aperture_ros.nodes.demo_monitor import DemoMonitor, Snapshot
+    from coded_aperture_ros.ros.demo_monitor import DemoMonitor, Snapshot
 
 CAMERA_FILE = "demo_camera.yaml"
 # What the scene covers, and a little more.
@@ -99,7 +99,7 @@ def run(options: argparse.Namespace) -> int:
     if not shared_memory:
         say.line(f"/dev/shm has less than {SHARED_MEMORY_MB} MB: sending images by UDP (slower)")
     # Only now: rclpy reads the environment when it is imported and started.
-    from coded_aperture_ros.nodes.demo_monitor import running_monitor
+    from coded_aperture_ros.ros.demo_monitor import running_monitor
 
     with (
         sigterm_like_ctrl_c(),
@@ -145,7 +145,7 @@ def learned_model(camera_file: Path, bank_file: Path, say: Speaker) -> dict[str,
 
 
 def _wait_for_results(monitor: "DemoMonitor", children: Children, say: Speaker) -> None:
-    from coded_aperture_ros.nodes import demo_monitor
+    from coded_aperture_ros.ros import demo_monitor
 
     say.line(f"starting {', '.join(NODES)} (ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']})")
     deadline = time.monotonic() + _START_TIMEOUT_S

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.share import share_directory
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.share import share_directory
 
 _LAST_LINES = 15
 # Niceness counts only within a session (Linux autogroups), so the nodes stay in this one; Ctrl-C
@@ -57,7 +57,7 @@ class Children:
                 [
                     sys.executable,
                     "-m",
-                    f"coded_aperture_ros.nodes.{node}",
+                    f"coded_aperture_ros.ros.{node}",
                     "--ros-args",
                     *arguments,
                 ],

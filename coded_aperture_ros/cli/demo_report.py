@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from coded_aperture_ros.nodes.demo_monitor import DemoMonitor, Snapshot
+    from coded_aperture_ros.ros.demo_monitor import DemoMonitor, Snapshot
 
 RESULTS = ("coded.png", "depth.png", "all_in_focus.png", "summary.json")
 
 
 def summarise(monitor: "DemoMonitor", seconds: float) -> dict[str, Any]:
     """Return what was measured, ready for JSON; latencies are from the stamp to the reception."""
-    from coded_aperture_ros.nodes import demo_monitor
+    from coded_aperture_ros.ros import demo_monitor
 
     summary: dict[str, Any] = {"seconds": seconds}
     for name, topic, node in (
@@ -46,8 +46,9 @@ def summarise(monitor: "DemoMonitor", seconds: float) -> dict[str, Any]:
 
 def write_results(output: Path, snapshot: "Snapshot", summary: dict[str, Any]) -> None:
     """Write the pictures and the summary."""
-    from coded_aperture_ros.files import atomic_output
-    from coded_aperture_ros.images import SRGB, depth_picture, write_image
+    from coded_aperture_ros.core.files import atomic_output
+    from coded_aperture_ros.imaging import SRGB
+    from coded_aperture_ros.io import depth_picture, write_image
 
     write_image(output / "coded.png", snapshot.coded, bits=8, gamma=SRGB)
     write_image(output / "all_in_focus.png", snapshot.all_in_focus, bits=8, gamma=SRGB)

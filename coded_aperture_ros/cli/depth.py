@@ -22,7 +22,7 @@ from coded_aperture_ros.cli.motion_options import (
     moving,
 )
 from coded_aperture_ros.cli.options import add_gamma_option
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 _SUFFIXES = (".npy", ".tif", ".tiff", ".png")
 _EPILOG = """examples:
@@ -164,13 +164,8 @@ def _outputs(path: Path, args: argparse.Namespace) -> list[Path]:
 def _write(path: Path, values: Any, estimate: Any, args: argparse.Namespace) -> None:
     import numpy as np
 
-    from coded_aperture_ros.files import atomic_output
-    from coded_aperture_ros.images import (
-        confidence_picture,
-        depth_picture,
-        write_depth,
-        write_image,
-    )
+    from coded_aperture_ros.core.files import atomic_output
+    from coded_aperture_ros.io import confidence_picture, depth_picture, write_depth, write_image
 
     depth_path, confidence_path, *others = _outputs(path, args)
     write_depth(depth_path, values)

@@ -6,7 +6,7 @@ from typing import Any
 
 from coded_aperture_ros.cli.checks import naming
 from coded_aperture_ros.cli.options import add_config_options, config_from
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 _METHODS = ("bank", "simple")
 _LEVELS = 33
@@ -49,7 +49,7 @@ def add_estimator_options(parser: argparse.ArgumentParser) -> None:
 def add_estimator_settings(parser: argparse.ArgumentParser, **defaults: Any) -> None:
     """Add the settings of the estimators; `defaults` are other ones than theirs."""
     from coded_aperture_ros.depth import DepthConfig
-    from coded_aperture_ros.simple import SimpleConfig
+    from coded_aperture_ros.methods.two_pixel import SimpleConfig
 
     add_config_options(parser, DepthConfig, "estimation", **defaults)
     add_config_options(parser, SimpleConfig, "with --method simple")
@@ -81,9 +81,9 @@ def estimator_of(args: argparse.Namespace, camera: Any) -> Any:
         Of `--camera`, for the size of the frames.
     """
     from coded_aperture_ros.bank import load_bank
-    from coded_aperture_ros.calibration import with_noise_of
+    from coded_aperture_ros.calibration.noise import with_noise_of
     from coded_aperture_ros.depth import DepthConfig, DepthEstimator, side_warning
-    from coded_aperture_ros.simple import (
+    from coded_aperture_ros.methods.two_pixel import (
         SimpleConfig,
         SimpleEstimator,
         neighbour_model_for_camera,

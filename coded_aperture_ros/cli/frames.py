@@ -9,7 +9,7 @@ from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,7 +58,7 @@ def named_frames(
         If several frames would go to one file, an input cannot be read, or an output cannot be
         written or would overwrite an input.
     """
-    from coded_aperture_ros.images import open_sequence
+    from coded_aperture_ros.io import open_sequence
 
     sequences = [(given, open_sequence(given, args.gamma)) for given in args.inputs]
     lengths = [sequence.length for _, sequence in sequences]

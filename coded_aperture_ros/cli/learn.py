@@ -12,7 +12,7 @@ from typing import Any
 from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
 from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, config_from
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 _EPILOG = """examples:
   from a camera file:
@@ -209,14 +209,9 @@ def _option(name: str) -> str:
 
 
 def _learned(args: argparse.Namespace) -> Any:
-    from coded_aperture_ros.bank import (
-        LearnConfig,
-        Planes,
-        learn_bank,
-        learn_bank_for_camera,
-        learn_bank_from_planes,
-        textures_of,
-    )
+    from coded_aperture_ros.bank import LearnConfig, learn_bank, learn_bank_for_camera, textures_of
+    from coded_aperture_ros.calibration.planes.learning import learn_bank_from_planes
+    from coded_aperture_ros.calibration.planes.pictures import Planes
     from coded_aperture_ros.optics import load_camera
 
     try:
@@ -252,7 +247,7 @@ def _learned(args: argparse.Namespace) -> Any:
 
 def _remapped(args: argparse.Namespace) -> Any:
     from coded_aperture_ros.bank import load_bank
-    from coded_aperture_ros.calibration.planes_remap import remap_bank
+    from coded_aperture_ros.calibration.planes.remap import remap_bank
     from coded_aperture_ros.optics import load_camera
 
     camera, bank = load_camera(args.camera), load_bank(args.remap)
@@ -293,7 +288,7 @@ def _tuned(args: argparse.Namespace, trials: list[Any]) -> Any:
 
 def _prior(args: argparse.Namespace) -> Any:
     from coded_aperture_ros.bank import EmpiricalPrior, NaturalImagePrior
-    from coded_aperture_ros.images import open_sequence
+    from coded_aperture_ros.io import open_sequence
 
     if args.images is None:
         return NaturalImagePrior()

@@ -13,9 +13,9 @@ from importlib import import_module
 from typing import Any
 
 from coded_aperture_ros import __version__
-from coded_aperture_ros.blas import slow_blas_warning
 from coded_aperture_ros.cli.options import add_commands
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.blas import slow_blas_warning
+from coded_aperture_ros.core.errors import InputError
 
 PROGRAM = "coded_aperture"
 COMMANDS: dict[str, Any] = {

@@ -5,8 +5,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.bench_options import add_numbers, table
 from coded_aperture_ros.cli.checks import check_output
+from coded_aperture_ros.cli.options import add_numbers, table
 from coded_aperture_ros.cli.progress import progress
 
 _EPILOG = """examples:
@@ -57,11 +57,12 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
-    from coded_aperture_ros.evaluation.motion_table import BLUR_SIZES_PX, table_motions
-    from coded_aperture_ros.motion.fragmentation import (
+    from coded_aperture_ros.mask_design.fragmentation import (
+        BLUR_SIZES_PX,
         analyse_fragmentation,
         hole_side_mm,
         most_holes,
+        table_motions,
     )
 
     if args.output is not None:
@@ -103,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
 def _write(folder: Path, analysis: Any, count: int) -> None:
     import numpy as np
 
-    from coded_aperture_ros.evaluation.plots import fragmentation
+    from coded_aperture_ros.mask_design.figures import fragmentation
 
     folder.mkdir(parents=True, exist_ok=True)
     for mask in analysis.masks[:count]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 _EPILOG = """examples:
   the mask of a camera file, in its size, on a round piece that fits a filter ring of 77 mm:
@@ -57,11 +57,11 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
+    from coded_aperture_ros.core.files import atomic_output
     from coded_aperture_ros.design import openings_of
     from coded_aperture_ros.design.pdf import pdf_of
     from coded_aperture_ros.design.sheet import loose_parts_note, mask_sheet
     from coded_aperture_ros.design.svg import svg_of
-    from coded_aperture_ros.files import atomic_output
 
     _check_usage(args)
     check_suffix(args.output, _SUFFIXES)

@@ -6,14 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.bench_options import (
-    add_sigmas_option,
-    at_least,
-    folder_of,
-    table,
-)
+from coded_aperture_benchmarks.commands.bench_options import add_sigmas_option, folder_of
+
 from coded_aperture_ros.cli.checks import check_output, check_suffix
-from coded_aperture_ros.cli.options import add_config_options, config_from
+from coded_aperture_ros.cli.options import add_config_options, at_least, config_from, table
 from coded_aperture_ros.cli.progress import progress
 
 # Subspaces take a millisecond a level, and a figure shows no more.
@@ -65,15 +61,15 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _add_late_options(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.masks import SceneConfig
+    from coded_aperture_ros.mask_design import SceneConfig
 
     add_config_options(parser, SceneConfig, "what the mask has to tell apart")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
-    from coded_aperture_ros.cli.bench_methods import mask_of
-    from coded_aperture_ros.masks import MaskScorer, SceneConfig, subspace_distances
+    from coded_aperture_ros.cli.options import mask_of
+    from coded_aperture_ros.mask_design import MaskScorer, SceneConfig, subspace_distances
     from coded_aperture_ros.optics import MASK_NAMES
 
     if args.windows is not None and args.images is None:
@@ -105,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
         for index, name in enumerate(names)
     ]
     if args.figure is not None:
-        from coded_aperture_ros.evaluation.plots import distance_matrices
+        from coded_aperture_ros.mask_design.figures import distance_matrices
 
         matrices = {
             name: each.matrix / np.sqrt(each.rank)
@@ -125,9 +121,9 @@ def _with_pictures(
     """Return the depth error of every mask with the pictures, at every noise, if there are any."""
     if args.images is None:
         return [None] * len(masks)
-    from coded_aperture_ros.evaluation.textures import load_textures
-    from coded_aperture_ros.masks import PictureScorer
-    from coded_aperture_ros.masks.pictures import WINDOWS, patch_side_px, patches_of_pictures
+    from coded_aperture_ros.io.textures import load_textures
+    from coded_aperture_ros.mask_design import PictureScorer
+    from coded_aperture_ros.mask_design.pictures import WINDOWS, patch_side_px, patches_of_pictures
 
     textures = load_textures("natural", folder_of(args.images))
     patches = patches_of_pictures(textures, args.windows or WINDOWS, patch_side_px(scene))
@@ -143,8 +139,7 @@ def _of_noises(sigmas: Sequence[float], values: Any) -> dict[str, float]:
 
 
 def _thesis_l1(name: str) -> float | None:
-    from coded_aperture_ros.evaluation.thesis_tables import LETTER_OF_MASK
-    from coded_aperture_ros.masks.subspaces import THESIS_L1
+    from coded_aperture_ros.mask_design.subspaces import LETTER_OF_MASK, THESIS_L1
 
     return THESIS_L1.get(LETTER_OF_MASK.get(name, ""))
 

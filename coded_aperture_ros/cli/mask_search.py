@@ -6,12 +6,8 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.bench_options import (
-    add_jobs_option,
-    table,
-)
 from coded_aperture_ros.cli.checks import check_output, check_suffix
-from coded_aperture_ros.cli.options import add_config_options, config_from
+from coded_aperture_ros.cli.options import add_config_options, add_jobs_option, config_from, table
 from coded_aperture_ros.cli.progress import progress
 
 _SHOWN = 8
@@ -55,8 +51,8 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _add_late_options(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.masks import SceneConfig
-    from coded_aperture_ros.masks.search import SearchConfig
+    from coded_aperture_ros.mask_design import SceneConfig
+    from coded_aperture_ros.mask_design.search import SearchConfig
 
     add_config_options(parser, SearchConfig, "which masks, and how long")
     add_config_options(parser, SceneConfig, "what the mask has to tell apart")
@@ -65,9 +61,9 @@ def _add_late_options(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     from coded_aperture_ros.cli.mask_workers import dask_workers, local_processes
-    from coded_aperture_ros.masks import SceneConfig
-    from coded_aperture_ros.masks.checkpoint import load_checkpoint, save_checkpoint
-    from coded_aperture_ros.masks.search import SearchConfig, first_state, search_epochs
+    from coded_aperture_ros.mask_design import SceneConfig
+    from coded_aperture_ros.mask_design.checkpoint import load_checkpoint, save_checkpoint
+    from coded_aperture_ros.mask_design.search import SearchConfig, first_state, search_epochs
 
     config, scene = config_from(args, SearchConfig), config_from(args, SceneConfig)
     if args.output is not None:
@@ -97,8 +93,8 @@ def run(args: argparse.Namespace) -> int:
 def _write_mask(name: str, grid: Any) -> None:
     import numpy as np
 
-    from coded_aperture_ros.files import atomic_output
-    from coded_aperture_ros.images import write_image
+    from coded_aperture_ros.core.files import atomic_output
+    from coded_aperture_ros.io import write_image
 
     if name.lower().endswith(".png"):
         write_image(name, grid.astype(np.float32))

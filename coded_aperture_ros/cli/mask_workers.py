@@ -7,7 +7,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any
 
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 RunAll = Callable[[list[tuple[Any, ...]]], list[Any]]
 
@@ -69,6 +69,6 @@ def dask_workers(address: str) -> Iterator[RunAll]:
 
 
 def _run(task: tuple[Any, ...]) -> Any:
-    from coded_aperture_ros.masks.search import run_epoch
+    from coded_aperture_ros.mask_design.search import run_epoch
 
     return run_epoch(*task)

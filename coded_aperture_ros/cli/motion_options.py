@@ -31,7 +31,7 @@ def add_motion_options(parser: argparse.ArgumentParser) -> None:
 
 def add_motion_settings(parser: argparse.ArgumentParser) -> None:
     """Add the settings of the estimate of motion."""
-    from coded_aperture_ros.motion import MotionConfig
+    from coded_aperture_ros.methods.motion import MotionConfig
 
     add_config_options(parser, MotionConfig, "with --motion")
 
@@ -51,7 +51,7 @@ def check_motion_options(args: argparse.Namespace) -> None:
 
 def moving(args: argparse.Namespace, estimator: Any) -> Any:
     """Return the estimator of depth and motion that takes the place of one of depth alone."""
-    from coded_aperture_ros.motion import MotionConfig, MotionEstimator, learn_motion_bank
+    from coded_aperture_ros.methods.motion import MotionConfig, MotionEstimator, learn_motion_bank
 
     settings = config_from(args, MotionConfig)
     motions = settings.motions
@@ -66,7 +66,7 @@ def moving(args: argparse.Namespace, estimator: Any) -> Any:
 
 def expected_motion_of(args: argparse.Namespace, camera: Any) -> dict[str, Any]:
     """Return what is known of the motion beforehand, as an argument of `estimate`."""
-    from coded_aperture_ros.motion import expected_motion
+    from coded_aperture_ros.methods.motion import expected_motion
 
     if args.angular_velocity is None:
         return {}

@@ -2,11 +2,12 @@
 
 import argparse
 import textwrap
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from coded_aperture_ros.configuration import Option, check_option, options_of
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.options import Option, check_option, options_of
+from coded_aperture_ros.core.threads import processors
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -100,9 +101,65 @@ def add_gamma_option(parser: argparse.ArgumentParser) -> None:
 
 
 def _gamma(text: str) -> Any:
-    from coded_aperture_ros.images import gamma_from_text
+    from coded_aperture_ros.imaging import gamma_from_text
 
     try:
         return gamma_from_text(text)
     except InputError as error:
         raise argparse.ArgumentTypeError(str(error).removeprefix("gamma: ")) from error
+
+
+def mask_of(name: str) -> Any:
+    """Return the mask of a name, or of a file."""
+    from coded_aperture_ros.optics import MASK_NAMES, Mask
+
+    return Mask.named(name) if name in MASK_NAMES else Mask.from_file(name)
+
+
+def at_least(least: int) -> Callable[[str], int]:
+    """Return a parser of whole numbers."""
+
+    def parse(text: str) -> int:
+        value = int(text)
+        if value < least:
+            raise argparse.ArgumentTypeError(f"expected at least {least}, got {value}")
+        return value
+
+    parse.__name__ = "int"  # argparse says "invalid int value"
+    return parse
+
+
+def add_numbers(parser: argparse.ArgumentParser, *numbers: tuple[str, int, int, str]) -> None:
+    """Add options that are whole numbers: name, least, default, and what each is."""
+    for name, least, default, what in numbers:
+        parser.add_argument(
+            f"--{name}",
+            type=at_least(least),
+            default=default,
+            metavar="N",
+            help=f"{what} (default {default})",
+        )
+
+
+def add_jobs_option(parser: argparse.ArgumentParser) -> None:
+    """Add how many processes share the work."""
+    parser.add_argument(
+        "--jobs",
+        type=at_least(1),
+        default=processors(),
+        metavar="N",
+        help="processes (default: one for each processor)",
+    )
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return aligned columns, the first to the left and the others to the right."""
+    lines = [header, *rows]
+    widths = [max(len(line[column]) for line in lines) for column in range(len(header))]
+    return "\n".join(
+        "  ".join(
+            text.ljust(width) if column == 0 else text.rjust(width)
+            for column, (text, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )

@@ -10,7 +10,7 @@ from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
 from coded_aperture_ros.cli.options import add_gamma_option
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 _EPILOG = """example, for a scene that is 2.1 to 5.1 m away:
   coded_aperture simulate --camera config/demo_camera.yaml --image sharp.png --gamma srgb \\
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     import numpy as np
 
-    from coded_aperture_ros.images import PICTURE_SUFFIXES, read_depth, read_image, write_image
+    from coded_aperture_ros.io import PICTURE_SUFFIXES, read_depth, read_image, write_image
     from coded_aperture_ros.optics import load_camera
     from coded_aperture_ros.simulation import SensorModel, render_coded_frame
 

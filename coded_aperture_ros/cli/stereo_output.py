@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_suffix
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 # Of the width. Wider views are hard to fuse on a screen that fills much of the field of view.
 _USUAL_PARALLAX = 0.03
@@ -94,7 +94,8 @@ class StereoOutput:
     def write(self, output: Path, sharp: Any, blur_size_px: Any) -> dict[str, str]:
         """Write the 3D pictures of one frame; return the name of each, by option."""
         from coded_aperture_ros.deblur import Parallax, anaglyph, side_by_side, stereo_pair
-        from coded_aperture_ros.images import SRGB, write_image
+        from coded_aperture_ros.imaging import SRGB
+        from coded_aperture_ros.io import write_image
 
         if not self._given:
             return {}
@@ -116,7 +117,7 @@ class StereoOutput:
         return self._args.parallax or _USUAL_PARALLAX * frame.shape[1]
 
     def _files(self, output: Path) -> dict[str, Path]:
-        from coded_aperture_ros.images import PICTURE_SUFFIXES
+        from coded_aperture_ros.io import PICTURE_SUFFIXES
 
         into_file = output == Path(self._args.output)
         files = {}

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import PatchGrid
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blur_map import (
     calm,
     model_weight,
@@ -22,9 +23,8 @@ from coded_aperture_ros.deblur.operator import BlurOperator, SpreadingBlur
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.deblur.restore import restore_quadratic, restore_sparse
 from coded_aperture_ros.deblur.steady import SteadyFrames
-from coded_aperture_ros.depth import check_frame, estimate_noise, filled, high_power
-from coded_aperture_ros.engine import Workers, torch_device
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.imaging import PatchGrid, check_frame, estimate_noise, filled, high_power
+from coded_aperture_ros.likelihood import torch_device
 from coded_aperture_ros.optics import PsfStack
 
 _NOISE_WINDOW_PX = 32

@@ -7,9 +7,10 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.inverse import MODEL_ERRORS, InverseBasis
-from coded_aperture_ros.engine import Workers
-from coded_aperture_ros.optics import PsfStack, periodic, periodic_shape
+from coded_aperture_ros.imaging import periodic, periodic_shape
+from coded_aperture_ros.optics import PsfStack
 
 # Model errors for which there are filters, and how finely maps are looked up between them.
 _MODEL_ERRORS = np.geomspace(MODEL_ERRORS[0], MODEL_ERRORS[-1], 4)

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DEPTH_EDGE_PX
-from coded_aperture_ros.errors import InputError
 
 # A difference in brightness that counts as much as being one pixel of the small map away.
 _LIKE_ONE_PIXEL = 0.05

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.fast import InverseFilters
-from coded_aperture_ros.engine import Workers
 from coded_aperture_ros.optics import PsfStack
 
 # Frequencies that are deblurred, cycles/px: all below the first, none above the second.

@@ -7,7 +7,8 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import image_prior
-from coded_aperture_ros.optics import PsfStack, transfer_function
+from coded_aperture_ros.imaging import transfer_function
+from coded_aperture_ros.optics import PsfStack
 
 # Model errors whose inverse filters span those of all in between.
 MODEL_ERRORS = (0.06, 0.1, 0.3)

@@ -5,17 +5,12 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.deblur.operator import (
-    OnProcessor,
-    fast_shape,
-    frame_within,
-    scene_around,
-)
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.deblur.operator import OnProcessor, fast_shape, frame_within, scene_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
-from coded_aperture_ros.engine import Workers
-from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.motion import motion_kernel
-from coded_aperture_ros.optics import transfer_function
+from coded_aperture_ros.imaging import transfer_function
+from coded_aperture_ros.methods.motion import motion_kernel
 
 # Motions that a frame is divided among, at most; rarer ones are taken for the nearest of these.
 _MOST_MOTIONS = 8

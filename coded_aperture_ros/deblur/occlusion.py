@@ -5,9 +5,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.operator import OnProcessor, scene_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
-from coded_aperture_ros.engine import Workers
 
 Value = TypeVar("Value", bound=np.generic)
 

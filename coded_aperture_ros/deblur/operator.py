@@ -7,8 +7,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
-from coded_aperture_ros.engine import Workers
 
 
 class BlurOperator(Protocol):

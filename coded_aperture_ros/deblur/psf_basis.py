@@ -8,7 +8,8 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import power_spectrum
-from coded_aperture_ros.optics import PsfStack, transfer_function
+from coded_aperture_ros.imaging import transfer_function
+from coded_aperture_ros.optics import PsfStack
 
 # What the missing kernels may leave out of a blurred photograph, as a share of its contrast.
 _TOLERANCE = 0.002

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.depth import StillAverage
+from coded_aperture_ros.imaging import StillAverage
 
 
 class SteadyFrames:

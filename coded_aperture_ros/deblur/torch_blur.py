@@ -4,9 +4,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.operator import fast_shape, frame_within, scene_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
-from coded_aperture_ros.engine import Workers
 
 
 class TorchBlur:

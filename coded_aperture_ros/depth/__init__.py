@@ -2,18 +2,10 @@
 
 from coded_aperture_ros.depth.both_sides import has_both_sides, side_warning
 from coded_aperture_ros.depth.config import DepthConfig
-from coded_aperture_ros.depth.estimate import (
-    DepthEstimate,
-    DepthEstimator,
-    depths_are_measured,
-)
-from coded_aperture_ros.depth.frame import check_frame, filled
+from coded_aperture_ros.depth.estimate import DepthEstimate, DepthEstimator, depths_are_measured
 from coded_aperture_ros.depth.map_size import MAP_SIZES, map_size
-from coded_aperture_ros.depth.noise import estimate_noise, high_power
 from coded_aperture_ros.depth.points import nearest_obstacle_m, points_of_depth
 from coded_aperture_ros.depth.rims import DEPTH_EDGE_PX
-from coded_aperture_ros.depth.stages import Stages
-from coded_aperture_ros.depth.still import StillAverage
 from coded_aperture_ros.depth.video import estimate_video
 
 __all__ = [
@@ -22,15 +14,9 @@ __all__ = [
     "DepthConfig",
     "DepthEstimate",
     "DepthEstimator",
-    "Stages",
-    "StillAverage",
-    "check_frame",
     "depths_are_measured",
-    "estimate_noise",
     "estimate_video",
-    "filled",
     "has_both_sides",
-    "high_power",
     "map_size",
     "nearest_obstacle_m",
     "points_of_depth",

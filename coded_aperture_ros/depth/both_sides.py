@@ -3,11 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import FilterBank, PatchGrid
+from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.levels import knows_nothing, level_probability
 from coded_aperture_ros.depth.regularize import regularized_level
 from coded_aperture_ros.depth.side import MOST_LOG_ODDS, SideFinder
+from coded_aperture_ros.imaging import PatchGrid
 
 # Neighbours within a window's side whose levels differ by at most so many are one surface.
 _ONE_SURFACE = 3.0

@@ -2,9 +2,9 @@
 
 import dataclasses
 
-from coded_aperture_ros.configuration import check_options, option
-from coded_aperture_ros.engine import BACKENDS, check_backend
-from coded_aperture_ros.threads import check_threads
+from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.core.threads import check_threads
+from coded_aperture_ros.likelihood import BACKENDS, check_backend
 
 
 @dataclasses.dataclass(frozen=True)

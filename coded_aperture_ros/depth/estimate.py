@@ -6,7 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import FilterBank, PatchGrid
+from coded_aperture_ros.bank import FilterBank
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.depth.both_sides import (
     far_log_odds,
     given_side,
@@ -15,7 +17,6 @@ from coded_aperture_ros.depth.both_sides import (
     with_side,
 )
 from coded_aperture_ros.depth.config import DepthConfig
-from coded_aperture_ros.depth.frame import brightness_at, grey_image, usable_windows
 from coded_aperture_ros.depth.levels import (
     agreeing_levels,
     confidence_of,
@@ -25,16 +26,17 @@ from coded_aperture_ros.depth.levels import (
     level_probability,
     nearest_plausible_level,
 )
-from coded_aperture_ros.depth.noise import estimate_noise, high_power
 from coded_aperture_ros.depth.regularize import regularized_level
 from coded_aperture_ros.depth.rims import DEPTH_EDGE_PX, trim_foreground
 from coded_aperture_ros.depth.side import SideFinder
-from coded_aperture_ros.depth.stages import Stages
-from coded_aperture_ros.depth.still import StillAverage, frames_of_patches
 from coded_aperture_ros.depth.temporal import TemporalFilter
 from coded_aperture_ros.depth.upsample import nearest_patches, upsample
-from coded_aperture_ros.engine import Engine, plan_engine
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.imaging.frame import grey_image
+from coded_aperture_ros.imaging.noise import estimate_noise, high_power
+from coded_aperture_ros.imaging.patches import brightness_at, usable_windows
+from coded_aperture_ros.imaging.static_average import StillAverage, frames_of_patches
+from coded_aperture_ros.likelihood import Engine, plan_engine
 from coded_aperture_ros.optics import Camera
 
 # Steps between two levels that blur sizes and depths are tabulated at: finer than any estimate.

@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.levels import refine_level
 from coded_aperture_ros.depth.surface import on_surfaces
-from coded_aperture_ros.errors import InputError
 
 # Evidence against a level counts up to here; beyond, it is an outlier (natural logarithm).
 _ENOUGH_EVIDENCE = 7.0

@@ -11,9 +11,10 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import PatchGrid, image_prior
-from coded_aperture_ros.depth.frame import mean_at
-from coded_aperture_ros.optics import PsfStack, periodic, periodic_shape, transfer_function
+from coded_aperture_ros.bank import image_prior
+from coded_aperture_ros.imaging import PatchGrid, periodic, periodic_shape, transfer_function
+from coded_aperture_ros.imaging.patches import mean_at
+from coded_aperture_ros.optics import PsfStack
 
 # What one blur size for the whole frame leaves unexplained, as a share of the texture at every
 # frequency.

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import PatchGrid
+from coded_aperture_ros.imaging import PatchGrid
 
 # The frames are compared at this many pixels per patch distance, shifted by so many of them each
 # way: what moves less than a patch distance between two frames is found again.

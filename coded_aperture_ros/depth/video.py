@@ -6,15 +6,15 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.estimate import (
     DepthEstimate,
     DepthEstimator,
     Observation,
     check_map_size,
 )
-from coded_aperture_ros.depth.still import StillAverage, joined
 from coded_aperture_ros.depth.temporal import TemporalFilter, bounded
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.imaging.static_average import StillAverage, joined
 
 # After this many times the length of the memory, a frame no longer counts.
 _AHEAD = 2.0

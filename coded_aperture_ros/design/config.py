@@ -2,8 +2,8 @@
 
 import dataclasses
 
-from coded_aperture_ros.configuration import check_options, option
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.options import check_options, option
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design.curves import Curves
 from coded_aperture_ros.design.setting import Setting
-from coded_aperture_ros.errors import InputError
 
 _INCHES = (13.0, 3.8)
 _DOTS_PER_INCH = 100

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design.openings import open_cells
-from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import Mask
 
 Point = tuple[float, float]

@@ -6,9 +6,9 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design.config import DesignConfig
 from coded_aperture_ros.design.openings import openings_of
-from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import Camera
 
 # First zero of the Airy pattern, in wavelengths times the f-number.

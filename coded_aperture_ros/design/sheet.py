@@ -4,9 +4,9 @@ import dataclasses
 import math
 from collections.abc import Sequence
 
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design.openings import openings_of
 from coded_aperture_ros.design.outline import Point, outlines_of
-from coded_aperture_ros.errors import InputError
 from coded_aperture_ros.optics import Mask
 
 # A4, and what of it every printer reaches.

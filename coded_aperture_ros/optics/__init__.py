@@ -3,7 +3,6 @@
 from coded_aperture_ros.optics.camera import Camera, camera_from_mapping, load_camera
 from coded_aperture_ros.optics.intrinsics import Intrinsics, load_intrinsics
 from coded_aperture_ros.optics.mask import MASK_NAMES, Mask
-from coded_aperture_ros.optics.periodic import periodic, periodic_shape, transfer_function
 from coded_aperture_ros.optics.psf import PsfStack, psf_width, render_psf, render_psf_stack
 
 __all__ = [
@@ -15,10 +14,7 @@ __all__ = [
     "camera_from_mapping",
     "load_camera",
     "load_intrinsics",
-    "periodic",
-    "periodic_shape",
     "psf_width",
     "render_psf",
     "render_psf_stack",
-    "transfer_function",
 ]

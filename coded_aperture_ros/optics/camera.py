@@ -12,8 +12,8 @@ import numpy as np
 import yaml
 from numpy.typing import ArrayLike, NDArray
 
-from coded_aperture_ros.configuration import Option, check_option
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.options import Option, check_option
 from coded_aperture_ros.optics import lens
 from coded_aperture_ros.optics.intrinsics import Intrinsics, load_intrinsics
 from coded_aperture_ros.optics.mask import Mask

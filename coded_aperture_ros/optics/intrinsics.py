@@ -12,8 +12,8 @@ from typing import Any
 
 import yaml
 
-from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.files import atomic_output
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.files import atomic_output
 
 _IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 # How many coefficients the models of ROS have.

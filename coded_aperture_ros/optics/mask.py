@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coded_aperture_ros.errors import InputError
-from coded_aperture_ros.images import decode_picture
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.imaging import decode_picture
 
 # Finer than any lens shows, and a picture of a mask may well be a scan of one.
 _MOST_CELLS = 4096

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coded_aperture_ros.archive import read_archive, write_archive
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.archive import read_archive, write_archive
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics.mask import Mask
 
 _SCHEMA = "coded-aperture PSF stack"

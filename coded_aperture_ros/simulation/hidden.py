@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.simulation.render import render_coded_frame
 

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera, Mask, render_psf
 from coded_aperture_ros.simulation.hidden import Surface, fill_unknown, hidden_surface
 

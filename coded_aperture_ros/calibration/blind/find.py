@@ -19,17 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import WindowedFourierBasis
-from coded_aperture_ros.bank.mask_fit import normalised
-from coded_aperture_ros.bank.mask_likelihood import MaskLikelihood
-from coded_aperture_ros.bank.planes import check_picture
 from coded_aperture_ros.calibration.blind.config import BlindConfig
 from coded_aperture_ros.calibration.blind.free_fit import FreeFit
 from coded_aperture_ros.calibration.blind.grid_misfit import FoundSpectra, GridMisfit
 from coded_aperture_ros.calibration.blind.grid_search import BinaryGrid, best_grid
 from coded_aperture_ros.calibration.blind.relative_sizes import relative_blur_sizes
 from coded_aperture_ros.calibration.blind.windows import mean_by_contrast, window_powers
-from coded_aperture_ros.calibration.planes_checks import check_pictures
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.calibration.mask.fit import normalised
+from coded_aperture_ros.calibration.mask.likelihood import MaskLikelihood
+from coded_aperture_ros.calibration.planes.checks import check_pictures
+from coded_aperture_ros.calibration.planes.pictures import check_picture
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask
 
 Progress = Callable[[Iterable[Any]], Iterable[Any]]

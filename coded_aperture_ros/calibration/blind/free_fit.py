@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank.mask_fit import normalised
-from coded_aperture_ros.bank.mask_likelihood import Groups, MaskLikelihood
+from coded_aperture_ros.calibration.mask.fit import normalised
+from coded_aperture_ros.calibration.mask.likelihood import Groups, MaskLikelihood
 
 # Curvatures differ: in these units the logarithm of a size is as soft as the mask's cells.
 _SIZE_UNIT = 0.02

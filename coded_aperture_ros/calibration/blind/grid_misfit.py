@@ -11,9 +11,9 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank.mask_likelihood import Groups, MaskLikelihood
-from coded_aperture_ros.bank.mask_spectra import half_plane
 from coded_aperture_ros.calibration.blind.free_fit import FreeFit
+from coded_aperture_ros.calibration.mask.likelihood import Groups, MaskLikelihood
+from coded_aperture_ros.calibration.mask.spectra import half_plane
 
 _NEGLIGIBLE = 1e-9
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.calibration.blind.windows import mean_by_contrast, window_powers
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 _DIRECTIONS = 48
 # Of the logarithm of frequency.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask, render_psf
 
 # What a PSF is at whole pixels, its origin at a place (down, right) from their middle.

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.calibration.psf.centre import centred
 from coded_aperture_ros.calibration.psf.fine import FinePsf, coverage, fit_fine, mask_psf
 from coded_aperture_ros.calibration.psf.lattice import find_lattice
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask
 
 _FEWEST_DOTS = 9

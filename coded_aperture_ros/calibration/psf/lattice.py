@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 
 # Larger pictures are reduced for the search: dots are registered in the full picture later.
 _LONGEST_SIDE_PX = 1600

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import fft, linalg, ndimage, optimize
 
 from coded_aperture_ros.calibration.psf.dots import SATURATED
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask, render_psf
 
 _MOST_SATURATED = 0.01

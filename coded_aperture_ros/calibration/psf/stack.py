@@ -10,7 +10,7 @@ from coded_aperture_ros.calibration.psf.centre import PHASES, centred, check_mis
 from coded_aperture_ros.calibration.psf.dots import DotPsf
 from coded_aperture_ros.calibration.psf.fine import FinePsf
 from coded_aperture_ros.calibration.psf.pair import PairPsf
-from coded_aperture_ros.errors import InputError
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf
 
 # PSFs whose blur sizes differ less are one: a level between them is not told apart.

@@ -1,0 +1,96 @@
+"""How much work a frame is.
+
+- Operations are those of the matrix products, as `Plan` counts them. All else is counted as none.
+- Bytes are estimated from the sizes of arrays: each stage takes its arrays from memory once and
+  leaves its results there once. Beside these only the horizontal transform is counted, which is
+  larger than a cache and kept between the two passes of the spectra. What a thread keeps for a row
+  of patches, the path costs of the regularisation and the constant matrices are taken to stay in
+  the caches. Both numbers are thus lower bounds, and so is the time that follows from them.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from coded_aperture_benchmarks.speed.setting import Setting, Size
+from coded_aperture_ros.bank import FilterBank
+from coded_aperture_ros.likelihood import Plan
+
+ENGINE_STAGES = ("spectra", "energies")
+TEMPORAL_STAGES = ("still", "temporal")
+# The stages whose work grows with the levels.
+LEVEL_STAGES = ("energies", "temporal", "regularise")
+
+
+@dataclasses.dataclass(frozen=True)
+class FrameWork:
+    """Work on one frame, counted as the module says.
+
+    Attributes
+    ----------
+    pixels : int
+        Of the frame.
+    flop_spectra, flop_hypotheses : float
+    stage_bytes : mapping of str to float
+        For every stage.
+    """
+
+    pixels: int
+    flop_spectra: float
+    flop_hypotheses: float
+    stage_bytes: Mapping[str, float]
+
+    @classmethod
+    def of(cls, bank: FilterBank, setting: Setting, shape: Size, size: Size) -> "FrameWork":
+        """Count for frames of `shape` and maps of `size`, both rows and columns."""
+        plan = Plan.of(bank, shape, setting.stride_px)
+        floats = np.dtype(np.float32).itemsize
+        patches = plan.grid.rows * plan.grid.columns
+        frame = floats * shape[0] * shape[1]
+        horizontal = floats * plan.pixel_rows * len(plan.horizontal) * plan.grid.columns
+        functions = floats * patches * len(plan.features)
+        evidence = floats * patches * bank.levels
+        maps = 4 * floats * size[0] * size[1]  # level, blur size, depth, confidence
+        stages = {
+            "prepare": frame,
+            "still": 3 * frame,  # with the mean, before and after
+            "spectra": frame + 2 * horizontal + functions,
+            "energies": frame + functions + evidence,  # with the noise of the frame
+            "temporal": 4 * evidence,  # with that of the past, before and after
+            "regularise": evidence,
+            "map": evidence + maps,
+        }
+        if not setting.temporal_frames:
+            stages = {name: count for name, count in stages.items() if name not in TEMPORAL_STAGES}
+        return cls(
+            pixels=shape[0] * shape[1],
+            flop_spectra=plan.flop_per_frame,
+            flop_hypotheses=plan.flop_of_hypotheses(len(bank.prior.contrasts), len(bank.ratios)),
+            stage_bytes={name: float(count) for name, count in stages.items()},
+        )
+
+    @property
+    def flop(self) -> float:
+        """Operations of the frame."""
+        return self.flop_spectra + self.flop_hypotheses
+
+    def bytes_of(self, stages: Sequence[str]) -> float:
+        """Return the bytes that some stages move."""
+        return sum(self.stage_bytes[name] for name in stages)
+
+    def per_pixel(self) -> dict[str, Any]:
+        """Return operations and bytes per pixel of the frame."""
+        return {
+            "flop": {
+                "spectra": self.flop_spectra / self.pixels,
+                "hypotheses": self.flop_hypotheses / self.pixels,
+                "total": self.flop / self.pixels,
+            },
+            "bytes": {name: count / self.pixels for name, count in self.stage_bytes.items()}
+            | {
+                "engine": self.bytes_of(ENGINE_STAGES) / self.pixels,
+                "total": self.bytes_of(list(self.stage_bytes)) / self.pixels,
+            },
+        }

@@ -1,0 +1,242 @@
+"""Learning a filter bank from the PSFs of a mask and the natural-image prior."""
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank.empirical import EmpiricalPrior
+from coded_aperture_ros.bank.factoring import factor_weights
+from coded_aperture_ros.bank.fourier import WindowedFourierBasis
+from coded_aperture_ros.bank.model import FilterBank
+from coded_aperture_ros.bank.prior import NaturalImagePrior
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
+
+# Contrast over noise variance: contrasts of 1e-5 to 0.1 under noise of 0.0002 to 0.01.
+RATIOS = 10.0 ** (np.arange(-2, 14) / 2)
+
+
+@dataclasses.dataclass(frozen=True)
+class LearnConfig:
+    """Size and rank of a filter bank, and what is known of the camera's noise."""
+
+    window_px: int = option(
+        48,
+        "Side of the patches. Larger is more accurate on planes, smaller is sharper at edges.",
+        unit="px",
+        minimum=16,
+        maximum=256,
+    )
+    rank: int = option(
+        128,
+        "Vectors in the common basis of the filters. Fewer is faster and less accurate.",
+        minimum=1,
+        maximum=4096,
+    )
+    highest_frequency: float = option(
+        1.0,
+        "Frequencies above this are left out; 0.4 costs little from blur sizes of 7 px on, and "
+        "saves a third of the time. 1: all count.",
+        unit="cycles/px",
+        minimum=0.1,
+        maximum=1.0,
+    )
+    noise: float = option(
+        0.0,
+        "Standard deviation of the camera's noise in linear light; 0 if it is not known.",
+        minimum=0.0,
+        maximum=0.5,
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        if self.window_px % 2:
+            raise InputError(f"window_px: expected an even number, got {self.window_px}")
+
+
+def learn_bank_for_camera(
+    camera: Camera,
+    near_m: float,
+    far_m: float,
+    levels: int,
+    config: LearnConfig | None = None,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    prior: NaturalImagePrior | None = None,
+) -> FilterBank:
+    """Learn the bank of a camera for a depth range, from its mask alone.
+
+    Parameters
+    ----------
+    camera : Camera
+    near_m, far_m : float
+        Depth range, metres.
+    levels : int
+        Number of levels, equally spaced in blur size; at least 2. On both sides of the focus they
+        mirror each other, so that one end may lie a little beyond the range.
+    config, progress, prior
+        See `learn_bank`.
+
+    Raises
+    ------
+    InputError
+        If the range does not lie on the camera's side of the focal plane or ends at infinity,
+        there are fewer than two levels, or a blur size does not fit the window.
+    """
+    stack = stack_for_camera(camera, near_m, far_m, levels)
+    learned_from = f"mask {camera.mask.name}, {near_m:g} to {far_m:g} m, {textures_of(prior)}"
+    return learn_bank(stack, config, prior, learned_from, camera.mask, progress)
+
+
+def stack_for_camera(
+    camera: Camera, near_m: float, far_m: float, levels: int, whose: str = "a bank"
+) -> PsfStack:
+    """Render the PSFs of a camera for a depth range, equally spaced in blur size.
+
+    Parameters
+    ----------
+    camera, near_m, far_m, levels
+        See `learn_bank_for_camera`.
+    whose : str, optional
+        What they are for, for messages.
+
+    Raises
+    ------
+    InputError
+        If the range does not lie on the camera's side of the focal plane or ends at infinity, or
+        there are fewer than two levels.
+    """
+    check_levels(levels)
+    blur_sizes = _blur_sizes(camera, near_m, far_m, levels)
+    depths_m = camera.depth_m(blur_sizes)
+    if not np.isfinite(depths_m).all():
+        raise InputError(
+            f"depth range {near_m:g} to {far_m:g} m: {whose} needs finite depths; far away they "
+            "differ little in blur, 100 times the distance of the focus is enough"
+        )
+    return dataclasses.replace(render_psf_stack(camera.mask, blur_sizes), depths_m=depths_m)
+
+
+def _blur_sizes(camera: Camera, near_m: float, far_m: float, levels: int) -> NDArray[np.float64]:
+    """Return equally spaced blur sizes; with the focus among them, the same on both sides of it.
+
+    Else the side with a level just there would seem the likelier one. To have that, one end may lie
+    a little beyond the range.
+    """
+    smallest_px, largest_px = camera.blur_range_px(near_m, far_m)
+    if not smallest_px < 0 < largest_px:
+        return np.linspace(smallest_px, largest_px, levels)
+    if levels < 3:
+        raise InputError(f"levels on both sides of the focus: at least 3 are needed, got {levels}")
+    beyond = np.arange(1, levels - 1)
+    steps = np.maximum(largest_px / beyond, -smallest_px / (levels - 1 - beyond))
+    steps[steps * beyond >= max(camera.blur_at_infinity_px, largest_px * (1 + 1e-9))] = np.inf
+    best = int(steps.argmin())
+    return np.arange(beyond[best] - levels + 1, beyond[best] + 1) * steps[best]
+
+
+def learn_bank(
+    stack: PsfStack,
+    config: LearnConfig | None = None,
+    prior: NaturalImagePrior | None = None,
+    learned_from: str = "PSFs, natural-image prior",
+    mask: Mask | None = None,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    components: NDArray[np.float32] | None = None,
+) -> FilterBank:
+    """Learn the bank that identifies the blur levels of a PSF stack.
+
+    Parameters
+    ----------
+    stack : PsfStack
+        One PSF for every level; at least two.
+    config : LearnConfig, optional
+    prior : NaturalImagePrior, optional
+        Hypotheses for the texture; an `EmpiricalPrior` has learned them from sharp images.
+    learned_from : str, optional
+        Kept in the bank for a person to read.
+    mask : Mask, optional
+        What the PSFs were rendered from, so that the bank is not used with another mask.
+    progress : callable, optional
+        Wraps the iteration over levels, as ``tqdm.tqdm`` does.
+    components : ndarray, float32 [R, L, k, k], optional
+        Instead of the PSFs: their autocorrelation is the sum of those of R components. The bank
+        needs no more than that; see `learn_bank_from_planes`.
+
+    Returns
+    -------
+    FilterBank
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two levels, they are not in order, or a PSF is larger than the
+        window.
+    """
+    config = config or LearnConfig()
+    prior = prior or NaturalImagePrior()
+    check_levels(len(stack))
+    for name, values in (("blur sizes", stack.blur_sizes_px), ("depths", stack.depths_m)):
+        steps = np.diff(values if values is not None else stack.blur_sizes_px)
+        if not (np.all(steps > 0) or np.all(steps < 0)):
+            raise InputError(
+                f"{name}: levels must be in order, all increasing or all decreasing: sort the PSFs"
+            )
+    widest = stack.psfs.shape[-1]
+    if widest > config.window_px:
+        raise InputError(
+            f"a PSF of {widest} px does not fit the {config.window_px} px window: "
+            "use a larger window, or fewer or smaller blur sizes"
+        )
+    fourier = WindowedFourierBasis(config.window_px, config.highest_frequency)
+    of_levels = stack.psfs[:, None] if components is None else components.swapaxes(0, 1)
+    textures = prior.spectra if isinstance(prior, EmpiricalPrior) else prior.slopes
+    expected = np.array(
+        [
+            [sum(fourier.expected_power(psf, texture) for psf in psfs) for texture in textures]
+            for psfs in progress(of_levels)
+        ]
+    )  # [L, slopes, K]
+    expected = expected.transpose(1, 0, 2) + prior.model_error**2
+    variances = RATIOS[:, None, None, None] * expected + 1  # [S, slopes, L, K]
+    log_variances = np.log(variances)
+    multiplicity = fourier.multiplicity.astype(np.float64)
+    hypotheses = (len(RATIOS), -1, fourier.size)
+    weights = (multiplicity / variances).reshape(hypotheses)  # [S, slopes * L, K]
+    scales = np.exp(log_variances.reshape(hypotheses).mean(axis=1))
+    scales[:, multiplicity == 0] = 1  # these have no weight at any level
+    basis, coefficients = factor_weights(weights, scales, config.rank)
+    # Rounding leaves next to nothing there, and numbers next to nothing are slow to multiply.
+    basis[multiplicity == 0] = 0
+    scaled = weights * scales[:, None]
+    factored = (coefficients.transpose(1, 2, 0) @ basis.T) * scales[:, None]
+    return FilterBank(
+        stack=stack,
+        window_px=config.window_px,
+        prior=prior,
+        ratios=RATIOS,
+        basis=basis,
+        coefficients=coefficients.reshape(len(coefficients), *variances.shape[:-1]),
+        log_determinants=(log_variances @ multiplicity).astype(np.float32),
+        truncation_error=float(np.linalg.norm(factored - scaled) / np.linalg.norm(scaled)),
+        noise=config.noise,
+        mask_digest=mask.digest if mask else "",
+        learned_from=learned_from,
+        highest_frequency=config.highest_frequency,
+    )
+
+
+def textures_of(prior: NaturalImagePrior | None) -> str:
+    """Say in a few words where a prior's textures come from."""
+    if isinstance(prior, EmpiricalPrior):
+        return f"{len(prior.slopes)} kinds of texture from sharp images"
+    return "natural-image prior"
+
+
+def check_levels(count: int) -> None:
+    """Refuse fewer than two levels."""
+    if count < 2:
+        raise InputError(f"a bank needs at least 2 levels, got {count}")

@@ -1,0 +1,1 @@
+"""Which mask made the blur: recognised among known ones, or found."""

@@ -1,0 +1,211 @@
+"""The likelihood of the spectra of planes, given a mixture of masks and the blur sizes.
+
+It is that of the filter bank's energies, with textures that are more flexible than power laws.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank.fourier import WindowedFourierBasis
+from coded_aperture_ros.calibration.mask.spectra import SLOPES, MaskSpectra
+
+_CONTRASTS = 10.0 ** np.arange(-5, -0.9, 0.25)
+# Weight that holds the textures to the power laws, relative to a likelihood of one per frequency.
+_STIFFNESS = 1e-3
+_SCORING_STEPS = 12
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Groups:
+    """Windows that share a hypothesis.
+
+    Attributes
+    ----------
+    plane, slope : ndarray of int [G]
+        Index of the plane, and of the texture's slope.
+    count : ndarray, float64 [G]
+        How many windows.
+    mean : ndarray, float64 [G, K]
+        Their mean power.
+    textures : ndarray, float64 [G, 9]
+        Logarithm of their power over that of the slope, as coefficients of smooth functions.
+    """
+
+    plane: NDArray
+    slope: NDArray
+    count: NDArray
+    mean: NDArray
+    textures: NDArray
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Gradient:
+    """Derivatives of the likelihood by each of its arguments, in their shapes."""
+
+    parts: NDArray
+    sizes_px: NDArray
+    textures: NDArray
+    log_noise: NDArray
+
+
+class MaskLikelihood:
+    """How well masks and blur sizes explain the spectra of planes; less is likelier.
+
+    Windows that the same hypothesis about contrast and slope explains best are averaged; the
+    averages are all that the likelihood depends on while the hypotheses stay. Every average has
+    its own texture: the hypothesis' power law times a smooth function of frequency.
+
+    Parameters
+    ----------
+    powers : list of ndarray, float32 [W, frequencies]
+        Spectra of every plane's windows.
+    fourier : WindowedFourierBasis
+        What they were made with.
+    widest_px : float
+        No blur size is larger.
+    """
+
+    def __init__(
+        self, powers: list[NDArray[np.float32]], fourier: WindowedFourierBasis, widest_px: float
+    ) -> None:
+        counts = fourier.multiplicity > 0
+        self.multiplicity = fourier.multiplicity[counts].astype(np.float64)
+        self.powers = [power[:, counts].astype(np.float64) for power in powers]
+        self.spectra = MaskSpectra(fourier, counts, widest_px)
+        self.widest_px = widest_px
+        self.texture = _smooth_functions(fourier.window_px)[:, counts]
+        self.first_log_noise = np.log(
+            [max(np.quantile(p @ fourier.noise_weights, 0.05), 1e-9) for p in powers]
+        )
+
+    def score(
+        self,
+        parts: NDArray,
+        sizes_px: NDArray,
+        log_noise: NDArray,
+        planes: Sequence[int] | None = None,
+    ) -> float:
+        """Twice the negative log-likelihood of a window under its best hypothesis, on average.
+
+        `planes` are those to look at, by default all.
+        """
+        return float(self.scores(parts, sizes_px[None], log_noise, planes)[0])
+
+    def scores(
+        self,
+        parts: NDArray,
+        sizes_px: NDArray,
+        log_noise: NDArray,
+        planes: Sequence[int] | None = None,
+    ) -> NDArray[np.float64]:
+        """Return the score for several guesses at the blur sizes of all planes [guesses, I]."""
+        chosen = list(range(len(self.powers)) if planes is None else planes)
+        power = self.spectra.expected(parts, sizes_px[:, chosen].ravel()).power
+        scores = np.zeros(len(sizes_px))
+        for column in range(power.shape[1]):
+            guess, index = divmod(column, len(chosen))
+            energies = self._energies(chosen[index], power[:, column], log_noise)
+            scores[guess] += energies.min(axis=1).mean() / len(chosen)
+        return scores
+
+    def group(self, parts: NDArray, sizes_px: NDArray, log_noise: NDArray) -> Groups:
+        """Give every window its best hypothesis, and average the windows that share one."""
+        expected = self.spectra.expected(parts, sizes_px).power
+        plane, slope, contrast, count, mean = [], [], [], [], []
+        for i, powers in enumerate(self.powers):
+            best = self._energies(i, expected[:, i], log_noise).argmin(axis=1)
+            for hypothesis in np.unique(best):
+                members = best == hypothesis
+                plane.append(i)
+                contrast.append(hypothesis // len(SLOPES))
+                slope.append(hypothesis % len(SLOPES))
+                count.append(members.sum())
+                mean.append(powers[members].mean(axis=0))
+        textures = np.zeros((len(plane), len(self.texture)))
+        textures[:, 0] = np.log(_CONTRASTS[contrast])
+        groups = Groups(
+            np.array(plane), np.array(slope), np.array(count, float), np.array(mean), textures
+        )
+        return self._with_own_textures(groups, expected, log_noise)
+
+    def _energies(self, plane: int, expected: NDArray, log_noise: NDArray) -> NDArray:
+        """Return the energy of every contrast and slope for a plane's windows [W, hypotheses]."""
+        variance = _CONTRASTS[:, None, None] * expected + np.exp(log_noise[plane])
+        weights = (self.multiplicity / variance).reshape(-1, variance.shape[-1])
+        return np.asarray(
+            self.powers[plane] @ weights.T + (np.log(variance) @ self.multiplicity).ravel()
+        )
+
+    def _with_own_textures(self, groups: Groups, expected: NDArray, log_noise: NDArray) -> Groups:
+        """Fit the texture of every group to its mean, by Fisher scoring."""
+        weights = groups.count[:, None] * self.multiplicity
+        stiffness = np.full(len(self.texture), 2 * _STIFFNESS * weights.sum() / len(weights))
+        stiffness[0] = 0
+        textures = groups.textures
+        noise = np.exp(log_noise)[groups.plane, None]
+        for _ in range(_SCORING_STEPS):
+            signal = np.exp(textures @ self.texture) * expected[groups.slope, groups.plane]
+            total = signal + noise
+            excess = weights * (1 / total - groups.mean / total**2) * signal
+            gradient = excess @ self.texture.T + stiffness * textures
+            curvature = np.einsum(
+                "gk,ik,jk->gij",
+                weights * (signal / total) ** 2,
+                self.texture,
+                self.texture,
+                optimize=True,
+            )
+            curvature += np.diag(stiffness + 1e-6)
+            step = np.linalg.solve(curvature, gradient[..., None])[..., 0]
+            textures = textures - np.clip(step, -0.5, 0.5)
+        return dataclasses.replace(groups, textures=textures)
+
+    def value_and_gradient(
+        self,
+        parts: NDArray,
+        sizes_px: NDArray,
+        textures: NDArray,
+        log_noise: NDArray,
+        groups: Groups,
+    ) -> tuple[float, Gradient]:
+        """Mean over all frequencies of ``P / V + log V`` (and stiffness), with its gradient."""
+        expected = self.spectra.expected(parts, sizes_px)
+        noise = np.exp(log_noise)
+        gain = np.exp(textures @ self.texture)
+        signal = gain * expected.power[groups.slope, groups.plane]
+        total = signal + noise[groups.plane, None]
+        weights = groups.count[:, None] * self.multiplicity
+        weights /= weights.sum()
+        stiffness = _STIFFNESS / len(textures)
+        precision = 1 / total
+        relative = groups.mean * precision
+        value = np.sum(weights * (relative + np.log(total)))
+        value += stiffness * np.sum(textures[:, 1:] ** 2)
+
+        by_total = weights * precision * (1 - relative)
+        by_textures = (by_total * signal) @ self.texture.T
+        by_textures[:, 1:] += 2 * stiffness * textures[:, 1:]
+        by_noise = np.bincount(groups.plane, by_total.sum(axis=1), len(noise)) * noise
+        # A product adds up the groups of each slope and plane faster than np.add.at.
+        member = np.zeros((*expected.power.shape[:2], len(textures)))
+        member[groups.slope, groups.plane, np.arange(len(textures))] = 1
+        by_power = member @ (gain * by_total)
+        by_parts, by_sizes = self.spectra.backward(by_power, expected)
+        return float(value), Gradient(by_parts, by_sizes, by_textures, by_noise)
+
+
+def _smooth_functions(window_px: int) -> NDArray[np.float64]:
+    """Smooth functions of frequency [9, K] by which textures depart from power laws."""
+    vertical = np.fft.fftfreq(window_px)[:, None]
+    horizontal = np.fft.rfftfreq(window_px)
+    radius = np.hypot(vertical, horizontal)
+    radius[0, 0] = 1 / window_px
+    angle = np.arctan2(vertical, horizontal)
+    scale = np.log(radius / 0.15)
+    directions = [np.cos(2 * angle), np.sin(2 * angle), np.cos(4 * angle)]
+    functions = [np.ones_like(scale), scale, scale**2, *directions]
+    functions += [direction * scale for direction in directions]
+    return np.reshape(functions, (len(functions), -1))

@@ -1,0 +1,1 @@
+"""Calibration from pictures of planes at known distances."""

@@ -1,0 +1,217 @@
+"""Whether pictures of planes are fit to learn from, before the learning: light, noise, texture."""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coded_aperture_ros.calibration.planes.pictures import Planes
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.imaging.noise import NOISE_FLOOR, high_power
+
+_SATURATED = 0.995
+_SOME_SATURATED = 0.001
+_BRIGHTEST, _DIM = 0.99, 0.1
+# A window has texture if its variance is so many times that of the noise.
+_TEXTURE_OVER_NOISE = 4.0
+_LEAST_TEXTURED, _WELL_TEXTURED = 0.2, 0.6
+_NOISY = 0.01
+_ENOUGH_PLANES = 8
+_WIDEST_GAP = 2.5
+
+
+@dataclasses.dataclass(frozen=True)
+class PlaneCheck:
+    """What a single picture is like.
+
+    Attributes
+    ----------
+    file : str
+    depth_m : float
+        NaN where it is not known.
+    brightness : float
+        Mean, linear light in [0, 1].
+    brightest : float
+        99 % of the pixels are darker.
+    saturated : float
+        Share of the pixels.
+    noise : float
+        Standard deviation of one channel.
+    contrast : float
+        Standard deviation within a window, noise taken off; the median of the windows.
+    textured : float
+        Share of the windows whose contrast is above the noise.
+    """
+
+    file: str
+    depth_m: float
+    brightness: float
+    brightest: float
+    saturated: float
+    noise: float
+    contrast: float
+    textured: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Advice:
+    """Something that could be better, and how.
+
+    Attributes
+    ----------
+    file : str
+        Which picture it is about; empty: all of them.
+    text : str
+    """
+
+    file: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.file}: {self.text}" if self.file else self.text
+
+
+def check_planes(planes: Planes, window_px: int) -> list[PlaneCheck]:
+    """Measure every picture.
+
+    Parameters
+    ----------
+    planes : Planes
+    window_px : int
+        Side of the windows that texture is counted in.
+
+    Raises
+    ------
+    InputError
+        Naming every picture that nothing can be learned from, and what to do.
+    """
+    return check_pictures(planes.images, planes.names, window_px, planes.depths_m)
+
+
+def check_pictures(
+    images: Sequence[NDArray[np.float32]],
+    names: Sequence[str],
+    window_px: int,
+    depths_m: ArrayLike = np.nan,
+) -> list[PlaneCheck]:
+    """Measure every picture, whether its depth is known (see `check_planes`) or not (NaN)."""
+    depths = np.broadcast_to(np.asarray(depths_m, np.float64), len(images))
+    checks = [
+        _check(image, name, float(depth), window_px)
+        for image, name, depth in zip(images, names, depths, strict=True)
+    ]
+    useless = [
+        f"{check.file}: contrast {check.contrast:.2g} is not above the noise of {check.noise:.2g} "
+        f"in {1 - check.textured:.0%} of the picture"
+        for check in checks
+        if check.textured < _LEAST_TEXTURED
+    ]
+    if useless:
+        raise InputError(
+            "; ".join(useless) + ": use a page with fine texture all over, and more light; a plane "
+            "so far from the focus that nothing of its texture is left has to be left out"
+        )
+    return checks
+
+
+def _check(image: NDArray[np.float32], name: str, depth_m: float, window_px: int) -> PlaneCheck:
+    grey = image if image.ndim == 2 else image.mean(axis=2, dtype=np.float32)
+    grey = np.ascontiguousarray(grey, np.float32)
+    try:
+        grid = PatchGrid.covering(grey.shape, window_px, window_px // 2)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
+    noise = _noise(grey, grid)
+    variances = _window_variances(grey, grid) - noise**2
+    middle = max(float(np.median(variances)), 0.0)
+    channels = image.reshape(*grey.shape, -1)
+    return PlaneCheck(
+        file=name,
+        depth_m=depth_m,
+        brightness=float(grey.mean()),
+        brightest=float(np.quantile(image, _BRIGHTEST)),
+        saturated=float(np.mean(image >= _SATURATED)),
+        noise=float(np.median([_noise(channel, grid) for channel in np.moveaxis(channels, 2, 0)])),
+        contrast=math.sqrt(middle),
+        textured=float(np.mean(variances > (_TEXTURE_OVER_NOISE - 1) * noise**2)),
+    )
+
+
+def _noise(grey: NDArray[np.float32], grid: PatchGrid) -> float:
+    power = high_power(np.ascontiguousarray(grey, np.float32), grid)
+    return math.sqrt(max(float(np.quantile(power, 0.05)), NOISE_FLOOR**2))
+
+
+def _window_variances(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.float64]:
+    n = grid.window_px
+    windows = np.lib.stride_tricks.sliding_window_view(grey[grid.top :, grid.left :], (n, n))
+    windows = windows[:: grid.stride_px, :: grid.stride_px]
+    return np.asarray(windows.reshape(*windows.shape[:2], -1).var(axis=2, dtype=np.float64))
+
+
+def advice_on_pictures(checks: list[PlaneCheck]) -> list[Advice]:
+    """Say what could be better about light, noise and texture."""
+    advice = []
+    for check in checks:
+        if check.saturated > _SOME_SATURATED:
+            text = f"{check.saturated:.1%} of the pixels are saturated: expose a little shorter"
+            advice.append(Advice(check.file, text))
+        if check.brightest < _DIM:
+            text = f"dark: 99 % of the pixels are below {check.brightest:.2f}: expose it longer"
+            advice.append(Advice(check.file, text))
+        if check.noise > _NOISY:
+            text = f"noise of {check.noise:.3f}: use more light, or the mean of several frames"
+            advice.append(Advice(check.file, text))
+        if check.textured < _WELL_TEXTURED:
+            text = (
+                f"only {check.textured:.0%} of the picture has texture above the noise: "
+                "use a page with fine texture all over"
+            )
+            advice.append(Advice(check.file, text))
+    return advice
+
+
+def advice_on_depths(
+    depths_m: NDArray[np.float64], wanted_m: tuple[float, float] | None = None
+) -> list[Advice]:
+    """Say at which depths planes are missing.
+
+    Parameters
+    ----------
+    depths_m : ndarray, float64 [I]
+        Of the planes, nearest first.
+    wanted_m : (float, float), optional
+        Depth range that the bank is for.
+    """
+    advice = []
+    if len(depths_m) < _ENOUGH_PLANES:
+        advice.append(
+            Advice("", f"{len(depths_m)} planes are few: 10 to 16 give a much better bank")
+        )
+    inverse = 1 / depths_m
+    steps = -np.diff(inverse)
+    usual = float(np.median(steps))
+    for (nearer, farther), step in zip(itertools.pairwise(depths_m), steps, strict=True):
+        if step > _WIDEST_GAP * usual:
+            between = 2 / (1 / nearer + 1 / farther)
+            advice.append(
+                Advice(
+                    "", f"wide gap from {nearer:.3g} to {farther:.3g} m: add one at {between:.3g} m"
+                )
+            )
+    if wanted_m is not None:
+        near_m, far_m = wanted_m
+        # Half a step beyond the planes is not far.
+        if 1 / near_m - inverse[0] > usual / 2:
+            advice.append(
+                Advice("", f"no plane is nearer than {depths_m[0]:.3g} m: add one at {near_m:.3g}")
+            )
+        if inverse[-1] - 1 / far_m > usual / 2:
+            advice.append(
+                Advice("", f"no plane is beyond {depths_m[-1]:.3g} m: add one at {far_m:.3g}")
+            )
+    return advice

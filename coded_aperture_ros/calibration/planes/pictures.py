@@ -1,0 +1,153 @@
+"""Pictures of textured planes at known depths: what a bank can be learned from without a mask."""
+
+import dataclasses
+import itertools
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.imaging import Gamma
+from coded_aperture_ros.io import read_image
+
+PLANES_FILE = "planes.json"
+_FEWEST = 4
+_SATURATED = 0.995
+_MOST_SATURATED = 0.01
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Planes:
+    """Pictures of textured planes parallel to the sensor, one for each depth.
+
+    Attributes
+    ----------
+    images : tuple of ndarray, float32 [rows, columns] or [rows, columns, 3]
+        Linear light in [0, 1], all of one size.
+    depths_m : ndarray, float64 [I]
+        Depth of each plane, nearest first; where they come farthest first, they are turned round.
+    names : tuple of str
+        What to call each picture in messages.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than four planes, sizes differ, a depth is not positive, not the only
+        one of its value or out of order, or a picture is saturated or not finite.
+    """
+
+    images: tuple[NDArray[np.float32], ...]
+    depths_m: NDArray[np.float64]
+    names: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        depths = np.asarray(self.depths_m, np.float64)
+        if not len(self.images) == len(depths) == len(self.names):
+            raise InputError("planes: expected one depth and one name for each picture")
+        if len(depths) < _FEWEST:
+            raise InputError(
+                f"{len(depths)} planes are too few to tell the mask from the textures: "
+                f"take at least {_FEWEST}, better 10 or more, at different depths"
+            )
+        for image, depth, name in zip(self.images, depths, self.names, strict=True):
+            if not 0 < depth < np.inf:
+                raise InputError(f"{name}: depth_m {depth:g} is not a positive distance in metres")
+            check_picture(image, name, self.images[0].shape[:2], self.names[0])
+        for first, second in itertools.pairwise(np.argsort(depths, kind="stable")):
+            if depths[first] == depths[second]:
+                raise InputError(
+                    f"{self.names[second]}: depth_m {depths[second]:g} is also that of "
+                    f"{self.names[first]}: keep one picture for each depth"
+                )
+        order = np.arange(len(depths))
+        if depths[0] > depths[-1]:
+            order = order[::-1]
+        for nearer, farther in itertools.pairwise(order):
+            # A depth out of order is more often mistyped than not sorted.
+            if depths[nearer] > depths[farther]:
+                raise InputError(
+                    f"{self.names[farther]}: depth_m {depths[farther]:g} is out of order beside "
+                    f"{depths[nearer]:g} of {self.names[nearer]}: correct it, or list the planes "
+                    "from the nearest to the farthest"
+                )
+        object.__setattr__(self, "images", tuple(self.images[i] for i in order))
+        object.__setattr__(self, "names", tuple(self.names[i] for i in order))
+        object.__setattr__(self, "depths_m", depths[order])
+
+    @classmethod
+    def load(cls, folder: str | os.PathLike[str], gamma: Gamma = 1.0) -> "Planes":
+        """Read the planes that `planes.json` in a folder lists with `file` and `depth_m`.
+
+        8-bit pictures are decoded with `gamma`; wider ones are linear.
+
+        Raises
+        ------
+        InputError
+            Naming the file and what is wrong with it; see also `Planes`.
+        """
+        listing = Path(folder) / PLANES_FILE
+        try:
+            entries = json.loads(listing.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InputError(
+                f"cannot read {listing}: {error.strerror}: the folder needs a list of its "
+                'pictures, [{"file": "a.png", "depth_m": 1.5}, ...]'
+            ) from error
+        except ValueError as error:
+            raise InputError(f"{listing}: not JSON: {error}") from error
+        if not isinstance(entries, list):
+            raise InputError(f'{listing}: expected a list [{{"file": ..., "depth_m": ...}}, ...]')
+        listed = [_entry(listing, number, entry) for number, entry in enumerate(entries)]
+        return cls(
+            images=tuple(read_image(path, gamma) for path, _ in listed),
+            depths_m=np.array([depth for _, depth in listed]),
+            names=tuple(str(path) for path, _ in listed),
+        )
+
+
+def _entry(listing: Path, number: int, entry: Any) -> tuple[Path, float]:
+    if not isinstance(entry, dict):
+        raise InputError(f"{listing}: entry {number}: expected file and depth_m, got {entry!r}")
+    for key, kinds in (("file", str), ("depth_m", (int, float))):
+        if key not in entry:
+            raise InputError(f"{listing}: entry {number} has no {key}")
+        if not isinstance(entry[key], kinds) or isinstance(entry[key], bool):
+            raise InputError(f"{listing}: entry {number}: {key} cannot be {entry[key]!r}")
+    return listing.parent / entry["file"], float(entry["depth_m"])
+
+
+def check_picture(
+    image: NDArray[np.float32], name: str, shape: tuple[int, ...], first: str
+) -> None:
+    """Refuse the picture of a plane that nothing can be learned from.
+
+    Parameters
+    ----------
+    image : ndarray, float32 [rows, columns] or [rows, columns, 3]
+        Linear light in [0, 1].
+    name : str
+        What to call it.
+    shape, first
+        Rows and columns of the first picture, and its name.
+
+    Raises
+    ------
+    InputError
+        If it is of another size, not finite or saturated.
+    """
+    if image.shape[:2] != shape:
+        raise InputError(
+            f"{name}: {image.shape[1]}x{image.shape[0]} px, but {first} has "
+            f"{shape[1]}x{shape[0]} px: all planes have to come from one camera"
+        )
+    if not np.isfinite(image).all():
+        raise InputError(f"{name}: has pixels that are NaN or infinite")
+    saturated = float(np.mean(image >= _SATURATED))
+    if saturated > _MOST_SATURATED:
+        raise InputError(
+            f"{name}: {saturated:.0%} of the pixels are saturated: expose it for a shorter time"
+        )

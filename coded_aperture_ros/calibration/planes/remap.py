@@ -1,0 +1,127 @@
+"""A bank for another focus or another depth range, without new pictures (thesis chapter 10).
+
+The filters belong to blur sizes, and only the image formation model (thesis eq. 3.28) says at
+which depth a blur size occurs. So another focus gives the same filters other depths; another
+depth range needs filters for other blur sizes of the same mask.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from coded_aperture_ros.bank import FilterBank, LearnConfig, LearnedPattern, learn_bank_for_camera
+from coded_aperture_ros.calibration.planes.learning import learn_bank_for_pattern
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.optics import Camera
+
+
+def remap_bank(
+    bank: FilterBank,
+    camera: Camera,
+    near_m: float | None = None,
+    far_m: float | None = None,
+    levels: int | None = None,
+) -> FilterBank:
+    """Make the bank of another setting of the same lens and mask.
+
+    Parameters
+    ----------
+    bank : FilterBank
+        Learned from planes, from the camera's own mask, or from measured PSFs with sizes in px.
+    camera : Camera
+        The new setting: focus, side of the scene, and image width (of the same view). A bank from
+        planes keeps its own mask and the slope of its blur sizes, which were measured; where the
+        camera's focal length in mm is known, the image distance follows the focus.
+    near_m, far_m : float, optional
+        Depth range of the new levels. Without it the filters stay as they are, and get new depths.
+    levels : int, optional
+        Number of new levels, with a depth range; by default that of the bank.
+
+    Returns
+    -------
+    FilterBank
+        Of the same window, rank, prior and noise.
+
+    Raises
+    ------
+    InputError
+        If the range does not suit the camera, the levels lie where the camera has no depth, or
+        new levels are asked of a bank whose mask is not known.
+    """
+    if (near_m is None) != (far_m is None):
+        raise InputError("a depth range needs both near_m and far_m")
+    if levels is not None and near_m is None:
+        raise InputError("levels: other levels need a depth range")
+    pattern = None if bank.pattern is None else _refocused(bank.pattern, camera)
+    if pattern is None and not bank.stack.in_pixels:
+        raise InputError("the bank's levels have no blur sizes in px, so they have no depths")
+    if near_m is None or far_m is None:
+        return _with_new_depths(bank, pattern, camera)
+    config = LearnConfig(
+        window_px=bank.window_px,
+        rank=bank.basis_vectors,
+        highest_frequency=bank.highest_frequency,
+        noise=bank.noise,
+    )
+    count = bank.levels if levels is None else levels
+    if pattern is not None:
+        camera.blur_range_px(near_m, far_m)  # refuses what is not on the camera's side
+        learned_from = f"{bank.learned_from}; for a focus at {camera.focus_distance_m:g} m"
+        new = learn_bank_for_pattern(
+            pattern, near_m, far_m, count, config, bank.prior, learned_from
+        )
+    elif bank.mask_digest:
+        _check_mask(bank, camera)
+        new = learn_bank_for_camera(camera, near_m, far_m, count, config, prior=bank.prior)
+    else:
+        raise InputError(
+            "the bank was learned from PSFs, and the mask that other blur sizes follow from is not "
+            "known: leave out the depth range, and its levels get new depths"
+        )
+    return dataclasses.replace(new, stride_px=bank.stride_px)
+
+
+def _refocused(pattern: LearnedPattern, camera: Camera) -> LearnedPattern:
+    return pattern.refocused(camera.focus_distance_m, camera.image_width, camera.focal_length_mm)
+
+
+def _check_mask(bank: FilterBank, camera: Camera) -> None:
+    if bank.mask_digest != camera.mask.digest:
+        raise InputError(f"the bank is for another mask than the camera's {camera.mask.name}")
+
+
+def _with_new_depths(
+    bank: FilterBank, pattern: LearnedPattern | None, camera: Camera
+) -> FilterBank:
+    """Return the same filters with the depths that their blur sizes have now."""
+    sizes_px = bank.blur_sizes_px
+    side = {"far": 1, "near": -1, "both": 0}[camera.side]
+    if np.sign(np.median(sizes_px)) * side < 0:
+        raise InputError(
+            f"the bank's blur sizes are {sizes_px.min():.1f} to {sizes_px.max():.1f} px, on the "
+            f"other side of the focus than the camera's side {camera.side}: give a depth range, "
+            "and levels are learned there"
+        )
+    if pattern is not None:
+        if pattern.image_width != bank.pattern.image_width:  # type: ignore[union-attr]
+            raise InputError(
+                "pictures of another width have other blur sizes: give a depth range, and levels "
+                "are learned for them"
+            )
+        depths_m = pattern.depth_m(sizes_px)
+    else:
+        if bank.mask_digest:
+            _check_mask(bank, camera)
+        depths_m = camera.depth_m(sizes_px)
+    if not np.isfinite(depths_m).all():
+        infinite = int((~np.isfinite(depths_m)).sum())
+        raise InputError(
+            f"{infinite} of {bank.levels} levels are blurred more than infinity is with the focus "
+            f"at {camera.focus_distance_m:g} m: give a depth range, and levels are learned for it"
+        )
+    return dataclasses.replace(
+        bank,
+        stack=dataclasses.replace(bank.stack, depths_m=depths_m),
+        pattern=pattern,
+        learned_from=f"{bank.learned_from}; for a focus at {camera.focus_distance_m:g} m",
+    )

@@ -1,0 +1,97 @@
+"""Versioned `.npz` files of plain arrays: what is not ours, or newer, or cut off, is named."""
+
+import io
+import os
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.files import atomic_output
+
+# zipfile raises a RuntimeError where damage looks like encryption, or like another compression;
+# there is not enough memory for an array whose damaged size is enormous; NumPy reads the headers of
+# old files with Python's own tokenizer.
+_DAMAGE = (
+    *(OSError, ValueError, EOFError, KeyError, RuntimeError, MemoryError),
+    *(SyntaxError, tokenize.TokenError, zipfile.BadZipFile, zlib.error),
+)
+
+
+def write_archive(
+    path: str | os.PathLike[str], schema: str, version: int, arrays: Mapping[str, Any]
+) -> None:
+    """Write arrays to a compressed `.npz` that states its schema; whole or not at all."""
+    # In memory first: zipfile complains, besides raising, if a disk is full.
+    content = io.BytesIO()
+    np.savez_compressed(content, schema=schema, schema_version=version, **arrays)
+    with atomic_output(path) as temporary:
+        temporary.write_bytes(content.getvalue())
+
+
+def read_archive(
+    path: str | os.PathLike[str], schema: str, version: int, *, foreign: bool = False
+) -> dict[str, NDArray[Any]]:
+    """Read the arrays of a `.npz` without ever unpickling.
+
+    Parameters
+    ----------
+    path : path-like
+    schema : str
+        What the file must say that it is.
+    version : int
+        The newest version that can be read.
+    foreign : bool, optional
+        Whether a file that does not state a schema is welcome too.
+
+    Returns
+    -------
+    dict of str to ndarray
+
+    Raises
+    ------
+    InputError
+        Naming the file, if it is missing, cut off, of another kind or of a newer version.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            archive = np.load(file, allow_pickle=False)
+            if not isinstance(archive, np.lib.npyio.NpzFile):
+                raise InputError(f"{path}: a single array, not a {schema} file (.npz)")
+            arrays = {name: archive[name] for name in archive.files}
+            if any(np.iscomplexobj(array) for array in arrays.values()):
+                raise InputError(f"{path}: holds complex numbers, not a {schema}")
+    except InputError:
+        raise
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file (a {schema} was expected)") from None
+    except _DAMAGE as error:
+        if isinstance(error, OSError) and error.errno:
+            raise InputError(f"cannot read {path}: {error.strerror}") from error
+        raise InputError(
+            f"{path}: cannot be read as a {schema}: truncated, or not an .npz of plain arrays"
+        ) from error
+    stated = arrays.get("schema", np.array(""))
+    found = str(stated) if stated.ndim == 0 and len(str(stated)) < 80 else "some other .npz file"
+    if found != schema and not (foreign and not found):
+        raise InputError(f"{path}: expected a {schema}, this is {found or 'some other .npz file'}")
+    if _stated_version(arrays) > version:
+        raise InputError(
+            f"{path}: {schema} of version {_stated_version(arrays)}, but this release reads up to "
+            f"version {version}: upgrade the package, or make the file again"
+        )
+    return arrays
+
+
+def _stated_version(arrays: Mapping[str, NDArray[Any]]) -> int:
+    try:
+        return int(arrays.get("schema_version", np.array(0)))
+    except (TypeError, ValueError):
+        return 0

@@ -1,0 +1,75 @@
+"""Writing files so that a reader never sees half of one."""
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from coded_aperture_ros.core.errors import InputError
+
+
+@contextmanager
+def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary path beside `path`; rename it to `path` if the block succeeds.
+
+    The temporary name keeps the suffix, because encoders choose their format by it.
+
+    Parameters
+    ----------
+    path : path-like
+        The file to create or replace. Missing parent folders are created.
+
+    Yields
+    ------
+    pathlib.Path
+        Where the block must write its output.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be created or written to, or the disk is full.
+    """
+    target = Path(path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(
+            dir=target.parent, prefix=f".{target.stem}-", suffix=target.suffix
+        )
+    except OSError as error:
+        raise InputError(f"cannot write {target}: {error.strerror or error}") from error
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        _give_usual_permissions(temporary)
+        temporary.replace(target)
+    except OSError as error:
+        raise InputError(f"cannot write {target}: {error.strerror or error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def atomic_outputs() -> Iterator[Callable[[str | os.PathLike[str]], Path]]:
+    """Yield `atomic_output` for several files, none of which appears before the block succeeds.
+
+    Yields
+    ------
+    callable
+        Given the file to create or replace, it returns where the block must write it.
+
+    Raises
+    ------
+    InputError
+        See `atomic_output`.
+    """
+    with ExitStack() as files:
+        yield lambda path: files.enter_context(atomic_output(path))
+
+
+def _give_usual_permissions(path: Path) -> None:
+    # mkstemp makes files private; an output file should obey the user's umask like any other.
+    umask = os.umask(0)
+    os.umask(umask)
+    path.chmod(0o666 & ~umask)

@@ -1,0 +1,30 @@
+"""Where the package's camera files, profiles and parameter files are."""
+
+from pathlib import Path
+
+from coded_aperture_ros.core.errors import InputError
+
+_PACKAGE = "coded_aperture_ros"
+
+
+def share_directory() -> Path:
+    """Return the folder that has the `config` folder of this package in it.
+
+    That is `PREFIX/share/coded_aperture_ros` where the package is installed (by pip, colcon or a
+    system package), and the source checkout where it runs from there. No ROS is needed.
+
+    Raises
+    ------
+    InputError
+        If the package was copied without its shared files.
+    """
+    here = Path(__file__).resolve()
+    for parent in here.parents:
+        if (parent / "package.xml").is_file() and (parent / "config").is_dir():
+            return parent
+        installed = parent / "share" / _PACKAGE
+        if (installed / "config").is_dir():
+            return installed
+    raise InputError(
+        f"no share/{_PACKAGE}/config above {here.parent}: install the package with pip or colcon"
+    )

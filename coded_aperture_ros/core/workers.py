@@ -1,0 +1,57 @@
+"""A few threads that share the work on one frame."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+from coded_aperture_ros.core.threads import check_threads
+
+Item = TypeVar("Item")
+
+
+class Workers:
+    """Runs a function on many items in a fixed number of threads.
+
+    NumPy and OpenCV let other threads run while they compute, so that plain threads suffice as
+    long as each call has enough to do. The numerical libraries themselves should use one thread
+    each beside this (``OPENBLAS_NUM_THREADS=1``, which the nodes and the command line set).
+
+    Parameters
+    ----------
+    threads : int
+        At most the number of processors. The calling thread is one of them.
+
+    Raises
+    ------
+    InputError
+        If there are fewer processors.
+    """
+
+    def __init__(self, threads: int = 1) -> None:
+        check_threads(threads)
+        self.threads = threads
+        self._others = ThreadPoolExecutor(threads - 1, "engine") if threads > 1 else None
+
+    def each(self, work: Callable[[Item, int], None], items: Sequence[Item]) -> None:
+        """Call ``work(item, thread)`` for every item; `thread` counts from 0.
+
+        No two calls with the same `thread` overlap, so that it can choose among buffers.
+        """
+        if self._others is None:
+            for item in items:
+                work(item, 0)
+            return
+
+        def share(thread: int) -> None:
+            for item in items[thread :: self.threads]:
+                work(item, thread)
+
+        others = [self._others.submit(share, thread) for thread in range(1, self.threads)]
+        share(0)
+        for other in others:
+            other.result()
+
+    def close(self) -> None:
+        """End the threads."""
+        if self._others is not None:
+            self._others.shutdown()

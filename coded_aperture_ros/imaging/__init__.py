@@ -1,0 +1,42 @@
+"""One frame as numbers: linear light, grey, patches, noise, averages over time."""
+
+from coded_aperture_ros.imaging.decoding import decode_picture
+from coded_aperture_ros.imaging.frame import check_frame, filled, grey_image
+from coded_aperture_ros.imaging.light import (
+    SRGB,
+    Gamma,
+    decode,
+    encode,
+    gamma_from_text,
+    linear_from_pixels,
+    pixels_from_linear,
+)
+from coded_aperture_ros.imaging.noise import estimate_noise, high_power
+from coded_aperture_ros.imaging.patches import PatchGrid, brightness_at, mean_at, usable_windows
+from coded_aperture_ros.imaging.periodic import periodic, periodic_shape, transfer_function
+from coded_aperture_ros.imaging.static_average import StillAverage, frames_of_patches
+
+__all__ = [
+    "SRGB",
+    "Gamma",
+    "PatchGrid",
+    "StillAverage",
+    "brightness_at",
+    "check_frame",
+    "decode",
+    "decode_picture",
+    "encode",
+    "estimate_noise",
+    "filled",
+    "frames_of_patches",
+    "gamma_from_text",
+    "grey_image",
+    "high_power",
+    "linear_from_pixels",
+    "mean_at",
+    "periodic",
+    "periodic_shape",
+    "pixels_from_linear",
+    "transfer_function",
+    "usable_windows",
+]

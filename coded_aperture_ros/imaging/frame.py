@@ -1,0 +1,84 @@
+"""From a camera frame to the grey image that the filter bank sees."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.errors import InputError
+
+# Black is near 0, but for noise; what is as dark as this is no measurement.
+_DARKEST = -1.0
+# An unusable pixel is filled from a square of this size around it.
+_FILL_FROM = (15, 15)
+
+
+def check_frame(frame: NDArray[np.floating]) -> None:
+    """Check that an array can be a frame.
+
+    Raises
+    ------
+    InputError
+        If it is not [rows, columns] or [rows, columns, 3], or not of a floating type.
+    """
+    if frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3) or frame.size == 0:
+        raise InputError(
+            f"frame: expected [rows, columns] or [rows, columns, 3], got {list(frame.shape)}"
+        )
+    if not np.issubdtype(frame.dtype, np.floating):
+        raise InputError(f"frame: expected floating values in [0, 1], got {frame.dtype}")
+
+
+def grey_image(
+    frame: NDArray[np.float32], saturation: float
+) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
+    """Return the mean of the channels, with unusable pixels filled in, and where those are.
+
+    Parameters
+    ----------
+    frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
+        Linear light in [0, 1]. NaN, infinite, saturated and far too dark pixels are unusable.
+    saturation : float
+        Brightness from which a pixel of any channel counts as saturated.
+
+    Returns
+    -------
+    grey : ndarray, float32 [rows, columns]
+        Free of NaN; an unusable pixel has the mean of the usable ones around it.
+    unusable : ndarray, bool [rows, columns], or None if every pixel is usable
+
+    Raises
+    ------
+    InputError
+        If the frame has another shape or is not of a floating type.
+    """
+    check_frame(frame)
+    frame = np.ascontiguousarray(frame, np.float32)
+    grey = frame
+    if frame.ndim == 3:
+        grey = cv2.transform(frame, np.full((1, 3), 1 / 3, np.float32))
+    with np.errstate(invalid="ignore"):  # NaN fails both comparisons
+        if frame.max() < saturation and grey.min() > _DARKEST:
+            return grey, None
+    brightest = grey
+    if frame.ndim == 3:
+        brightest = np.maximum(np.maximum(frame[..., 0], frame[..., 1]), frame[..., 2])
+    usable = brightest < saturation
+    usable &= grey > _DARKEST
+    return filled(grey, usable), ~usable
+
+
+def filled(image: NDArray[np.float32], usable: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return a grey image whose unusable pixels have the mean of the usable ones around them."""
+    known = image.copy()
+    known[~usable] = 0
+    weight = usable.astype(np.float32)
+    overall = known.sum() / max(weight.sum(), 1)
+    # Borders of zero weight: pixels beyond the frame are unusable too.
+    total, count = (
+        cv2.boxFilter(values, -1, _FILL_FROM, normalize=False, borderType=cv2.BORDER_CONSTANT)
+        for values in (known, weight)
+    )
+    holes = np.nonzero(~usable)
+    total, count = total[holes], count[holes]
+    known[holes] = np.where(count > 0.5, total / np.maximum(count, 1), overall)
+    return known

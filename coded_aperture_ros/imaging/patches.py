@@ -1,0 +1,97 @@
+"""The windows of a frame, and what is known of each: brightness, means, usable pixels."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.errors import InputError
+
+# A window with more than this share of unusable pixels gives no depth.
+_TOLERATED = 0.02
+_BLOCK_PX = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class PatchGrid:
+    """Where the windows of a frame lie.
+
+    Attributes
+    ----------
+    top, left : int
+        First row and column of the first window.
+    stride_px : int
+        Distance between windows.
+    rows, columns : int
+        Number of windows.
+    window_px : int
+        Side of a window.
+    """
+
+    top: int
+    left: int
+    stride_px: int
+    rows: int
+    columns: int
+    window_px: int
+
+    @classmethod
+    def covering(cls, shape: tuple[int, ...], window_px: int, stride_px: int) -> "PatchGrid":
+        """Centre as many windows as fit into a frame of `shape` (rows, columns, ...).
+
+        Raises
+        ------
+        InputError
+            If the frame is smaller than one window.
+        """
+        height, width = shape[:2]
+        if height < window_px or width < window_px:
+            raise InputError(
+                f"image of {width}x{height} px is smaller than the bank's {window_px} px window: "
+                "use a larger image, or learn a bank with a smaller window"
+            )
+        spare_rows, spare_columns = height - window_px, width - window_px
+        return cls(
+            top=spare_rows % stride_px // 2,
+            left=spare_columns % stride_px // 2,
+            stride_px=stride_px,
+            rows=spare_rows // stride_px + 1,
+            columns=spare_columns // stride_px + 1,
+            window_px=window_px,
+        )
+
+    @property
+    def row_centres(self) -> NDArray[np.intp]:
+        """Pixel row of the centre of each row of windows."""
+        return self.top + self.window_px // 2 + self.stride_px * np.arange(self.rows)
+
+    @property
+    def column_centres(self) -> NDArray[np.intp]:
+        """Pixel column of the centre of each column of windows."""
+        return self.left + self.window_px // 2 + self.stride_px * np.arange(self.columns)
+
+
+def usable_windows(unusable: NDArray[np.bool_], grid: PatchGrid) -> NDArray[np.bool_]:
+    """Return which windows of a grid have few enough unusable pixels [rows, columns]."""
+    # The Hann window's weight is within half its side around the centre, for the most part.
+    side = grid.window_px // 2
+    share = cv2.boxFilter(unusable.astype(np.float32), -1, (side, side))
+    return share[np.ix_(grid.row_centres, grid.column_centres)] <= _TOLERATED
+
+
+def brightness_at(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.float32]:
+    """Return the mean brightness around the centre of every window of a grid [rows, columns]."""
+    return mean_at(grey, grid, grid.window_px // 2)
+
+
+def mean_at(values: NDArray[np.float32], grid: PatchGrid, side_px: int) -> NDArray[np.float32]:
+    """Return the mean of a map of the frame's size over a square around every window's centre."""
+    # Blocks of the frame first: the squares are much larger than they are.
+    scale = 1 / _BLOCK_PX
+    blocks = cv2.resize(values, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    side = max(side_px // _BLOCK_PX, 1)
+    mean: NDArray[np.float32] = cv2.blur(blocks, (side, side))
+    rows = np.minimum(grid.row_centres // _BLOCK_PX, len(mean) - 1)
+    columns = np.minimum(grid.column_centres // _BLOCK_PX, mean.shape[1] - 1)
+    return mean[np.ix_(rows, columns)]

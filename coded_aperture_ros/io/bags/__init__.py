@@ -1,0 +1,20 @@
+"""Recorded bags of ROS 2: read whole or cut off, worked on, and written again. No ROS in here.
+
+Needs rosbags, and matplotlib for reports; both come with the extra `eval`.
+"""
+
+from coded_aperture_ros.io.bags.conversion import Conversion, Picture
+from coded_aperture_ros.io.bags.reading import Bag, Recorded, Topic, is_bag
+from coded_aperture_ros.io.bags.writing import BagWriter, bag_output, check_bag_output
+
+__all__ = [
+    "Bag",
+    "BagWriter",
+    "Conversion",
+    "Picture",
+    "Recorded",
+    "Topic",
+    "bag_output",
+    "check_bag_output",
+    "is_bag",
+]

@@ -1,0 +1,74 @@
+"""A bag, or one file of it, that rosbags opens as it is."""
+
+import sqlite3
+import struct
+import sys
+from collections.abc import Iterator, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from rosbags.rosbag2 import Reader, ReaderError
+
+from coded_aperture_ros.io.bags.reading import SUFFIXES, Recorded, Topic
+
+# What rosbags itself depends on.
+_apsw: Any = import_module("apsw")
+_zstd: Any = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
+
+# A computer that lost its power can leave behind anything for a reader to stumble over.
+DAMAGE: tuple[type[BaseException], ...] = (
+    *(ReaderError, OSError, sqlite3.Error, _apsw.Error, struct.error, _zstd.ZstdError),
+    *(ValueError, TypeError, KeyError, IndexError, EOFError, AssertionError, RuntimeError),
+)
+
+
+class WholeBag:
+    """See `Bag`, whose parts are of this kind if nothing is wrong with them.
+
+    Raises
+    ------
+    rosbags.rosbag2.ReaderError
+        Or another error, if the bag is damaged.
+    """
+
+    damage = ""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._reader = Reader(path)
+        self._reader.open()
+        self.topics = [topic_of(connection) for connection in self._reader.connections]
+        self.storage = storage_of(path)
+
+    def messages(self, topics: Sequence[str]) -> Iterator[Recorded]:
+        """Yield messages in the order of their recording."""
+        wanted = [one for one in self._reader.connections if one.topic in topics]
+        if not wanted:  # which would mean all of them
+            return
+        for connection, time_ns, data in self._reader.messages(wanted):
+            yield Recorded(connection.topic, time_ns, data)
+
+    def close(self) -> None:
+        """Close the files."""
+        self._reader.close()
+
+
+def topic_of(connection: Any) -> Topic:
+    """Return what rosbags calls a connection."""
+    return Topic(
+        connection.topic,
+        connection.msgtype,
+        connection.msgdef.data,
+        connection.digest,
+        tuple(connection.ext.offered_qos_profiles),
+        connection.msgcount,
+    )
+
+
+def storage_of(path: Path) -> str:
+    """Return `mcap` or `sqlite3`, by the files."""
+    files = path.iterdir() if path.is_dir() else [path]
+    # With compression: bag_0.db3.zstd.
+    suffixes = {suffix for file in files for suffix in file.suffixes}
+    return next((kind for suffix, kind in SUFFIXES.items() if suffix in suffixes), "mcap")

@@ -1,0 +1,167 @@
+"""Bags that appear whole or not at all."""
+
+import os
+import shutil
+import sqlite3
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.io.bags.reading import METADATA, Topic, check_rosbags
+
+# Of bags as ROS 2 Jazzy writes them.
+_VERSION = 9
+_NO_HASH = "RIHS01_" + 64 * "0"
+
+
+class BagWriter:
+    """Writes messages into a new bag; made by `bag_output`.
+
+    Attributes
+    ----------
+    folder : pathlib.Path
+        Where the bag is before it has its name; what else is put there comes along.
+    """
+
+    def __init__(self, folder: Path, storage: str) -> None:
+        from rosbags.rosbag2 import StoragePlugin, Writer
+
+        self.folder = folder
+        plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
+        self._writer = Writer(folder, version=_VERSION, storage_plugin=plugin)
+        self._writer.open()
+        self._connections: dict[str, Any] = {}
+        self._closed = False
+
+    def add_topic(self, topic: Topic) -> None:
+        """Add a topic; one without definition or hash of its type gets what is known of them."""
+        definition, type_hash = topic.definition, topic.type_hash
+        if not (definition and type_hash):
+            definition, type_hash = _known_type(topic)
+        self._connections[topic.name] = self._writer.add_connection(
+            topic.name,
+            topic.type_name,
+            msgdef=definition,
+            rihs01=type_hash,
+            offered_qos_profiles=topic.qos,
+        )
+
+    def write(self, topic: str, time_ns: int, data: bytes | memoryview) -> None:
+        """Write a message to a topic that was added."""
+        self._writer.write(self._connections[topic], time_ns, data)
+
+    def close(self) -> None:
+        """Write what a bag ends with; once is enough."""
+        if not self._closed:
+            self._writer.close()
+            self._closed = True
+
+    def abort(self) -> None:
+        """Let go of the files, complete or not."""
+        self._writer.abort()
+
+
+def _known_type(topic: Topic) -> tuple[str, str]:
+    """Return definition and hash of a topic's type, as far as they are known."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    if topic.definition and not topic.definition.startswith("==="):
+        types = get_types_from_msg(topic.definition, topic.type_name)
+        store.register({name: kind for name, kind in types.items() if name not in store.fielddefs})
+    if topic.type_name not in store.fielddefs:
+        return topic.definition, topic.type_hash or _NO_HASH
+    definition, _ = store.generate_msgdef(topic.type_name, ros_version=2)
+    return topic.definition or definition, topic.type_hash or store.hash_rihs01(topic.type_name)
+
+
+def check_bag_output(path: Path, inputs: Iterable[Path], overwrite: bool) -> None:
+    """Check that a bag can be written, before anything is computed.
+
+    Raises
+    ------
+    InputError
+        If it exists and must not be overwritten or is no bag, is an input, or its folder cannot be
+        written to.
+    """
+    for given in inputs:
+        if path.exists() and given.exists() and path.samefile(given):
+            raise InputError(f"{path}: this is the input, and would be overwritten: use another")
+    if path.exists() or path.is_symlink():
+        if not overwrite:
+            raise InputError(f"{path} exists already: use another name, or --overwrite")
+        if not (path / METADATA).is_file():
+            raise InputError(f"{path} exists already and is no bag: it will not be overwritten")
+    with _writing(path), _temporary_folder(path):
+        pass
+
+
+@contextmanager
+def bag_output(path: Path, storage: str) -> Iterator[BagWriter]:
+    """Yield what writes a bag; it gets its name, and takes the place of another, if all goes well.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Folder of the bag. Missing parent folders are created.
+    storage : str
+        `mcap` or `sqlite3`.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written; nothing is left behind then.
+    """
+    check_rosbags()
+    with _writing(path), _temporary_folder(path) as temporary:
+        # Files of a bag are named like its folder.
+        writer = BagWriter(temporary / path.name, storage)
+        try:
+            yield writer
+            writer.close()
+        except BaseException:
+            _quietly(writer.abort)
+            raise
+        if path.exists():
+            path.rename(temporary / "replaced")
+        writer.folder.rename(path)
+
+
+@contextmanager
+def _temporary_folder(path: Path) -> Iterator[Path]:
+    """Yield a folder beside `path`, and remove it in the end, with parents made for it."""
+    made = [parent for parent in path.absolute().parents if not parent.exists()]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        temporary = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}-"))
+        try:
+            yield temporary
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+    finally:
+        if not path.exists():
+            for parent in made:
+                _quietly(parent.rmdir)
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Say in one line what went wrong."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or os.strerror(error.errno or 0)
+        raise InputError(f"cannot write {path}: {reason}") from error
+    except sqlite3.Error as error:
+        raise InputError(f"cannot write {path}: {error}") from error
+
+
+def _quietly(action: Callable[[], object]) -> None:
+    """Do what may fail when something else has failed before."""
+    try:
+        action()
+    except (OSError, sqlite3.Error):
+        return

@@ -1,0 +1,91 @@
+"""Pictures of depth and confidence for people to look at."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.errors import InputError
+
+UNKNOWN_RGB = (70, 70, 70)
+_BAR_HEIGHT = 14
+_STRIP_HEIGHT = 40
+_MARGIN = 12
+_FONT, _FONT_SCALE, _STROKE = cv2.FONT_HERSHEY_SIMPLEX, 0.4, 1
+
+
+def depth_picture(
+    depth_m: NDArray,
+    near_m: float | None = None,
+    far_m: float | None = None,
+    unit: str = "m",
+) -> NDArray[np.uint8]:
+    """Colour a depth map, near in red and far in blue, above a scale bar in metres.
+
+    Parameters
+    ----------
+    depth_m : ndarray of float, shape [h, w]
+        Metres; NaN, drawn in grey, is unknown.
+    near_m, far_m : float, optional
+        Ends of the scale; by default those of the finite depths, less 1 % outliers on each side.
+    unit : str, optional
+        What the scale's numbers are followed by, where the map does not hold metres.
+
+    Returns
+    -------
+    ndarray of uint8, shape [h + strip, w, 3]
+        RGB.
+    """
+    if depth_m.ndim != 2 or not depth_m.size:
+        raise InputError(f"depth: expected [row, column], got the shape {list(depth_m.shape)}")
+    near_m, far_m = _range(depth_m, near_m, far_m)
+    nearness = (far_m - np.nan_to_num(depth_m, nan=far_m, posinf=far_m)) / (far_m - near_m)
+    picture = _turbo(nearness)
+    picture[np.isnan(depth_m)] = UNKNOWN_RGB
+    return np.vstack([picture, _scale_strip(depth_m.shape[1], near_m, far_m, unit)])
+
+
+def confidence_picture(confidence: NDArray) -> NDArray[np.uint8]:
+    """Draw confidences 0 to 1 from black to white; unknown is black. Shape [h, w]."""
+    return np.rint(np.clip(np.nan_to_num(confidence), 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def _range(depth_m: NDArray, near_m: float | None, far_m: float | None) -> tuple[float, float]:
+    known = depth_m[np.isfinite(depth_m)]
+    lower, upper = np.percentile(known, [1, 99]) if known.size else (0.0, 1.0)
+    near_m = float(lower) if near_m is None else near_m
+    far_m = float(upper) if far_m is None else far_m
+    # A plane has one depth; the bar still needs two ends.
+    return near_m, max(far_m, near_m * (1 + 1e-3) + 1e-6)
+
+
+def _turbo(values: NDArray) -> NDArray[np.uint8]:
+    levels = np.rint(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
+    return cv2.cvtColor(cv2.applyColorMap(levels, cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
+
+
+def _scale_strip(width: int, near_m: float, far_m: float, unit: str) -> NDArray[np.uint8]:
+    strip = np.full((_STRIP_HEIGHT, width, 3), 255, dtype=np.uint8)
+    length = width - 2 * _MARGIN
+    if length < 40:
+        # Too narrow for a legible scale: the strip keeps its size, so that pictures line up.
+        return strip
+    bar = _turbo(np.linspace(1.0, 0.0, length)[None, :].repeat(_BAR_HEIGHT, axis=0))
+    strip[4 : 4 + _BAR_HEIGHT, _MARGIN : _MARGIN + length] = bar
+    for tick_m in _ticks(near_m, far_m, max(2, length // 70)):
+        column = _MARGIN + round((tick_m - near_m) / (far_m - near_m) * (length - 1))
+        cv2.line(strip, (column, 4 + _BAR_HEIGHT), (column, 8 + _BAR_HEIGHT), (0, 0, 0))
+        label = f"{tick_m:.4g} {unit}".strip()
+        (text_width, text_height), _ = cv2.getTextSize(label, _FONT, _FONT_SCALE, _STROKE)
+        left = int(np.clip(column - text_width // 2, 0, width - text_width))
+        origin = (left, 12 + _BAR_HEIGHT + text_height)
+        cv2.putText(strip, label, origin, _FONT, _FONT_SCALE, (0, 0, 0), _STROKE, cv2.LINE_AA)
+    return strip
+
+
+def _ticks(near_m: float, far_m: float, count: int) -> NDArray[np.float64]:
+    """Return at most about `count` round numbers (1, 2 or 5 times a power of ten) in the range."""
+    raw = (far_m - near_m) / count
+    power = 10.0 ** np.floor(np.log10(raw))
+    step = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= raw * (1 - 1e-9))
+    first, last = np.ceil(near_m / step - 1e-9), np.floor(far_m / step + 1e-9)
+    return np.arange(first, last + 0.5) * step

@@ -1,0 +1,44 @@
+"""What is in the messages of ROS, without ROS: pixels, depth, camera models.
+
+A message is whatever has the fields of its type: those of rclpy and those read from a bag.
+"""
+
+from coded_aperture_ros.io.messages.camera_model import scaled_matrices
+from coded_aperture_ros.io.messages.compressed import array_from_compressed
+from coded_aperture_ros.io.messages.depth import (
+    depth_from_pixels,
+    limit_depth,
+    millimetres_from_depth,
+)
+from coded_aperture_ros.io.messages.encodings import (
+    ENCODINGS,
+    Encoding,
+    MessageError,
+    array_from_image,
+    check_pixels,
+    encoding_of,
+)
+from coded_aperture_ros.io.messages.frames import (
+    frame_from_image,
+    frame_from_pixels,
+    luminance,
+    pixels_from_frame,
+)
+
+__all__ = [
+    "ENCODINGS",
+    "Encoding",
+    "MessageError",
+    "array_from_compressed",
+    "array_from_image",
+    "check_pixels",
+    "depth_from_pixels",
+    "encoding_of",
+    "frame_from_image",
+    "frame_from_pixels",
+    "limit_depth",
+    "luminance",
+    "millimetres_from_depth",
+    "pixels_from_frame",
+    "scaled_matrices",
+]

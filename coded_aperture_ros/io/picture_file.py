@@ -1,0 +1,201 @@
+"""Reading and writing pictures and depth maps."""
+
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.imaging.decoding import decode_picture
+from coded_aperture_ros.imaging.light import Gamma, linear_from_pixels, pixels_from_linear
+
+PICTURE_SUFFIXES = (
+    *(".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".webp", ".ppm", ".pgm"),
+    ".npy",
+)
+_TIFF = (".tif", ".tiff")
+_MILLIMETRE = 1e-3
+# By default OpenCV 4.6 stores float colours in the lossy LogLuv form; 5 is LZW.
+_ENCODING = dict.fromkeys(_TIFF, (cv2.IMWRITE_TIFF_COMPRESSION, 5))
+
+
+def read_image(path: str | os.PathLike[str], gamma: Gamma = 1.0) -> NDArray[np.float32]:
+    """Read a picture as linear light.
+
+    Parameters
+    ----------
+    path : path-like
+        Any picture that OpenCV reads, or a `.npy` array [row, column] or [row, column, RGB].
+    gamma : float or "srgb"
+        How 8-bit pictures are encoded; 16-bit and float files are linear.
+
+    Returns
+    -------
+    ndarray of float32, shape [h, w] or [h, w, 3]
+        Linear light, RGB, as the sensor's rows and columns were stored: EXIF orientation is
+        ignored. Integer files give 0 to 1; float files keep their values and NaN.
+
+    Raises
+    ------
+    InputError
+        Naming the file, if it is missing, empty, or not a picture.
+    """
+    pixels = _read_pixels(Path(path))
+    if pixels.ndim == 3 and pixels.shape[2] == 1:
+        pixels = pixels[:, :, 0]
+    if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3) or not pixels.size:
+        raise InputError(
+            f"{path}: expected a picture [row, column] or [row, column, RGB], "
+            f"got the shape {list(pixels.shape)}"
+        )
+    try:
+        return linear_from_pixels(pixels, gamma)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def write_image(
+    path: str | os.PathLike[str],
+    image: NDArray,
+    bits: int | None = None,
+    gamma: Gamma = 1.0,
+) -> None:
+    """Write a picture; the suffix decides the format.
+
+    Parameters
+    ----------
+    path : path-like
+        `.npy` and `.tif` store float32 unless `bits` is given; other formats store integers.
+    image : ndarray, shape [h, w] or [h, w, 3]
+        Linear light, RGB; or 8-bit pixels, which are stored as they are.
+    bits : {8, 16}, optional
+        Default 16 for PNG and 8 for formats that hold no more.
+    gamma : float or "srgb"
+        How to encode 8-bit pictures; wider ones are linear.
+
+    Raises
+    ------
+    InputError
+        Naming the file, if it cannot be written or the format is unknown.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in PICTURE_SUFFIXES:
+        raise InputError(f"{path}: unknown picture format, use one of {' '.join(PICTURE_SUFFIXES)}")
+    if suffix == ".npy":
+        _write_array(path, image.astype(np.float32))
+        return
+    if image.dtype == np.uint8:
+        _write_pixels(path, image)
+    elif bits is None and suffix in _TIFF:
+        _write_pixels(path, image.astype(np.float32))
+    else:
+        bits = bits or (16 if suffix == ".png" else 8)
+        _write_pixels(path, pixels_from_linear(image, bits, gamma if bits == 8 else 1.0))
+
+
+def read_depth(
+    path: str | os.PathLike[str], metres_per_unit: float | None = None
+) -> NDArray[np.float32]:
+    """Read a depth map in metres.
+
+    Parameters
+    ----------
+    path : path-like
+        16-bit PNG in millimetres, or float TIFF or `.npy` in metres.
+    metres_per_unit : float, optional
+        What one unit of the file is, where it is not as above.
+
+    Returns
+    -------
+    ndarray of float32, shape [h, w]
+        Metres; NaN where the file has 0, a negative number or NaN.
+
+    Raises
+    ------
+    InputError
+        Naming the file, if it is missing, or not a depth map.
+    """
+    pixels = _read_pixels(Path(path))
+    if pixels.ndim != 2 or not pixels.size:
+        raise InputError(
+            f"{path}: expected a depth map [row, column], got the shape {list(pixels.shape)}"
+        )
+    if metres_per_unit is None:
+        if pixels.dtype == np.uint8:
+            raise InputError(f"{path}: 8-bit depth has no usual unit, say how long one unit is")
+        metres_per_unit = _MILLIMETRE if pixels.dtype.kind in "ui" else 1.0
+    if not 0 < metres_per_unit < np.inf:
+        raise InputError(f"metres per unit: expected a positive number, got {metres_per_unit!r}")
+    depth = pixels.astype(np.float32) * np.float32(metres_per_unit)
+    return np.where(depth > 0, depth, np.float32(np.nan))
+
+
+def write_depth(path: str | os.PathLike[str], depth_m: NDArray) -> None:
+    """Write a depth map: 16-bit millimetres to `.png`, float metres to `.tif` and `.npy`.
+
+    In millimetres unknown is 0, and what is beyond 65.535 m is stored as that.
+
+    Raises
+    ------
+    InputError
+        Naming the file, if it cannot be written or the format is unknown.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix == ".npy":
+        _write_array(path, depth_m.astype(np.float32))
+    elif suffix in _TIFF:
+        _write_pixels(path, depth_m.astype(np.float32))
+    elif suffix == ".png":
+        millimetres = np.clip(np.rint(depth_m / _MILLIMETRE), 1, 65535)
+        _write_pixels(path, np.nan_to_num(millimetres, nan=0.0).astype(np.uint16))
+    else:
+        raise InputError(f"{path}: unknown depth format, use .npy, .tif or .png")
+
+
+def _read_pixels(path: Path) -> NDArray:
+    """Read a file's pixels as stored, colours in RGB order."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    if not data:
+        raise InputError(f"cannot read {path}: the file is empty")
+    if path.suffix.lower() == ".npy":
+        return _read_array(path)
+    pixels = decode_picture(data)
+    if pixels is None:
+        raise InputError(f"cannot read {path}: not a picture, or truncated")
+    return cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB) if pixels.ndim == 3 else pixels
+
+
+def _read_array(path: Path) -> NDArray:
+    try:
+        with path.open("rb") as file:
+            array = np.load(file, allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        raise InputError(f"cannot read {path}: truncated, or not a .npy array") from error
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "uif":
+        raise InputError(f"cannot read {path}: expected one numeric array")
+    return array
+
+
+def _write_array(path: Path, array: NDArray) -> None:
+    with atomic_output(path) as temporary, temporary.open("wb") as file:
+        np.save(file, array)
+
+
+def _write_pixels(path: Path, pixels: NDArray) -> None:
+    if pixels.ndim == 3:
+        pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
+    with atomic_output(path) as temporary:
+        try:
+            written = cv2.imwrite(str(temporary), pixels, _ENCODING.get(path.suffix.lower(), ()))
+        except cv2.error as error:
+            raise InputError(f"cannot write {path}: {error.err}") from error
+        if not written:
+            raise InputError(f"cannot write {path}: the picture could not be encoded")

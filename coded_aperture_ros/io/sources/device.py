@@ -1,0 +1,145 @@
+"""Frames of a camera device or a network stream, through OpenCV."""
+
+import dataclasses
+
+import cv2
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.io.sources.source import Capture
+
+# What drivers of cameras on Linux (V4L2) take for "by hand" and "automatic".
+_MANUAL_EXPOSURE, _AUTO_EXPOSURE = 1, 3
+
+
+@dataclasses.dataclass(frozen=True)
+class DeviceConfig:
+    """What a camera device can be told, where it has these settings."""
+
+    width: int = option(
+        0, "Width of the frames; 0: the camera file's", unit="px", minimum=0, maximum=65536
+    )
+    height: int = option(
+        0, "Height of the frames; 0: the camera file's", unit="px", minimum=0, maximum=65536
+    )
+    exposure: float = option(
+        -1.0,
+        "Exposure time in the device's own unit (V4L2: 0.1 ms); 0: automatic, -1: as it is",
+        minimum=-1.0,
+        maximum=1e6,
+    )
+    gain: float = option(
+        -1.0, "Gain in the device's own unit; -1: as it is", minimum=-1.0, maximum=1e6
+    )
+    white_balance_k: float = option(
+        -1.0,
+        "Colour temperature of the light; 0: automatic, -1: as it is",
+        unit="K",
+        minimum=-1.0,
+        maximum=1e5,
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+class DeviceSource:
+    """A camera device (its index), a stream (its URL) or a GStreamer pipeline.
+
+    It is opened at the first `read`, and again at the next one after a failure, so that a camera
+    may be unplugged and come back.
+
+    Parameters
+    ----------
+    address : int or str
+        With an exclamation mark in it, it is a GStreamer pipeline that ends in `appsink`.
+    config : DeviceConfig, optional
+    rate_hz : float
+        Wanted frame rate; 0 leaves the device's own.
+
+    Attributes
+    ----------
+    refused : tuple of str
+        What the device that is open does not let itself be told.
+    """
+
+    live = True
+
+    def __init__(
+        self, address: int | str, config: DeviceConfig | None = None, rate_hz: float = 0.0
+    ) -> None:
+        self._address = address
+        self._config = config or DeviceConfig()
+        self._rate_hz = rate_hz
+        self._device: cv2.VideoCapture | None = None
+        self.refused: tuple[str, ...] = ()
+
+    def configure(self, config: DeviceConfig) -> None:
+        """Change the settings; a new size takes effect when the device is opened again."""
+        self._config = config
+        if self._device is not None:
+            self.refused = self._set(self._device, _light(config))
+
+    def read(self) -> Capture | None:
+        """Wait for the next frame."""
+        device = self._device or self._open()
+        succeeded, frame = device.read()
+        if not succeeded or frame is None:
+            self.close()
+            raise InputError(f"camera {self._address} gives no frames, check that it is connected")
+        return Capture(frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
+
+    def close(self) -> None:
+        """Let go of the device."""
+        if self._device is not None:
+            self._device.release()
+            self._device = None
+
+    def _open(self) -> cv2.VideoCapture:
+        pipeline = isinstance(self._address, str) and "!" in self._address
+        if pipeline and cv2.CAP_GSTREAMER not in cv2.videoio_registry.getStreamBackends():
+            raise InputError(
+                f"{self._address}: this OpenCV was built without GStreamer; "
+                "Ubuntu's python3-opencv has it"
+            )
+        device = cv2.VideoCapture(self._address, cv2.CAP_GSTREAMER if pipeline else cv2.CAP_ANY)
+        if not device.isOpened():
+            device.release()
+            raise InputError(
+                f"cannot open camera {self._address}, check that it is connected and not in use"
+            )
+        # The newest frame, not the oldest of a queue; not every driver knows this.
+        device.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        size = {
+            "width": (cv2.CAP_PROP_FRAME_WIDTH, float(self._config.width)),
+            "height": (cv2.CAP_PROP_FRAME_HEIGHT, float(self._config.height)),
+            "rate_hz": (cv2.CAP_PROP_FPS, self._rate_hz),
+        }
+        wanted = {name: setting for name, setting in size.items() if setting[1]}
+        self.refused = self._set(device, wanted) + self._set(device, _light(self._config))
+        self._device = device
+        return device
+
+    @staticmethod
+    def _set(device: cv2.VideoCapture, wanted: dict[str, tuple[int, float]]) -> tuple[str, ...]:
+        return tuple(
+            name for name, (setting, value) in wanted.items() if not device.set(setting, value)
+        )
+
+
+def _light(config: DeviceConfig) -> dict[str, tuple[int, float]]:
+    """Return what to set for exposure, gain and white balance, by the options' names."""
+    wanted: dict[str, tuple[int, float]] = {}
+    if config.exposure == 0:
+        wanted["automatic exposure"] = (cv2.CAP_PROP_AUTO_EXPOSURE, _AUTO_EXPOSURE)
+    elif config.exposure > 0:
+        wanted["exposure by hand"] = (cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
+        wanted["exposure"] = (cv2.CAP_PROP_EXPOSURE, config.exposure)
+    if config.gain >= 0:
+        wanted["gain"] = (cv2.CAP_PROP_GAIN, config.gain)
+    if config.white_balance_k == 0:
+        wanted["automatic white balance"] = (cv2.CAP_PROP_AUTO_WB, 1.0)
+    elif config.white_balance_k > 0:
+        wanted["white balance by hand"] = (cv2.CAP_PROP_AUTO_WB, 0.0)
+        wanted["white_balance_k"] = (cv2.CAP_PROP_WB_TEMPERATURE, config.white_balance_k)
+    return wanted

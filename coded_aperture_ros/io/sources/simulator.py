@@ -1,0 +1,54 @@
+"""Frames of the simulated coded-aperture camera."""
+
+import numpy as np
+
+from coded_aperture_ros.io.sources.source import Capture
+from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.simulation import PanningScene, SensorModel, motorcycle_scene
+
+_SCENE_SCALE = 1.2
+_NOISE_MARGIN_PX = 128
+
+
+class SimulatorSource:
+    """A real scene that moves in front of a simulated camera, with the truth about it.
+
+    Parameters
+    ----------
+    camera : Camera
+    rate_hz : float
+        Frames per second of simulated time.
+    noise : float
+        Standard deviation of the sensor's noise in linear light.
+
+    Raises
+    ------
+    InputError
+        If the scene does not suit the camera, or is not installed.
+    """
+
+    live = False
+
+    def __init__(self, camera: Camera, rate_hz: float, noise: float) -> None:
+        # Leaves the camera room to move about in, whatever its resolution.
+        scale = _SCENE_SCALE * max(camera.image_width / 640, camera.image_height / 480)
+        self._scene = PanningScene(motorcycle_scene(scale), camera, SensorModel())
+        self._rate_hz = rate_hz
+        self._frames = 0
+        self._random = np.random.default_rng(0)
+        # Drawing a million random numbers would take most of the time of a frame. Frames take
+        # different windows of one larger field instead.
+        shape = camera.image_height + _NOISE_MARGIN_PX, camera.image_width + _NOISE_MARGIN_PX, 3
+        self._noise = np.float32(noise) * self._random.standard_normal(shape, np.float32)
+
+    def read(self) -> Capture | None:
+        """Return the next view."""
+        view = self._scene.view(self._frames / self._rate_hz)
+        self._frames += 1
+        height, width = view.depth_m.shape
+        top, left = self._random.integers(_NOISE_MARGIN_PX, size=2)
+        coded = view.coded + self._noise[top : top + height, left : left + width]
+        return Capture(coded, view.depth_m, view.sharp)
+
+    def close(self) -> None:
+        """Nothing to let go of."""

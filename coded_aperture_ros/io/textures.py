@@ -1,0 +1,188 @@
+"""Sharp test textures: unselected crops of photographs, or white noise.
+
+The pictures come with scikit-image and scikit-learn, nothing is downloaded. Values are grey, 0 to
+1, as the files store them: thesis 6.3.1 blurs stored values too, and the curve in between would
+only change the contrast.
+"""
+
+import dataclasses
+from collections.abc import Iterable
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.io import open_sequence, read_image
+
+TEXTURES = ("natural", "random", "soft")
+TEST_PICTURES = (
+    "flower",
+    "astronaut",
+    "rocket",
+    "brick",
+    "grass",
+    "coins",
+    "motorcycle_left",
+    "hubble_deep_field",
+)
+# Methods with weights to learn may learn them from these, which are never scored.
+TRAINING_PICTURES = ("camera", "chelsea", "coffee", "gravel")
+
+_WHEELS = {"skimage": ("scikit-image", "data"), "sklearn": ("scikit-learn", "datasets/images")}
+_FROM_SKLEARN = ("flower",)
+_SUFFIXES = (".png", ".jpg")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Textures:
+    """Where sharp crops come from.
+
+    Attributes
+    ----------
+    kind : str
+        One of `TEXTURES`, or `training`.
+    pictures : tuple of ndarray, float32 [rows, columns]
+        Grey, 0 to 1; none for random texture.
+    """
+
+    kind: str
+    pictures: tuple[NDArray[np.float32], ...]
+
+    def crops(
+        self, count: int, rows: int, columns: int, random: np.random.Generator
+    ) -> NDArray[np.float32]:
+        """Cut crops at places chosen blindly: flat and dark ones are not thrown away.
+
+        Pictures take turns, in random order, so that a few crops do not all come from one of them.
+
+        Parameters
+        ----------
+        count, rows, columns : int
+            How many crops, and their size in pixels.
+        random : numpy.random.Generator
+
+        Returns
+        -------
+        ndarray, float32 [count, rows, columns]
+
+        Raises
+        ------
+        InputError
+            If no picture is large enough.
+        """
+        if self.kind == "random":
+            return random.random((count, rows, columns), dtype=np.float32)
+        large = [p for p in self.pictures if p.shape[0] >= rows and p.shape[1] >= columns]
+        if not large:
+            raise InputError(
+                f"{self.kind} texture: no picture has the {rows} rows and {columns} columns "
+                "that are needed: use larger pictures, or a smaller size"
+            )
+        crops = np.empty((count, rows, columns), np.float32)
+        turns: list[int] = []
+        for crop in crops:
+            turns = turns or list(random.permutation(len(large)))
+            picture = large[turns.pop()]
+            top = random.integers(picture.shape[0] - rows + 1)
+            left = random.integers(picture.shape[1] - columns + 1)
+            crop[:] = picture[top : top + rows, left : left + columns]
+        return crops
+
+
+@lru_cache(maxsize=8)
+def load_textures(kind: str, folder: Path | None = None) -> Textures:
+    """Load the textures that methods are scored on.
+
+    Parameters
+    ----------
+    kind : str
+        `natural`: pictures as they are; `soft`: pictures at half size, by averaging areas, which
+        are smoother per pixel than what a camera's demosaicing leaves; `random`: white noise,
+        uniform in [0, 1].
+    folder : pathlib.Path, optional
+        Its pictures instead of `TEST_PICTURES`.
+
+    Raises
+    ------
+    InputError
+        If the kind is unknown, a picture is missing or unreadable, or the folder has a picture of
+        the name of a training picture.
+    """
+    if kind not in TEXTURES:
+        raise InputError(f"unknown texture {kind!r}: use one of {', '.join(TEXTURES)}")
+    if folder is not None:
+        paths = list(open_sequence(folder).pictures) if folder.is_dir() else []
+        if not paths:
+            raise InputError(f"{folder}: expected a folder with pictures")
+        check_not_for_training((path.stem for path in paths), folder)
+    elif kind == "random":
+        paths = []
+    else:
+        paths = [_installed(name) for name in TEST_PICTURES]
+    pictures = [_grey(path) for path in paths] if kind != "random" else []
+    if kind == "soft":
+        pictures = [_half(picture) for picture in pictures]
+    return Textures(kind, tuple(pictures))
+
+
+@lru_cache(maxsize=1)
+def training_textures() -> Textures:
+    """Return the textures of `TRAINING_PICTURES`."""
+    return Textures("training", tuple(_grey(_installed(name)) for name in TRAINING_PICTURES))
+
+
+def check_not_for_training(names: Iterable[str], where: object) -> None:
+    """Refuse to score a picture that weights are learned from.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Of the test pictures, without suffix.
+    where : object
+        What to name in the message.
+
+    Raises
+    ------
+    InputError
+        Naming the picture.
+    """
+    for name in names:
+        if name.lower() in TRAINING_PICTURES:
+            raise InputError(
+                f"{where}: {name} is one of the pictures that reference methods learn from, "
+                "and so cannot test them: take it out of the folder"
+            )
+
+
+def _installed(name: str) -> Path:
+    package = "sklearn" if name in _FROM_SKLEARN else "skimage"
+    distribution, folder = _WHEELS[package]
+    # Finding it imports nothing: both packages take a while to import.
+    found = find_spec(package)
+    if found is None or found.origin is None:
+        raise InputError(
+            f"test picture {name}: needs {distribution}: pip install {distribution}, or give a "
+            "folder of pictures"
+        )
+    for suffix in _SUFFIXES:
+        path = Path(found.origin).parent / folder / f"{name}{suffix}"
+        if path.is_file():
+            return path
+    raise InputError(f"test picture {name}: missing in {distribution}: install it again")
+
+
+def _grey(path: Path) -> NDArray[np.float32]:
+    image = read_image(path)
+    grey = image.mean(axis=2) if image.ndim == 3 else image
+    return np.asarray(grey, np.float32)
+
+
+def _half(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    rows, columns = picture.shape
+    return np.asarray(
+        cv2.resize(picture, (columns // 2, rows // 2), interpolation=cv2.INTER_AREA), np.float32
+    )

@@ -1,0 +1,172 @@
+"""The engine on NumPy: every array is allocated when a frame size is planned, none per frame."""
+
+import dataclasses
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank import FilterBank
+from coded_aperture_ros.bank.model import LEAST_EXCESS, OWN_NOISE
+from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.likelihood.plan import Plan
+
+# Rows of pixels that are transformed, and patches whose hypotheses are tried, at a time: few
+# large calls, but no more than a core's cache holds.
+_PIXEL_ROWS = 24
+_PATCHES = 128
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Scratch:
+    """What one thread needs for its part of a frame."""
+
+    windows: NDArray[np.float32]
+    parts: NDArray[np.float32]
+    power: NDArray[np.float32]
+    product: NDArray[np.float32]
+    functions: NDArray[np.float32]
+    patches: NDArray[np.float32]
+    hypotheses: NDArray[np.float32]
+
+
+class NumpyEngine:
+    """Energies of every patch of frames of one size; see `Engine`."""
+
+    name = "numpy"
+
+    def __init__(
+        self, bank: FilterBank, shape: tuple[int, ...], stride_px: int, threads: int = 1
+    ) -> None:
+        plan = Plan.of(bank, shape, stride_px)
+        grid, n = plan.grid, plan.grid.window_px
+        self._bank, self._plan = bank, plan
+        self._workers = Workers(threads)
+        width = len(plan.horizontal) * grid.columns  # both parts of all frequencies and columns
+        self._horizontal = np.empty((plan.pixel_rows, width), np.float32)
+        self._functions = np.empty((len(plan.features), grid.rows, grid.columns), np.float32)
+        self._energies = np.empty((bank.levels, grid.rows * grid.columns), np.float32)
+        self._precision = np.empty((grid.rows, grid.columns), np.float32)
+        half = width // 2
+        tried = len(bank.prior.contrasts) * len(bank.prior.slopes) * bank.levels
+        rank = plan.hypotheses.shape[1]
+        self._scratch = [
+            _Scratch(
+                windows=np.empty((_PIXEL_ROWS, grid.columns, n), np.float32),
+                parts=np.empty((len(plan.vertical), width), np.float32),
+                power=np.empty((len(plan.vertical), half), np.float32),
+                product=np.empty((plan.paired, half), np.float32),
+                functions=np.empty((len(plan.features), grid.columns), np.float32),
+                patches=np.empty(rank * _PATCHES, np.float32),
+                hypotheses=np.empty(tried * _PATCHES, np.float32),
+            )
+            for _ in range(threads)
+        ]
+
+    @property
+    def grid(self) -> PatchGrid:
+        """Where the patches lie."""
+        return self._plan.grid
+
+    @property
+    def plan(self) -> Plan:
+        """The matrices of the work."""
+        return self._plan
+
+    def project(self, grey: NDArray[np.float32]) -> None:
+        """Take a frame: project every patch onto the common basis."""
+        overlapping = np.lib.stride_tricks.sliding_window_view(
+            self._plan.covered(grey), self.grid.window_px, axis=1
+        )[:, :: self.grid.stride_px]
+        starts = range(0, self._plan.pixel_rows, _PIXEL_ROWS)
+        self._workers.each(partial(self._transform_rows, overlapping), starts)
+        self._workers.each(self._project_row, range(self.grid.rows))
+
+    def take_products(self, products: NDArray[np.float32]) -> None:
+        """Take a frame that an engine with the same windows has transformed.
+
+        Parameters
+        ----------
+        products : ndarray, float32 [patches, (2 V + U) H]
+            Of the transforms; see `Plan`.
+        """
+        functions = self._functions.reshape(len(self._functions), -1)
+        np.matmul(self._plan.features, products.T, out=functions)
+
+    def energies(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the energies of the frame taken last [rows, columns, L]."""
+        plan, bank = self._plan, self._bank
+        plausible = bank.plausible_ratios(float(np.median(noise)))
+        per_ratio = len(bank.prior.slopes) * bank.levels
+        tried = slice(plausible.start * per_ratio, plausible.stop * per_ratio)
+        self._precision[:] = 1 / (plan.count * np.square(noise))
+        functions = self._functions.reshape(len(self._functions), -1)
+        starts = range(0, functions.shape[1], _PATCHES)
+        self._workers.each(partial(self._try_hypotheses, functions, tried), starts)
+        return np.moveaxis(self._energies.reshape(bank.levels, *self._precision.shape), 0, -1)
+
+    def close(self) -> None:
+        """End the engine's threads."""
+        self._workers.close()
+
+    def _transform_rows(
+        self, windows_of_rows: NDArray[np.float32], start: int, thread: int
+    ) -> None:
+        """Transform the windows of some pixel rows horizontally."""
+        plan, grid = self._plan, self._plan.grid
+        rows = windows_of_rows[start : start + _PIXEL_ROWS]
+        windows = self._scratch[thread].windows[: len(rows)]
+        np.copyto(windows, rows)
+        out = self._horizontal[start : start + len(rows)]
+        np.matmul(
+            plan.horizontal,
+            windows.swapaxes(1, 2),
+            out=out.reshape(len(rows), len(plan.horizontal), grid.columns),
+        )
+
+    def _project_row(self, row: int, thread: int) -> None:
+        """Transform a row of windows vertically, and project its powers."""
+        plan, grid, scratch = self._plan, self._plan.grid, self._scratch[thread]
+        first = row * grid.stride_px
+        np.matmul(
+            plan.vertical, self._horizontal[first : first + grid.window_px], out=scratch.parts
+        )
+        half, paired = scratch.parts.shape[1] // 2, plan.paired
+        cosines, sines = scratch.parts[:paired], scratch.parts[paired : 2 * paired]
+        cc, cs = cosines[:, :half], cosines[:, half:]
+        sc, ss = sines[:, :half], sines[:, half:]
+        total, crossed = scratch.power[:paired], scratch.power[paired : 2 * paired]
+        np.multiply(cc, ss, out=crossed)
+        np.multiply(cs, sc, out=scratch.product)
+        np.subtract(crossed, scratch.product, out=crossed)
+        np.multiply(scratch.parts, scratch.parts, out=scratch.parts)
+        np.add(cc, cs, out=total)
+        np.add(sc, ss, out=scratch.product)
+        np.add(total, scratch.product, out=total)
+        unpaired = scratch.parts[2 * paired :]
+        np.add(unpaired[:, :half], unpaired[:, half:], out=scratch.power[2 * paired :])
+        power = scratch.power.reshape(-1, grid.columns)
+        np.matmul(plan.features, power, out=scratch.functions)
+        self._functions[:, row] = scratch.functions
+
+    def _try_hypotheses(
+        self, functions: NDArray[np.float32], tried: slice, start: int, thread: int
+    ) -> None:
+        """Find the energies of some patches; see `FilterBank` for what they are."""
+        plan, scratch = self._plan, self._scratch[thread]
+        some = slice(start, min(start + _PATCHES, functions.shape[1]))
+        count = some.stop - some.start
+        precision = self._precision.reshape(-1)[some]
+        coefficients = plan.hypotheses[tried]
+        patches = scratch.patches[: coefficients.shape[1] * count].reshape(-1, count)
+        np.multiply(functions[:-1, some], precision, out=patches[:-1])
+        patches[-1] = 1
+        excess = scratch.hypotheses[: len(coefficients) * count].reshape(-1, count)
+        np.matmul(coefficients, patches, out=excess)
+        energies = self._energies[:, some]
+        np.minimum.reduce(excess.reshape(-1, len(energies), count), axis=0, out=energies)
+        textureless = functions[-1, some] * precision + OWN_NOISE
+        np.clip(energies, LEAST_EXCESS, textureless, out=energies)
+        np.log(energies, out=energies)
+        np.multiply(energies, np.float32(plan.count), out=energies)

@@ -1,0 +1,155 @@
+"""What a filter bank means for frames of one size: constant matrices that every backend shares.
+
+The power of a patch at frequency ``(v, h)`` is ``|sum_y w_y e^(-ivy) sum_x w_x e^(-ihx) g_yx|^2``
+with the Hann window ``w``. The sum over ``x`` is done once for every pixel row: patches above each
+other share it. With its cosine and sine parts ``c`` and ``s`` and those of the sum over ``y``, the
+powers of ``+v`` and ``-v`` are ``q -+ 2 x`` with::
+
+    q = cc^2 + cs^2 + sc^2 + ss^2        x = cc ss - cs sc
+
+and because a patch enters its energies only through linear functions of the powers (the bank's
+common basis), these act on ``q`` and ``x`` directly.
+"""
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank import FilterBank
+from coded_aperture_ros.bank.model import OWN_NOISE
+from coded_aperture_ros.imaging import PatchGrid
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Plan:
+    """Matrices of the transforms, the common basis and the hypotheses.
+
+    Attributes
+    ----------
+    grid : PatchGrid
+        Where the patches lie, ``rows`` by ``columns``.
+    horizontal : ndarray, float32 [2 H, N]
+        Windowed cosines, then sines, of 0 to H - 1 cycles.
+    vertical : ndarray, float32 [2 V + U, N]
+        Windowed cosines, then sines, of 1 to V cycles; then the U cosines without a sine.
+    paired : int
+        V.
+    features : ndarray, float32 [R + 1, (2 V + U) H]
+        The common basis and the multiplicity, as functions of ``q`` of 1 to V
+        cycles, of ``x`` of these, and of the power of those without a sine.
+    hypotheses : ndarray, float32 [S * slopes * L, R + 1]
+        Weights of every hypothesis in the common basis, and `OWN_NOISE`, which adds to them, all
+        times ``exp(log_determinant / sum m)``: so the best hypothesis is that of the least product,
+        and one logarithm does for all.
+    count : float
+        ``sum m``.
+    """
+
+    grid: PatchGrid
+    horizontal: NDArray[np.float32]
+    vertical: NDArray[np.float32]
+    paired: int
+    features: NDArray[np.float32]
+    hypotheses: NDArray[np.float32]
+    count: float
+
+    @classmethod
+    def of(cls, bank: FilterBank, shape: tuple[int, ...], stride_px: int) -> "Plan":
+        """Plan for frames of `shape` (rows, columns) with patches every `stride_px`.
+
+        Raises
+        ------
+        InputError
+            If the frame is smaller than a patch.
+        """
+        grid = PatchGrid.covering(shape, bank.window_px, stride_px)
+        n, half = bank.window_px, bank.window_px // 2
+        functions = bank.functions_of_power.astype(np.float64)  # [K, R + 1]
+        counts = functions.any(axis=1).reshape(n, half + 1)
+        # Only up to the highest frequency that counts.
+        columns = int(np.flatnonzero(counts.any(axis=0)).max()) + 1
+        highest = int(np.flatnonzero(counts[: half + 1].any(axis=1)).max())
+        paired = min(highest, half - 1)
+        unpaired = [0] if highest < half else [0, half]
+
+        angle = 2 * np.pi / n * np.outer(np.arange(half + 1), np.arange(n))
+        cosines, sines = np.cos(angle) * bank.fourier.window, np.sin(angle) * bank.fourier.window
+        pairs = slice(1, paired + 1)
+
+        features = _of_products(functions, n, columns, paired, unpaired)
+
+        count = float(bank.fourier.multiplicity.sum())
+        gains = np.exp(bank.log_determinants.astype(np.float64).reshape(-1, 1) / count)
+        rank = bank.basis_vectors
+        weights = bank.coefficients.reshape(rank, -1).T
+        own_noise = np.full_like(gains, OWN_NOISE)
+        return cls(
+            grid=grid,
+            horizontal=_float32(np.concatenate([cosines[:columns], sines[:columns]])),
+            vertical=_float32(np.concatenate([cosines[pairs], sines[pairs], cosines[unpaired]])),
+            paired=paired,
+            features=_float32(features.T),
+            hypotheses=_float32(np.hstack([weights, own_noise]) * gains),
+            count=count,
+        )
+
+    def of_products(self, functions: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Return linear functions of power as functions of the products of transforms.
+
+        Parameters
+        ----------
+        functions : ndarray [K, n]
+            Of the power of every frequency, in the order of ``scipy.fft.rfft2``.
+
+        Returns
+        -------
+        ndarray [(2 V + U) H, n]
+            Of ``q`` and ``x``; see `features`.
+        """
+        columns, half = len(self.horizontal) // 2, self.grid.window_px // 2
+        unpaired = [0, half][: len(self.vertical) - 2 * self.paired]
+        return _of_products(functions, self.grid.window_px, columns, self.paired, unpaired)
+
+    @property
+    def pixel_rows(self) -> int:
+        """How many rows of pixels the patches cover."""
+        return (self.grid.rows - 1) * self.grid.stride_px + self.grid.window_px
+
+    def covered(self, grey: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the part of a frame that the patches cover, as a view."""
+        grid = self.grid
+        width = (grid.columns - 1) * grid.stride_px + grid.window_px
+        return grey[grid.top : grid.top + self.pixel_rows, grid.left : grid.left + width]
+
+    @property
+    def flop_per_frame(self) -> float:
+        """Floating-point operations of the matrix products of one frame, for all hypotheses."""
+        grid, n = self.grid, self.grid.window_px
+        patches = grid.rows * grid.columns
+        two_h = len(self.horizontal)
+        return 2.0 * (
+            self.pixel_rows * grid.columns * n * two_h
+            + patches * len(self.vertical) * n * two_h
+            + patches * self.features.size
+        )
+
+    def flop_of_hypotheses(self, ratios: int, of: int) -> float:
+        """Floating-point operations of the energies where `ratios` of `of` ratios are tried."""
+        patches = self.grid.rows * self.grid.columns
+        return 2.0 * patches * self.hypotheses.size * ratios / of
+
+
+def _of_products(
+    functions: NDArray[np.floating], window_px: int, columns: int, paired: int, unpaired: list[int]
+) -> NDArray[np.floating]:
+    count = functions.shape[1]
+    functions = functions.reshape(window_px, window_px // 2 + 1, count)[:, :columns]
+    positive = functions[1 : paired + 1]
+    negative = functions[: -paired - 1 : -1]
+    parts = [positive + negative, 2 * (negative - positive), functions[unpaired]]
+    return np.concatenate(parts).reshape(-1, count)
+
+
+def _float32(values: NDArray[np.floating]) -> NDArray[np.float32]:
+    return np.ascontiguousarray(values, np.float32)

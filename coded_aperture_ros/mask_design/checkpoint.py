@@ -1,0 +1,88 @@
+"""A search on disk: written whole after every epoch, and read only by the search it belongs to."""
+
+import dataclasses
+import json
+import os
+
+import numpy as np
+
+from coded_aperture_ros.core.archive import read_archive, write_archive
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.mask_design.pareto import Front
+from coded_aperture_ros.mask_design.search import Island, SearchConfig, SearchState
+from coded_aperture_ros.mask_design.spectra import SceneConfig
+
+_SCHEMA = "coded-aperture mask search"
+_SCHEMA_VERSION = 1
+
+
+def save_checkpoint(
+    path: str | os.PathLike[str], state: SearchState, config: SearchConfig, scene: SceneConfig
+) -> None:
+    """Write where a search stands; the old file stays until the new one is whole."""
+    fronts = [island.front for island in state.islands]
+    write_archive(
+        path,
+        _SCHEMA,
+        _SCHEMA_VERSION,
+        {
+            "search": json.dumps(_identity(config, scene)),
+            "epoch": state.epoch,
+            "grids": np.array([island.grids for island in state.islands]),
+            "objective": np.array([island.objective for island in state.islands]),
+            "scored": np.array([island.scored for island in state.islands]),
+            "front_sizes": np.array([len(front.grids) for front in fronts]),
+            "front_grids": np.concatenate([front.grids for front in fronts]),
+            "front_scores": np.concatenate([front.scores for front in fronts]),
+        },
+    )
+
+
+def load_checkpoint(
+    path: str | os.PathLike[str], config: SearchConfig, scene: SceneConfig
+) -> SearchState:
+    """Read where a search stood.
+
+    Raises
+    ------
+    InputError
+        Naming the file, if it cannot be read or belongs to another search; the message says what
+        differs.
+    """
+    arrays = read_archive(path, _SCHEMA, _SCHEMA_VERSION)
+    try:
+        theirs, ours = json.loads(str(arrays["search"])), _identity(config, scene)
+        differing = [
+            f"{name} {theirs.get(name)} instead of {value}"
+            for name, value in ours.items()
+            if theirs.get(name) != value
+        ]
+        if differing:
+            raise InputError(
+                f"{path}: this is a checkpoint of another search: {', '.join(differing)}; use "
+                "another file, or the same options"
+            )
+        ends = np.cumsum(arrays["front_sizes"])[:-1]
+        fronts = [
+            Front(grids, scores)
+            for grids, scores in zip(
+                np.split(arrays["front_grids"], ends),
+                np.split(arrays["front_scores"], ends),
+                strict=True,
+            )
+        ]
+        parts = zip(arrays["grids"], arrays["objective"], fronts, arrays["scored"], strict=True)
+        islands = tuple(
+            Island(grids, objective, front, int(scored))
+            for grids, objective, front, scored in parts
+        )
+        return SearchState(islands, int(arrays["epoch"]))
+    except (KeyError, json.JSONDecodeError, AttributeError) as error:
+        raise InputError(
+            f"{path}: cannot be read as a {_SCHEMA}: something is missing in it"
+        ) from error
+
+
+def _identity(config: SearchConfig, scene: SceneConfig) -> dict[str, object]:
+    """Return what makes two searches the same one."""
+    return dataclasses.asdict(config) | dataclasses.asdict(scene)

@@ -1,0 +1,286 @@
+"""How an aperture is best cut up, if things move: the analysis of thesis 7.4."""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import numpy as np
+import scipy.fft
+from numpy.typing import ArrayLike, NDArray
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.methods.motion.kernels import Motions, motion_kernel
+from coded_aperture_ros.optics import Mask, render_psf_stack
+
+# Side of the smallest hole that still shows a point as one, mm, for a lens of 50 mm (thesis 7.4.1).
+SMALLEST_HOLE_MM = 2.79
+# Side of the patch whose frequencies are counted, px (thesis 7.4.2).
+PATCH_PX = 64
+# Noise levels of thesis 7.4.2, relative to the brightness.
+NOISE_LEVELS = tuple(np.arange(1, 11) / 100)
+# More placements than this are not all tried: as many at random are, and improved by exchanges.
+MOST_PLACEMENTS = 3000
+# How finely the disc is drawn, cells for each of the grid's.
+_DISC_CELLS = 32
+_SUBCELLS = 8
+
+
+def most_holes(
+    focal_length_mm: float, f_number: float, smallest_hole_mm: float = SMALLEST_HOLE_MM
+) -> int:
+    """Return how many square holes let as much light through as a round aperture (eq. 7.5).
+
+    Parameters
+    ----------
+    focal_length_mm, f_number : float
+        Of the round aperture.
+    smallest_hole_mm : float, optional
+        Side of the smallest hole that diffraction allows.
+    """
+    _check_positive(
+        focal_length_mm=focal_length_mm, f_number=f_number, smallest_hole_mm=smallest_hole_mm
+    )
+    return int(math.pi * (focal_length_mm / (2 * f_number)) ** 2 / smallest_hole_mm**2)
+
+
+def hole_side_mm(focal_length_mm: float, f_number: float, holes: int) -> float:
+    """Return the side of square holes with the light of a round aperture (eq. 7.6), mm."""
+    _check_positive(focal_length_mm=focal_length_mm, f_number=f_number, holes=holes)
+    return math.sqrt(math.pi / holes) * focal_length_mm / (2 * f_number)
+
+
+def round_mask(grid: int, holes: int) -> Mask:
+    """Return the disc with the light of `holes` cells of a grid, as a mask of that grid's extent.
+
+    Raises
+    ------
+    InputError
+        If the disc is larger than the grid.
+    """
+    radius = math.sqrt(holes / math.pi) / grid  # of the extent
+    if radius > 0.5:
+        raise InputError(
+            f"{holes} holes in a {grid}x{grid} grid: a disc of as much light is larger than the "
+            "grid: take fewer holes"
+        )
+    cells = grid * _DISC_CELLS
+    fine = (np.arange(cells * _SUBCELLS) + 0.5) / (cells * _SUBCELLS) - 0.5
+    inside = np.hypot(fine[:, None], fine) <= radius
+    coverage = inside.reshape(cells, _SUBCELLS, cells, _SUBCELLS).mean(axis=(1, 3))
+    return Mask("disc", coverage.astype(np.float32))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fragmentation:
+    """What is left of the frequencies behind each placement of holes.
+
+    Attributes
+    ----------
+    masks : list of Mask
+        Placements, no two of them alike but for a turn or a reflection.
+    preserved : ndarray, float64 [placements, noise levels]
+        ``M_w`` of eq. 7.8 as a share of all frequencies, levels and motions.
+    disc : Mask
+        The round aperture of equal light.
+    disc_preserved : ndarray, float64 [noise levels]
+    noise_levels : tuple of float
+    placements : int
+        How many ways there are to place the holes, turned ones and all.
+    exhaustive : bool
+        Whether all of them were tried.
+    """
+
+    masks: list[Mask]
+    preserved: NDArray[np.float64]
+    disc: Mask
+    disc_preserved: NDArray[np.float64]
+    noise_levels: tuple[float, ...]
+    placements: int
+    exhaustive: bool
+
+    def best(self, lowest: float, highest: float) -> int:
+        """Return which placement preserves most over the noise levels in a range."""
+        levels = np.array(self.noise_levels)
+        chosen = (levels > lowest - 1e-9) & (levels < highest + 1e-9)
+        if not chosen.any():
+            raise InputError(f"noise: none of the levels is from {lowest:g} to {highest:g}")
+        return int(np.argmax(self.preserved[:, chosen].sum(axis=1)))
+
+
+def analyse_fragmentation(
+    grid: int,
+    holes: int,
+    blur_sizes_px: ArrayLike,
+    motions: Motions,
+    noise_levels: Iterable[float] = NOISE_LEVELS,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    seed: int = 0,
+) -> Fragmentation:
+    """Count the frequencies above the noise for every way to place holes (thesis 7.4.2).
+
+    Parameters
+    ----------
+    grid, holes : int
+        So many open cells in a square grid of so many cells a side.
+    blur_sizes_px : array_like of float
+        Extents of the grid in the image, px.
+    motions : Motions
+    noise_levels : iterable of float, optional
+        ``w`` of eq. 7.8; the texture has 1 at every frequency.
+    progress : callable, optional
+        Wraps the iteration over placements.
+    seed : int, optional
+        Of the placements that are tried where there are too many to try all.
+
+    Raises
+    ------
+    InputError
+        If the holes do not fit the grid, or a disc of their light does not.
+    """
+    if grid < 1 or not 1 <= holes <= grid**2:
+        raise InputError(f"{holes} holes: expected 1 to {grid**2} in a grid of {grid}x{grid}")
+    disc = round_mask(grid, holes)
+    noise = tuple(noise_levels)
+    count = _Counter(np.atleast_1d(np.asarray(blur_sizes_px, np.float64)), motions, noise)
+    total = math.comb(grid**2, holes)
+    exhaustive = total <= 8 * MOST_PLACEMENTS
+    candidates = _different(grid, holes) if exhaustive else _drawn(grid, holes, seed)
+    measured = {cells: count(_mask(grid, cells)) for cells in progress(candidates)}
+    if not exhaustive:
+        measured.update(_improved(grid, measured, count))
+    order = sorted(measured, key=lambda cells: (-measured[cells].sum(), cells))
+    return Fragmentation(
+        masks=[_mask(grid, cells) for cells in order],
+        preserved=np.array([measured[cells] for cells in order]),
+        disc=disc,
+        disc_preserved=count(disc),
+        noise_levels=noise,
+        placements=total,
+        exhaustive=exhaustive,
+    )
+
+
+class _Counter:
+    """Counts the frequencies that stay above the noise (eq. 7.8)."""
+
+    def __init__(
+        self, blur_sizes_px: NDArray[np.float64], motions: Motions, noise: tuple[float, ...]
+    ) -> None:
+        self._sizes, self._noise = blur_sizes_px, noise
+        traces = [motion_kernel((vector[0], vector[1])) for vector in motions.vectors_px]
+        self._traces = np.array([transfer(trace) for trace in traces], np.float32)
+        rows, columns = self._traces.shape[1:]
+        once = (np.arange(columns) == 0) | (2 * (columns - 1) == np.arange(columns))
+        self._counts = np.broadcast_to(np.where(once, 1.0, 2.0), (rows, columns)).ravel()
+
+    def __call__(self, mask: Mask) -> NDArray[np.float64]:
+        stack = render_psf_stack(mask, self._sizes)
+        above = np.zeros(len(self._noise))
+        traces = self._traces.reshape(len(self._traces), -1)
+        for psf in stack.psfs:
+            passed = traces * transfer(psf).ravel()
+            for index, noise in enumerate(self._noise):
+                above[index] += ((passed > noise) @ self._counts).sum()
+        return above / (len(stack) * len(traces) * self._counts.sum())
+
+
+def transfer(psf: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the modulus of a PSF's Fourier coefficients for a patch of `PATCH_PX`, as ``rfft2``.
+
+    A PSF wider than the patch wraps around, as the patch itself is taken to.
+    """
+    side = PATCH_PX * math.ceil(len(psf) / PATCH_PX)
+    padded = np.zeros((side, side))
+    padded[: len(psf), : len(psf)] = psf
+    folded = padded.reshape(side // PATCH_PX, PATCH_PX, side // PATCH_PX, PATCH_PX).sum(axis=(0, 2))
+    return np.abs(scipy.fft.rfft2(folded)).astype(np.float32)
+
+
+def _different(grid: int, holes: int) -> list[tuple[int, ...]]:
+    """Return one of each set of placements that are turns and reflections of each other."""
+    turned = _turned(grid)
+    return sorted(
+        {_first(cells, turned) for cells in itertools.combinations(range(grid**2), holes)}
+    )
+
+
+def _drawn(grid: int, holes: int, seed: int) -> list[tuple[int, ...]]:
+    """Return placements drawn at random."""
+    random, turned = np.random.default_rng(seed), _turned(grid)
+    return sorted(
+        {
+            _first(tuple(random.choice(grid**2, holes, replace=False)), turned)
+            for _ in range(MOST_PLACEMENTS // 4)
+        }
+    )
+
+
+def _improved(
+    grid: int, measured: dict[tuple[int, ...], NDArray[np.float64]], count: _Counter
+) -> Iterator[tuple[tuple[int, ...], NDArray[np.float64]]]:
+    """Move one hole of the best placement after the other, as long as that helps."""
+    turned = _turned(grid)
+    best = max(measured, key=lambda cells: float(measured[cells].sum()))
+    most, better = measured[best].sum(), True
+    while better:
+        better = False
+        for hole, place in itertools.product(range(len(best)), range(grid**2)):
+            if place in best:
+                continue
+            cells = _first((*best[:hole], place, *best[hole + 1 :]), turned)
+            found = count(_mask(grid, cells))
+            yield cells, found
+            if found.sum() > most:
+                best, most, better = cells, found.sum(), True
+                break
+
+
+def _turned(grid: int) -> list[NDArray[np.intp]]:
+    """Return where every cell comes to lie in each of the eight turns and reflections."""
+    cells = np.arange(grid**2).reshape(grid, grid)
+    turns = [np.rot90(cells, turn) for turn in range(4)]
+    return [np.argsort(turn.ravel()) for turn in (*turns, *(turn.T for turn in turns))]
+
+
+def _first(cells: tuple[int, ...], turned: list[NDArray[np.intp]]) -> tuple[int, ...]:
+    """Return the first in order of all turns and reflections of a placement."""
+    chosen = list(cells)
+    return min(tuple(int(cell) for cell in np.sort(turn[chosen])) for turn in turned)
+
+
+def _mask(grid: int, cells: tuple[int, ...]) -> Mask:
+    transmission = np.zeros(grid**2, np.float32)
+    transmission[list(cells)] = 1
+    name = "-".join(
+        "".join("1" if cell else "0" for cell in row) for row in transmission.reshape(grid, grid)
+    )
+    return Mask(name, transmission.reshape(grid, grid))
+
+
+def _check_positive(**values: float) -> None:
+    for name, value in values.items():
+        if not 0 < value < math.inf:
+            raise InputError(f"{name}: expected more than 0, got {value!r}")
+
+
+LEVELS = 10
+
+
+DIRECTIONS = 8
+
+
+LENGTHS = 8
+
+
+# It does not say how large blur and motion are; 12 px is its longest motion in a photograph.
+BLUR_SIZES_PX = tuple(np.linspace(7.0, 25.0, LEVELS))
+
+
+LENGTHS_PX = tuple(1.5 * np.arange(1, LENGTHS + 1))
+
+
+def table_motions() -> Motions:
+    """Return the 64 motions of the table, in order of direction, then length."""
+    return Motions.grid(DIRECTIONS, LENGTHS_PX, still=False)

@@ -1,0 +1,351 @@
+"""The depth error that a mask will have with given pictures.
+
+Sharp patches of the pictures are blurred with the mask's PSFs, and the energies of the filter bank
+decide which blur level each shows. That is what depth estimation does with a plane, but without
+learning a bank: only every second frequency of a window counts, as neighbours share what they tell.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank.fourier import WindowedFourierBasis
+from coded_aperture_ros.bank.learning import RATIOS
+from coded_aperture_ros.bank.model import LEAST_EXCESS, OWN_NOISE, plausible_ratios
+from coded_aperture_ros.bank.prior import NaturalImagePrior, power_spectrum
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.io.textures import Textures
+from coded_aperture_ros.mask_design.predict import SIGMAS, check_sigmas, check_two_colours
+from coded_aperture_ros.mask_design.spectra import SceneConfig
+from coded_aperture_ros.optics import Mask, render_psf_stack
+from coded_aperture_ros.optics.psf import psf_width
+
+WINDOW_PX = 96
+WINDOWS = 768
+# Blur has removed most of the texture above, cycles per pixel.
+_HIGHEST = 0.35
+# Patches that are blurred at a time: no more memory than needed.
+_BLOCK = 64
+
+
+def patch_side_px(scene: SceneConfig, window_px: int = WINDOW_PX) -> int:
+    """Return the side of sharp patches: a window, and room for the largest PSF around it.
+
+    It is even, and quick to transform.
+    """
+    least = window_px + psf_width(scene.largest_px)
+    return int(2 * scipy.fft.next_fast_len((least + 1) // 2, real=True))
+
+
+def patches_of_pictures(
+    textures: Textures, count: int, side_px: int, seed: int = 0
+) -> NDArray[np.float32]:
+    """Cut patches at random places of pictures.
+
+    Parameters
+    ----------
+    textures : Textures
+    count : int
+    side_px : int
+        Side of the patches; see `patch_side_px`.
+    seed : int, optional
+
+    Returns
+    -------
+    ndarray, float32 [count, side_px, side_px]
+
+    Raises
+    ------
+    InputError
+        If no picture is large enough.
+    """
+    return textures.crops(count, side_px, side_px, np.random.default_rng(seed))
+
+
+def patches_of_columns(
+    textures: Textures, count: int, side_px: int, step_px: int, seed: int = 0
+) -> NDArray[np.float32]:
+    """Cut patches as a stair has them: crops above each other, with seams where they meet.
+
+    Parameters
+    ----------
+    textures : Textures
+    count : int
+    side_px : int
+        Side of the patches; see `patch_side_px`.
+    step_px : int
+        Rows of a crop.
+    seed : int, optional
+
+    Returns
+    -------
+    ndarray, float32 [count, side_px, side_px]
+        The middle of a patch lies anywhere in a crop, from its first to its last row.
+
+    Raises
+    ------
+    InputError
+        If no picture is large enough.
+    """
+    random = np.random.default_rng(seed)
+    # So many that a patch fits in wherever in the first whole step it begins.
+    steps = 1 + -(-side_px // step_px)
+    patches = np.empty((count, side_px, side_px), np.float32)
+    for block in _blocks(count):
+        here = patches[block]
+        crops = textures.crops(len(here) * steps, step_px, side_px, random)
+        columns = crops.reshape(len(here), steps * step_px, side_px)
+        tops = random.integers(step_px, size=len(here))
+        for patch, column, top in zip(here, columns, tops, strict=True):
+            patch[:] = column[top : top + side_px]
+    return patches
+
+
+class PictureScorer:
+    """Predicts the depth errors of masks with given pictures.
+
+    Parameters
+    ----------
+    patches : ndarray, float32 [N, side, side]
+        Sharp and grey, 0 to 1; side as from `patch_side_px`. Each is blurred with one level of
+        the scene; levels are as frequent as each other.
+    scene : SceneConfig, optional
+        Its blur sizes. The texture is that of the patches, whatever its slope.
+    sigmas : sequence of float, optional
+        Noise behind an open aperture (standard deviation, linear light); divided by the light
+        that a mask passes.
+    seed : int, optional
+        Of the levels and of the noise, which are the same for every mask.
+    window_px : int, optional
+        Side of the windows that depth is estimated from; even.
+
+    Attributes
+    ----------
+    true_levels : ndarray of int [N]
+        What each patch is blurred with.
+
+    Raises
+    ------
+    InputError
+        If the patches have another shape, there is none, the largest PSF does not fit the window,
+        a noise is not above 0, or the scene has motion or diffraction.
+    """
+
+    def __init__(
+        self,
+        patches: NDArray[np.float32],
+        scene: SceneConfig | None = None,
+        sigmas: Sequence[float] = SIGMAS,
+        seed: int = 0,
+        window_px: int = WINDOW_PX,
+    ) -> None:
+        self.scene = scene or SceneConfig()
+        self.sigmas = tuple(sigmas)
+        self.spectra = WindowSpectra(window_px)
+        self.side_px = patch_side_px(self.scene, window_px)
+        check_sigmas(sigmas)
+        _check_scene(self.scene, window_px)
+        _check_patches(patches, self.side_px)
+        random = np.random.default_rng(seed)
+        count = len(patches)
+        self.true_levels = random.permutation(np.arange(count) % self.scene.levels)
+        self._sharp = scipy.fft.rfft2(patches.astype(np.float32, copy=False))
+        self._noise = np.concatenate(
+            [self.spectra.of_windows(_white(block, window_px, random)) for block in _blocks(count)]
+        )
+
+    def depth_error(self, mask: Mask) -> NDArray[np.float64]:
+        """Predict the mean |level error| of a mask, at every noise.
+
+        Returns
+        -------
+        ndarray, float64 [noises]
+
+        Raises
+        ------
+        InputError
+            If the mask has one colour: where nothing is closed, there is no pattern.
+        """
+        check_two_colours(mask)
+        psfs = render_psf_stack(mask, self.scene.blur_sizes_px).psfs
+        blurred = self._blurred(psfs)
+        expected = self.spectra.expected(psfs)
+        errors = []
+        for sigma in self.sigmas:
+            noise = sigma / mask.open_fraction
+            power = np.abs(blurred + np.float32(noise) * self._noise) ** 2
+            levels = likeliest_levels(self.spectra.energies(power, expected, noise))
+            errors.append(np.abs(levels - self.true_levels).mean())
+        return np.array(errors)
+
+    def _blurred(self, psfs: NDArray[np.float32]) -> NDArray[np.complex64]:
+        """Return the spectra of the windows in the middle of blurred patches [N, K]."""
+        side, reach = self.side_px, psfs.shape[-1] // 2
+        centred = np.zeros((len(psfs), side, side), np.float32)
+        centred[:, : psfs.shape[1], : psfs.shape[2]] = psfs
+        transfer = scipy.fft.rfft2(np.roll(centred, (-reach, -reach), (1, 2)))
+        margin = (side - self.spectra.window_px) // 2
+        middle = slice(margin, margin + self.spectra.window_px)
+        blurred = np.empty_like(self._noise)
+        for block in _blocks(len(blurred)):
+            spectrum = self._sharp[block] * transfer[self.true_levels[block]]
+            patches = scipy.fft.irfft2(spectrum, (side, side))
+            blurred[block] = self.spectra.of_windows(patches[:, middle, middle])
+        return blurred
+
+
+class WindowSpectra:
+    """Every second frequency of windows, and what the filter bank makes of them.
+
+    Parameters
+    ----------
+    window_px : int
+        Side of the windows; even.
+
+    Attributes
+    ----------
+    multiplicity : ndarray, float32 [K]
+        How many coefficients of the full transform each frequency stands for.
+
+    Raises
+    ------
+    InputError
+        If the side is odd or below 8 px.
+    """
+
+    def __init__(self, window_px: int) -> None:
+        fourier = WindowedFourierBasis(window_px, _HIGHEST)
+        self.window_px = window_px
+        self._window = fourier.window
+        multiplicity = fourier.multiplicity.reshape(window_px, -1)[::2, ::2]
+        self._counts = multiplicity > 0
+        self.multiplicity = multiplicity[self._counts]
+        self._prior = NaturalImagePrior()
+
+    def of_windows(self, windows: NDArray[np.float32]) -> NDArray[np.complex64]:
+        """Return the spectra of windows.
+
+        Parameters
+        ----------
+        windows : ndarray, float32 [N, window_px, window_px]
+
+        Returns
+        -------
+        ndarray, complex64 [N, K]
+            White noise of variance s^2 has the expected power s^2.
+        """
+        half = self.window_px // 2
+        weighted = windows * (self._window[:, None] * self._window)
+        # Every second frequency is what a transform of the sum of both halves has.
+        folded = weighted.reshape(-1, 2, half, 2, half).sum(axis=(1, 3))
+        taken: NDArray[np.complex64] = scipy.fft.rfft2(folded)[:, self._counts]
+        return taken
+
+    def expected(self, psfs: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the power that is expected of the prior's texture behind PSFs.
+
+        Parameters
+        ----------
+        psfs : ndarray, float32 [L, k, k]
+            No larger than the window.
+
+        Returns
+        -------
+        ndarray, float32 [slopes, L, K]
+            For unit contrast, with the model error, as `learn_bank` has it.
+        """
+        # Two windows wide: what is farther away than a window, no window sees.
+        torus = 2 * self.window_px
+        transfer = scipy.fft.rfft2(psfs, (torus, torus))
+        gain = transfer.real**2 + transfer.imag**2
+        of_window = scipy.fft.rfft(self._window, torus)
+        overlap = scipy.fft.irfft(of_window.real**2 + of_window.imag**2, torus)
+        spectra = []
+        for slope in self._prior.slopes:
+            # The scale is that of four windows, as in `WindowedFourierBasis.expected_power`.
+            texture = power_spectrum(slope, (2 * torus, 2 * torus))[::2, ::2].astype(np.float32)
+            # No window sees the mean; without it, rounding is less than the power in the zeros.
+            texture[0, 0] = 0
+            covariance = scipy.fft.irfft2(texture * gain, (torus, torus))
+            covariance *= overlap[:, None] * overlap
+            spectrum = scipy.fft.rfft2(covariance).real[:, ::4, ::4]
+            spectra.append(np.maximum(spectrum[:, self._counts], 0))
+        return np.array(spectra, np.float32) + np.float32(self._prior.model_error**2)
+
+    def energies(
+        self, power: NDArray[np.float32], expected: NDArray[np.float32], noise: float
+    ) -> NDArray[np.float32]:
+        """Return the energy of every level for every window; see `FilterBank.energies`.
+
+        Parameters
+        ----------
+        power : ndarray, float32 [N, K]
+            Of the windows, noise included.
+        expected : ndarray, float32 [slopes, L, K]
+        noise : float
+            Standard deviation, linear light, > 0.
+
+        Returns
+        -------
+        ndarray, float32 [N, L]
+            In units of the number of frequencies. Lower is likelier.
+        """
+        count = self.multiplicity.sum()
+        ratios = RATIOS[plausible_ratios(RATIOS, self._prior.contrasts, noise)]
+        variances = ratios.astype(np.float32)[:, None, None, None] * expected + 1
+        hypotheses = (len(ratios) * len(expected), expected.shape[1])
+        determinants = np.exp(np.log(variances) @ self.multiplicity / count).reshape(hypotheses)
+        weights = (self.multiplicity / variances).reshape(-1, len(self.multiplicity))
+        share = power * np.float32(1 / (count * noise**2))
+        excess = (share @ weights.T).reshape(-1, *hypotheses)
+        best = ((excess + OWN_NOISE) * determinants).min(axis=1)
+        textureless = share @ self.multiplicity + OWN_NOISE
+        return np.log(np.clip(best, LEAST_EXCESS, textureless[:, None])).astype(np.float32)
+
+
+def likeliest_levels(energies: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the level of least energy, or the middle one where all are the same [N].
+
+    Parameters
+    ----------
+    energies : ndarray, float32 [N, L]
+    """
+    middle = (energies.shape[1] - 1) / 2
+    undecided = energies.max(axis=1) == energies.min(axis=1)
+    return np.where(undecided, middle, energies.argmin(axis=1)).astype(np.float64)
+
+
+def _check_scene(scene: SceneConfig, window_px: int) -> None:
+    for name in ("motion_px", "diffraction_px"):
+        if getattr(scene, name) > 0:
+            raise InputError(
+                f"{name}: the prediction from pictures knows none: leave it at 0, or predict "
+                "from the mask alone"
+            )
+    widest = psf_width(scene.largest_px)
+    if widest > window_px:
+        raise InputError(
+            f"a PSF of {widest} px does not fit the {window_px} px window: "
+            "use a larger window, or smaller blur sizes"
+        )
+
+
+def _check_patches(patches: NDArray[np.float32], side_px: int) -> None:
+    if patches.ndim != 3 or len(patches) == 0 or patches.shape[1:] != (side_px, side_px):
+        raise InputError(
+            f"patches: expected the shape [N, {side_px}, {side_px}] for this scene's largest "
+            f"blur, got {list(patches.shape)}"
+        )
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    for start in range(0, count, _BLOCK):
+        yield slice(start, min(start + _BLOCK, count))
+
+
+def _white(block: slice, window_px: int, random: np.random.Generator) -> NDArray[np.float32]:
+    """Return white noise of variance 1, a window for each patch of a block."""
+    shape = (block.stop - block.start, window_px, window_px)
+    return random.standard_normal(shape, dtype=np.float32)

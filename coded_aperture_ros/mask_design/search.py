@@ -1,0 +1,266 @@
+"""The search for better masks: islands of masks that change, mix and cool down.
+
+An island is a few dozen masks with scores. In an epoch each mask gets a child, many times; a child
+takes its parent's place if it is better, or, as in annealing, sometimes if it is a little worse.
+An epoch depends on nothing but what it starts from, so that any process of any machine can do it,
+and do it again if the process dies.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.mask_design.grids import (
+    CARRIERS,
+    SYMMETRIES,
+    allowed,
+    changed,
+    random_grids,
+)
+from coded_aperture_ros.mask_design.pareto import Front
+from coded_aperture_ros.mask_design.predict import SIGMAS, MaskScorer
+from coded_aperture_ros.mask_design.spectra import SceneConfig
+
+_MASKS = 64
+_FRONT = 60
+# Temperatures in the scale of the logarithm of the objective.
+_HOT, _COLD = 0.1, 0.002
+_TRIES = 30
+
+
+@dataclasses.dataclass(frozen=True)
+class SearchConfig:
+    """Which masks are looked for, and for how long."""
+
+    cells: int = option(11, "Cells along a side of the mask's grid.", minimum=7, maximum=13)
+    smallest_opening: int = option(
+        1, "Every opening is made of open squares of so many cells.", unit="cells", minimum=1,
+        maximum=4,
+    )  # fmt: skip
+    least_light: float = option(0.15, "Least open share of the mask.", minimum=0.0, maximum=1.0)
+    most_light: float = option(0.8, "Most open share of the mask.", minimum=0.0, maximum=1.0)
+    carrier: str = option(
+        "transparent",
+        "What holds the closed cells: transparent film, or, connected, they must hang together.",
+        choices=CARRIERS,
+    )
+    symmetry: str = option(
+        "none", "The same after a half turn (point), or in a mirror.", choices=SYMMETRIES
+    )
+    deblurring: float = option(
+        0.3,
+        "Weight of the deblurring error beside the depth error in what is looked for.",
+        minimum=0.0,
+        maximum=10.0,
+    )
+    islands: int = option(4, "Populations that rarely mix.", minimum=1, maximum=256)
+    epochs: int = option(20, "Rounds of the search.", minimum=1, maximum=100000)
+    generations: int = option(40, "Children of every mask in a round.", minimum=1, maximum=10000)
+    seed: int = option(0, "Of the random numbers.", minimum=0)
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        if not self.least_light < self.most_light:
+            raise InputError(
+                f"least_light: expected less than most_light, got {self.least_light:g} and "
+                f"{self.most_light:g}"
+            )
+
+    @property
+    def masks_scored(self) -> int:
+        """About how many masks the search scores at most."""
+        return self.islands * self.epochs * self.generations * _MASKS
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Island:
+    """A population.
+
+    Attributes
+    ----------
+    grids : ndarray of bool [masks, n, n]
+    objective : ndarray, float64 [masks]
+        Less is better; infinite before the first epoch.
+    front : Front
+        Of all masks that were ever scored here.
+    scored : int
+        How many that were.
+    """
+
+    grids: NDArray[np.bool_]
+    objective: NDArray[np.float64]
+    front: Front
+    scored: int = 0
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SearchState:
+    """Where a search stands after some epochs."""
+
+    islands: tuple[Island, ...]
+    epoch: int
+
+    @property
+    def front(self) -> Front:
+        """The Pareto front of all islands."""
+        front = Front.empty(self.islands[0].grids.shape[-1])
+        for island in self.islands:
+            front = front.with_masks(island.front.grids, island.front.scores, _FRONT)
+        return front
+
+    @property
+    def best(self) -> NDArray[np.bool_]:
+        """The mask with the least objective [n, n]."""
+        island = min(self.islands, key=lambda each: each.objective.min())
+        best: NDArray[np.bool_] = island.grids[int(np.argmin(island.objective))]
+        return best
+
+    @property
+    def scored(self) -> int:
+        """How many masks were scored."""
+        return sum(island.scored for island in self.islands)
+
+
+def first_state(config: SearchConfig) -> SearchState:
+    """Draw the populations that a search begins with.
+
+    Raises
+    ------
+    InputError
+        If the constraints leave next to no mask.
+    """
+    islands = []
+    for number in range(config.islands):
+        random = np.random.default_rng([config.seed, number])
+        grids = np.zeros((0, config.cells, config.cells), bool)
+        for _ in range(_TRIES):
+            drawn = random_grids(
+                *(_MASKS, config.cells, config.smallest_opening, config.symmetry, random),
+                light=(config.least_light, config.most_light),
+            )
+            grids = np.concatenate([grids, drawn[_allowed(drawn, config)]])[:_MASKS]
+            if len(grids) == _MASKS:
+                break
+        else:
+            raise InputError(
+                "mask search: the constraints on light, openings, carrier and symmetry leave "
+                f"almost no mask of {config.cells}x{config.cells} cells: loosen one of them"
+            )
+        islands.append(Island(grids, np.full(_MASKS, np.inf), Front.empty(config.cells)))
+    return SearchState(tuple(islands), 0)
+
+
+def run_epoch(
+    island: Island, number: int, epoch: int, config: SearchConfig, scene: SceneConfig
+) -> Island:
+    """Change the masks of an island for one epoch.
+
+    Parameters
+    ----------
+    island : Island
+    number, epoch : int
+        Of the island and of the epoch: they choose the random numbers.
+    config : SearchConfig
+    scene : SceneConfig
+
+    Returns
+    -------
+    Island
+        The same for the same arguments, on any machine.
+    """
+    random = np.random.default_rng([config.seed, number, epoch + 1])
+    grids, objective, front = island.grids.copy(), island.objective.copy(), island.front
+    scored = island.scored
+    if not np.isfinite(objective).all():
+        objective, scores = _objective(grids, config, scene)
+        front, scored = front.with_masks(grids, scores, _FRONT), scored + len(grids)
+    for generation in range(config.generations):
+        done = (epoch + generation / config.generations) / config.epochs
+        temperature = _HOT * (_COLD / _HOT) ** done
+        children = changed(grids, config.smallest_opening, config.symmetry, random)
+        fits = np.flatnonzero(_allowed(children, config))
+        if not len(fits):
+            continue
+        found, scores = _objective(children[fits], config, scene)
+        scored += len(fits)
+        front = front.with_masks(children[fits], scores, _FRONT)
+        gain = objective[fits] - found
+        taken = random.random(len(fits)) < np.exp(np.clip(gain / temperature, -50, 0))
+        grids[fits[taken]], objective[fits[taken]] = children[fits[taken]], found[taken]
+    # The worst quarter gives way to the best of all times.
+    worst = np.argsort(objective)[-(_MASKS // 4) :]
+    value = _value(front.scores, config)
+    kept = np.argsort(value)[: len(worst)]
+    grids[worst[: len(kept)]], objective[worst[: len(kept)]] = front.grids[kept], value[kept]
+    return Island(grids, objective, front, scored)
+
+
+def search_epochs(
+    config: SearchConfig,
+    scene: SceneConfig,
+    run_all: Callable[[list[tuple[Any, ...]]], Iterable[Island]],
+    state: SearchState | None = None,
+) -> Iterator[SearchState]:
+    """Search until the last epoch, and yield the state after each.
+
+    Parameters
+    ----------
+    config, scene
+    run_all : callable
+        Gets the arguments of `run_epoch` for every island and returns the islands in order; here
+        the work can be shared.
+    state : SearchState, optional
+        Where to go on.
+    """
+    state = state or first_state(config)
+    while state.epoch < config.epochs:
+        tasks = [
+            (island, number, state.epoch, config, scene)
+            for number, island in enumerate(state.islands)
+        ]
+        state = SearchState(_with_migrants(list(run_all(tasks))), state.epoch + 1)
+        yield state
+
+
+def _with_migrants(islands: list[Island]) -> tuple[Island, ...]:
+    """Let the best mask of each island take the place of the next one's worst."""
+    moved = []
+    for number, island in enumerate(islands):
+        source = islands[number - 1]
+        best, worst = int(np.argmin(source.objective)), int(np.argmax(island.objective))
+        grids, objective = island.grids.copy(), island.objective.copy()
+        grids[worst], objective[worst] = source.grids[best], source.objective[best]
+        moved.append(dataclasses.replace(island, grids=grids, objective=objective))
+    return tuple(moved)
+
+
+def _allowed(grids: NDArray[np.bool_], config: SearchConfig) -> NDArray[np.bool_]:
+    light = (config.least_light, config.most_light)
+    return allowed(grids, config.smallest_opening, light, config.carrier)
+
+
+def _objective(
+    grids: NDArray[np.bool_], config: SearchConfig, scene: SceneConfig
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    predicted = _scorer(scene).score_grids(grids.astype(np.float32))
+    # The geometric mean: each noise counts by its ratio.
+    depth = np.exp(np.log(predicted.depth_error).mean(axis=1))
+    deblurring = predicted.deblurring_error.mean(axis=1)
+    scores = np.stack([depth, deblurring, 1 - predicted.light], axis=1)
+    return _value(scores, config), scores
+
+
+def _value(scores: NDArray[np.float64], config: SearchConfig) -> NDArray[np.float64]:
+    value: NDArray[np.float64] = np.log(scores[:, 0]) + config.deblurring * np.log(scores[:, 1])
+    return value
+
+
+@lru_cache(maxsize=2)
+def _scorer(scene: SceneConfig) -> MaskScorer:
+    return MaskScorer(scene, SIGMAS)

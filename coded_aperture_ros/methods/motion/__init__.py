@@ -1,0 +1,20 @@
+"""Depth and motion together: blur by defocus and by what moves during the exposure."""
+
+from coded_aperture_ros.methods.motion.bank import MotionBank, learn_motion_bank
+from coded_aperture_ros.methods.motion.config import MotionConfig
+from coded_aperture_ros.methods.motion.estimator import MotionEstimate, MotionEstimator
+from coded_aperture_ros.methods.motion.kernels import Motions, blurred_psf, motion_kernel
+from coded_aperture_ros.methods.motion.rotation import ExpectedMotion, expected_motion
+
+__all__ = [
+    "ExpectedMotion",
+    "MotionBank",
+    "MotionConfig",
+    "MotionEstimate",
+    "MotionEstimator",
+    "Motions",
+    "blurred_psf",
+    "expected_motion",
+    "learn_motion_bank",
+    "motion_kernel",
+]

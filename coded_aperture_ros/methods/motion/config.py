@@ -1,0 +1,87 @@
+"""Settings of depth and motion together."""
+
+import dataclasses
+
+import numpy as np
+
+from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.methods.motion.kernels import Motions
+
+
+@dataclasses.dataclass(frozen=True)
+class MotionConfig:
+    """Which motions during an exposure are told apart, and how they are chosen."""
+
+    motion_directions: int = option(
+        8,
+        "Directions of motion that are told apart, from 0 to 180 degrees.",
+        minimum=1,
+        maximum=64,
+        read_only=True,
+    )
+    motion_lengths: int = option(
+        8,
+        "Lengths of motion that are told apart in each direction.",
+        minimum=1,
+        maximum=64,
+        read_only=True,
+    )
+    longest_motion_px: float = option(
+        12.0,
+        "Longest motion during the exposure.",
+        unit="px",
+        minimum=0.5,
+        maximum=64.0,
+        read_only=True,
+    )
+    motion_rank: int = option(
+        128,
+        "Vectors in the common basis of the filters of all motions.",
+        minimum=1,
+        maximum=4096,
+        read_only=True,
+    )
+    finalists: int = option(
+        5,
+        "Motions, the likeliest of each patch, that are compared under several textures, without "
+        "the common basis; 0: it decides.",
+        minimum=0,
+        maximum=4096,
+        read_only=True,
+    )
+    motion_smoothness: float = option(
+        1.0,
+        "Strength of the spatial regularisation of motion, relative to its default.",
+        minimum=0.0,
+        maximum=100.0,
+    )
+    refinement_px: float = option(
+        0.0,
+        "Motions that occur are searched for to this accuracy, half a second or more for each; 0: "
+        "they lie where a parabola through the energies of those that are told apart is least.",
+        unit="px",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    stillness: float = option(
+        0.5,
+        "Evidence (natural logarithm) that a patch must have to be taken for moving.",
+        minimum=0.0,
+        maximum=100.0,
+    )
+    prior_motions: int = option(
+        3,
+        "With a known angular velocity: motions nearest to the expected one that are tried.",
+        minimum=1,
+        maximum=64,
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+    @property
+    def motions(self) -> Motions:
+        """All motions, no motion first; lengths are equally spaced."""
+        count = self.motion_lengths
+        lengths = self.longest_motion_px * np.arange(1, count + 1) / count
+        return Motions.grid(self.motion_directions, lengths)

@@ -1,0 +1,197 @@
+"""Energies from the spectra themselves, without a common basis.
+
+A basis that all motions share leaves out a little of each. That decides between neighbouring
+motions where there is hardly any noise. But the common basis knows well how rough a patch's texture
+is, and how strong: with that, all motions can be compared exactly at once, and the best few again
+under other textures.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank.model import LEAST_EXCESS, OWN_NOISE
+from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.likelihood.plan import Plan
+from coded_aperture_ros.methods.motion.bank import MotionBank
+
+# The last few of each patch are compared under so many contrasts, around the one that suits it.
+_CONTRASTS = 3
+# Patches whose hypotheses are tried at a time.
+_PATCHES = 128
+# Ratios of contrast and noise whose weights are kept, more than one frame needs: noise varies.
+_SPARE_RATIOS = 2
+
+
+class ExactEnergies:
+    """Computes energies of pairs of motion and level for all patches of a frame.
+
+    The weights of all ratios of contrast and noise would be large; those of the ratios that the
+    frame's noise calls for are made when they are needed, and kept.
+
+    Parameters
+    ----------
+    bank : MotionBank
+    plan : Plan
+        Of the engine: its products of transforms are what the weights are for.
+    workers : Workers
+    """
+
+    def __init__(self, bank: MotionBank, plan: Plan, workers: Workers) -> None:
+        self._bank, self._plan, self._workers = bank, plan, workers
+        self._weights: dict[int, NDArray[np.float32]] = {}
+        self._spectra = np.empty((0, 0), np.float32)
+        self._textureless = np.empty(0, np.float32)
+        self._texture = np.empty((2, 0), np.intp)
+        self._tried = slice(0, 0)
+        size = plan.features.shape[1] + 1
+        slopes, motions, levels, _ = bank.expected.shape
+        excess = max(motions, _CONTRASTS * slopes) * levels * _PATCHES
+        self._seen = np.empty((workers.threads, _PATCHES, size), np.float32)
+        self._excess = np.empty((workers.threads, excess), np.float32)
+
+    def take(self, spectra: NDArray[np.float32], texture: NDArray[np.intp], tried: slice) -> None:
+        """Take the patches of a frame.
+
+        Parameters
+        ----------
+        spectra : ndarray, float32 [patches, F + 1]
+            The plan's products of transforms, in units of the noise; the last of them is 1.
+        texture : ndarray of int [patches]
+            The hypothesis of contrast and slope that suits each patch, ``ratio * slopes + slope``
+            with the first ratio that is tried as 0.
+        tried : slice
+            The ratios that suit the frame's noise.
+        """
+        ratio, slope = np.divmod(texture, len(self._bank.expected))
+        self._spectra, self._texture = spectra, np.array([ratio + tried.start, slope])
+        self._textureless = spectra @ np.append(self._plan.features[-1], OWN_NOISE)
+        self._tried = tried
+        self._make_weights()
+
+    def of_all(self, energies: NDArray[np.float32]) -> None:
+        """Compute the energies of all motions under each patch's texture [M, L, patches]."""
+        pairs = energies.reshape(-1, energies.shape[2])
+
+        def compute(patches: NDArray[np.intp], thread: int) -> None:
+            ratio, slope = self._texture[:, patches[0]]
+            block = self._weights[int(ratio)][slope].reshape(len(pairs), -1)
+            pairs[:, patches] = self._least([block], patches, len(pairs), thread)
+
+        self._workers.each(compute, _alike(self._texture))
+
+    def of_some(self, motions: NDArray[np.intp]) -> NDArray[np.float32]:
+        """Return the energies of some motions [k, patches] likewise, [k, L, patches]."""
+        count, levels = len(motions), self._bank.levels
+        energies = np.empty((count * levels, motions.shape[1]), np.float32)
+        keys = np.vstack([motions, self._texture])
+
+        def compute(patches: NDArray[np.intp], thread: int) -> None:
+            ratio, slope = self._texture[:, patches[0]]
+            block = self._weights[int(ratio)][slope, motions[:, patches[0]]]
+            block = block.reshape(len(energies), -1)
+            energies[:, patches] = self._least([block], patches, len(energies), thread)
+
+        self._workers.each(compute, _alike(keys))
+        return energies.reshape(count, levels, -1)
+
+    def compare_best(
+        self,
+        energies: NDArray[np.float32],
+        motions: NDArray[np.intp],
+        seeded: NDArray[np.bool_],
+        count: int,
+    ) -> None:
+        """Lower the energies of the best few motions to the least under several textures.
+
+        Parameters
+        ----------
+        energies : ndarray, float32 [k, L, patches]
+            As from `of_all` or `of_some`.
+        motions : ndarray of int [k, patches]
+            Which motions they are of.
+        seeded : ndarray of bool [k, patches]
+            Which are among the few anyway.
+        count : int
+            How many of each patch.
+        """
+        best = energies.min(axis=1)
+        best[seeded] = -np.inf
+        count = min(count, len(best))
+        rows = np.argpartition(best, count - 1, axis=0)[:count].T.ravel()
+        patches = np.repeat(np.arange(best.shape[1]), count)
+        contrasts = min(_CONTRASTS, self._tried.stop - self._tried.start)
+        first = self._texture[0, patches] - contrasts // 2
+        first = np.clip(first, self._tried.start, self._tried.stop - contrasts)
+        keys = np.array([motions[rows, patches], first])
+        found = np.empty((len(patches), self._bank.levels), np.float32)
+
+        def compute(members: NDArray[np.intp], thread: int) -> None:
+            motion, first = keys[:, members[0]].tolist()
+            blocks = [
+                of_slope[motion]
+                for ratio in range(first, first + contrasts)
+                for of_slope in self._weights[ratio]
+            ]
+            found[members] = self._least(blocks, patches[members], found.shape[1], thread).T
+
+        self._workers.each(compute, _alike(keys))
+        energies[rows, :, patches] = found
+
+    def _least(
+        self,
+        blocks: list[NDArray[np.float32]],
+        patches: NDArray[np.intp],
+        count: int,
+        thread: int,
+    ) -> NDArray[np.float32]:
+        """Return the energies [count, n] of patches: the least of all blocks' [count, F + 1]."""
+        seen = self._seen[thread, : len(patches)]
+        np.take(self._spectra, patches, axis=0, out=seen)
+        excess = self._excess[thread, : len(blocks) * count * len(patches)]
+        excess = excess.reshape(len(blocks), count, len(patches))
+        for block, out in zip(blocks, excess, strict=True):
+            np.matmul(block, seen.T, out=out)
+        least = excess[0] if len(blocks) == 1 else excess.min(axis=0)
+        np.clip(least, LEAST_EXCESS, self._textureless[patches], out=least)
+        np.log(least, out=least)
+        least *= np.float32(self._plan.count)
+        return least
+
+    def _make_weights(self) -> None:
+        needed = range(self._tried.start, self._tried.stop)
+        for ratio in needed:
+            if ratio not in self._weights:
+                unneeded = [each for each in self._weights if each not in needed]
+                if len(self._weights) >= len(needed) + _SPARE_RATIOS:
+                    del self._weights[unneeded[0]]
+                self._weights[ratio] = self._weights_of(ratio)
+
+    def _weights_of(self, ratio: int) -> NDArray[np.float32]:
+        """Return the weights of all hypotheses of a ratio [slopes, M, L, F + 1].
+
+        As `Plan.hypotheses`, but of the products of transforms.
+        """
+        bank, product = self._bank, self._bank.product
+        multiplicity = product.fourier.multiplicity
+        logarithms = product.log_determinants[ratio].astype(np.float64)
+        gains = np.exp(logarithms / self._plan.count).astype(np.float32)
+        gains = gains.reshape(*bank.expected.shape[:3], 1)
+        size = self._plan.features.shape[1] + 1
+        weights = np.empty((*bank.expected.shape[:3], size), np.float32)
+        for index in np.ndindex(bank.expected.shape[:2]):
+            variance = np.float32(product.ratios[ratio]) * bank.expected[index] + 1
+            of_power = multiplicity / variance * gains[index]
+            weights[index][:, :-1] = self._plan.of_products(of_power.T).T
+        weights[..., -1:] = OWN_NOISE * gains
+        return weights
+
+
+def _alike(keys: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    """Return where the keys [.., n] are equal, in parts that can be worked on at a time."""
+    order = np.lexsort(keys[::-1])
+    ends = np.flatnonzero(np.diff(keys[:, order]).any(axis=0)) + 1
+    return [
+        group[start : start + _PATCHES]
+        for group in np.split(order, ends)
+        for start in range(0, len(group), _PATCHES)
+    ]

@@ -1,0 +1,156 @@
+"""Blur by a motion during the exposure, along a straight line at constant speed."""
+
+import dataclasses
+import math
+
+import numpy as np
+import scipy.signal
+from numpy.typing import ArrayLike, NDArray
+
+from coded_aperture_ros.core.errors import InputError
+
+
+def motion_kernel(
+    motion_px: tuple[float, float], width_px: int | None = None
+) -> NDArray[np.float32]:
+    """Render the trace of a point that moves during the exposure: ``h_m`` of thesis eq. 7.2.
+
+    A pixel's value is the share of the exposure that the point spends near it, counted by linear
+    interpolation between pixels. The weights are polynomials between the places where the point
+    passes rows and columns of pixels, and integrated exactly: the kernel is smooth in the motion,
+    and its mean and direction are those of the line, however short that is.
+
+    Parameters
+    ----------
+    motion_px : (float, float)
+        Way during the exposure, px: to the right, and down. The kernel of the opposite way is the
+        same.
+    width_px : int, optional
+        Odd width of the result; by default the smallest that holds the trace.
+
+    Returns
+    -------
+    ndarray of float32, shape [k, k]
+        Unit sum.
+
+    Raises
+    ------
+    InputError
+        If the motion is not finite, or the width is even or does not hold the trace.
+    """
+    right, down = (float(part) for part in motion_px)
+    if not (math.isfinite(right) and math.isfinite(down)):
+        raise InputError(f"motion: expected finite numbers of pixels, got {motion_px!r}")
+    longest = max(abs(right), abs(down))
+    reach = math.ceil(longest / 2 - 1e-9)
+    width = 2 * reach + 1 if width_px is None else width_px
+    if width % 2 == 0 or width // 2 < reach:
+        raise InputError(
+            f"width of a motion kernel: expected an odd number, at least {2 * reach + 1}, "
+            f"got {width}"
+        )
+    # When, in shares of the exposure, the point passes a row or a column of pixels.
+    lines = np.arange(-reach, reach + 1)
+    crossings = [lines / way + 0.5 for way in (right, down) if abs(way) > 1e-9]
+    times = np.unique(np.clip(np.concatenate([[0.0, 1.0], *crossings]), 0.0, 1.0))
+    begin, end = times[:-1], times[1:]
+    middle = (begin + end) / 2
+    kernel = np.zeros((width + 2, width + 2))  # the outermost only ever get zeros
+    left, top = (np.floor((middle - 0.5) * way).astype(np.intp) for way in (right, down))
+    for at, share in ((begin, 1 / 6), (middle, 4 / 6), (end, 1 / 6)):  # Simpson's rule
+        x, y = ((at - 0.5) * way - first for way, first in ((right, left), (down, top)))
+        for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            weight = (y if row else 1 - y) * (x if column else 1 - x) * (end - begin) * share
+            np.add.at(kernel, (top + row + width // 2 + 1, left + column + width // 2 + 1), weight)
+    kernel = np.maximum(kernel[1:-1, 1:-1], 0)
+    return (kernel / kernel.sum()).astype(np.float32)
+
+
+def blurred_psf(
+    psf: NDArray[np.float32], motion_px: tuple[float, float], width_px: int | None = None
+) -> NDArray[np.float32]:
+    """Return the PSF of defocus and motion together, ``h_d * h_m`` (thesis eq. 7.2).
+
+    Parameters
+    ----------
+    psf : ndarray of float32, shape [k, k]
+        Of defocus; odd width.
+    motion_px : (float, float)
+        See `motion_kernel`.
+    width_px : int, optional
+        Odd width of the result, at least that of the full convolution, which is the default.
+
+    Returns
+    -------
+    ndarray of float32, shape [n, n]
+        Of the sum of `psf`.
+    """
+    full = scipy.signal.convolve2d(psf, motion_kernel(motion_px))
+    margin = 0 if width_px is None else (width_px - len(full)) // 2
+    return np.pad(full, margin).astype(np.float32)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Motions:
+    """The motions that are told apart.
+
+    Attributes
+    ----------
+    vectors_px : ndarray of float64, shape [M, 2]
+        Way during the exposure, px: to the right, and down. Blur does not tell which way along
+        its line a point has gone, so no two of them are opposite. A vector of zeros is no motion.
+    """
+
+    vectors_px: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        vectors = np.array(self.vectors_px, np.float64)
+        if vectors.ndim != 2 or vectors.shape[1] != 2 or not len(vectors):
+            raise InputError(f"motions: expected the shape [M, 2], got {list(vectors.shape)}")
+        if not np.isfinite(vectors).all():
+            raise InputError("motions: all must be finite")
+        vectors.setflags(write=False)
+        object.__setattr__(self, "vectors_px", vectors)
+
+    @staticmethod
+    def grid(directions: int, lengths_px: ArrayLike, still: bool = True) -> "Motions":
+        """Return motions in equally spaced directions, each in all lengths.
+
+        Parameters
+        ----------
+        directions : int
+            Between 0 degrees, to the right, and 180.
+        lengths_px : array_like of float
+            More than 0.
+        still : bool, optional
+            Whether no motion is the first of them.
+        """
+        lengths = np.atleast_1d(np.asarray(lengths_px, np.float64))
+        if directions < 1 or not (lengths > 0).all() or not lengths.size:
+            raise InputError(
+                f"motions: expected a direction and lengths above 0 px, got {directions} and "
+                f"{lengths.tolist()}"
+            )
+        angle = np.pi * np.arange(directions) / directions
+        unit = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        vectors = (unit[:, None] * lengths[:, None]).reshape(-1, 2)
+        return Motions(np.concatenate([np.zeros((int(still), 2)), vectors]))
+
+    def __len__(self) -> int:
+        return len(self.vectors_px)
+
+    @property
+    def longest_px(self) -> float:
+        """Length of the longest motion."""
+        return float(np.hypot(*self.vectors_px.T).max())
+
+    def distances_px(self, to_px: ArrayLike) -> NDArray[np.float64]:
+        """Return how far motions are from each of these, px, whichever way each is gone.
+
+        Takes [..., 2], gives [..., M].
+        """
+        right, down = np.moveaxis(np.asarray(to_px, np.float64)[..., None, :], -1, 0)
+        of_right, of_down = self.vectors_px.T
+        squared = (right - of_right) ** 2 + (down - of_down) ** 2
+        opposite = (right + of_right) ** 2 + (down + of_down) ** 2
+        return np.asarray(np.sqrt(np.minimum(squared, opposite)))

@@ -1,0 +1,104 @@
+"""Which motions occur in a frame at all, and which way exactly."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.methods.motion.kernels import Motions
+
+# Evidence of a patch counts up to here (natural logarithm); beyond, its model is wrong.
+_MOST_EVIDENCE = 27.0
+# Texture with a direction of its own gives a patch about so much evidence for a wrong motion.
+_OF_TEXTURE = 5.0
+# What patches that do not overlap must have together beyond that: false ones had 21 at most, true
+# ones from 150.
+_ENOUGH = 40.0
+# A frame is divided among so many motions at most.
+_MOST_MOTIONS = 12
+
+
+def occurring_motions(
+    of_motion: NDArray[np.float32], motions: Motions, overlap: float
+) -> NDArray[np.intp]:
+    """Choose the few motions that explain all patches, thesis eq. 7.4 with a price for each motion.
+
+    One after the other those are added that the patches gain most by, windows' neighbourhoods
+    taken together, until no motion is worth it.
+
+    Parameters
+    ----------
+    of_motion : ndarray, float32 [M, rows, columns]
+        Evidence against every motion whatever the depth, natural logarithm, 0 for the likeliest.
+    motions : Motions
+    overlap : float
+        Windows' width over the distance between them.
+
+    Returns
+    -------
+    ndarray of int [m]
+        Indices; first no motion, if it is one of the motions.
+    """
+    around = max(round(overlap) // 2 * 2 - 1, 1)
+    capped = np.minimum(of_motion, np.float32(_MOST_EVIDENCE))
+    shape = (around, around)
+    together = np.array([cv2.blur(each, shape, borderType=cv2.BORDER_REPLICATE) for each in capped])
+    independent = max(overlap / 2, 1) ** 2
+    still = np.flatnonzero(np.hypot(*motions.vectors_px.T) == 0)
+    chosen = [int(still[0]) if still.size else int(together.sum(axis=(1, 2)).argmin())]
+    least = together[chosen[0]]
+    while len(chosen) < min(_MOST_MOTIONS, len(motions)):
+        gains = np.maximum(least - together - np.float32(_OF_TEXTURE), 0).sum(axis=(1, 2))
+        best = int(gains.argmax())
+        if gains[best] < _ENOUGH * independent:
+            break
+        chosen.append(best)
+        least = np.minimum(least, together[best])
+    return np.array(chosen)
+
+
+def refined_motion(
+    total: NDArray[np.floating], motions: Motions, index: int
+) -> NDArray[np.float64]:
+    """Refine a motion by parabolas along its length and across its direction.
+
+    Parameters
+    ----------
+    total : ndarray [M]
+        Evidence against every motion, of all patches that have this one.
+    motions : Motions
+    index : int
+        The motion; not one without length.
+
+    Returns
+    -------
+    ndarray of float64 [2]
+    """
+    right, down = motions.vectors_px.T
+    lengths, angles = np.hypot(right, down), np.arctan2(down, right)
+    length, angle = lengths[index], angles[index]
+    # Opposite motions are one: directions are told apart within half a turn.
+    turns = (angles - angle + np.pi / 2) % np.pi - np.pi / 2
+    parallel = (np.abs(turns) < 1e-6) | (lengths == 0)
+    length += _vertex(lengths - length, total, parallel)
+    angle += _vertex(turns, total, np.abs(lengths - lengths[index]) < 1e-6)
+    return np.asarray(length * np.array([np.cos(angle), np.sin(angle)]))
+
+
+def _vertex(
+    offsets: NDArray[np.float64], total: NDArray[np.floating], usable: NDArray[np.bool_]
+) -> float:
+    """Return where a parabola through 0 and the next offsets on both sides is least."""
+    here = float(total[usable & (np.abs(offsets) < 1e-6)].min())
+    sides = []
+    for sign in (-1, 1):
+        there = np.flatnonzero(usable & (sign * offsets > 1e-6))
+        if not there.size:
+            return 0.0
+        nearest = there[np.argmin(sign * offsets[there])]
+        sides.append((float(offsets[nearest]), float(total[nearest]) - here))
+    (left, at_left), (right, at_right) = sides
+    curvature = (at_right / right - at_left / left) / (right - left)
+    if curvature <= 0:
+        return 0.0
+    slope = at_right / right - curvature * right
+    return float(np.clip(-slope / (2 * curvature), left / 2, right / 2))

@@ -1,0 +1,88 @@
+"""A motion refined by the likelihood of all patches that have it, beyond those of the bank."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank import FilterBank
+from coded_aperture_ros.bank.model import LEAST_EXCESS, OWN_NOISE
+from coded_aperture_ros.likelihood.plan import Plan
+from coded_aperture_ros.methods.motion.bank import MotionBank, expected_powers
+from coded_aperture_ros.methods.motion.kernels import Motions
+
+# The first step of the search, px.
+_STEP_PX = 0.5
+# Patches that are enough.
+_MOST_PATCHES = 100
+
+
+def most_likely_motion(
+    bank: MotionBank,
+    plan: Plan,
+    spectra: NDArray[np.float32],
+    tried: slice,
+    start_px: NDArray[np.float64],
+    tolerance_px: float,
+) -> NDArray[np.float64]:
+    """Search around a motion for the likeliest one of some patches, along it and across.
+
+    Parameters
+    ----------
+    bank : MotionBank
+    plan : Plan
+    spectra : ndarray, float32 [patches, F + 1]
+        See `ExactEnergies.take`; at least one.
+    tried : slice
+        The ratios that suit the frame's noise.
+    start_px : ndarray of float64 [2]
+        Not zeros.
+    tolerance_px : float
+        Steps get smaller, down to this.
+
+    Returns
+    -------
+    ndarray of float64 [2]
+        At most the longest motion of the bank.
+    """
+    some = spectra[:: -(-len(spectra) // _MOST_PATCHES)]
+    ratios = bank.product.ratios[tried]
+
+    def energy(motion: NDArray[np.float64]) -> float:
+        if np.hypot(*motion) > bank.motions.longest_px + 1e-6:
+            return np.inf
+        return _energy(bank.still, plan, some, ratios, motion)
+
+    along = start_px / np.hypot(*start_px)
+    across = np.array([-along[1], along[0]])
+    best, least, step = start_px, energy(start_px), _STEP_PX
+    while step >= tolerance_px:
+        for way in (along, -along, across, -across):
+            there = best + step * way
+            found = energy(there)
+            if found < least:
+                best, least = there, found
+                break
+        else:
+            step /= 2
+    return best
+
+
+def _energy(
+    still: FilterBank,
+    plan: Plan,
+    spectra: NDArray[np.float32],
+    ratios: NDArray[np.float64],
+    motion: NDArray[np.float64],
+) -> float:
+    """Return the energy of all patches, each at its likeliest level and texture."""
+    multiplicity = still.fourier.multiplicity
+    expected = expected_powers(still, Motions(motion[None])).reshape(-1, still.fourier.size)
+    expected += np.float32(still.prior.model_error**2)
+    least = np.full(len(spectra), np.inf, np.float32)
+    for ratio in ratios:
+        variance = np.float32(ratio) * expected + 1
+        gains = np.exp(np.log(variance) @ multiplicity / plan.count)[:, None]
+        weights = plan.of_products((multiplicity / variance * gains).T)
+        excess = spectra[:, :-1] @ weights.astype(np.float32) + OWN_NOISE * gains.T
+        np.minimum(least, excess.min(axis=1), out=least)
+    textureless = spectra @ np.append(plan.features[-1], OWN_NOISE)
+    return float(np.log(np.clip(least, LEAST_EXCESS, textureless)).sum())

@@ -1,0 +1,219 @@
+"""Local covariances of a frame and the energies of all levels; see `coded_aperture_ros.engine`."""
+
+import dataclasses
+import math
+from functools import partial
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank.model import LEAST_EXCESS, OWN_NOISE
+from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.methods.two_pixel.model import BLOCK_PX, NeighbourModel
+
+# Patches whose hypotheses are tried at a time: large products, but no more than a cache holds.
+_PATCHES = 128
+# At least as wide as any kernel.
+_WIDEST_KERNEL = 16
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Scratch:
+    """What one thread needs for its part of a frame."""
+
+    columns: NDArray[np.float32]
+    hypotheses: NDArray[np.float32]
+
+
+class SimpleEngine:
+    """Energies of every window of frames of one size; see `Engine`.
+
+    The covariance of a channel at a lag is the mean, over a window, of the products of pixels that
+    are so far apart; a product lies halfway between its two pixels. Products are added up in
+    blocks first, once for all windows, and a window's blocks by running sums: the time depends on
+    the size of the frame and the number of lags, not on that of the window.
+
+    Parameters
+    ----------
+    model : NeighbourModel
+    shape : (int, int)
+        Rows and columns of the frames.
+    stride_px : int
+        Distance between the windows.
+    threads : int, optional
+
+    Raises
+    ------
+    InputError
+        If the frame is smaller than the window, or there are fewer processors than threads.
+    """
+
+    name = "simple"
+
+    def __init__(
+        self, model: NeighbourModel, shape: tuple[int, ...], stride_px: int, threads: int = 1
+    ) -> None:
+        self._model = model
+        self._grid = grid = PatchGrid.covering(shape, model.window_px, stride_px)
+        self._workers = Workers(threads)
+        # Windows that overlap share their blocks.
+        self._block = block = math.gcd(BLOCK_PX, stride_px)
+        self._across = model.window_px // block
+        self._blocks = tuple(
+            ((count - 1) * stride_px + model.window_px) // block
+            for count in (grid.rows, grid.columns)
+        )
+        # Beyond the frame there is nothing: products with that are zero, and do not count.
+        self._margin = int(np.abs(model.lags).max()) // 2 + _WIDEST_KERNEL
+        rows, columns = (count * block for count in self._blocks)
+        # What a kernel sees only in part, at the frame's border, does not count.
+        self._reach = max(len(kernel) // 2 for kernels in model.kernels for kernel in kernels)
+        self._seen = rows - 2 * self._reach, columns - 2 * self._reach
+        padded = rows + 2 * self._margin, columns + 2 * self._margin
+        lines = len(model.lines)
+        self._channels = np.zeros((model.derivatives, lines, *padded), np.float32)
+        self._line_of_lag = np.repeat(np.arange(lines), [len(line.lags) for line in model.lines])
+        patches = grid.rows * grid.columns
+        lags = len(model.lags)
+        self._covariances = np.empty((model.derivatives * lags + 1, patches), np.float32)
+        self._covariances[-1] = 1  # for the constant of the hypotheses
+        self._shares = [self._inverse_counts(lag) for lag in model.lags]
+        gains = np.exp(model.log_determinants)[..., None]
+        own = np.full_like(gains, OWN_NOISE)
+        self._hypotheses = np.concatenate([model.weights, own], axis=-1) * gains
+        self._energies = np.empty((model.levels, patches), np.float32)
+        tried = model.contrasts * model.weights.shape[1] * model.levels
+        self._scratch = [
+            _Scratch(
+                np.empty((self._blocks[0], columns), np.float32),
+                np.empty(tried * _PATCHES, np.float32),
+            )
+            for _ in range(threads)
+        ]
+
+    @property
+    def grid(self) -> PatchGrid:
+        """Where the windows lie."""
+        return self._grid
+
+    @property
+    def products(self) -> int:
+        """How many products of a frame with itself are taken: lags times channels."""
+        return len(self._covariances) - 1
+
+    def project(self, grey: NDArray[np.float32]) -> None:
+        """Take a frame: measure its local covariances."""
+        grid, margin, (rows, columns) = self._grid, self._margin, self._seen
+        covered = grey[grid.top :, grid.left :]
+        covered = covered[: rows + 2 * self._reach, : columns + 2 * self._reach]
+
+        def filter_frame(number: int, thread: int) -> None:
+            channel, line = divmod(number, len(self._model.lines))
+            passed = cv2.filter2D(covered, -1, self._model.kernels[channel][line])
+            seen = passed[self._reach : self._reach + rows, self._reach : self._reach + columns]
+            padded = self._channels[channel, line]
+            padded[margin : margin + rows, margin : margin + columns] = seen
+
+        self._workers.each(filter_frame, range(self._channels.shape[0] * self._channels.shape[1]))
+        self._workers.each(self._measure, range(self.products))
+
+    def energies(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the energies of the frame taken last [rows, columns, L]."""
+        grid = self._grid
+        tried = self._model.plausible_ratios(float(np.median(noise)))
+        hypotheses = self._hypotheses[tried].reshape(-1, self._hypotheses.shape[-1])
+        precision = np.empty((grid.rows, grid.columns), np.float32)
+        precision[:] = 1 / np.square(noise)
+        starts = range(0, precision.size, _PATCHES)
+        self._workers.each(partial(self._try_hypotheses, hypotheses, precision.ravel()), starts)
+        return np.moveaxis(self._energies.reshape(-1, grid.rows, grid.columns), 0, -1)
+
+    def close(self) -> None:
+        """End the engine's threads."""
+        self._workers.close()
+
+    def _measure(self, number: int, thread: int) -> None:
+        """Measure the covariances of one channel at one lag."""
+        channel, place = divmod(number, len(self._model.lags))
+        padded, lag = self._channels[channel, self._line_of_lag[place]], self._model.lags[place]
+        blocks, block = self._blocks, self._block
+        rows, columns = (count * block for count in blocks)
+        # The first row and column that count lie `reach` into the first block.
+        corner = self._margin - self._reach
+        top, left = corner - _before(lag[0]), corner - _before(lag[1])
+        ends = top + lag[0], left + lag[1]
+        first = padded[top : top + rows, left : left + columns]
+        second = padded[ends[0] : ends[0] + rows, ends[1] : ends[1] + columns]
+        shape = blocks[0], block, columns
+        sums = self._scratch[thread].columns
+        # The products are added up as they are formed: they never leave the cache.
+        np.einsum("brc,brc->bc", first.reshape(shape), second.reshape(shape), out=sums)
+        means = cv2.resize(sums, blocks[::-1], interpolation=cv2.INTER_AREA)
+        windows = cv2.boxFilter(
+            means,
+            -1,
+            (self._across, self._across),
+            anchor=(0, 0),
+            normalize=False,
+            borderType=cv2.BORDER_CONSTANT,
+        )
+        step, grid = self._grid.stride_px // block, self._grid
+        windows = windows[
+            : (grid.rows - 1) * step + 1 : step, : (grid.columns - 1) * step + 1 : step
+        ]
+        down, across = self._shares[place]
+        out = self._covariances[number].reshape(grid.rows, grid.columns)
+        np.multiply(windows, down, out=out)
+        out *= across
+
+    def _try_hypotheses(
+        self,
+        hypotheses: NDArray[np.float32],
+        precision: NDArray[np.float32],
+        start: int,
+        thread: int,
+    ) -> None:
+        """Find the energies of some windows; see `NeighbourModel` for what they are."""
+        some = slice(start, min(start + _PATCHES, len(precision)))
+        measured = self._covariances[:, some].copy()
+        measured[:-1] *= precision[some]
+        count = measured.shape[1]
+        excess = self._scratch[thread].hypotheses[: len(hypotheses) * count]
+        excess = excess.reshape(len(hypotheses), count)
+        np.matmul(hypotheses, measured, out=excess)
+        energies = self._energies[:, some]
+        np.minimum.reduce(excess.reshape(-1, len(energies), count), axis=0, out=energies)
+        # What noise alone explains better than any texture says nothing about the level.
+        textureless = self._model.noise_weights @ measured[:-1] + OWN_NOISE
+        np.clip(energies, LEAST_EXCESS, np.maximum(textureless, LEAST_EXCESS), out=energies)
+        np.log(energies, out=energies)
+        np.multiply(energies, np.float32(self._model.window_px**2), out=energies)
+
+    def _inverse_counts(
+        self, lag: NDArray[np.intp]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return what turns the sums of windows into means: a factor by row and one by column."""
+        grid = self._grid
+        down, across = (
+            self._counts(int(shift), axis, count)
+            for axis, (shift, count) in enumerate(zip(lag, (grid.rows, grid.columns), strict=True))
+        )
+        # Resizing has divided by the width of a block.
+        scale = np.float32(self._block)
+        return (1 / down)[:, None].astype(np.float32), (scale / across).astype(np.float32)
+
+    def _counts(self, shift: int, axis: int, windows: int) -> NDArray[np.float64]:
+        """Count the products of each window along an axis, for a shift between their pixels."""
+        length, seen = self._blocks[axis] * self._block, self._seen[axis]
+        first = np.arange(length) - _before(shift) - self._reach
+        inside = (first >= 0) & (first < seen) & (first + shift >= 0) & (first + shift < seen)
+        total = np.concatenate([[0], np.cumsum(inside)])
+        starts = np.arange(windows) * self._grid.stride_px
+        return np.maximum(total[starts + self._model.window_px] - total[starts], 1).astype(float)
+
+
+def _before(shift: int) -> int:
+    """Return how far before the middle of two pixels the first one lies."""
+    return int(shift) // 2 if shift >= 0 else -(int(-shift) // 2)

@@ -1,0 +1,140 @@
+"""How good a result is, in one number."""
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.errors import InputError
+
+_RIGHT_WITHIN = 0.10
+
+
+@dataclasses.dataclass(frozen=True)
+class DepthError:
+    """How far a depth map is from the truth.
+
+    Attributes
+    ----------
+    median_relative : float
+        Median of |depth - truth| / truth over the most confident pixels; NaN if none is known.
+    coverage : float
+        Share of the pixels with a true depth that have a depth.
+    """
+
+    median_relative: float
+    coverage: float
+
+
+def depth_error(
+    depth_m: NDArray[np.floating],
+    confidence: NDArray[np.floating],
+    true_depth_m: NDArray[np.floating],
+    most_confident: float = 0.7,
+) -> DepthError:
+    """Compare a depth map with the truth.
+
+    Parameters
+    ----------
+    depth_m, confidence : ndarray of float, shape [h, w]
+        Unknown (NaN) and infinite depths count as missing.
+    true_depth_m : ndarray of float, shape [h, w]
+        Metres, NaN where the truth is unknown.
+    most_confident : float
+        Share of the pixels, the most confident ones, that the error is taken over; those of them
+        without a depth are left out.
+
+    Raises
+    ------
+    InputError
+        If the shapes differ.
+    """
+    _check_shapes(depth_m, confidence, true_depth_m)
+    with_truth = np.isfinite(true_depth_m) & (true_depth_m > 0)
+    known = with_truth & np.isfinite(depth_m)
+    if not known.any():
+        return DepthError(float("nan"), 0.0)
+    threshold = np.quantile(confidence[with_truth], 1.0 - most_confident)
+    scored = known & (confidence >= threshold)
+    relative = np.abs(depth_m[scored] - true_depth_m[scored]) / true_depth_m[scored]
+    coverage = np.count_nonzero(known) / np.count_nonzero(with_truth)
+    return DepthError(float(np.median(relative)) if relative.size else float("nan"), coverage)
+
+
+def median(values: NDArray[np.floating]) -> float:
+    """Return the median of at least one value, without NaN, as `numpy.median` does.
+
+    A tenth of its time: one partition of the values, not one around each of three places.
+    """
+    values = values.reshape(-1)
+    middle = values.size // 2
+    parted = np.partition(values, middle)
+    if values.size % 2:
+        return float(parted[middle])
+    return float((parted[:middle].max() + parted[middle]) / 2)
+
+
+def psnr_db(image: NDArray[np.floating], reference: NDArray[np.floating]) -> float:
+    """Return the peak signal-to-noise ratio of an image with values 0 to 1, in dB.
+
+    Pixels that are not finite in either image are left out; infinite for equal images, NaN
+    where nothing is left.
+    """
+    _check_shapes(image, reference)
+    difference = np.asarray(image, np.float64) - reference
+    difference = difference[np.isfinite(difference)]
+    if not difference.size:
+        return float("nan")
+    mean_square = float(np.mean(difference**2))
+    return float("inf") if mean_square == 0 else -10.0 * float(np.log10(mean_square))
+
+
+def _check_shapes(first: NDArray, *others: NDArray) -> None:
+    for other in others:
+        if other.shape != first.shape:
+            raise InputError(
+                f"expected arrays of one shape, got {list(first.shape)} and {list(other.shape)}"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class RelativeError:
+    """How far depths are from the truth, relative to it; NaN if no pixel has both.
+
+    Attributes
+    ----------
+    median, mean : float
+        Of |depth - truth| / truth.
+    within_10_percent : float
+        Share of those pixels.
+    coverage : float
+        Share of the pixels with a true depth that have a depth.
+    pixels : int
+        Number of pixels with a true depth.
+    """
+
+    median: float
+    mean: float
+    within_10_percent: float
+    coverage: float
+    pixels: int
+
+    @staticmethod
+    def of(relative: NDArray[np.floating], part: NDArray[np.bool_]) -> "RelativeError":
+        """Summarise signed relative errors, NaN where unknown, of a part of the pixels."""
+        errors = np.abs(relative[part])
+        return RelativeError.of_known(errors[np.isfinite(errors)], int(np.count_nonzero(part)))
+
+    @staticmethod
+    def of_known(errors: NDArray[np.floating], pixels: int) -> "RelativeError":
+        """Summarise the errors, without sign, of those of so many pixels that have a depth."""
+        if not errors.size:
+            nothing = float("nan")
+            return RelativeError(nothing, nothing, nothing, 0.0 if pixels else nothing, pixels)
+        return RelativeError(
+            median=median(errors),
+            mean=float(np.mean(errors, dtype=np.float64)),
+            within_10_percent=float(np.mean(errors <= _RIGHT_WITHIN)),
+            coverage=errors.size / pixels,
+            pixels=pixels,
+        )

@@ -1,0 +1,341 @@
+"""The node that brings coded frames into ROS: from a camera, files or the simulator."""
+
+import dataclasses
+import math
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
+
+from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.io.sources import (
+    SIMULATOR,
+    Capture,
+    DeviceConfig,
+    DeviceSource,
+    Source,
+    open_source,
+)
+from coded_aperture_ros.ros.camera_info_store import CameraInfoStore
+from coded_aperture_ros.ros.camera_model import fitted_camera, required_camera
+from coded_aperture_ros.ros.diagnostics import (
+    DiagnosticsConfig,
+    DiagnosticsPublisher,
+    Statistics,
+    status_of,
+)
+from coded_aperture_ros.ros.local_topics import LocalTopics
+from coded_aperture_ros.ros.managed_node import ManagedNode
+from coded_aperture_ros.ros.messages import (
+    MessageError,
+    camera_info_from_camera,
+    camera_info_from_intrinsics,
+    image_from_array,
+    pixels_from_frame,
+    scaled_camera_info,
+)
+from coded_aperture_ros.ros.pace import Pace
+from coded_aperture_ros.ros.rgbd_source import RGBD, RgbdSource
+from coded_aperture_ros.ros.running import run_nodes
+from coded_aperture_ros.ros.static_transform import broadcast_static, optical_transform
+from coded_aperture_ros.ros.topics import Outputs
+
+_IDLE_S = 0.05
+_RETRY_S = (0.5, 10.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraDriverConfig:
+    """Where frames come from and how they are published."""
+
+    source: str = option(
+        SIMULATOR,
+        "simulator; a camera's index, device, URL or GStreamer pipeline; a video, picture or "
+        "folder of pictures; rgbd: coded from the topics rgbd/image and rgbd/depth",
+        read_only=True,
+    )
+    camera_file: str = option("", "Camera file (YAML)", read_only=True)
+    rate_hz: float = option(
+        15.0, "Frames per second", unit="Hz", minimum=0.1, maximum=1000.0, read_only=True
+    )
+    frame_id: str = option("camera_optical_frame", "Optical frame of the images", read_only=True)
+    encoding: str = option(
+        "bgr8",
+        "Encoding of image_raw",
+        choices=("mono8", "rgb8", "bgr8", "mono16"),
+        read_only=True,
+    )
+    loop: bool = option(True, "Begin files again after their last frame", read_only=True)
+    noise: float = option(
+        0.002,
+        "Standard deviation of the simulated sensor's noise in linear light",
+        minimum=0.0,
+        maximum=0.5,
+        read_only=True,
+    )
+    lazy: bool = option(True, "Simulate, or read files, only while someone subscribes")
+    camera_name: str = option(
+        "", "Of the camera's calibration; empty: the node's namespace, or camera", read_only=True
+    )
+    camera_info_url: str = option(
+        "",
+        "Calibration to publish, file:// or package://, with ${NAME} and ${ROS_HOME}; empty: "
+        "file://${ROS_HOME}/camera_info/${NAME}.yaml if there is one, else the camera file's",
+        read_only=True,
+    )
+    publish_clock: bool = option(
+        False, "Publish the frames' stamps as the time, on /clock", read_only=True
+    )
+    base_frame: str = option(
+        "", "Publish the static transform from this frame to frame_id; empty: none", read_only=True
+    )
+    base_x_m: float = option(0.0, "Camera position in base_frame", unit="m", read_only=True)
+    base_y_m: float = option(0.0, "Camera position in base_frame", unit="m", read_only=True)
+    base_z_m: float = option(0.0, "Camera position in base_frame", unit="m", read_only=True)
+    base_pitch_deg: float = option(
+        0.0,
+        "How far the camera looks down",
+        unit="degrees",
+        minimum=-180.0,
+        maximum=180.0,
+        read_only=True,
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+class CameraDriverNode(ManagedNode):
+    """Publishes frames and their camera model, in a thread of its own.
+
+    The thread keeps time by a steady clock, so that it also runs where the ROS clock stands
+    still; the stamps are those of the ROS clock when a frame has been acquired, or those that the
+    frames bring along.
+    """
+
+    def __init__(self, *, local: LocalTopics | None = None, **node_options: Any) -> None:
+        super().__init__(
+            "camera_driver_node",
+            CameraDriverConfig(),
+            DeviceConfig(),
+            DiagnosticsConfig(),
+            fixed={},
+            **node_options,
+        )
+        config = self._config
+        self.statistics = Statistics()
+        topics: dict[str, type] = {"image_raw": Image, "camera_info": CameraInfo}
+        if config.source in (SIMULATOR, RGBD):
+            topics.update({"ground_truth/depth": Image, "ground_truth/image": Image})
+        if config.publish_clock:
+            topics["/clock"] = ClockMessage
+        self._outputs = Outputs(self, topics, local)
+        self._name = config.camera_name or self.get_namespace().rpartition("/")[2] or "camera"
+        self._source: Source | None = None
+        self._store: CameraInfoStore | None = None
+        self._diagnostics: DiagnosticsPublisher | None = None
+        self._thread: threading.Thread | None = None
+        self._stopping = threading.Event()
+        self._failures = 0
+        self._failing = self._warned_of_size = False
+        self.begin()
+
+    @property
+    def _config(self) -> CameraDriverConfig:
+        return self.configs[CameraDriverConfig]
+
+    def set_up(self) -> None:
+        """Load the camera file and open the source."""
+        config = self._config
+        self._camera = required_camera(config.camera_file)
+        self._source = self._opened(config)
+        self._store = CameraInfoStore(self, config.camera_info_url, self._name)
+        self._outputs.open()
+        if config.base_frame:
+            broadcast_static(
+                self,
+                optical_transform(
+                    config.base_frame,
+                    config.frame_id,
+                    (config.base_x_m, config.base_y_m, config.base_z_m),
+                    math.radians(config.base_pitch_deg),
+                ),
+            )
+        self._last = self.statistics.summary()
+        self._diagnostics = DiagnosticsPublisher(self, self._status)
+
+    def clean_up(self) -> None:
+        """Undo `set_up`."""
+        if isinstance(self._source, RgbdSource):
+            self._source.end()
+        for made in (self._diagnostics, self._store, self._source):
+            if made is not None:
+                made.close()
+        self._diagnostics = self._store = self._source = None
+        self._outputs.close()
+
+    def start_work(self) -> None:
+        """Begin to take frames."""
+        self._stopping.clear()
+        self._thread = threading.Thread(target=self._run, name=self.get_name(), daemon=True)
+        self._thread.start()
+
+    def stop_work(self) -> None:
+        """End the thread, and let go of the camera."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join(5.0)
+        if self._source is not None:
+            self._source.close()
+
+    def end(self) -> None:
+        """End the thread, and let go of the camera."""
+        self.stop_work()
+
+    def _opened(self, config: CameraDriverConfig) -> Source:
+        if config.source == RGBD:
+            return RgbdSource(self, self._camera, config.noise)
+        return open_source(
+            config.source,
+            self._camera,
+            config.rate_hz,
+            loop=config.loop,
+            noise=config.noise,
+            device=self.configs[DeviceConfig],
+        )
+
+    def _wants(self, topic: str) -> bool:
+        return self._outputs.listened(topic)
+
+    def _idle(self, source: Source) -> bool:
+        # A live source goes on, or the first frame to be published would be an old one.
+        if source.live or not self._config.lazy:
+            return False
+        return not self._outputs.listened()
+
+    def _run(self) -> None:
+        source = self._source
+        assert source is not None  # it was set up
+        pace = Pace(self._stopping)
+        retry_s = _RETRY_S[0]
+        settings = self.configs[DeviceConfig]
+        while not self._stopping.is_set():
+            if self._idle(source):
+                self._stopping.wait(_IDLE_S)
+                pace.begin()
+                continue
+            try:
+                if isinstance(source, DeviceSource):
+                    settings = self._keep_settings(source, settings)
+                capture = source.read()
+                if capture is None:
+                    self.get_logger().info(f"end of {self._config.source}")
+                    break
+                self.statistics.count_received()
+                taken_s = time.monotonic()
+                if not source.live:
+                    pace.wait(1.0 / self._config.rate_hz, capture.stamp_ns)
+                self._publish(capture, self._header_of(capture))
+                self.statistics.count_processed(None, time.monotonic() - taken_s)
+            except Exception as error:
+                # A camera that is unplugged, or a driver that fails in its own way: the robot
+                # goes on, and so does this node as soon as there are frames again.
+                self._tell_failure(source, error)
+                self._stopping.wait(retry_s)
+                retry_s = min(2 * retry_s, _RETRY_S[1])
+                continue
+            if self._failing:
+                self._failing, retry_s = False, _RETRY_S[0]
+                self.get_logger().info("frames are coming again")
+
+    def _tell_failure(self, source: Source, error: Exception) -> None:
+        self.statistics.count_rejected("source", str(error))
+        if not self._failing:
+            self._failing = True
+            self._failures += 1
+            going_on = (
+                "trying again until it works" if source.live else "going on with what follows"
+            )
+            self.get_logger().error(f"{error}; {going_on}")
+
+    def _keep_settings(self, source: DeviceSource, settings: DeviceConfig) -> DeviceConfig:
+        """Tell the device what has been changed, and the user what it does not know."""
+        present = self.configs[DeviceConfig]
+        if present is not settings:
+            source.configure(present)
+        if source.refused:
+            self.get_logger().warning(f"the device does not take: {', '.join(source.refused)}")
+            source.refused = ()
+        return present
+
+    def _header_of(self, capture: Capture) -> Header:
+        if capture.stamp_ns is None:
+            stamp = self.get_clock().now().to_msg()
+        else:
+            stamp = Time(nanoseconds=capture.stamp_ns).to_msg()
+        return Header(frame_id=self._config.frame_id, stamp=stamp)
+
+    def _publish(self, capture: Capture, header: Header) -> None:
+        encoding = self._config.encoding
+        if "/clock" in self._outputs.topics:
+            self._outputs.send("/clock", ClockMessage(clock=header.stamp))
+        if self._wants("image_raw"):
+            pixels = pixels_from_frame(capture.frame, encoding)
+            self._outputs.send("image_raw", image_from_array(pixels, encoding, header))
+        if self._wants("camera_info"):
+            height, width = capture.frame.shape[:2]
+            self._publish_camera_info(width, height, header)
+        if capture.depth_m is not None and self._wants("ground_truth/depth"):
+            depth = image_from_array(capture.depth_m, "32FC1", header)
+            self._outputs.send("ground_truth/depth", depth)
+        if capture.sharp is not None and self._wants("ground_truth/image"):
+            sharp = image_from_array(pixels_from_frame(capture.sharp, encoding), encoding, header)
+            self._outputs.send("ground_truth/image", sharp)
+
+    def _publish_camera_info(self, width: int, height: int, header: Header) -> None:
+        measured = None if self._store is None else self._store.measured
+        try:
+            if measured is None:
+                info = camera_info_from_camera(fitted_camera(self._camera, width, height), header)
+            else:
+                info = camera_info_from_intrinsics(measured, header)
+                info = scaled_camera_info(info, width, height, header)
+        except MessageError as error:
+            if not self._warned_of_size:
+                self._warned_of_size = True
+                self.get_logger().warning(f"no camera_info: {error}")
+            return
+        self._outputs.send("camera_info", info)
+
+    def _status(self) -> DiagnosticStatus:
+        last, self._last = self._last, self.statistics.summary()
+        source = self._source
+        return status_of(
+            self.get_fully_qualified_name(),
+            self._last,
+            last,
+            self.configs[DiagnosticsConfig],
+            waiting=source is not None and (source.live or self._failing),
+            active=self._active,
+            identity={
+                "source": self._config.source,
+                "camera_file": self._config.camera_file,
+                "failures": str(self._failures),
+            },
+        )
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until it is told to stop; return the exit status."""
+    return run_nodes([CameraDriverNode], args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

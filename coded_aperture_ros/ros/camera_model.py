@@ -1,0 +1,72 @@
+"""Which camera a frame was taken with: the camera file, or what the driver says."""
+
+from sensor_msgs.msg import CameraInfo
+from std_msgs.msg import Header
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.optics import Camera, load_camera
+from coded_aperture_ros.ros.messages import (
+    MessageError,
+    camera_info_from_camera,
+    scaled_camera_info,
+)
+
+
+def required_camera(path: str) -> Camera:
+    """Return the camera of the parameter `camera_file`; an `InputError` if it is not set."""
+    if not path:
+        raise InputError(
+            "parameter camera_file is empty: set it, as in --ros-args -p camera_file:=camera.yaml"
+        )
+    return load_camera(path)
+
+
+def fitted_camera(camera: Camera, width: int, height: int) -> Camera:
+    """Return the camera for frames of this size.
+
+    A frame of the same proportions as the camera file's is taken to be the same view, resized.
+
+    Raises
+    ------
+    MessageError
+        Of kind "size", where the proportions differ.
+    """
+    try:
+        return camera.fitted(width, height)
+    except InputError as error:
+        raise MessageError("size", str(error)) from error
+
+
+class CameraModel:
+    """The camera model to publish: the driver's own if it sends one, else the camera file's."""
+
+    def __init__(self) -> None:
+        self._received: CameraInfo | None = None
+
+    def receive(self, info: CameraInfo) -> None:
+        """Remember a model from the driver; one without a calibration (K is 0) is ignored."""
+        if info.k[0] > 0 and info.k[4] > 0:
+            self._received = info
+
+    def info(
+        self,
+        camera: Camera,
+        frame_size: tuple[int, int],
+        output_size: tuple[int, int],
+        header: Header,
+    ) -> CameraInfo:
+        """Return the model of an output.
+
+        Parameters
+        ----------
+        camera : Camera
+            Of the frame.
+        frame_size, output_size : (height, width)
+            Of the frame, and of what was made from it.
+        header : std_msgs.msg.Header
+            Of the frame.
+        """
+        info = self._received
+        if info is None or (info.height, info.width) != frame_size:
+            info = camera_info_from_camera(camera, header)
+        return scaled_camera_info(info, output_size[1], output_size[0], header)

@@ -1,0 +1,166 @@
+"""The node that turns coded frames and their depth into all-in-focus frames."""
+
+import math
+import sys
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, Image
+
+from coded_aperture_ros.bank import LearnConfig
+from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, covers_frame
+from coded_aperture_ros.ros.camera_model import CameraModel
+from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
+from coded_aperture_ros.ros.frame_node import FrameNode
+from coded_aperture_ros.ros.messages import (
+    MessageError,
+    array_from_image,
+    frame_from_image,
+    image_from_array,
+    pixels_from_frame,
+    stamp_ns,
+)
+from coded_aperture_ros.ros.pairing import StampPairs
+from coded_aperture_ros.ros.running import run_nodes
+from coded_aperture_ros.ros.stamp_order import StampOrder
+
+# Frames to keep while depth_node works on them. Those that come meanwhile must not push out the one
+# in work, however fast they come: there would never be a pair. Two seconds at 100 Hz.
+_WAITING_FRAMES = 200
+_WAITING_BYTES = 256 * 2**20
+
+
+class DeblurNode(FrameNode[tuple[Image, Image]]):
+    """Pairs each coded frame with its own depth image and publishes the frame all in focus."""
+
+    outputs: ClassVar = {"deblurred/image": Image, "deblurred/camera_info": CameraInfo}
+
+    def __init__(self, **node_options: Any) -> None:
+        super().__init__(
+            "deblur_node",
+            ModelConfig(),
+            DeblurConfig(),
+            fixed={"learn.": LearnConfig()},
+            **node_options,
+        )
+        self._info = CameraModel()
+        self._order = StampOrder()
+        self._pairs: StampPairs[Image, Image] = StampPairs(
+            _WAITING_FRAMES,
+            lambda: self.statistics.count_dropped("no_depth"),
+            _WAITING_BYTES,
+            _size_bytes,
+        )
+        self.listen_to_frames("image_raw", self._on_image)
+        self.listen("depth/image", Image, self._on_depth)
+        self.listen("camera_info", CameraInfo, self._info.receive)
+        self.begin()
+
+    def load(self) -> None:
+        """Load the camera file, load or learn the bank, and prepare the deblurring."""
+        self._range = self.configs[ModelConfig]
+        self._model = FrameModel(self, self.configs)
+        self._deblurrer = self._new_deblurrer()
+
+    def unload(self) -> None:
+        """Nothing to end."""
+
+    def identity(self) -> dict[str, str]:
+        """Return which camera and bank the node works with."""
+        return self._model.identity()
+
+    def rest(self) -> None:
+        """Let go of the frames that wait for their depth."""
+        self._pairs.clear()
+
+    def restart(self) -> None:
+        """Forget the frames so far."""
+        self._order.forget()
+
+    def _on_image(self, message: Image) -> None:
+        self.statistics.count_received()
+        if self._order.follow(stamp_ns(message.header)) == "restart":
+            # The same stamps may come again, and frames from before are not theirs.
+            self._pairs.clear()
+        self._offer_pair(self._pairs.add_first(stamp_ns(message.header), message))
+
+    def _on_depth(self, message: Image) -> None:
+        self._offer_pair(self._pairs.add_second(stamp_ns(message.header), message))
+
+    def _offer_pair(self, pair: tuple[Image, Image] | None) -> None:
+        if pair is not None:
+            self.offer(pair)
+
+    def process(self, item: tuple[Image, Image]) -> None:
+        """Deblur and publish one frame."""
+        image, depth = item
+        header, gamma = image.header, self.frame_config.gamma
+        frame = frame_from_image(image, gamma)
+        depth_m = depth_of_frame(depth, image)
+        # Beyond the range is deblurred as the end of the range; NaN stays unknown.
+        depth_m = np.clip(depth_m, self._range.near_m, self._range.far_m or math.inf)
+        self._model.fit(image.width, image.height)
+        camera = self._model.camera
+        blur_size_px = self._model.blur_size_px(depth_m)
+        if not np.isfinite(blur_size_px).any():
+            raise MessageError("depth", "no depth is known in the whole frame")
+        sharp = self._present_deblurrer().deblur(frame, blur_size_px)
+        if self.wants("deblurred/image"):
+            pixels = pixels_from_frame(sharp, image.encoding, gamma)
+            self.send("deblurred/image", image_from_array(pixels, image.encoding, header))
+        if self.wants("deblurred/camera_info"):
+            size = frame.shape[0], frame.shape[1]
+            self.send("deblurred/camera_info", self._info.info(camera, size, size, header))
+        self.sent(header)
+
+    def _present_deblurrer(self) -> Deblurrer:
+        """Return the deblurrer for the present bank and parameters."""
+        if self._deblurrer.stack is not self._model.bank.stack:
+            self._deblurrer = self._new_deblurrer()
+        # What was prepared depends on the rank only, which cannot change while the node runs.
+        self._deblurrer.config = self.configs[DeblurConfig]
+        return self._deblurrer
+
+    def _new_deblurrer(self) -> Deblurrer:
+        deblurrer = Deblurrer(self._model.bank.stack, self.configs[DeblurConfig])
+        camera = self._model.camera
+        deblurrer.prepare((camera.image_height, camera.image_width))
+        return deblurrer
+
+
+def depth_of_frame(depth: Image, image: Image) -> NDArray[np.float32]:
+    """Return the depth image of a frame in metres, NaN where it says nothing.
+
+    Raises
+    ------
+    MessageError
+        If it cannot be the depth of that frame.
+    """
+    if stamp_ns(image.header) == 0:
+        raise MessageError("stamp", "the frame has no stamp, so its depth cannot be told apart")
+    if depth.encoding != "32FC1":
+        raise MessageError("depth", f"depth/image is {depth.encoding}, expected 32FC1")
+    if not covers_frame((depth.height, depth.width), (image.height, image.width)):
+        raise MessageError(
+            "depth",
+            f"depth/image of {depth.width}x{depth.height} does not have the proportions of the "
+            f"{image.width}x{image.height} frame",
+        )
+    depth_m = array_from_image(depth)
+    # Some drivers say 0 where depth is unknown; -Inf is too near.
+    return np.where((depth_m > 0) | (depth_m == -np.inf), depth_m, np.float32(np.nan))
+
+
+def _size_bytes(message: Image) -> int:
+    return len(message.data)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until it is told to stop; return the exit status."""
+    return run_nodes([DeblurNode], args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,285 @@
+"""What a node tells about itself on /diagnostics: rate, latency, dropped and rejected frames."""
+
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from coded_aperture_ros.core.options import check_options, option
+
+_WINDOW_S = 10.0
+# A latency beyond this is not one: the stamp comes from another clock than ours.
+_PLAUSIBLE_LATENCY_S = 3600.0
+
+
+@dataclass(frozen=True)
+class DiagnosticsConfig:
+    """From when on /diagnostics warns."""
+
+    warn_latency_ms: float = option(
+        0.0,
+        "Warn if the 99th percentile of the latency exceeds this; 0: never",
+        unit="ms",
+        minimum=0.0,
+        maximum=1e6,
+    )
+    warn_rate_hz: float = option(
+        0.0,
+        "Warn if fewer frames than this are worked on per second; 0: never",
+        unit="Hz",
+        minimum=0.0,
+        maximum=10_000.0,
+    )
+    warn_dropped_share: float = option(
+        1.0,
+        "Warn if more than this share of the last second's frames was dropped; 1: never",
+        minimum=0.0,
+        maximum=1.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The state of a node's work at one moment; latencies and rate over the last 10 s."""
+
+    received: int
+    processed: int
+    dropped_by: dict[str, int]
+    rejected: dict[str, int]
+    rate_hz: float
+    latency_s: tuple[float, float, float] | None  # median, 99th percentile, maximum
+    work_s: tuple[float, float, float] | None
+    stages_s: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    figures: dict[str, float] = field(default_factory=dict)
+    last_error: str = ""
+
+    @property
+    def dropped(self) -> int:
+        """Return the number of frames that were given up, for whatever cause."""
+        return sum(self.dropped_by.values())
+
+    @property
+    def rejected_total(self) -> int:
+        """Return the number of messages of all kinds that could not be used."""
+        return sum(self.rejected.values())
+
+
+class Statistics:
+    """Counts of one node's work; safe to use from several threads.
+
+    Parameters
+    ----------
+    now : callable
+        The clock that rates are measured by, in seconds.
+    """
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self._now = now
+        self._lock = threading.Lock()
+        self._received = 0
+        self._processed = 0
+        self._dropped: Counter[str] = Counter()
+        self._rejected: Counter[str] = Counter()
+        # When each frame was done, its latency, the time spent on it and that of its stages.
+        self._recent: deque[tuple[float, float | None, float, Mapping[str, float]]] = deque(
+            maxlen=2000
+        )
+        self._started_s: float | None = None
+        self._figures: Mapping[str, float] = {}
+        self._last_error = ""
+
+    def count_received(self) -> None:
+        """Count a frame that arrived."""
+        with self._lock:
+            self._received += 1
+            if self._started_s is None:
+                self._started_s = self._now()
+
+    def count_dropped(self, cause: str) -> None:
+        """Count a frame that was not worked on though nothing was wrong with it."""
+        with self._lock:
+            self._dropped[cause] += 1
+
+    def count_rejected(self, kind: str, reason: str = "") -> None:
+        """Count a message that cannot be used, by the kind of its fault; remember the reason."""
+        with self._lock:
+            self._rejected[kind] += 1
+            self._last_error = reason or kind
+
+    def count_processed(
+        self,
+        latency_s: float | None,
+        work_s: float,
+        stages_s: Mapping[str, float] | None = None,
+        figures: Mapping[str, float] | None = None,
+    ) -> None:
+        """Count a frame done.
+
+        Parameters
+        ----------
+        latency_s : float or None
+            From the frame's stamp to the publication of its last result; None if the stamp is
+            not of this clock.
+        work_s : float
+            From taking up the frame to the publication of its last result.
+        stages_s : mapping, optional
+            Time of each stage of that work.
+        figures : mapping, optional
+            What else there is to tell of the frame, by names with their units.
+        """
+        if latency_s is not None and not 0.0 <= latency_s <= _PLAUSIBLE_LATENCY_S:
+            latency_s = None
+        with self._lock:
+            self._processed += 1
+            self._figures = figures or {}
+            self._recent.append((self._now(), latency_s, work_s, stages_s or {}))
+
+    def summary(self) -> Summary:
+        """Return the counts so far and the figures of the last seconds."""
+        with self._lock:
+            now = self._now()
+            recent = [entry for entry in self._recent if entry[0] > now - _WINDOW_S]
+            running_s = 0.0 if self._started_s is None else now - self._started_s
+            span_s = min(_WINDOW_S, max(running_s, 1.0))
+            return Summary(
+                self._received,
+                self._processed,
+                dict(self._dropped),
+                dict(self._rejected),
+                len(recent) / span_s,
+                percentiles([latency for _, latency, _, _ in recent if latency is not None]),
+                percentiles([work for _, _, work, _ in recent]),
+                _by_stage([stages for _, _, _, stages in recent]),
+                dict(self._figures),
+                self._last_error,
+            )
+
+
+def _by_stage(frames: list[Mapping[str, float]]) -> dict[str, tuple[float, float, float]]:
+    by_stage: dict[str, list[float]] = {}
+    for stages in frames:
+        for stage, seconds in stages.items():
+            by_stage.setdefault(stage, []).append(seconds)
+    figures = {stage: percentiles(values) for stage, values in by_stage.items()}
+    return {stage: three for stage, three in figures.items() if three is not None}
+
+
+def percentiles(values: list[float]) -> tuple[float, float, float] | None:
+    """Return the median, the 99th percentile and the maximum; None of nothing."""
+    if not values:
+        return None
+    median, high = np.percentile(values, (50, 99))
+    return float(median), float(high), float(max(values))
+
+
+def status_of(
+    name: str,
+    summary: Summary,
+    last: Summary,
+    config: DiagnosticsConfig,
+    *,
+    waiting: bool = False,
+    active: bool = True,
+    identity: Mapping[str, str] = MappingProxyType({}),
+) -> DiagnosticStatus:
+    """Return the diagnostic status of a node's work.
+
+    Parameters
+    ----------
+    name : str
+        Of the node, with its namespace.
+    summary, last : Summary
+        Now, and when the status was told before.
+    config : DiagnosticsConfig
+    waiting : bool
+        The node listens for frames.
+    active : bool
+        The node has been activated.
+    identity : mapping
+        What the node works with.
+    """
+    status = DiagnosticStatus(name=f"{name.lstrip('/')}: frames", level=DiagnosticStatus.OK)
+    status.message = f"{summary.rate_hz:.1f} frames/s" if active else "not active"
+    warnings = list(_warnings(summary, last, config, waiting)) if active else []
+    if warnings:
+        status.level, status.message = DiagnosticStatus.WARN, "; ".join(warnings)
+    values = {
+        "rate_hz": f"{summary.rate_hz:.2f}",
+        "received": str(summary.received),
+        "processed": str(summary.processed),
+        "dropped": str(summary.dropped),
+        "rejected": str(summary.rejected_total),
+    }
+    for cause, count in sorted(summary.dropped_by.items()):
+        values[f"dropped_{cause}"] = str(count)
+    for kind, count in sorted(summary.rejected.items()):
+        values[f"rejected_{kind}"] = str(count)
+    stages = [(f"stage_{stage}", figures) for stage, figures in summary.stages_s.items()]
+    for label, figures in (("latency", summary.latency_s), ("work", summary.work_s), *stages):
+        if figures is not None:
+            for part, value in zip(("median", "p99", "max"), figures, strict=True):
+                values[f"{label}_{part}_ms"] = f"{value * 1000:.1f}"
+    values.update({name: f"{value:.3f}" for name, value in summary.figures.items()})
+    values.update(identity)
+    values["last_error"] = summary.last_error or "none"
+    status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
+    return status
+
+
+def _warnings(
+    summary: Summary, last: Summary, config: DiagnosticsConfig, waiting: bool
+) -> Iterator[str]:
+    received = summary.received - last.received
+    rejected = summary.rejected_total - last.rejected_total
+    dropped = summary.dropped - last.dropped
+    if rejected:
+        yield f"{rejected} unusable message(s) in the last second"
+    if waiting and not received:
+        yield "waiting for frames"
+    elif received and last.received and summary.rate_hz == 0:
+        yield "frames come in, no results go out"
+    elif received and summary.rate_hz < config.warn_rate_hz:
+        yield f"{summary.rate_hz:.1f} frames/s, fewer than {config.warn_rate_hz:g}"
+    if received and dropped > config.warn_dropped_share * received:
+        yield f"{dropped} of {received} frames dropped"
+    late_ms = summary.latency_s[1] * 1000 if summary.latency_s else 0.0
+    if config.warn_latency_ms and late_ms > config.warn_latency_ms:
+        yield f"latency {late_ms:.0f} ms, more than {config.warn_latency_ms:g}"
+
+
+class DiagnosticsPublisher:
+    """Publishes a node's status on /diagnostics once a second.
+
+    By a steady clock: under `use_sim_time` a timer of the node's own clock would stand still
+    until a /clock comes.
+    """
+
+    def __init__(self, node: Node, status: Callable[[], DiagnosticStatus]) -> None:
+        self._node = node
+        self._status = status
+        self._publisher = node.create_publisher(
+            DiagnosticArray, "/diagnostics", QoSProfile(depth=5)
+        )
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(1.0, self._publish, clock=steady)
+
+    def _publish(self) -> None:
+        message = DiagnosticArray(status=[self._status()])
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)
+
+    def close(self) -> None:
+        """Tell no more."""
+        self._node.destroy_timer(self._timer)
+        self._node.destroy_publisher(self._publisher)

@@ -1,0 +1,90 @@
+"""What a gyroscope says about the motion of a frame."""
+
+import dataclasses
+import threading
+from collections import deque
+
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Header
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.methods.motion import ExpectedMotion, expected_motion
+from coded_aperture_ros.optics import Intrinsics
+from coded_aperture_ros.ros.messages import stamp_ns
+
+# A second of a fast gyroscope: frames are worked on a little after they were taken.
+_KEPT = 1000
+
+
+@dataclasses.dataclass(frozen=True)
+class GyroConfig:
+    """How messages on `imu` are used to know the motion of a frame."""
+
+    exposure_s: float = option(
+        0.0, "Exposure time of the frames; 0: not known", unit="s", minimum=0.0, maximum=10.0
+    )
+    imu_axes: str = option(
+        "-y -z x",
+        "The camera's axes right, down and forward as axes of the gyroscope; the default is for "
+        "one with x forward, y left and z up that looks where the camera looks",
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        rotation_of(self.imu_axes)
+
+
+def rotation_of(axes: str) -> tuple[tuple[int, int], ...]:
+    """Return for each axis of the camera the index of the gyroscope's axis, and its sign.
+
+    Raises
+    ------
+    InputError
+        If the text does not name each axis once, or what it says is a mirror and no rotation.
+    """
+    found = []
+    for word in axes.split():
+        sign, name = (-1, word[1:]) if word.startswith("-") else (1, word.removeprefix("+"))
+        if len(name) == 1 and name in "xyz":
+            found.append(("xyz".index(name), sign))
+    order = [index for index, _ in found]
+    if sorted(order) != [0, 1, 2] or len(axes.split()) != 3:
+        raise InputError(f"imu_axes: expected three axes like -y -z x, got {axes!r}")
+    even = order in ([0, 1, 2], [1, 2, 0], [2, 0, 1])
+    if (1 if even else -1) * found[0][1] * found[1][1] * found[2][1] != 1:
+        raise InputError(f"imu_axes: {axes!r} is a mirror image, no rotation: check the signs")
+    return tuple(found)
+
+
+class Gyro:
+    """Remembers what the gyroscope said lately; safe to use from several threads."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._lately: deque[tuple[int, tuple[float, float, float]]] = deque(maxlen=_KEPT)
+
+    def receive(self, message: Imu) -> None:
+        """Remember a message."""
+        rate = message.angular_velocity
+        with self._lock:
+            self._lately.append((stamp_ns(message.header), (rate.x, rate.y, rate.z)))
+
+    def forget(self) -> None:
+        """Forget everything, as when time has gone back."""
+        with self._lock:
+            self._lately.clear()
+
+    def expected(
+        self, header: Header, config: GyroConfig, intrinsics: Intrinsics
+    ) -> ExpectedMotion:
+        """Return the motion that is expected of a frame; with a reason where it is not known."""
+        stamp = stamp_ns(header)
+        with self._lock:
+            nearest = min(self._lately, key=lambda said: abs(said[0] - stamp), default=None)
+        if nearest is None:
+            return expected_motion(None, config.exposure_s, intrinsics)
+        axes = rotation_of(config.imu_axes)
+        rates = tuple(sign * nearest[1][index] for index, sign in axes)
+        late_s = (nearest[0] - stamp) * 1e-9
+        return expected_motion(rates, config.exposure_s, intrinsics, late_s)

@@ -1,0 +1,169 @@
+"""Conversions between ROS messages and the library's arrays, without cv_bridge.
+
+Everything here is a pure function of its arguments: no node, no clock, no publisher.
+"""
+
+import sys
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField
+from std_msgs.msg import Header
+
+from coded_aperture_ros.io.messages import (
+    ENCODINGS,
+    Encoding,
+    MessageError,
+    array_from_compressed,
+    array_from_image,
+    check_pixels,
+    encoding_of,
+    frame_from_image,
+    limit_depth,
+    luminance,
+    millimetres_from_depth,
+    pixels_from_frame,
+    scaled_matrices,
+)
+from coded_aperture_ros.optics import Camera, Intrinsics
+
+__all__ = [
+    "ENCODINGS",
+    "Encoding",
+    "MessageError",
+    "array_from_image",
+    "camera_info_from_camera",
+    "camera_info_from_intrinsics",
+    "cloud_from_points",
+    "copied_header",
+    "encoding_of",
+    "frame_from_image",
+    "image_from_array",
+    "image_from_compressed",
+    "image_from_motion",
+    "limit_depth",
+    "luminance",
+    "millimetres_from_depth",
+    "pixels_from_frame",
+    "scaled_camera_info",
+    "stamp_ns",
+]
+
+
+def image_from_array(pixels: NDArray, encoding: str, header: Header) -> Image:
+    """Return an image message that holds `pixels`, stored as `encoding` says.
+
+    Parameters
+    ----------
+    pixels : array, [row, column] or [row, column, stored channel]
+        Of exactly the encoding's dtype and number of channels.
+    encoding : str
+        One of `ENCODINGS`.
+    header : std_msgs.msg.Header
+        Copied, so that messages never share one.
+    """
+    check_pixels(pixels, encoding)
+    return _image(pixels, encoding, header)
+
+
+def image_from_motion(motion_px: NDArray[np.float32], header: Header) -> Image:
+    """Return a field of motions [row, column, right and down], as optical flow is kept (32FC2)."""
+    return _image(motion_px, "32FC2", header)
+
+
+def _image(pixels: NDArray, encoding: str, header: Header) -> Image:
+    message = Image(header=copied_header(header), encoding=encoding)
+    message.height, message.width = pixels.shape[:2]
+    message.step = pixels.nbytes // message.height
+    message.is_bigendian = int(sys.byteorder == "big")
+    # bytes are taken over as one block; a NumPy array would be checked element by element.
+    message.data = pixels.tobytes()
+    return message
+
+
+def copied_header(header: Header) -> Header:
+    """Return a new header with the same stamp and frame_id."""
+    copy = Header(frame_id=header.frame_id)
+    copy.stamp.sec = header.stamp.sec
+    copy.stamp.nanosec = header.stamp.nanosec
+    return copy
+
+
+def stamp_ns(header: Header) -> int:
+    """Return the stamp of a header in nanoseconds."""
+    return header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+
+
+def image_from_compressed(message: CompressedImage) -> Image:
+    """Return the image that a compressed one (JPEG, PNG and others) holds, with its header.
+
+    Raises
+    ------
+    MessageError
+        See `array_from_compressed`.
+    """
+    pixels = array_from_compressed(message)
+    grey = "mono8" if pixels.dtype == np.uint8 else "mono16"
+    if pixels.ndim == 3 and pixels.dtype != np.uint8:
+        raise MessageError("encoding", "compressed colour of 16 bits is not supported")
+    encoding = grey if pixels.ndim == 2 else "rgb8"
+    return image_from_array(pixels, encoding, message.header)
+
+
+def cloud_from_points(points: NDArray[np.float32], header: Header) -> PointCloud2:
+    """Return an organised cloud with the fields x, y, z and confidence.
+
+    Parameters
+    ----------
+    points : float32, [row, column, 4]
+        See `points_of_depth`.
+    header : std_msgs.msg.Header
+        Copied.
+    """
+    names = ("x", "y", "z", "confidence")
+    cloud = PointCloud2(header=copied_header(header), is_dense=False)
+    cloud.height, cloud.width = points.shape[:2]
+    cloud.fields = [
+        PointField(name=name, offset=4 * index, datatype=PointField.FLOAT32, count=1)
+        for index, name in enumerate(names)
+    ]
+    cloud.point_step = 4 * len(names)
+    cloud.row_step = cloud.width * cloud.point_step
+    cloud.is_bigendian = sys.byteorder == "big"
+    cloud.data = points.tobytes()
+    return cloud
+
+
+def camera_info_from_camera(camera: Camera, header: Header) -> CameraInfo:
+    """Return the pinhole model of a camera file; see `Camera.intrinsics`."""
+    return camera_info_from_intrinsics(camera.intrinsics, header)
+
+
+def camera_info_from_intrinsics(model: Intrinsics, header: Header) -> CameraInfo:
+    """Return a camera model as a message."""
+    info = CameraInfo(header=copied_header(header), distortion_model=model.distortion_model)
+    info.width, info.height = model.image_width, model.image_height
+    info.d = list(model.distortion_coefficients)
+    info.k = list(model.camera_matrix)
+    info.r = list(model.rectification_matrix)
+    info.p = list(model.projection_matrix)
+    return info
+
+
+def scaled_camera_info(info: CameraInfo, width: int, height: int, header: Header) -> CameraInfo:
+    """Return the camera model of the same view resized to `width` x `height`.
+
+    Pixel centres have whole coordinates: a scale s moves x to s (x + 1/2) - 1/2. Distortion
+    coefficients act on normalised coordinates and stay.
+
+    Raises
+    ------
+    MessageError
+        Of kind "camera_info", where the message holds no camera model.
+    """
+    scaled = CameraInfo(header=copied_header(header), distortion_model=info.distortion_model)
+    scaled.k, scaled.p = scaled_matrices(info, width, height)
+    scaled.width, scaled.height = width, height
+    scaled.d = list(info.d)
+    scaled.r = list(info.r)
+    return scaled

@@ -1,0 +1,124 @@
+"""Frames of a topic for calibration: the mean of some of them, while the scene stands still."""
+
+import contextlib
+import threading
+import time
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import rclpy
+from numpy.typing import NDArray
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import Image
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.ros.messages import MessageError, frame_from_image
+
+
+class FrameGrabber:
+    """Subscribes to a topic of images, and takes means of frames; a context manager.
+
+    Frames are dropped between two pictures: what was seen while the plane was moved does not
+    count.
+
+    Parameters
+    ----------
+    topic : str
+    gamma : float, optional
+        Of 8-bit images.
+
+    Raises
+    ------
+    InputError
+        If ROS does not start, or the topic's name is none.
+    """
+
+    def __init__(self, topic: str, gamma: float = 1.0) -> None:
+        self._topic, self._gamma = topic, gamma
+        self._changed = threading.Condition()
+        self._frames: list[NDArray[np.float32]] = []
+        self._wanted = 0
+        self._refused = ""
+        self._context = Context()
+        try:
+            # Ctrl-C stays with the program.
+            rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+            self._node = Node("calibrate_planes", context=self._context)
+            self._executor = SingleThreadedExecutor(context=self._context)
+            self._executor.add_node(self._node)
+            qos = QoSProfile(
+                depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT
+            )
+            self._node.create_subscription(Image, topic, self._receive, qos)
+        except Exception as error:  # rclpy's own errors are of many kinds
+            self._context.try_shutdown()
+            raise InputError(f"topic {topic}: {str(error).splitlines()[0]}") from error
+        self._thread = threading.Thread(target=self._spin, name="frames", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> "FrameGrabber":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._executor.shutdown()
+        self._thread.join(5.0)
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def mean_frame(self, count: int, timeout_s: float) -> NDArray[np.float32]:
+        """Return the mean of the next frames.
+
+        Parameters
+        ----------
+        count : int
+        timeout_s : float
+            Longest wait for all of them.
+
+        Raises
+        ------
+        InputError
+            If they do not come, cannot be used, or change their size meanwhile.
+        """
+        deadline_s = time.monotonic() + timeout_s
+        with self._changed:
+            self._frames, self._refused, self._wanted = [], "", count
+            self._changed.wait_for(
+                lambda: len(self._frames) >= count or self._refused,
+                max(0.0, deadline_s - time.monotonic()),
+            )
+            frames, self._frames, self._wanted = self._frames, [], 0
+            refused = self._refused
+        if refused:
+            raise InputError(f"topic {self._topic}: {refused}")
+        if len(frames) < count:
+            raise InputError(
+                f"topic {self._topic}: {len(frames)} of {count} frames came within {timeout_s:g} s"
+                + ("" if frames else ": check that a camera publishes there (ros2 topic hz)")
+            )
+        if len({frame.shape for frame in frames}) > 1:
+            raise InputError(f"topic {self._topic}: frames changed their size")
+        return np.asarray(np.mean(frames, axis=0, dtype=np.float64), np.float32)
+
+    def _receive(self, message: Any) -> None:
+        with self._changed:
+            if len(self._frames) >= self._wanted:
+                return
+            try:
+                self._frames.append(np.array(frame_from_image(message, self._gamma)))
+            except MessageError as error:
+                self._refused = str(error)
+            self._changed.notify()
+
+    def _spin(self) -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            self._executor.spin()

@@ -1,0 +1,106 @@
+"""Coded frames made from the RGB-D topics of any simulator, camera or bag."""
+
+import threading
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.node import Node
+from sensor_msgs.msg import Image
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.io.messages import depth_from_pixels
+from coded_aperture_ros.io.sources import Capture
+from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.ros.messages import MessageError, array_from_image, frame_from_image
+from coded_aperture_ros.ros.messages import stamp_ns as stamp_of
+from coded_aperture_ros.ros.pairing import StampPairs
+from coded_aperture_ros.ros.topics import Inputs
+from coded_aperture_ros.simulation import SensorModel, render_coded_frame
+
+RGBD = "rgbd"
+_IMAGE, _DEPTH = "rgbd/image", "rgbd/depth"
+_WAITING = 10
+_WAIT_S = 1.0
+
+
+class RgbdSource:
+    """Turns each pair of an image and its depth into what the coded camera would see of it.
+
+    It subscribes to `rgbd/image`, with a linear sensor, and `rgbd/depth` (32FC1 in metres or
+    16UC1 in millimetres), of one size and with equal stamps. Only the newest pair counts.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    camera : Camera
+        Its focal length has to be that of the images.
+    noise : float
+        Standard deviation of the simulated sensor's noise in linear light.
+    """
+
+    live = True
+
+    def __init__(self, node: Node, camera: Camera, noise: float) -> None:
+        self._camera, self._noise = camera, noise
+        self._random = np.random.default_rng(0)
+        self._sensor = SensorModel()
+        self._pairs: StampPairs[Image, Image] = StampPairs(_WAITING, lambda: None)
+        self._changed = threading.Condition()
+        self._pair: tuple[Image, Image] | None = None
+        self._inputs = Inputs(node, None)
+        self._inputs.add(_IMAGE, Image, self._on_image)
+        self._inputs.add(_DEPTH, Image, self._on_depth)
+        self._inputs.open()
+
+    def read(self) -> Capture | None:
+        """Wait for the next pair; an `InputError` where none comes or it cannot be used."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._pair is not None, _WAIT_S)
+            pair, self._pair = self._pair, None
+        if pair is None:
+            raise InputError(f"no pair of {_IMAGE} and {_DEPTH} with equal stamps has come")
+        sharp, depth_m = frame_from_image(pair[0]), depth_in_metres(pair[1])
+        if sharp.shape[:2] != depth_m.shape:
+            raise MessageError("size", f"{_IMAGE} and {_DEPTH} are not of one size")
+        coded = render_coded_frame(sharp, depth_m, self._camera)
+        coded += np.float32(self._noise) * self._random.standard_normal(coded.shape, np.float32)
+        return Capture(coded, depth_m, sharp, stamp_of(pair[0].header))
+
+    def close(self) -> None:
+        """Forget what has come."""
+        self._pairs.clear()
+        with self._changed:
+            self._pair = None
+
+    def end(self) -> None:
+        """Listen no more; only where no executor waits for the node."""
+        self._inputs.close()
+
+    def _on_image(self, message: Image) -> None:
+        self._take(self._pairs.add_first(stamp_of(message.header), message))
+
+    def _on_depth(self, message: Image) -> None:
+        self._take(self._pairs.add_second(stamp_of(message.header), message))
+
+    def _take(self, pair: tuple[Image, Image] | None) -> None:
+        if pair is not None:
+            with self._changed:
+                self._pair = pair
+                self._changed.notify()
+
+
+def depth_in_metres(message: Image) -> NDArray[np.float32]:
+    """Return the pixels of a depth image (REP 118) in metres, NaN where it has no distance.
+
+    Raises
+    ------
+    MessageError
+        Where it is no depth image, or nothing is known in it.
+    """
+    pixels = array_from_image(message)
+    if message.encoding not in ("32FC1", "16UC1", "mono16"):
+        raise MessageError("depth", f"depth image is {message.encoding}, expected 32FC1 or 16UC1")
+    depth_m = depth_from_pixels(pixels)
+    if not np.isfinite(depth_m).any():
+        raise MessageError("depth", "no depth is known in the whole image")
+    return depth_m

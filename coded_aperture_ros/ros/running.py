@@ -1,0 +1,104 @@
+"""Start nodes from a shell and end them cleanly."""
+
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from coded_aperture_ros.core.errors import InputError
+
+
+def run_nodes(factories: Sequence[Callable[[], Any]], args: Sequence[str] | None = None) -> int:
+    """Run nodes in this process until SIGINT or SIGTERM.
+
+    The callbacks of all nodes share one executor thread: they only hand over the newest message,
+    the work is done in each node's own thread. The order of the end matters: first the work
+    stops, then the middleware, so that nothing is published on a context that is gone.
+
+    Parameters
+    ----------
+    factories : sequence of callables
+        Each makes one node that has a method `close`, which ends the node's own threads.
+    args : sequence of str, optional
+        Command line, with ROS arguments.
+
+    Returns
+    -------
+    int
+        Exit status: 0 after a signal; 1 where a node could not start (after one line on stderr)
+        or a callback failed.
+    """
+    stop = _Stop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop.on_signal)
+    nodes: list[Any] = []
+    try:
+        _init(args)
+        executor = SingleThreadedExecutor()
+        for factory in factories:
+            nodes.append(factory())
+            executor.add_node(nodes[-1])
+        stop.starting = False
+        spinner = threading.Thread(target=_spin, args=(executor, stop), name="executor")
+        spinner.start()
+        stop.event.wait()
+        for node in nodes:
+            node.close()
+        executor.shutdown()
+        spinner.join()
+    except InputError as error:
+        program = Path(sys.argv[0]).name.removesuffix(".py")
+        sys.stderr.write(f"{program}: error: {error}\n")
+        stop.status = 1
+    finally:
+        stop.starting = False
+        for node in nodes:
+            node.close()
+            node.destroy_node()
+        rclpy.try_shutdown()
+        # Python takes its handlers away before it has ended; a second Ctrl-C would then end it with
+        # the status of a crash.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+    return stop.status
+
+
+def _init(args: Sequence[str] | None) -> None:
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # the base of rclpy's own errors, which are private
+        raise InputError(f"cannot start ROS: {str(error).splitlines()[0]}") from error
+
+
+class _Stop:
+    """Why and when to stop."""
+
+    def __init__(self) -> None:
+        self.event = threading.Event()
+        self.status = 0
+        self.starting = True
+
+    def on_signal(self, *_: Any) -> None:
+        self.event.set()
+        if self.starting:  # learning a bank takes seconds that nobody wants to wait for
+            self.starting = False  # a second signal does not disturb the end
+            raise SystemExit(0)
+
+
+def _spin(executor: SingleThreadedExecutor, stop: _Stop) -> None:
+    try:
+        executor.spin()
+    except ExternalShutdownException:
+        pass
+    except Exception:
+        traceback.print_exc()
+        stop.status = 1
+    finally:
+        stop.event.set()

@@ -1,0 +1,168 @@
+"""The topics that a node publishes and subscribes to, over DDS and inside its process."""
+
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+from rclpy.exceptions import ParameterException
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.ros.local_topics import LocalTopics
+
+# History, depth and reliability of every topic are parameters.
+_OVERRIDABLE = QoSOverridingOptions.with_default_policies()
+
+
+class Outputs:
+    """The topics of a node's results, with QoS that users can change by parameters.
+
+    Reliable, because such a publisher serves every kind of subscriber.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    types : dict
+        The message type of every topic.
+    local : LocalTopics, optional
+        Of the process that the node shares with others.
+    """
+
+    def __init__(self, node: Node, types: Mapping[str, type], local: LocalTopics | None) -> None:
+        self._node = node
+        self._types = dict(types)
+        self._local = local
+        self._publishers: dict[str, Any] = {}
+        self._names = {topic: node.resolve_topic_name(topic) for topic in types}
+        if local is not None:
+            for name in self._names.values():
+                local.offer(name)
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """The topics' names, as they were given."""
+        return tuple(self._types)
+
+    def open(self) -> None:
+        """Create the publishers."""
+        for topic, message_type in self._types.items():
+            self._publishers[topic] = _publisher(self._node, message_type, topic)
+
+    def close(self) -> None:
+        """Destroy the publishers."""
+        publishers, self._publishers = self._publishers, {}
+        for publisher in publishers.values():
+            self._node.destroy_publisher(publisher)
+
+    def listened(self, topic: str | None = None) -> bool:
+        """Return whether anyone subscribes to a topic, or to any of them."""
+        if topic is None:
+            return any(self.listened(each) for each in self._publishers)
+        if topic not in self._publishers:
+            return False
+        return self._listened_here(topic) or self._publishers[topic].get_subscription_count() > 0
+
+    def send(self, topic: str, message: Any) -> None:
+        """Publish a message, unless the node's context has been shut down meanwhile."""
+        if self._local is not None:
+            self._local.publish(self._names[topic], message)
+        publisher = self._publishers.get(topic)
+        # Without a subscriber it would still be serialised.
+        if publisher is None or not publisher.get_subscription_count():
+            return
+        try:
+            publisher.publish(message)
+        except Exception:
+            # rclpy raises several kinds here, one of them private; only a shutdown excuses them.
+            if self._node.context.ok():
+                raise
+
+    def _listened_here(self, topic: str) -> bool:
+        return self._local is not None and self._local.listeners(self._names[topic]) > 0
+
+
+class Inputs:
+    """The topics that a node listens to: sensor data, of which only the newest matters.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    local : LocalTopics, optional
+        Of the process that the node shares with others; what they publish comes from there.
+    """
+
+    def __init__(self, node: Node, local: LocalTopics | None) -> None:
+        self._node = node
+        self._local = local
+        self._wanted: list[tuple[str, type, Callable[[Any], None]]] = []
+        self._endings: list[Callable[[], Any]] = []
+        # Messages come from the executor and from the threads of the other nodes.
+        self._one_at_a_time = threading.Lock()
+
+    def add(self, topic: str, message_type: type, callback: Callable[[Any], None]) -> None:
+        """Listen to a topic whenever the inputs are open."""
+
+        def one_at_a_time(message: Any) -> None:
+            with self._one_at_a_time:
+                callback(message)
+
+        self._wanted.append((topic, message_type, one_at_a_time))
+
+    @property
+    def are_open(self) -> bool:
+        """Whether the node listens."""
+        return bool(self._endings)
+
+    def open(self) -> None:
+        """Subscribe to all topics.
+
+        Raises
+        ------
+        InputError
+            If a QoS override cannot be met.
+        """
+        for topic, message_type, callback in self._wanted:
+            name = self._node.resolve_topic_name(topic)
+            if self._local is not None and self._local.offers(name):
+                self._endings.append(self._local.subscribe(name, callback))
+                continue
+            subscription = _subscription(self._node, message_type, topic, callback)
+            self._endings.append(partial(self._node.destroy_subscription, subscription))
+
+    def close(self) -> None:
+        """End the subscriptions."""
+        endings, self._endings = self._endings, []
+        for end in endings:
+            end()
+
+
+def _publisher(node: Node, message_type: type, topic: str) -> Any:
+    qos = _qos(5, ReliabilityPolicy.RELIABLE)
+    with _readable_qos_errors(topic):
+        return node.create_publisher(message_type, topic, qos, qos_overriding_options=_OVERRIDABLE)
+
+
+def _subscription(
+    node: Node, message_type: type, topic: str, callback: Callable[[Any], None]
+) -> Any:
+    qos = _qos(1, ReliabilityPolicy.BEST_EFFORT)
+    with _readable_qos_errors(topic):
+        return node.create_subscription(
+            message_type, topic, callback, qos, qos_overriding_options=_OVERRIDABLE
+        )
+
+
+def _qos(depth: int, reliability: ReliabilityPolicy) -> QoSProfile:
+    return QoSProfile(depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=reliability)
+
+
+@contextmanager
+def _readable_qos_errors(topic: str) -> Iterator[None]:
+    try:
+        yield
+    except (RuntimeError, ParameterException, InvalidQosOverridesError) as error:
+        raise InputError(f"topic {topic}: {error}") from error

@@ -1,0 +1,312 @@
+"""`coded_aperture bench accuracy`: what it prints, writes and refuses."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from cli_scene import CAMERA, HEIGHT, WIDTH, call
+from coded_aperture_benchmarks.commands.bench_methods import reference_methods
+from coded_aperture_benchmarks.commands.bench_stair import lost_cells
+
+from coded_aperture_ros.io import read_image, write_image
+from coded_aperture_ros.optics import Mask
+
+SMALL = ("--levels", 3, "--repeats", 1, "--window", 32, "--masks", "levin", "--jobs", 1)
+STAIR = ("bench", "accuracy", "stair", "--textures", "random", "--side", 48, *SMALL)
+TWO_PLANE = (
+    *("bench", "accuracy", "two-plane", "--texture", "random", "--size", 64, 96),
+    *("--blurs", "8,28", *SMALL),
+)
+
+
+def json_of(capsys, *arguments):
+    result = call(capsys, *arguments, "--json")
+    assert (result.status, result.err) == (0, "")
+    return json.loads(result.out)
+
+
+def test_a_stair_of_three_steps_is_recognised(capsys):
+    results = json_of(capsys, *STAIR, "--sigmas", 0.001, 0.3, "--methods", "bank", "bank-graphcut")
+    cells = {(cell["sigma"], cell["method"]): cell for cell in results["cells"]}
+    assert len(cells) == 4
+    easy, hard = cells[0.001, "bank"], cells[0.3, "bank"]
+    # Half a step from 7 to 18.5 px would be another level.
+    assert easy["mean_error"] < 0.4 < hard["mean_error"]
+    assert easy["mean_error_confident_half"] < 0.4
+    assert easy["noise"] == pytest.approx(0.001 / Mask.named("levin").open_fraction, abs=1e-6)
+    assert np.diff(easy["mean_of_step"]).min() > 0.5
+    assert easy["thesis_mean_error"] is None  # that is for 39 levels
+    kinds = {(entry["texture"], entry["method"]) for entry in results["reliability"]}
+    assert kinds == {("random", "bank"), ("random", "bank-graphcut")}
+
+
+def test_the_bank_can_be_told_the_noise(capsys):
+    (told,) = json_of(capsys, *STAIR, "--sigmas", 0.01, "--methods", "bank", "--known-noise")[
+        "cells"
+    ]
+    (own,) = json_of(capsys, *STAIR, "--sigmas", 0.01, "--methods", "bank")["cells"]
+    assert told["noise_estimated"] == pytest.approx(told["noise"], rel=1e-4)
+    assert own["noise_estimated"] != pytest.approx(own["noise"], rel=1e-4)
+
+
+def test_other_processes_measure_the_same(capsys):
+    arguments = (*STAIR, "--sigmas", 0, 0.01, "--methods", "bank")
+    alone = json_of(capsys, *arguments)["cells"]
+    together = json_of(capsys, *arguments, "--jobs", 2)["cells"]
+    for cell in (*alone, *together):
+        assert cell.pop("seconds") > 0
+    assert together == alone
+
+
+def test_the_table_names_the_cells_of_the_thesis(capsys, monkeypatch):
+    """Masks down, noise across, our number beside that of the same cell; nothing is computed."""
+    from coded_aperture_benchmarks.commands import bench_stair
+
+    monkeypatch.setattr(bench_stair, "identify", guess_zero)
+    result = call(
+        capsys,
+        *("bench", "accuracy", "stair", "--jobs", 1, "--repeats", 1, "--textures", "random"),
+        *("--sigmas", 0, 0.001, "--methods", "bank", "--masks", "four_hole", "mura", "disc"),
+    )
+    assert (result.status, result.err) == (0, "")
+    lines = {line.split()[0]: line for line in result.out.splitlines() if line}
+    assert lines["mask"].split()[1:] == ["sigma", "0", "sigma", "0.001", "time"]
+    assert "(b)" in lines["four_hole"]
+    assert lines["four_hole"].count("19.00") == 2  # the mean of 0 to 38
+    assert lines["four_hole"].index("[0.9]") < lines["four_hole"].index("[8.7]")
+    assert "(~h)" in lines["mura"]
+    assert lines["disc"].count("[-]") == 2
+
+
+def guess_zero(method, coded, noise, setting):
+    from coded_aperture_benchmarks.commands.bench_methods import Identified
+
+    return Identified(np.zeros(coded.shape), None, None, 0.5)
+
+
+def test_a_method_that_beats_the_bank_is_named():
+    def row(method, error, sigma=0.0):
+        return {
+            "mask": "levin", "texture": "natural", "sigma": sigma,
+            "method": method, "mean_error": error,
+        }  # fmt: skip
+
+    rows = [row("bank", 1.0), row("wiener", 0.9), row("levin", 1.1), row("bank-tv", 0.5)]
+    rows += [row("bank", 2.0, 0.1), row("wiener", 2.0, 0.1)]
+    (worse,) = lost_cells(rows)
+    assert (worse["method"], worse["sigma"], worse["bank_mean_error"]) == ("wiener", 0.0, 1.0)
+    assert lost_cells([row("wiener", 0.9)]) == []
+
+
+def test_reference_methods_take_part(capsys):
+    pytest.importorskip("skimage")
+    name = reference_methods()[-1]
+    result = call(capsys, *STAIR, "--sigmas", 0, "--methods", "bank", name)
+    assert (result.status, result.err) == (0, "")
+    assert f"random texture, {name}" in result.out
+    assert "beats" in result.out.splitlines()[-1]
+
+
+def test_two_planes_are_compared_with_the_plain_window(capsys):
+    results = json_of(capsys, *TWO_PLANE, "--methods", "bank", "bank-tv")
+    cells = {cell["method"]: cell for cell in results["cells"]}
+    assert list(cells) == ["plain-48", "bank", "bank-tv"]
+    plain, bank = cells["plain-48"], cells["bank"]
+    assert plain["near_edge_over_plain"] == 1
+    assert bank["near_edge_over_plain"] == pytest.approx(
+        bank["mean_error_near_edge"] / plain["mean_error_near_edge"], abs=0.002
+    )
+    assert bank["mean_error_near_edge"] > bank["mean_error_beyond"]
+    assert bank["mean_error_beyond"] < 0.3
+
+
+def test_figures_are_written(tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    stair = tmp_path / "new" / "stair"
+    result = call(capsys, *STAIR, "--sigmas", 0, "--methods", "bank", "--output", stair)
+    assert (result.status, result.err) == (0, "")
+    planes = tmp_path / "planes"
+    result = call(capsys, *TWO_PLANE, "--methods", "bank", "--output", planes)
+    assert (result.status, result.err) == (0, "")
+    pictures = {path.name for path in stair.iterdir()}
+    assert pictures == {
+        "maps_random_0.png",
+        "reliability.png",
+        "results.json",
+        "spread_random.png",
+    }
+    assert {path.name for path in planes.iterdir()} == {"edges.png", "results.json"}
+    for path in (*stair.glob("*.png"), *planes.glob("*.png")):
+        assert read_image(path).std() > 0.05, f"{path} is blank"
+    assert json.loads((stair / "results.json").read_text())["benchmark"] == "stair"
+
+
+@pytest.fixture
+def folder(scene, tmp_path):
+    """Return the small scene as a ray tracer would have left it."""
+    scene_folder = tmp_path / "table"
+    scene_folder.mkdir()
+    rows = ["".join(".#"[int(cell)] for cell in row) for row in Mask.named("levin").transmission]
+    meta = {
+        "fx": CAMERA["focal_length_px"],
+        "focus_distance_m": CAMERA["focus_distance_m"],
+        "width": WIDTH,
+        "height": HEIGHT,
+        "aperture_width_m": CAMERA["mask_extent_mm"] / 1e3,
+        "masks": {"levin": rows},
+    }
+    (scene_folder / "meta.json").write_text(json.dumps(meta))
+    coded = np.load(scene.coded_npy)
+    write_image(scene_folder / "coded_levin_linear.png", coded)
+    write_image(scene_folder / "aif_linear.png", scene.sharp)
+    tenths = np.rint(scene.depth_m * 1e4).astype(np.uint16)
+    import cv2
+
+    cv2.imwrite(str(scene_folder / "depth_0.1mm.png"), tenths)
+    return scene_folder
+
+
+def test_depth_of_a_scene_is_scored(capsys, folder):
+    (cell,) = json_of(
+        capsys,
+        *("bench", "accuracy", "scenes", folder, "--levels", 12, "--regularize", "tv"),
+    )["cells"]
+    assert (cell["scene"], cell["mask"], cell["regularize"]) == ("table", "levin", "tv")
+    everywhere, confident = cell["everywhere"], cell["confident"]
+    assert everywhere["away"]["median_error"] < 0.05
+    assert everywhere["near_edges"]["median_error"] > everywhere["away"]["median_error"]
+    assert everywhere["all"]["coverage"] > 0.99
+    assert 0.3 < confident["all"]["coverage"] < everywhere["all"]["coverage"]
+    assert confident["all"]["within_10_percent"] > everywhere["all"]["within_10_percent"]
+    pixels = sum(entry["count"] for entry in cell["reliability"])
+    assert pixels == pytest.approx(HEIGHT * WIDTH, rel=0.01)
+    table = call(capsys, "bench", "accuracy", "scenes", folder, "--levels", 12)
+    assert (table.status, table.err) == (0, "")
+    assert "near edges" in table.out
+
+
+def test_a_folder_that_is_no_scene_is_named(capsys, tmp_path, folder):
+    missing = call(capsys, "bench", "accuracy", "scenes", tmp_path)
+    assert (missing.status, missing.out) == (1, "")
+    assert str(tmp_path) in missing.err
+    mask = call(capsys, "bench", "accuracy", "scenes", folder, "--masks", "disk")
+    assert (mask.status, mask.out) == (1, "")
+    assert "disk" in mask.err
+    assert mask.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        (("stair", "--methods", "magic"), "bank-graphcut"),
+        (("stair", "--textures", "soft", "hard"), "natural"),
+        (("stair", "--sigmas", "-1"), "0 to 0.5"),
+        (("stair", "--repeats", "0"), "at least 1"),
+        (("stair", "--window", "33"), "even"),
+        (("two-plane", "--blurs", "10-14"), "10-14"),
+        (("two-plane", "--methods", "magic"), "bank-graphcut"),
+        (("scenes",), "FOLDER"),
+        (("scenes", "desk", "--regularize", "much"), "graphcut"),
+        (("hall",), "two-plane"),
+        ((), "FRAMES"),
+    ],
+)
+def test_wrong_usage_is_refused_with_a_hint(capsys, arguments, hint):
+    result = call(capsys, "bench", "accuracy", *arguments)
+    assert (result.status, result.out) == (2, "")
+    assert hint in result.err
+    assert "usage: coded_aperture bench accuracy" in result.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        (("--masks", "nonsense"), "nonsense"),
+        (("--images", "no_such_folder"), "no_such_folder"),
+    ],
+)
+def test_bad_input_is_one_line(capsys, tmp_path, monkeypatch, arguments, hint):
+    monkeypatch.chdir(tmp_path)
+    for frames in (STAIR, TWO_PLANE):
+        result = call(capsys, *frames, *arguments)
+        assert (result.status, result.out) == (1, "")
+        assert hint in result.err
+        assert result.err.count("\n") == 1
+
+
+def test_results_that_cannot_be_written_are_not_computed(capsys, tmp_path, monkeypatch):
+    from coded_aperture_benchmarks.commands import bench_stair
+
+    monkeypatch.setattr(bench_stair, "measure_cells", pytest.fail)
+    (tmp_path / "file").touch()
+    result = call(capsys, *STAIR, "--output", tmp_path / "file")
+    assert (result.status, result.out) == (1, "")
+    assert "it is a file" in result.err
+
+
+@pytest.mark.parametrize("words", [(), ("stair",), ("two-plane",), ("scenes",)])
+def test_help_shows_examples(capsys, words):
+    text = call(capsys, "bench", "accuracy", *words, "--help").out
+    examples = text.partition("examples:")[2]
+    command = " ".join(("coded_aperture bench accuracy", *words))
+    assert examples.count(command) >= min(2, 1 + len(words))
+    assert max(map(len, text.splitlines())) <= 100
+
+
+def test_an_interrupt_ends_all_processes_quietly():
+    program = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "coded_aperture_ros.cli.main", "bench", "accuracy", "stair"),
+            *("--textures", "random", "--jobs", "2"),
+            *("--repeats", "1000"),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline and len(_group(program.pid)) < 3:
+            time.sleep(0.05)
+        time.sleep(0.3)  # they are busy importing, or already at work
+        os.killpg(program.pid, signal.SIGINT)
+        out, err = program.communicate(timeout=20)
+        assert (program.returncode, out, err) == (130, "", "")
+        # Python's own tracker of shared resources ends just after the program.
+        deadline = time.monotonic() + 5
+        while time.monotonic() < deadline and _group(program.pid):
+            time.sleep(0.05)
+        assert _group(program.pid) == []
+    finally:
+        for pid in _group(program.pid):
+            os.kill(int(pid), signal.SIGKILL)
+
+
+def _group(leader):
+    """Return the processes of a process group."""
+    if not shutil.which("ps"):
+        pytest.skip("needs ps")
+    listed = subprocess.run(["ps", "-eo", "pid=,pgid=,stat="], capture_output=True, text=True)
+    lines = [line.split() for line in listed.stdout.splitlines()]
+    return [pid for pid, group, state in lines if group == str(leader) and state[0] != "Z"]
+
+
+def test_planes_are_found_if_they_are_of_the_same_camera(tmp_path, folder):
+    from coded_aperture_benchmarks.commands.bench_scenes import _planes_of
+
+    assert _planes_of(folder, "levin") == []
+    planes = tmp_path / "calib"
+    planes.mkdir()
+    (planes / "planes.json").write_text("[]")
+    shutil.copy(folder / "meta.json", planes)
+    assert _planes_of(folder, "levin") == [planes]
+    other = json.loads((folder / "meta.json").read_text()) | {"focus_distance_m": 3.0}
+    (planes / "meta.json").write_text(json.dumps(other))
+    assert _planes_of(folder, "levin") == []

@@ -1,0 +1,371 @@
+"""The command `bag`: real bags in, real bags out, read by rosbags and by mcap's own reader."""
+
+import json
+import math
+import re
+
+import numpy as np
+import pytest
+from bag_scene import (
+    COMPRESSED,
+    DELAY_NS,
+    FRAME_ID,
+    FRAMES,
+    IMAGE,
+    PERIOD_NS,
+    START_NS,
+    compressed,
+    decoded,
+    floats,
+    frame_pixels,
+    image,
+    read,
+    recording,
+    stamp_of,
+    write_bag,
+)
+from cli_scene import call, everything
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.rosbag2 import CompressionMode
+from test_cli_examples import examples
+
+from coded_aperture_ros.io.messages import array_from_image
+
+RESULTS = ("depth/image", "depth/confidence", "depth/camera_info")
+DEBLURRED = ("deblurred/image", "deblurred/camera_info")
+STORAGES = ("mcap", "sqlite3")
+
+
+def command(scene, source, target, *options):
+    model = ("--bank", scene.bank, "--camera", scene.camera)
+    return ("bag", source, "-o", target, *model, *options)
+
+
+@pytest.fixture(scope="module")
+def processed(scene, tmp_path_factory):
+    """A bag of each storage, what was made of it, and what the program said."""
+    from coded_aperture_ros.cli.main import main
+
+    folder = tmp_path_factory.mktemp("bags")
+    made = {}
+    for storage in STORAGES:
+        bag = write_bag(folder / f"in_{storage}", recording(scene), storage)
+        target = folder / f"out_{storage}"
+        arguments = command(scene, bag, target, "--reference-depth", "/truth/depth")
+        assert main([str(part) for part in arguments]) == 0
+        made[storage] = bag, target
+    return made
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_all_messages_are_copied_as_they_were(processed, storage):
+    before, after = (read(path) for path in processed[storage])
+    topics = {topic for topic, *_ in before}
+    assert [message for message in after if message[0] in topics] == before
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+@pytest.mark.parametrize("name", RESULTS + DEBLURRED)
+def test_every_frame_has_results_with_its_stamps(processed, storage, name):
+    found = decoded(read(processed[storage][1]), f"/eye/{name}")
+    times = [START_NS + index * PERIOD_NS for index in range(FRAMES)]
+    assert [stamp_of(message) for _, message in found] == times
+    assert [time_ns for time_ns, _ in found] == [time + DELAY_NS + 1 for time in times]
+    assert {message.header.frame_id for _, message in found} == {FRAME_ID}
+
+
+def test_depth_is_right_and_deblurring_helps(processed, scene):
+    messages = read(processed["mcap"][1])
+    inside = scene.away_from_the_edge()
+    for (_, depth), (_, confidence) in zip(
+        decoded(messages, "/eye/depth/image"),
+        decoded(messages, "/eye/depth/confidence"),
+        strict=True,
+    ):
+        depth_m, sure = floats(depth), floats(confidence)
+        assert depth_m.shape == sure.shape == scene.depth_m.shape
+        assert np.isfinite(depth_m[inside]).mean() > 0.7
+        error = np.abs(depth_m - scene.depth_m)[inside] / scene.depth_m[inside]
+        assert np.nanmedian(error) < 0.05
+        assert ((sure >= 0) & (sure <= 1)).all()
+    sharp = scene.sharp @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+    (_, coded), (_, deblurred) = (
+        decoded(messages, f"/eye/{name}")[0] for name in ("image_raw", "deblurred/image")
+    )
+    assert deblurred.encoding == "mono8"
+    off = [np.abs(array_from_image(m) / 255 - sharp)[inside].mean() for m in (coded, deblurred)]
+    assert off[1] < 0.9 * off[0]
+
+
+def test_the_camera_model_of_the_bag_is_resized(scene, tmp_path, capsys):
+    bag = write_bag(tmp_path / "in", recording(scene, frames=1))
+    options = ("--output-size", "half", "--deblur", "none")
+    assert call(capsys, *command(scene, bag, tmp_path / "out", *options)).status == 0
+    messages = read(tmp_path / "out")
+    ((_, depth),) = decoded(messages, "/eye/depth/image")
+    ((_, info),) = decoded(messages, "/eye/depth/camera_info")
+    assert (depth.height, depth.width) == (info.height, info.width) == (64, 88)
+    np.testing.assert_allclose(info.d, [0.1, -0.2, 0, 0, 0.05])
+    # The principal point was at 91, 59 of 176 x 128.
+    expected = [200, 0, 0.5 * 91.5 - 0.5, 0, 200, 0.5 * 59.5 - 0.5, 0, 0, 1]
+    np.testing.assert_allclose(info.k, expected)
+    assert not [name for name, *_ in messages if "deblurred" in name]
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_the_report_says_what_the_bag_says(processed, storage):
+    """Computed again from the written bag, by other means."""
+    target = processed[storage][1]
+    report = json.loads((target / "report" / "report.json").read_text())
+    messages = read(target)
+    truths = {stamp_of(message): message for _, message in decoded(messages, "/truth/depth")}
+    sures = [floats(message) for _, message in decoded(messages, "/eye/depth/confidence")]
+    medians, errors, known, covered, promised, kept = [], [], 0, 0, [], []
+    for index, (_, message) in enumerate(decoded(messages, "/eye/depth/image")):
+        depth_m, truth = floats(message), floats(truths[stamp_of(message)])
+        assert depth_m.shape == truth.shape
+        has_truth = truth > 0
+        both = has_truth & np.isfinite(depth_m)
+        error = np.abs(depth_m[both].astype(float) - truth[both]) / truth[both]
+        medians.append(float(np.median(error)))
+        errors.append(error)
+        known, covered = known + has_truth.sum(), covered + both.sum()
+        promised.append(sures[index][both])
+        kept.append(error <= 0.05)
+        row = report["series"][index]
+        assert row["median_relative_error"] == pytest.approx(medians[-1], rel=1e-4)
+        assert row["coverage"] == pytest.approx(np.isfinite(depth_m).mean())
+        assert row["stamp_ns"] == stamp_of(message)
+    every = np.concatenate(errors)
+    reference = report["reference"]
+    assert reference["frames"] == len(medians) == FRAMES
+    assert reference["median_relative_error"] == pytest.approx(np.median(medians), rel=1e-4)
+    assert reference["mean_relative_error"] == pytest.approx(every.mean(), rel=1e-4)
+    assert reference["within_10_percent"] == pytest.approx((every <= 0.1).mean(), abs=1e-4)
+    assert reference["coverage"] == pytest.approx(covered / known)
+    assert known == FRAMES * (128 * 176 - 20 * 30)  # the hole has no truth
+    sure, right = np.concatenate(promised).astype(float), np.concatenate(kept)
+    gaps = [
+        abs((sure - right)[(sure >= low / 10) & (sure < (low + 1) / 10)].sum()) for low in range(10)
+    ]
+    assert reference["expected_calibration_error"] == pytest.approx(sum(gaps) / sure.size, abs=2e-4)
+
+
+def test_a_reference_in_millimetres_says_the_same(scene, tmp_path, capsys):
+    medians = []
+    for reference in ("32FC1", "16UC1"):
+        bag = write_bag(tmp_path / reference, recording(scene, reference=reference, frames=2))
+        arguments = command(scene, bag, tmp_path / f"out_{reference}", "--deblur", "none")
+        result = call(capsys, *arguments, "--reference-depth", "/truth/depth", "--json")
+        assert (result.status, result.err) == (0, "")
+        medians.append(json.loads(result.out)["reference"]["median_relative_error"])
+    assert medians[1] == pytest.approx(medians[0], abs=0.0005)
+
+
+def test_mcap_tools_read_what_was_written(processed):
+    target = processed["mcap"][1]
+    expected = decoded(read(target), "/eye/depth/image")
+    with (target / f"{target.name}.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        summary = reader.get_summary()
+        assert summary.statistics.message_count == len(read(target))
+        types = {
+            channel.topic: summary.schemas[channel.schema_id].name
+            for channel in summary.channels.values()
+        }
+        assert types["/eye/deblurred/image"] == types["/eye/image_raw"] == IMAGE
+        found = list(reader.iter_decoded_messages(topics=["/eye/depth/image"]))
+    assert len(found) == FRAMES
+    for (_, _, message, image_), (time_ns, other) in zip(found, expected, strict=True):
+        assert message.log_time == time_ns
+        assert stamp_of(image_) == stamp_of(other)
+        assert bytes(image_.data) == other.data.tobytes()
+
+
+def test_the_report_is_a_page_by_itself(processed):
+    page = (processed["mcap"][1] / "report" / "report.html").read_text()
+    sources = re.findall(r'(?:src|href)="([^"]{0,30})', page)
+    assert len(sources) >= 2 + 4 * FRAMES
+    assert all(source.startswith("data:image/png;base64,") for source in sources)
+    assert "http" not in page
+    for words in ("median error", "calibration error", "times real time", "all in focus"):
+        assert words in page
+
+
+@pytest.mark.parametrize(
+    ("encoding", "padding"), [("mono16", 0), ("32FC1", 0), ("rgb8", 5), ("bgr8", 0), ("mono8", 16)]
+)
+def test_encodings(scene, tmp_path, capsys, encoding, padding):
+    bag = write_bag(tmp_path / "in", recording(scene, encoding, 1, padding), "sqlite3")
+    result = call(capsys, *command(scene, bag, tmp_path / "out", "--json"))
+    assert (result.status, result.err) == (0, "")
+    assert json.loads(result.out)["depth"]["median_depth_m"] == pytest.approx(2.3, abs=0.8)
+    ((_, sharp),) = decoded(read(tmp_path / "out"), "/eye/deblurred/image")
+    assert sharp.encoding == encoding
+    if encoding in ("rgb8", "bgr8"):  # green is the brightest channel of the scene
+        means = array_from_image(sharp).reshape(-1, 3).mean(axis=0)
+        assert means[1] > means[0] > means[2]
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_compressed_images(scene, tmp_path, capsys, suffix):
+    pixels = frame_pixels(scene, "bgr8", 0)
+    data = compressed(pixels, suffix, 0)
+    bag = write_bag(tmp_path / "in", [("/eye/image_raw/compressed", COMPRESSED, START_NS, data)])
+    result = call(capsys, *command(scene, bag, tmp_path / "out"))
+    assert (result.status, result.err) == (0, "")
+    messages = read(tmp_path / "out")
+    ((_, depth),) = decoded(messages, "/eye/depth/image")
+    error = np.abs(floats(depth) - scene.depth_m) / scene.depth_m
+    assert np.nanmedian(error[scene.away_from_the_edge()]) < 0.05
+    ((_, sharp),) = decoded(messages, "/eye/deblurred/image")
+    means = array_from_image(sharp).reshape(-1, 3).mean(axis=0)
+    assert means[1] > means[0] > means[2]
+
+
+@pytest.mark.parametrize(
+    ("storage", "mode"),
+    [("mcap", CompressionMode.STORAGE), ("sqlite3", CompressionMode.MESSAGE),
+     ("sqlite3", CompressionMode.FILE)],
+)  # fmt: skip
+def test_compressed_bags(scene, tmp_path, capsys, storage, mode):
+    bag = write_bag(tmp_path / "in", recording(scene, frames=1), storage, mode)
+    result = call(capsys, *command(scene, bag, tmp_path / "out", "--deblur", "none"))
+    assert (result.status, result.err) == (0, "")
+    assert len(decoded(read(tmp_path / "out"), "/eye/depth/image")) == 1
+
+
+def test_types_that_nobody_knows_are_copied(scene, tmp_path, capsys):
+    custom = {"robot_msgs/msg/Gripper": "float32 force\nuint8 fingers"}
+    data = b"\x00\x01\x00\x00" + np.float32(2.5).tobytes() + b"\x03"
+    messages = [*recording(scene, frames=1), ("/gripper", "robot_msgs/msg/Gripper", START_NS, data)]
+    bag = write_bag(tmp_path / "in", messages, custom=custom)
+    assert call(capsys, *command(scene, bag, tmp_path / "out")).status == 0
+    assert ("/gripper", "robot_msgs/msg/Gripper", START_NS, data) in read(tmp_path / "out")
+
+
+def test_frames_that_cannot_be_used_are_named_and_the_rest_is_done(scene, tmp_path, capsys, caplog):
+    messages = recording(scene, frames=3)
+    where = [index for index, message in enumerate(messages) if message[0] == "/eye/image_raw"]
+    pixels = frame_pixels(scene, "mono8", 1)
+    broken = {
+        where[0]: image(pixels, "bayer_rggb8", 0),
+        where[1]: image(pixels[:64], "mono8", 1),
+    }
+    messages = [(*message[:3], broken.get(i, message[3])) for i, message in enumerate(messages)]
+    messages.append(("/eye/image_raw", IMAGE, START_NS + 10**9, b"\0\1\0\0nonsense"))
+    bag = write_bag(tmp_path / "in", messages)
+    result = call(capsys, *command(scene, bag, tmp_path / "out", "--json"))
+    assert result.status == 0
+    results = json.loads(result.out)
+    assert (results["frames"], results["used"]) == (4, 1)
+    assert results["faults"] == {"encoding": 1, "size": 1, "message": 1}
+    assert len(caplog.messages) == 3
+    assert "bayer_rggb8" in caplog.text
+    assert sum(name == "/eye/image_raw" for name, *_ in read(tmp_path / "out")) == 4
+
+
+def test_topics_are_found_or_asked_for(scene, tmp_path, capsys):
+    pixels = frame_pixels(scene, "mono8", 0)
+    two = [(f"/{name}/image", IMAGE, START_NS, image(pixels, "mono8", 0)) for name in ("a", "b")]
+    bag = write_bag(tmp_path / "two", two)
+
+    def error_of(source, *options):
+        result = call(capsys, *command(scene, source, tmp_path / "out", *options))
+        assert result.status == 1
+        assert result.err.count("\n") == 1
+        return result.err
+
+    assert "--topic /a/image or /b/image" in error_of(bag)
+    assert "no topic /c in it, only /a/image, /b/image" in error_of(bag, "--topic", "/c")
+    other = write_bag(tmp_path / "none", recording(scene)[:1])
+    assert "no images" in error_of(other)
+    assert "std_msgs/msg/String" in error_of(other, "--topic", "/chatter")
+    chosen = call(capsys, *command(scene, bag, tmp_path / "out", "--topic", "b/image", "--json"))
+    assert json.loads(chosen.out)["outputs"]["depth"] == "/b/depth/image"
+    (tmp_path / "out").rename(tmp_path / "copy")
+    assert "--namespace" in error_of(tmp_path / "copy", "--topic", "b/image")
+    again = command(scene, tmp_path / "copy", tmp_path / "again", "--topic", "b/image")
+    assert call(capsys, *again, "--namespace", "again").status == 0
+    assert decoded(read(tmp_path / "again"), "/again/depth/image")
+
+
+def test_a_reference_without_a_pair_is_told(scene, tmp_path, capsys):
+    messages = recording(scene, frames=2)
+    shifted = [m for m in messages if m[0] != "/truth/depth"]
+    late = [m for m in recording(scene, frames=9) if m[0] == "/truth/depth"][5:]
+    bag = write_bag(tmp_path / "in", [*shifted, *late])
+    arguments = command(scene, bag, tmp_path / "out", "--reference-depth", "/truth/depth")
+    result = call(capsys, *arguments)
+    assert result.status == 1
+    assert "taken at its time" in result.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_examples_of_the_help(scene, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bank.npz").symlink_to(scene.bank)
+    (tmp_path / "camera.yaml").symlink_to(scene.camera)
+    messages = [
+        (name.replace("/truth/depth", "/ground_truth/depth"), *rest)
+        for name, *rest in recording(scene, frames=2)
+    ]
+    write_bag(tmp_path / "recording", messages)
+    shown = examples(capsys, "bag")
+    assert len(shown) == 2
+    for arguments in shown:
+        result = call(capsys, *arguments)
+        assert (result.status, result.err) == (0, ""), arguments
+        assert "2 of 2 frames" in result.out
+    assert (tmp_path / "scored" / "report" / "report.html").is_file()
+
+
+def test_the_simple_method_needs_no_bank(scene, tmp_path, capsys):
+    from cli_scene import camera_file
+
+    camera = camera_file(tmp_path, mask={"name": "two_hole"})
+    bag = write_bag(tmp_path / "in", recording(scene, frames=1))
+    arguments = ("bag", bag, "-o", tmp_path / "out", "--method", "simple", "--camera", camera)
+    result = call(capsys, *arguments, "--depth-range", 1.4, 4, "--level-count", 9, "--json")
+    assert (result.status, result.err) == (0, "")
+    assert json.loads(result.out)["used"] == 1
+
+
+@pytest.mark.parametrize("options", [("--bank", "x.npz"), ("--camera", "x.yaml"), ()])
+def test_bank_and_camera_are_required(capsys, options):
+    assert call(capsys, "bag", "in", "-o", "out", *options).status == 2
+
+
+def test_nothing_but_the_bag_is_left(scene, tmp_path, capsys):
+    write_bag(tmp_path / "in", recording(scene, frames=1))
+    before = everything(tmp_path)
+    target = tmp_path / "deep" / "out"
+    assert call(capsys, *command(scene, tmp_path / "in", target)).status == 0
+    made = {str(path) for path in set(everything(tmp_path)) - set(before)}
+    names = ("", "/metadata.yaml", "/out.mcap", "/report")
+    reports = ("/report/report.html", "/report/report.json")
+    assert made == {"deep", *(f"deep/out{name}" for name in (*names, *reports))}
+    results = json.loads((target / "report" / "report.json").read_text())
+    assert results["timing"]["times_real_time"] is None  # one frame has no rate
+    assert math.isfinite(results["timing"]["seconds"])
+
+
+def test_smaller_depth_is_compared_with_the_nearest_reference(scene, tmp_path, capsys):
+    rough = scene.depth_m * np.random.default_rng(3).uniform(0.8, 1.2, scene.depth_m.shape)
+    messages = [message for message in recording(scene, frames=1) if message[0] != "/truth/depth"]
+    messages.append(("/truth/depth", IMAGE, START_NS, image(rough.astype("f4"), "32FC1", 0)))
+    bag = write_bag(tmp_path / "in", messages)
+    options = ("--output-size", "half", "--deblur", "none", "--reference-depth", "truth/depth")
+    result = call(capsys, *command(scene, bag, tmp_path / "out", *options, "--json"))
+    assert (result.status, result.err) == (0, "")
+    messages = read(tmp_path / "out")
+    ((_, depth),) = decoded(messages, "/eye/depth/image")
+    ((_, truth),) = decoded(messages, "/truth/depth")
+    # The middle of a pixel of half the size is a corner of four; the last of them counts.
+    depth_m, true_m = floats(depth), floats(truth)[1::2, 1::2]
+    both = np.isfinite(depth_m) & (true_m > 0)
+    error = np.abs(depth_m[both] - true_m[both]) / true_m[both]
+    reference = json.loads(result.out)["reference"]
+    assert reference["median_relative_error"] == pytest.approx(float(np.median(error)), rel=1e-4)
+    assert reference["mean_relative_error"] == pytest.approx(float(error.mean()), rel=1e-4)

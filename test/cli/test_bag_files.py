@@ -1,0 +1,433 @@
+"""Bags that were cut off, places that cannot be written to, and bags as a source of frames."""
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_scene import (
+    COMPRESSED,
+    FRAMES,
+    IMAGE,
+    PERIOD_NS,
+    START_NS,
+    compressed,
+    frame_pixels,
+    image,
+    read,
+    recording,
+    storage_file,
+    write_bag,
+)
+from cli_scene import call, everything
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag2 import CompressionMode
+from waiting import wait_until
+
+from coded_aperture_ros.bags.ordered import in_order
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.threads import processors
+from coded_aperture_ros.io.bags import Bag, bag_output, is_bag
+from coded_aperture_ros.io.sources import BagSource, SequenceSource, open_source
+from coded_aperture_ros.optics import load_camera
+
+STORAGES = ("mcap", "sqlite3")
+
+
+def command(scene, source, target, *options):
+    model = ("--bank", scene.bank, "--camera", scene.camera, "--deblur", "none")
+    return ("bag", source, "-o", target, *model, *options)
+
+
+def cut(bag, share, folder=None):
+    """Cut the file of a bag off, as if the power had failed."""
+    file = storage_file(bag)
+    data = file.read_bytes()
+    file.write_bytes(data[: int(share * len(data))])
+    return file
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+@pytest.mark.parametrize("with_metadata", [True, False])
+def test_a_bag_is_processed_up_to_the_cut(scene, tmp_path, capsys, caplog, storage, with_metadata):
+    bag = write_bag(tmp_path / "in", recording(scene, frames=12), storage)
+    whole = read(bag)
+    cut(bag, 0.6)
+    if not with_metadata:
+        (bag / "metadata.yaml").unlink()
+    result = call(capsys, *command(scene, bag, tmp_path / "out", "--json"))
+    assert result.status == 0
+    results = json.loads(result.out)
+    assert 5 <= results["frames"] == results["used"] <= 8
+    file = storage_file(bag).name
+    assert file in results["damage"]
+    (warning,) = caplog.messages
+    assert "processed up to the damage" in warning
+    assert file in warning
+    messages = read(tmp_path / "out")
+    copied = [message for message in messages if message[0] in {"/chatter", "/eye/image_raw"}]
+    assert copied == [m for m in whole if m[0] in {"/chatter", "/eye/image_raw"}][: len(copied)]
+    assert sum(name == "/eye/depth/image" for name, *_ in messages) == results["frames"]
+    page = (tmp_path / "out" / "report" / "report.html").read_text()
+    assert "ends too early" in page
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_lost_metadata_file_loses_no_message(scene, tmp_path, storage):
+    bag = write_bag(tmp_path / "in", recording(scene), storage)
+    whole = read(bag)
+    (bag / "metadata.yaml").unlink()
+    with Bag(bag) as opened:
+        assert [(m.topic, m.time_ns, m.data) for m in opened.messages()] == [
+            (topic, time_ns, data) for topic, _, time_ns, data in whole
+        ]
+        assert "metadata.yaml" in opened.damage
+    with Bag(storage_file(bag)) as opened:  # a file is a bag
+        assert len(list(opened.messages())) == len(whole)
+        assert opened.damage == ""
+
+
+@pytest.fixture(scope="module")
+def small_bags(tmp_path_factory):
+    """Bags of 60 small messages, their bytes and messages."""
+    folder = tmp_path_factory.mktemp("small")
+    random = np.random.default_rng(0)
+    pixels = random.integers(0, 255, (8, 3000), np.uint8)
+    messages = [("/image", IMAGE, START_NS + i, image(pixels, "mono8", i)) for i in range(60)]
+
+    class Made(dict):
+        def __repr__(self):  # failures are shown with their arguments
+            return "bags"
+
+    made = Made()
+    for name, storage, compression in (
+        ("mcap", "mcap", None),
+        ("zstd", "mcap", CompressionMode.STORAGE),
+        ("sqlite3", "sqlite3", None),
+    ):
+        bag = write_bag(folder / name, messages, storage, compression)
+        made[name] = storage_file(bag), storage_file(bag).read_bytes(), messages
+    return made
+
+
+@pytest.mark.parametrize("name", ["mcap", "zstd", "sqlite3"])
+@given(share=st.floats(0, 1), zeros=st.booleans())
+@settings(
+    max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
+)
+def test_wherever_it_is_cut_what_is_before_can_be_read(small_bags, tmp_path, name, share, zeros):
+    file, data, messages = small_bags[name]
+    length = int(share * len(data))
+    damaged = tmp_path / file.name
+    # File systems fill what was never written with zeros.
+    damaged.write_bytes(data[:length] + (bytes(len(data) - length) if zeros else b""))
+    try:
+        bag = Bag(damaged)
+    except InputError as error:
+        assert "\n" not in str(error)
+        # A compressed chunk has 40 of the messages.
+        assert share < (0.8 if name == "zstd" else 0.1)
+        return
+    with bag:
+        found = [message.data for message in bag.messages()]
+        if zeros:  # they may be a part of the last image, as far as anyone can tell
+            del found[-1:]
+        assert found == [bytes(data) for *_, data in messages][: len(found)]
+        assert bag.damage or len(found) >= len(messages) - 1
+    if name == "mcap":  # the bytes of messages before the cut, less those of the last one
+        assert len(found) >= min(60, length // (len(data) / 60) - 3)
+
+
+def test_a_broken_bag_and_no_bag_are_refused(scene, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "nothing.mcap").write_bytes(b"")
+    (tmp_path / "text.db3").write_text("hello " * 1000)
+    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
+    zeros = write_bag(tmp_path / "zeros", recording(scene, frames=1))
+    storage_file(zeros).write_bytes(bytes(1000))
+    before = everything(tmp_path)
+    for source, words in (
+        ("missing", "no such file"),
+        ("empty", "no bag"),
+        ("nothing.mcap", "nothing in it can be read"),
+        ("text.db3", "nothing in it can be read"),
+        ("old.bag", "rosbags-convert"),
+        ("zeros", "nothing in it can be read"),
+    ):
+        result = call(capsys, *command(scene, tmp_path / source, tmp_path / "out"))
+        assert (result.status, result.out) == (1, ""), source
+        assert words in result.err
+        assert result.err.count("\n") == 1
+    assert everything(tmp_path) == before
+
+
+def test_parts_of_a_recording_are_one_bag(scene, tmp_path):
+    """As `ros2 bag record --max-bag-size` writes them; the last one was cut off."""
+    folder = tmp_path / "in"
+    folder.mkdir()
+    wanted = []
+    for part in (2, 10):
+        messages = recording(scene, frames=part + 1)[4 * part + 1 :]
+        bag = write_bag(tmp_path / f"part{part}", messages)
+        wanted += [data for *_, data in read(bag)]
+        shutil.copy(storage_file(bag), folder / f"in_{part}.mcap")
+    file = folder / "in_10.mcap"
+    file.write_bytes(file.read_bytes()[:-100])
+    with Bag(folder) as opened:
+        assert [message.data for message in opened.messages()] == wanted
+        assert "in_10.mcap" in opened.damage
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_full_disk_leaves_nothing_behind(scene, tmp_path, storage):
+    bag = write_bag(tmp_path / "in", recording(scene, frames=8), storage)
+    target = tmp_path / "deep" / "out"
+    before = everything(tmp_path)
+    arguments = [str(part) for part in command(scene, bag, target)]
+    program = (
+        "import resource, sys\n"
+        "from coded_aperture_ros.cli.main import main\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))\n"
+        "sys.exit(main(sys.argv[1:]))"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", program, *arguments], capture_output=True, text=True, timeout=120
+    )
+    assert (ran.returncode, ran.stdout) == (1, "")
+    assert ran.stderr.count("\n") == 1
+    assert f"cannot write {target}" in ran.stderr
+    assert everything(tmp_path) == before
+
+
+def test_a_folder_that_cannot_be_written_to_is_told_at_once(scene, tmp_path, capsys):
+    bag = write_bag(tmp_path / "in", recording(scene, frames=1))
+    # Whoever runs the tests may be allowed to write anywhere, but not here.
+    result = call(capsys, *command(scene, bag, "/proc/coded_aperture/out"))
+    assert (result.status, result.out) == (1, "")
+    assert "cannot write /proc/coded_aperture/out" in result.err
+    assert result.err.count("\n") == 1
+    (tmp_path / "file").touch()
+    result = call(capsys, *command(scene, bag, tmp_path / "file" / "out"))
+    assert result.status == 1
+    assert "cannot write" in result.err
+
+
+@pytest.mark.skipif(os.getuid() == 0, reason="root may write to any folder")
+def test_a_read_only_folder_is_told_at_once(scene, tmp_path, capsys):
+    bag = write_bag(tmp_path / "in", recording(scene, frames=1))
+    (tmp_path / "closed").mkdir(mode=0o500)
+    result = call(capsys, *command(scene, bag, tmp_path / "closed" / "out"))
+    assert result.status == 1
+    assert "Permission denied" in result.err
+
+
+def test_bags_are_overwritten_only_if_told_so(scene, tmp_path, capsys):
+    bag = write_bag(tmp_path / "in", recording(scene, frames=1))
+    target = write_bag(tmp_path / "out", recording(scene, frames=2))
+    plain = tmp_path / "plain"
+    plain.mkdir()
+    (plain / "notes.txt").write_text("mine")
+    before = everything(tmp_path)
+    for goal, options, words in (
+        (target, (), "--overwrite"),
+        (plain, ("--overwrite",), "no bag"),
+        (bag, ("--overwrite",), "the input"),
+    ):
+        result = call(capsys, *command(scene, bag, goal, *options))
+        assert result.status == 1
+        assert words in result.err
+        assert everything(tmp_path) == before
+    assert call(capsys, *command(scene, bag, target, "--overwrite")).status == 0
+    assert sum(name == "/eye/depth/image" for name, *_ in read(target)) == 1
+    assert {path.name for path in tmp_path.iterdir()} == {"in", "out", "plain"}
+
+
+def test_what_fails_in_the_middle_leaves_the_old_bag(scene, tmp_path):
+    target = write_bag(tmp_path / "out", recording(scene, frames=1))
+    before = everything(tmp_path)
+
+    class FailedError(Exception):
+        pass
+
+    with pytest.raises(FailedError), bag_output(target, "mcap"):
+        raise FailedError
+    assert everything(tmp_path) == before
+
+
+def test_without_rosbags_there_is_one_clear_line(scene, tmp_path, capsys, monkeypatch):
+    bag = write_bag(tmp_path / "in", recording(scene, frames=1))
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
+    result = call(capsys, *command(scene, bag, tmp_path / "out"))
+    assert result.status == 1
+    assert "pip install rosbags" in result.err
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_bag_is_a_source_of_frames_with_their_stamps(scene, tmp_path, storage):
+    bag = write_bag(tmp_path / "in", recording(scene, "bgr8"), storage)
+    camera = load_camera(scene.camera)
+    for text in (str(bag), f"bag:{bag}", f"bag:{bag}#/eye/image_raw", str(storage_file(bag))):
+        source = open_source(text, camera, 30.0, loop=False)
+        assert isinstance(source, BagSource)
+        assert not source.live
+        captures = [source.read() for _ in range(FRAMES + 1)]
+        assert captures.pop() is None
+        assert [c.stamp_ns for c in captures] == [START_NS + i * PERIOD_NS for i in range(FRAMES)]
+        np.testing.assert_array_equal(captures[1].frame, frame_pixels(scene, "bgr8", 1)[..., ::-1])
+        source.close()
+
+
+def test_a_source_loops_and_goes_on_after_what_cannot_be_used(scene, tmp_path):
+    pixels = frame_pixels(scene, "bgr8", 0)
+    messages = [
+        ("/compressed", COMPRESSED, START_NS, compressed(pixels, ".png", 0)),
+        ("/compressed", COMPRESSED, START_NS + 1, b"\0\1\0\0"),
+        ("/compressed", COMPRESSED, START_NS + 2, compressed(pixels, ".png", 2)),
+    ]
+    source = BagSource(write_bag(tmp_path / "in", messages), loop=True)
+    for _ in range(2):
+        assert source.read().stamp_ns == START_NS
+        with pytest.raises(InputError, match="CompressedImage"):
+            source.read()
+        assert source.read().stamp_ns == START_NS + 2 * PERIOD_NS
+    source.close()
+
+
+def test_a_source_ends_at_the_cut(scene, tmp_path):
+    bag = write_bag(tmp_path / "in", recording(scene, frames=10))
+    cut(bag, 0.5)
+    source = BagSource(bag, loop=False)
+    count = 0
+    while source.read() is not None:
+        count += 1
+    assert 4 <= count <= 6
+    assert "cut off" in source.damage
+    source.close()
+
+
+def test_what_is_a_bag(scene, tmp_path):
+    bag = write_bag(tmp_path / "in", recording(scene, frames=1))
+    assert is_bag(bag)
+    assert is_bag(storage_file(bag))
+    assert not is_bag(scene.folder)
+    assert not is_bag(scene.coded_png)
+    assert not is_bag(tmp_path / "missing.mcap")
+    assert isinstance(open_source(str(scene.coded_png), None, 1.0), SequenceSource)
+    with pytest.raises(InputError, match="no such file"):
+        open_source("bag:/missing", None, 1.0)
+
+
+def test_results_come_in_order_however_long_each_takes():
+    started, lock, busy, most = [], threading.Lock(), 0, 0
+
+    def items():
+        for number in range(20):
+            started.append(number)
+            yield number
+
+    def work(number):
+        nonlocal busy, most
+        with lock:
+            busy += 1
+            most = max(most, busy)
+        time.sleep(0.002 * (number % 3))
+        with lock:
+            busy -= 1
+        return number**2
+
+    with ThreadPoolExecutor(3) as pool:
+        results = in_order(lambda item: pool.submit(work, item).result, items(), ahead=5)
+        assert next(results) == (0, 0)
+        assert len(started) <= 6  # no more than was asked for
+        assert list(results) == [(number, number**2) for number in range(1, 20)]
+    assert most <= 3
+
+
+def test_an_item_without_work_keeps_its_place():
+    with ThreadPoolExecutor(1) as pool:
+        results = in_order(
+            lambda item: pool.submit(abs, item).result if item else None, [-1, 0, -2], ahead=2
+        )
+        assert list(results) == [(-1, 1), (0, None), (-2, 2)]
+
+
+def test_a_failure_in_a_thread_comes_out():
+    def work(number):
+        if number == 3:
+            raise InputError("three")
+        return number
+
+    with ThreadPoolExecutor(2) as pool, pytest.raises(InputError, match="three"):
+        list(in_order(lambda item: pool.submit(work, item).result, range(9), ahead=4))
+
+
+@pytest.mark.skipif(processors() < 2, reason="with one processor all is done by one process")
+@pytest.mark.parametrize("options", [(), ("--temporal-frames", "3")])
+def test_processes_write_what_one_process_writes(scene, tmp_path, capsys, monkeypatch, options):
+    bag = write_bag(tmp_path / "in", recording(scene, frames=9))
+    assert call(capsys, *command(scene, bag, tmp_path / "several", *options)).status == 0
+    monkeypatch.setattr("coded_aperture_ros.bags.processes.processors", lambda: 1)
+    assert call(capsys, *command(scene, bag, tmp_path / "one", *options)).status == 0
+    assert read(tmp_path / "several") == read(tmp_path / "one")
+
+
+def forked_processes(pid):
+    """Return the processes that a program has had forked by its fork server, in no order."""
+    parents = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it may end meanwhile
+            parents[int(stat.parent.name)] = int(stat.read_text().rpartition(")")[2].split()[1])
+    servers = {child for child, parent in parents.items() if parent == pid}
+    return {child for child, parent in parents.items() if parent in servers}
+
+
+@pytest.mark.skipif(processors() < 2, reason="with one processor all is done by one process")
+@pytest.mark.parametrize("whom", ["program", "worker"])
+def test_nothing_stays_of_a_program_or_a_worker_that_is_killed(scene, tmp_path, whom):
+    bag, target = write_bag(tmp_path / "in", recording(scene, frames=600)), tmp_path / "out"
+    before = everything(tmp_path)
+    arguments = [str(part) for part in command(scene, bag, target)]
+    program = subprocess.Popen(
+        [sys.executable, "-m", "coded_aperture_ros.cli.main", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        # It has begun to write.
+        assert wait_until(lambda: list(tmp_path.glob(".out-*/out/*")), 30)
+        workers = forked_processes(program.pid)
+        assert len(workers) == processors()
+        if whom == "program":
+            program.kill()
+        else:
+            os.kill(min(workers), signal.SIGKILL)
+        _, said = program.communicate(timeout=60)
+        assert wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers), 5)
+    finally:
+        program.kill()
+    if whom == "worker":
+        assert program.returncode == 1
+        assert "a process that worked on frames ended by itself" in said.splitlines()[-1]
+        assert "Traceback" not in said
+        assert everything(tmp_path) == before
+
+
+def test_a_closed_source_begins_again(scene, tmp_path):
+    """As a driver that is deactivated and activated."""
+    source = BagSource(write_bag(tmp_path / "in", recording(scene, frames=2)), loop=False)
+    first = source.read()
+    source.close()
+    source.close()
+    np.testing.assert_array_equal(source.read().frame, first.frame)
+    source.close()

@@ -1,0 +1,397 @@
+"""The command `depth`."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+from cli_scene import HEIGHT, WIDTH, Result, call, camera_file, everything
+from test_cli_learn import refused, wrong_usage
+
+from coded_aperture_ros.depth import DepthConfig
+from coded_aperture_ros.io import read_depth, read_image
+
+
+def relative_error(depth_m, scene):
+    """Median relative error away from the depth edge, where depth is known, and how often it is."""
+    where = scene.away_from_the_edge()
+    error = np.abs(depth_m - scene.depth_m)[where] / scene.depth_m[where]
+    return np.nanmedian(error), np.isfinite(error).mean()
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".tiff", ".png"])
+def test_depth_of_the_simulated_planes(scene, tmp_path, capsys, suffix):
+    output = tmp_path / f"depth{suffix}"
+    result = call(capsys, "depth", "--bank", scene.bank, scene.coded_png, "-o", output)
+    assert (result.status, result.err) == (0, "")
+    assert result.out.startswith(f"{output}: depth at ")
+    confidence_file = tmp_path / f"depth.confidence{'.npy' if suffix == '.npy' else '.tiff'}"
+    assert names(tmp_path) == sorted([output.name, confidence_file.name])
+    depth_m = read_depth(output)
+    assert depth_m.shape == (HEIGHT, WIDTH)
+    median, known = relative_error(depth_m, scene)
+    assert median < 0.03
+    assert known > 0.8
+    confidence = read_image(confidence_file)
+    assert confidence.shape == (HEIGHT, WIDTH)
+    assert (confidence.min() >= 0, confidence.max() <= 1) == (True, True)
+    assert (confidence[np.isnan(depth_m)] < DepthConfig().confidence_threshold).all()
+    if suffix == ".png":
+        assert cv2.imread(str(output), cv2.IMREAD_UNCHANGED).dtype == np.uint16
+
+
+def test_levels_and_a_summary_as_json(scene, tmp_path, capsys):
+    output = tmp_path / "level.npy"
+    result = call(
+        capsys, "depth", "--bank", scene.bank, scene.coded_npy, "-o", output, "--levels", "--json"
+    )
+    assert (result.status, result.err) == (0, "")
+    (summary,) = json.loads(result.out)
+    assert (summary["output"], summary["unit"]) == (str(output), "level")
+    assert 0.8 < summary["known"] <= 1
+    # The estimate errs upward: some of the texture counts as noise.
+    assert 0.0005 < summary["noise"] < 0.005
+    level = np.load(output)
+    assert 0 <= np.nanmin(level) < np.nanmax(level) < 15 + 1e-3
+    assert summary["median"] == pytest.approx(np.nanmedian(level), abs=1e-4)
+
+
+def test_a_bank_without_depths_gives_levels_or_takes_a_camera(scene, tmp_path, capsys):
+    bank = ("--bank", scene.index_bank, scene.coded_npy)
+    refused(
+        call(capsys, "depth", *bank, "-o", tmp_path / "no.npy"),
+        *(scene.index_bank, "give --camera, or --levels"),
+    )
+    assert everything(tmp_path) == {}
+    assert call(capsys, "depth", *bank, "--levels", "-o", tmp_path / "level.npy").status == 0
+    camera = ("--camera", scene.camera)
+    assert call(capsys, "depth", *bank, *camera, "-o", tmp_path / "depth.npy").status == 0
+    level, depth_m = np.load(tmp_path / "level.npy"), np.load(tmp_path / "depth.npy")
+    assert np.nanmax(level) <= 8
+    median, known = relative_error(depth_m, scene)
+    assert median < 0.04
+    assert known > 0.5
+
+
+@pytest.mark.parametrize("unit", ["m", "level"])
+def test_pictures(scene, tmp_path, capsys, unit):
+    levels = ("--levels",) if unit == "level" else ()
+    arguments = ("--bank", scene.bank, scene.coded_npy, "-o", tmp_path / "d.npy", "--pictures")
+    assert call(capsys, "depth", *arguments, *levels).status == 0
+    assert names(tmp_path) == [
+        *("d.confidence.npy", "d.confidence.picture.png", "d.npy", "d.picture.png"),
+    ]
+    picture = read_image(tmp_path / "d.picture.png")
+    assert picture.shape[0] > HEIGHT
+    assert picture.shape[1:] == (WIDTH, 3)
+    assert read_image(tmp_path / "d.confidence.picture.png").shape == (HEIGHT, WIDTH)
+
+
+@pytest.mark.parametrize("method", ["none", "tv", "graphcut"])
+def test_every_regularisation(scene, tmp_path, capsys, method):
+    if method == "graphcut":
+        pytest.importorskip("maxflow")
+    output = tmp_path / "depth.npy"
+    arguments = ("--bank", scene.bank, scene.coded_npy, "-o", output, "--regularize", method)
+    result = call(capsys, "depth", *arguments)
+    assert (result.status, result.err) == (0, "")
+    median, known = relative_error(np.load(output), scene)
+    assert median < 0.03
+    assert known > 0.8
+
+
+def test_options_reach_the_estimate(scene, tmp_path, capsys):
+    def depth(*options):
+        output = tmp_path / "d.npy"
+        arguments = ("--bank", scene.bank, scene.coded_npy, "-o", output, "--json")
+        result = call(capsys, "depth", *arguments, *options)
+        return json.loads(result.out)[0]
+
+    assert depth("--noise", 0.02)["noise"] == 0.02
+    assert depth("--confidence-threshold", 0)["known"] == 1
+    assert depth("--confidence-threshold", 1)["known"] < 0.5
+    assert depth("--saturation", 0.1)["known"] == 0
+
+
+def test_a_folder_of_frames(scene, tmp_path, capsys):
+    frames, output = tmp_path / "frames", tmp_path / "depth.maps"
+    frames.mkdir()
+    for name in ("wall.001.png", "wall.002.png"):
+        shutil.copy(scene.coded_png, frames / name)
+    result = call(capsys, "depth", "--bank", scene.bank, frames, "-o", f"{output}/", "--json")
+    assert (result.status, result.err) == (0, "")
+    expected = [output / "wall.001.npy", output / "wall.002.npy"]
+    assert [entry["output"] for entry in json.loads(result.out)] == [str(p) for p in expected]
+    confidences = ["wall.001.confidence.npy", "wall.002.confidence.npy"]
+    assert names(output) == sorted([path.name for path in expected] + confidences)
+    assert relative_error(np.load(expected[1]), scene)[0] < 0.03
+
+
+def test_a_video(scene, tmp_path, capsys):
+    pixels = np.rint(255 * np.load(scene.coded_npy)).astype(np.uint8)
+    video = tmp_path / "pan.avi"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter_fourcc(*"MJPG"), 10, (WIDTH, HEIGHT))
+    for _ in range(2):
+        writer.write(pixels[..., ::-1].copy())
+    writer.release()
+    result = call(capsys, "depth", "--bank", scene.bank, video, "-o", tmp_path / "depth")
+    assert result.status == 0
+    depths = ["pan_000000.npy", "pan_000001.npy"]
+    assert [n for n in names(tmp_path / "depth") if "confidence" not in n] == depths
+    assert relative_error(np.load(tmp_path / "depth" / depths[0]), scene)[0] < 0.15  # JPEG blocks
+
+
+def test_as_a_process_with_nothing_but_json_on_stdout(scene, tmp_path):
+    result = subprocess.run(
+        [
+            *(sys.executable, "-W", "error", "-m", "coded_aperture_ros.cli.main", "depth"),
+            *("--bank", scene.bank, scene.coded_png, "-o", tmp_path / "d.tif", "--json"),
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    assert json.loads(result.stdout)[0]["output"] == str(tmp_path / "d.tif")
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0, np.nan, 0.5])
+def test_frames_without_texture_have_no_depth(scene, tmp_path, capsys, value):
+    frame = tmp_path / "flat.npy"
+    np.save(frame, np.full((HEIGHT, WIDTH, 3), value, np.float32))
+    output = tmp_path / "depth.npy"
+    arguments = ("--bank", scene.bank, frame, "-o", output, "--pictures")
+    result = call(capsys, "depth", *arguments)
+    assert (result.status, result.err) == (0, "")
+    assert "depth unknown everywhere" in result.out
+    assert np.isnan(np.load(output)).all()
+    assert (np.load(tmp_path / "depth.confidence.npy") == 0).all()
+    result = call(capsys, "depth", *arguments, "--json")
+    assert json.loads(result.out)[0]["median"] is None
+
+
+def test_nan_and_saturated_pixels_are_unknown_and_harm_nothing_else(scene, tmp_path, capsys):
+    frame = np.load(scene.coded_npy)
+    frame[20:40, 20:40] = np.nan
+    frame[70:100, 120:150] = 1.0
+    np.save(tmp_path / "holes.npy", frame)
+    output = tmp_path / "depth.npy"
+    result = call(capsys, "depth", "--bank", scene.bank, tmp_path / "holes.npy", "-o", output)
+    assert (result.status, result.err) == (0, "")
+    depth_m = np.load(output)
+    assert np.isnan(depth_m[28:32, 28:32]).all()
+    assert np.isnan(depth_m[80:90, 130:140]).all()
+    median, known = relative_error(depth_m, scene)
+    assert median < 0.04
+    assert known > 0.3
+
+
+def test_two_frames_of_one_name(scene, tmp_path, capsys):
+    shutil.copy(scene.coded_npy, tmp_path / "coded.npy")
+    inputs = (scene.coded_png, tmp_path / "coded.npy")
+    result = call(capsys, "depth", "--bank", scene.bank, *inputs, "-o", tmp_path / "depth/")
+    refused(result, "several inputs are named coded", "use a folder for each")
+    assert names(tmp_path) == ["coded.npy"]
+
+
+def test_inputs_are_not_overwritten(scene, tmp_path, capsys):
+    shutil.copy(scene.coded_npy, tmp_path / "coded.npy")
+    before = everything(tmp_path)
+    for output in (tmp_path, tmp_path / "coded.npy"):
+        arguments = ("--bank", scene.bank, tmp_path / "coded.npy", "-o", output)
+        refused(call(capsys, "depth", *arguments), "coded.npy", "use another name")
+    assert everything(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("output", "options", "phrase"),
+    [
+        ("depth.jpg", (), "unknown format, use .npy, .tif, .tiff, .png, or end a folder's name"),
+        ("depth.v2", (), "unknown format"),
+        ("depth.png", ("--levels",), "write levels to .npy or .tiff"),
+        ("file/depth.npy", (), "is not a folder"),
+        ("file", (), "is not a folder"),
+        ("/proc/depth.npy", (), "cannot write /proc/depth.npy"),
+        ("second.npy", (), "second.confidence.npy: it is a folder"),
+        ("third.npy", ("--pictures",), "third.confidence.picture.png: it is a folder"),
+    ],
+)
+def test_impossible_outputs_are_refused_before_estimating(
+    scene, tmp_path, capsys, monkeypatch, output, options, phrase
+):
+    def estimate(*_):
+        raise AssertionError("the output has to be checked first")
+
+    monkeypatch.setattr("coded_aperture_ros.depth.DepthEstimator.estimate", estimate)
+    (tmp_path / "file").write_text("")
+    (tmp_path / "second.confidence.npy").mkdir()
+    (tmp_path / "third.confidence.picture.png").mkdir()
+    before = everything(tmp_path)
+    arguments = ("--bank", scene.bank, scene.coded_npy, "-o", tmp_path / output, *options)
+    refused(call(capsys, "depth", *arguments), output.partition(".")[0], phrase)
+    assert everything(tmp_path) == before
+
+
+def test_several_frames_do_not_fit_into_one_file(scene, tmp_path, capsys):
+    inputs = (scene.coded_npy, scene.sharp_file)
+    result = call(capsys, "depth", "--bank", scene.bank, *inputs, "-o", tmp_path / "depth.npy")
+    refused(result, "depth.npy: 2 frames do not fit into one file, name a folder")
+    assert everything(tmp_path) == {}
+
+
+def write_frames(folder):
+    """Write frames that cannot be used, and return what is said about each."""
+    (folder / "empty.png").write_bytes(b"")
+    (folder / "text.png").write_text("no picture")
+    (folder / "text.npy").write_text("no array")
+    (folder / "video.avi").write_text("no video")
+    (folder / "folder").mkdir()
+    np.save(folder / "small.npy", np.full((30, 200), 0.5, np.float32))
+    np.save(folder / "four.npy", np.ones((90, 90, 4), np.float32))
+    np.save(folder / "stack.npy", np.ones((2, 90, 90, 3), np.float32))
+    np.save(folder / "line.npy", np.ones(90, np.float32))
+    np.save(folder / "nothing.npy", np.ones((0, 90), np.float32))
+    np.save(folder / "int64.npy", np.ones((90, 90), np.int64))
+    np.save(folder / "complex.npy", np.ones((90, 90), np.complex64))
+    np.save(folder / "objects.npy", np.array([{}, None]))
+    whole = cv2.imencode(".png", np.random.default_rng(0).integers(0, 255, (90, 90)))[1].tobytes()
+    (folder / "cut.png").write_bytes(whole[: len(whole) // 2])
+
+
+@pytest.mark.parametrize(
+    ("name", "phrase"),
+    [
+        ("missing.png", "no such file or folder"),
+        ("empty.png", "the file is empty"),
+        ("text.png", "not a picture, or truncated"),
+        ("cut.png", "not a picture, or truncated"),
+        ("text.npy", "truncated, or not a .npy array"),
+        ("video.avi", "not a video"),
+        ("folder", "no pictures in this folder"),
+        ("small.npy", "window"),
+        ("four.npy", "got the shape [90, 90, 4]"),
+        ("stack.npy", "got the shape [2, 90, 90, 3]"),
+        ("line.npy", "got the shape [90]"),
+        ("nothing.npy", "got the shape [0, 90]"),
+        ("int64.npy", "expected 8-bit, 16-bit or float pixels"),
+        ("complex.npy", "expected one numeric array"),
+        ("objects.npy", "truncated, or not a .npy array"),
+    ],
+)
+def test_unusable_frames(scene, tmp_path, capsys, name, phrase):
+    write_frames(tmp_path)
+    before = everything(tmp_path)
+    output = tmp_path / "depth" / "d.npy"
+    result = call(capsys, "depth", "--bank", scene.bank, tmp_path / name, "-o", output)
+    refused(result, tmp_path / name, phrase)
+    assert everything(tmp_path) == before
+
+
+@pytest.mark.parametrize("name", ["video.avi", "cut.png", "cut.tiff"])
+def test_opencv_adds_nothing_to_the_message(scene, tmp_path, name):
+    write_frames(tmp_path)
+    (tmp_path / "cut.tiff").write_bytes(b"II*\0\x08\0\0\0\x01")
+    result = subprocess.run(
+        [
+            *(sys.executable, "-m", "coded_aperture_ros.cli.main", "depth"),
+            *("--bank", scene.bank, tmp_path / name, "-o", tmp_path / "d.npy"),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    refused(Result(result.returncode, result.stdout, result.stderr), tmp_path / name)
+
+
+def test_a_bad_frame_in_a_folder_is_named(scene, tmp_path, capsys):
+    shutil.copy(scene.coded_png, tmp_path / "a.png")
+    np.save(tmp_path / "b.npy", np.ones((20, 20), np.float32))
+    result = call(capsys, "depth", "--bank", scene.bank, tmp_path, "-o", tmp_path / "depth")
+    assert result.status == 1
+    assert f"{tmp_path}, frame b: " in result.err
+    # What was finished before stays, whole.
+    assert names(tmp_path / "depth") == ["a.confidence.npy", "a.npy"]
+
+
+def write_banks(folder, good):
+    """Write files that are no bank."""
+    content = good.read_bytes()
+    (folder / "truncated.npz").write_bytes(content[: len(content) // 2])
+    flipped = bytearray(content)
+    for entry in re.finditer(rb"PK\x01\x02", content):
+        flipped[entry.start() + 8] |= 1  # says that the entry is encrypted
+    (folder / "flipped.npz").write_bytes(flipped)
+    (folder / "empty.npz").write_bytes(b"")
+    (folder / "text.npz").write_text("no bank")
+    np.savez(folder / "foreign.npz", weights=np.ones(3))
+    np.save(folder / "array.npz.npy", np.ones(3))
+    (folder / "array.npz.npy").rename(folder / "array.npz")
+    with np.load(good) as archive:
+        arrays = dict(archive)
+    np.savez(folder / "newer.npz", **{**arrays, "schema_version": 99})
+    np.savez(folder / "odd.npz", **{**arrays, "basis": arrays["basis"][:-1]})
+    np.savez(folder / "nan.npz", **{**arrays, "coefficients": arrays["coefficients"] * np.nan})
+    np.savez(folder / "part.npz", **{k: v for k, v in arrays.items() if k != "basis"})
+    np.savez(folder / "pickle.npz", **{**arrays, "basis": np.array([{}], object)})
+
+
+@pytest.mark.parametrize("command", ["depth", "deblur"])
+@pytest.mark.parametrize(
+    ("name", "phrase"),
+    [
+        ("missing.npz", "no such file"),
+        (".", "Is a directory"),
+        ("truncated.npz", "truncated, or not an .npz"),
+        ("flipped.npz", "truncated, or not an .npz"),
+        ("empty.npz", "truncated, or not an .npz"),
+        ("text.npz", "truncated, or not an .npz"),
+        ("pickle.npz", "truncated, or not an .npz of plain arrays"),
+        ("array.npz", "a single array, not a coded-aperture filter bank"),
+        ("foreign.npz", "expected a coded-aperture filter bank"),
+        ("newer.npz", "upgrade the package"),
+        ("odd.npz", "damaged coded-aperture filter bank: basis"),
+        ("nan.npz", "damaged coded-aperture filter bank: coefficients"),
+        ("part.npz", "without basis: learn it again"),
+    ],
+)
+def test_unusable_banks(scene, tmp_path, capsys, command, name, phrase):
+    write_banks(tmp_path, scene.index_bank)
+    before = everything(tmp_path)
+    options = ("--depth", "auto") if command == "deblur" else ()
+    arguments = ("--bank", tmp_path / name, scene.coded_npy, "-o", tmp_path / "out.npy")
+    refused(call(capsys, command, *arguments, *options), tmp_path / name, phrase)
+    assert everything(tmp_path) == before
+
+
+def test_a_camera_that_cannot_have_the_bank_s_blur_sizes(scene, tmp_path, capsys):
+    camera = camera_file(tmp_path, mask_extent_mm=4.0)
+    arguments = ("--bank", scene.bank, "--camera", camera, scene.coded_npy)
+    result = call(capsys, "depth", *arguments, "-o", tmp_path / "depth.npy")
+    refused(result, camera, "learn the bank for this camera")
+
+
+@pytest.mark.parametrize(
+    ("options", "phrases"),
+    [
+        (("--stride-px", -1), ["--stride-px", "-1 is out of range (0 to 64 px)"]),
+        (("--stride-px", 2.5), ["--stride-px", "invalid int value: '2.5'"]),
+        (("--noise", "nan"), ["--noise", "nan is out of range"]),
+        (("--confidence-threshold", 2), ["--confidence-threshold", "out of range (0 to 1)"]),
+        (("--regularize", "magic"), ["--regularize", "'magic' is not allowed", "graphcut"]),
+        (("--gamma", "bright"), ["--gamma", "expected a number or srgb, got 'bright'"]),
+        (("--gamma", 0), ["--gamma", "expected 0.1 to 10 or srgb"]),
+    ],
+)
+def test_wrong_usage(scene, tmp_path, capsys, options, phrases):
+    arguments = ("--bank", scene.bank, scene.coded_npy, "-o", tmp_path / "depth.npy")
+    wrong_usage(call(capsys, "depth", *arguments, *options), "depth", *phrases)
+    assert everything(tmp_path) == {}

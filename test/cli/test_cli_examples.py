@@ -1,0 +1,93 @@
+"""The examples that the commands' `--help` shows, typed as they stand."""
+
+import shlex
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+from cli_scene import call, texture
+from test_cli_learn import measured_file
+from test_learn_planes import few_steps, folder_of
+
+from coded_aperture_ros.io import read_depth
+
+DEPTH_M = 4.0
+
+
+def examples(capsys, command):
+    """Return the command lines in a command's help, as lists of arguments."""
+    text = call(capsys, *command.split(), "--help").out.replace("\\\n", " ")
+    lines = [line.strip() for line in text.splitlines()]
+    return [
+        shlex.split(line)[1:] for line in lines if line.startswith(f"coded_aperture {command} ")
+    ]
+
+
+def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checkout):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "config").symlink_to(checkout / "config")
+    sharp = texture(200, 250)
+    cv2.imwrite("sharp.png", np.rint(255 * sharp ** (1 / 2.2)).astype(np.uint8))
+    cv2.imwrite("depth.png", np.full(sharp.shape, 1000 * DEPTH_M, np.uint16))
+    measured_file("stack.npz")
+    (tmp_path / "planes").mkdir()
+    folder_of(tmp_path / "planes")
+    few_steps(monkeypatch)
+    (tmp_path / "pictures").mkdir()
+    for seed in range(5):
+        picture = texture(256, 256, seed) ** (1 / 2.2)
+        cv2.imwrite(f"pictures/{seed}.png", np.rint(255 * picture).astype(np.uint8))
+
+    def type_in(arguments):
+        result = call(capsys, *arguments)
+        assert (result.status, result.err) == (0, ""), arguments
+        return result.out
+
+    calibrate = examples(capsys, "calibrate")
+    assert len(calibrate) == 3
+    for arguments in calibrate:
+        assert "depth levels told apart" in type_in(arguments)
+    assert (tmp_path / "design" / "calibrate.html").is_file()
+
+    print_mask = examples(capsys, "mask") + examples(capsys, "mask print")
+    assert len(print_mask) == 4
+    for arguments in print_mask:
+        type_in(arguments)
+    assert (tmp_path / "mask.pdf").is_file()
+    assert (tmp_path / "mask.svg").is_file()
+
+    score_masks = examples(capsys, "mask score")
+    assert len(score_masks) == 2
+    for arguments in score_masks:
+        assert "levin" in type_in(arguments)
+    # The others take minutes, and a cluster.
+    (short,) = (line for line in examples(capsys, "mask search") if "cardboard.png" in line)
+    type_in(short)
+    assert (tmp_path / "cardboard.png").is_file()
+
+    (simulate,) = examples(capsys, "simulate")
+    type_in(simulate)
+    (tmp_path / "frames").mkdir()
+    shutil.copy("coded.png", "frames/first.png")
+
+    learn = examples(capsys, "learn")
+    assert len(learn) == 7
+    for arguments in reversed(learn):  # the first one's bank fits the simulated camera
+        type_in(arguments)
+
+    depth = examples(capsys, "depth")
+    assert len(depth) == 4
+    for arguments in depth:
+        type_in(arguments)
+    assert np.nanmedian(read_depth("depth.npy")) == pytest.approx(DEPTH_M, rel=0.05)
+    assert (tmp_path / "depth" / "first.npy").is_file()
+    assert (tmp_path / "simple.npy").is_file()
+    assert (tmp_path / "moving.motion.npy").is_file()
+
+    deblur = examples(capsys, "deblur")
+    assert len(deblur) == 3
+    for arguments in deblur:
+        (tmp_path / "sharp.png").unlink()
+        type_in(arguments)
+        assert (tmp_path / "sharp.png").is_file()

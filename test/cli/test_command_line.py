@@ -1,0 +1,123 @@
+"""Exit status, messages and streams of the program `coded_aperture`."""
+
+import argparse
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+import coded_aperture_ros
+from coded_aperture_ros.cli import main as program
+from coded_aperture_ros.core.errors import InputError
+
+
+def call(arguments):
+    return subprocess.run(
+        [sys.executable, "-m", "coded_aperture_ros.cli.main", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+
+
+@pytest.fixture
+def command(monkeypatch):
+    """Make `coded_aperture act` run a function."""
+
+    def install(run):
+        def add_parser(subparsers: argparse._SubParsersAction) -> None:
+            subparsers.add_parser("act")
+
+        commands = {"act": SimpleNamespace(add_parser=add_parser, run=run)}
+        monkeypatch.setattr(program, "COMMANDS", commands)
+
+    return install
+
+
+def test_version():
+    result = call(["--version"])
+    assert result.stdout == f"coded_aperture {coded_aperture_ros.__version__}\n"
+    assert (result.returncode, result.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("arguments", [[], ["unknown"], ["--unknown"]])
+def test_wrong_usage_is_status_2_with_nothing_on_stdout(arguments):
+    result = call(arguments)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert "usage: coded_aperture" in result.stderr
+
+
+@pytest.mark.parametrize("status", [0, 1])
+def test_status_is_that_of_the_command(command, status):
+    command(lambda options: status)
+    assert program.main(["act"]) == status
+
+
+def test_bad_input_is_one_line_on_stderr(command, capsys):
+    def run(options):
+        raise InputError("a.npz: not a filter bank")
+
+    command(run)
+    assert program.main(["act"]) == 1
+    captured = capsys.readouterr()
+    assert captured.err == "coded_aperture: error: a.npz: not a filter bank\n"
+    assert captured.out == ""
+
+
+def test_an_interrupt_is_quiet(command, capsys):
+    def run(options):
+        raise KeyboardInterrupt
+
+    command(run)
+    assert program.main(["act"]) == 130
+    assert capsys.readouterr() == ("", "")
+
+
+def test_our_own_mistakes_keep_their_traceback(command):
+    def run(options):
+        raise ZeroDivisionError
+
+    command(run)
+    with pytest.raises(ZeroDivisionError):
+        program.main(["act"])
+
+
+def test_a_reader_that_leaves_is_not_an_error_message():
+    """As in `coded_aperture ... --json | head -1`."""
+    code = (
+        "import sys\n"
+        "from types import SimpleNamespace as N\n"
+        "from coded_aperture_ros.cli import main as program\n"
+        "def run(options):\n"
+        "    for line in range(100_000):\n"
+        "        print('line', line)\n"
+        "    return 0\n"
+        "add = lambda subparsers: subparsers.add_parser('act')\n"
+        "program.COMMANDS = {'act': N(add_parser=add, run=run)}\n"
+        "sys.exit(program.main(['act']))\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout.readline() == "line 0\n"
+    process.stdout.close()
+    assert process.stderr.read() == ""
+    process.stderr.close()
+    assert process.wait(timeout=60) == 1
+
+
+def test_every_command_explains_itself():
+    assert program.COMMANDS
+    for name in program.COMMANDS:
+        result = call([name, "--help"])
+        assert (result.returncode, result.stderr) == (0, "")
+        assert f"coded_aperture {name}" in result.stdout
+        assert result.stdout.count(f"coded_aperture {name}") > 1, "an example is missing"
+
+
+def test_commands_are_listed_in_the_order_of_use():
+    assert list(program.COMMANDS) == [
+        *("demo", "calibrate", "mask", "learn", "depth", "deblur", "simulate", "bag", "bench")
+    ]

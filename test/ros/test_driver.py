@@ -1,0 +1,242 @@
+"""camera_driver_node over real DDS, from every kind of source."""
+
+import time
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from ros_helpers import Ros, wait_until
+from sensor_msgs.msg import CameraInfo, Image
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.io.sources import DeviceSource, SequenceSource, SimulatorSource, open_source
+from coded_aperture_ros.optics import load_camera
+from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
+from coded_aperture_ros.ros.messages import array_from_image, stamp_ns
+
+WIDTH, HEIGHT = 64, 48
+CAMERA = {
+    "focal_length_px": 119.4,
+    "focus_distance_m": 1.9,
+    "image_width": WIDTH,
+    "image_height": HEIGHT,
+    "mask": {"name": "levin"},
+    "mask_extent_mm": 52.0,
+}
+
+
+@pytest.fixture(scope="module")
+def camera_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("camera") / "camera.yaml"
+    path.write_text(yaml.safe_dump(CAMERA))
+    return path
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    """Return three different colour pictures [row, column, RGB]."""
+    random = np.random.default_rng(0)
+    return random.integers(0, 256, (3, HEIGHT, WIDTH, 3), dtype=np.uint8)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, pictures):
+    path = tmp_path_factory.mktemp("pictures")
+    for index, picture in enumerate(pictures):
+        cv2.imwrite(str(path / f"{index}.png"), picture[:, :, ::-1])
+    return path
+
+
+@pytest.fixture
+def ros():
+    ros = Ros()
+    yield ros
+    ros.close()
+
+
+def drive(ros, camera_file, source, **parameters):
+    given = {"camera_file": str(camera_file), "source": str(source), "rate_hz": 50.0}
+    return ros.make(CameraDriverNode, {**given, **parameters})
+
+
+def test_the_simulator_publishes_frames_and_the_truth(ros, camera_file):
+    images = ros.subscribe("image_raw", Image)
+    infos = ros.subscribe("camera_info", CameraInfo)
+    depths = ros.subscribe("ground_truth/depth", Image)
+    sharp = ros.subscribe("ground_truth/image", Image)
+    drive(ros, camera_file, "simulator", rate_hz=20.0, frame_id="front_optical_frame")
+    assert wait_until(lambda: min(map(len, (images, infos, depths, sharp))) >= 10, 30)
+    stamps = [{stamp_ns(m.header) for m in stream} for stream in (images, infos, depths, sharp)]
+    assert len(set.intersection(*stamps)) >= 8  # the very same stamps on every topic
+    now = ros.probe.get_clock().now().nanoseconds
+    assert 0 < now - stamp_ns(images[-1].header) < 2_000_000_000
+    assert {message.header.frame_id for message in (*images, *infos, *depths)} == {
+        "front_optical_frame"
+    }
+    assert (images[0].encoding, images[0].width, images[0].height) == ("bgr8", WIDTH, HEIGHT)
+    assert depths[0].encoding == "32FC1"
+    depth = array_from_image(depths[0])
+    assert depth.shape == (HEIGHT, WIDTH)
+    assert 2.0 < depth.min() < depth.max() < 5.2
+    assert infos[0].k[0] == pytest.approx(CAMERA["focal_length_px"])
+    assert (infos[0].k[2], infos[0].k[5]) == ((WIDTH - 1) / 2, (HEIGHT - 1) / 2)
+
+
+def test_the_rate_is_kept(ros, camera_file, folder):
+    images = ros.subscribe("image_raw", Image)
+    drive(ros, camera_file, folder, rate_hz=20.0)
+    assert wait_until(lambda: images)
+    before = len(images)
+    time.sleep(2.0)
+    assert 20 <= len(images) - before <= 42
+
+
+def test_a_folder_is_published_once_in_order(ros, camera_file, folder, pictures):
+    images = ros.subscribe("image_raw", Image, 50)
+    node = drive(ros, camera_file, folder, loop=False, lazy=True)
+    assert wait_until(lambda: len(images) == 3)
+    for message, picture in zip(images, pictures, strict=True):
+        np.testing.assert_array_equal(array_from_image(message), picture)
+    time.sleep(0.3)
+    assert len(images) == 3
+    assert node.context.ok()
+
+
+def test_a_broken_picture_does_not_hide_those_after_it(ros, camera_file, tmp_path):
+    for value in (10, 20, 30):
+        cv2.imwrite(str(tmp_path / f"{value}.png"), np.full((HEIGHT, WIDTH), value, np.uint8))
+    (tmp_path / "20.png").write_bytes(b"not a picture")
+    images = ros.subscribe("image_raw", Image)
+    parameters = {"camera_file": str(camera_file), "encoding": "mono8", "loop": False}
+    ros.make(CameraDriverNode, {**parameters, "source": str(tmp_path), "rate_hz": 50.0})
+    assert wait_until(lambda: len(images) == 2)
+    assert [image.data[0] for image in images] == [10, 30]
+
+
+def test_nothing_is_read_before_someone_subscribes(ros, camera_file, folder, pictures):
+    drive(ros, camera_file, folder, loop=False, rate_hz=100.0)
+    time.sleep(0.5)
+    images = ros.subscribe("image_raw", Image, 50)
+    assert wait_until(lambda: len(images) == 3)
+    np.testing.assert_array_equal(array_from_image(images[0]), pictures[0])
+
+
+def test_a_folder_can_be_looped(ros, camera_file, folder):
+    images = ros.subscribe("image_raw", Image, 50)
+    drive(ros, camera_file, folder, loop=True)
+    assert wait_until(lambda: len(images) > 10)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "dtype", "channels"),
+    [("mono8", "u1", 1), ("rgb8", "u1", 3), ("bgr8", "u1", 3), ("mono16", "u2", 1)],
+)
+def test_encodings(ros, camera_file, folder, pictures, encoding, dtype, channels):
+    images = ros.subscribe("image_raw", Image)
+    drive(ros, camera_file, folder, encoding=encoding, loop=False)
+    assert wait_until(lambda: images)
+    pixels = array_from_image(images[0])
+    assert (images[0].encoding, pixels.dtype) == (encoding, np.dtype(dtype))
+    if channels == 3:
+        np.testing.assert_array_equal(pixels, pictures[0])
+    else:
+        grey = pixels / np.iinfo(pixels.dtype).max
+        expected = pictures[0] @ [0.2126, 0.7152, 0.0722] / 255
+        np.testing.assert_allclose(grey, expected, atol=0.003)
+
+
+def write_video(path, frames=5):
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (WIDTH, HEIGHT))
+    if not video.isOpened():
+        pytest.skip("this OpenCV cannot write videos")
+    for index in range(frames):
+        video.write(np.full((HEIGHT, WIDTH, 3), 40 * index, np.uint8))
+    video.release()
+
+
+def test_a_video_is_published(ros, camera_file, tmp_path):
+    write_video(tmp_path / "video.avi")
+    images = ros.subscribe("image_raw", Image, 50)
+    drive(ros, camera_file, tmp_path / "video.avi", loop=False)
+    assert wait_until(lambda: len(images) == 5)
+    means = [array_from_image(image).mean() for image in images]
+    np.testing.assert_allclose(means, [0, 40, 80, 120, 160], atol=4)
+
+
+def test_a_device_that_vanishes_is_tried_again(ros, camera_file, tmp_path):
+    """A stream that is not there yet, comes, ends and comes again."""
+    address = f"file://{tmp_path}/stream.avi"
+    images = ros.subscribe("image_raw", Image, 50)
+    node = drive(ros, camera_file, address)
+    time.sleep(0.3)
+    assert images == [] and node.context.ok()
+    write_video(tmp_path / "stream.avi")
+    assert wait_until(lambda: len(images) >= 10, 20)
+    assert stamp_ns(images[5].header) - stamp_ns(images[4].header) > 400_000_000
+
+
+def test_a_missing_device_is_an_input_error():
+    source = DeviceSource("/dev/video_that_is_not_there")
+    for _ in range(2):
+        with pytest.raises(InputError, match="video_that_is_not_there"):
+            source.read()
+    source.close()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "reason"),
+    [
+        ({"source": "/nowhere/pictures"}, "/nowhere/pictures"),
+        ({"source": ""}, "source is empty"),
+        ({"camera_file": ""}, "camera_file is empty"),
+        ({"encoding": "yuv422"}, "one of mono8, rgb8, bgr8, mono16"),
+        ({"rate_hz": 0.0}, "rate_hz"),
+    ],
+)
+def test_what_cannot_be_driven_is_one_clear_line(ros, camera_file, folder, parameters, reason):
+    with pytest.raises(InputError) as caught:
+        drive(ros, **{"camera_file": camera_file, "source": folder, **parameters})
+    assert reason in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_pictures_of_another_shape_have_no_camera_info(ros, camera_file, tmp_path):
+    cv2.imwrite(str(tmp_path / "wide.png"), np.zeros((HEIGHT, 2 * WIDTH), np.uint8))
+    images, infos = ros.subscribe("image_raw", Image), ros.subscribe("camera_info", CameraInfo)
+    drive(ros, camera_file, tmp_path)
+    assert wait_until(lambda: len(images) > 3)
+    assert infos == []
+
+
+def test_simulated_time_without_a_clock(ros, camera_file, folder):
+    images = ros.subscribe("image_raw", Image)
+    drive(ros, camera_file, folder, use_sim_time=True)
+    assert wait_until(lambda: len(images) > 3)
+    assert stamp_ns(images[0].header) == 0
+
+
+def test_a_transform_is_no_condition(ros, camera_file, folder):
+    """tf2_msgs is not everywhere; the frames come all the same."""
+    images = ros.subscribe("image_raw", Image)
+    drive(ros, camera_file, folder, base_frame="base_link", base_z_m=0.5)
+    assert wait_until(lambda: images)
+
+
+def test_sources_by_name(camera_file, folder):
+    camera = load_camera(camera_file)
+    assert isinstance(open_source("0", camera, 10.0), DeviceSource)
+    assert isinstance(open_source("/dev/video7", camera, 10.0), DeviceSource)
+    assert isinstance(open_source("rtsp://camera/stream", camera, 10.0), DeviceSource)
+    assert isinstance(open_source(str(folder), camera, 10.0), SequenceSource)
+
+
+def test_the_simulators_noise_is_as_asked(camera_file):
+    camera = load_camera(camera_file)
+    quiet, noisy = (SimulatorSource(camera, 10.0, noise) for noise in (0.0, 0.01))
+    for _ in range(3):
+        clean, view = quiet.read(), noisy.read()
+        difference = view.frame - clean.frame
+        assert difference.std() == pytest.approx(0.01, rel=0.05)
+        assert abs(difference.mean()) < 0.001
+        np.testing.assert_array_equal(view.depth_m, clean.depth_m)

@@ -1,0 +1,133 @@
+"""A gyroscope's messages as the expected motion of a frame."""
+
+import math
+
+import numpy as np
+import pytest
+import yaml
+from ros_helpers import Ros, wait_until
+from sensor_msgs.msg import Image, Imu
+from small_camera import CAMERA as SMALL
+from small_camera import FAR_M, NEAR_M, coded_wall
+from std_msgs.msg import Header
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.optics import Intrinsics, load_camera
+from coded_aperture_ros.ros.depth_node import DepthNode
+from coded_aperture_ros.ros.gyro import Gyro, GyroConfig, rotation_of
+from coded_aperture_ros.ros.messages import image_from_array, pixels_from_frame
+
+CAMERA = Intrinsics.pinhole(500.0, 640, 480)
+
+
+def said(nanoseconds, x=0.0, y=0.0, z=0.0):
+    message = Imu()
+    message.header.stamp.nanosec = nanoseconds
+    rate = message.angular_velocity
+    rate.x, rate.y, rate.z = x, y, z
+    return message
+
+
+def frame(nanoseconds):
+    header = Header()
+    header.stamp.nanosec = nanoseconds
+    return header
+
+
+def test_the_message_nearest_in_time_counts_and_its_axes_are_turned():
+    gyro = Gyro()
+    for nanoseconds, yaw in ((0, 9.0), (40_000_000, 0.5), (90_000_000, 7.0)):
+        gyro.receive(said(nanoseconds, z=yaw))
+    expected = gyro.expected(frame(50_000_000), GyroConfig(exposure_s=0.02), CAMERA)
+    # Turning left, around the axis that points up, by 0.01 rad: the picture moves to the right.
+    assert expected.angle_rad == pytest.approx((0.0, -0.01, 0.0))
+    right, down = expected.at([240], [320], 640)[0, 0]
+    assert (right, abs(down)) == (pytest.approx(5.0, rel=0.01), pytest.approx(0, abs=0.1))
+    aligned = GyroConfig(exposure_s=0.02, imu_axes="x y z")
+    assert gyro.expected(frame(50_000_000), aligned, CAMERA).angle_rad == pytest.approx(
+        (0, 0, 0.01)
+    )
+
+
+@pytest.mark.parametrize(
+    ("message", "exposure_s", "reason"),
+    [
+        (None, 0.02, "no angular velocity"),
+        (said(0, z=1.0), 0.0, "exposure"),
+        (said(0, z=math.nan), 0.02, "not finite"),
+        (said(0, z=math.inf), 0.02, "not finite"),
+        (said(900_000_000, z=1.0), 0.02, "late"),
+    ],
+)
+def test_what_says_nothing_says_why(message, exposure_s, reason):
+    gyro = Gyro()
+    if message is not None:
+        gyro.receive(message)
+    expected = gyro.expected(frame(0), GyroConfig(exposure_s=exposure_s), CAMERA)
+    assert expected.angle_rad is None
+    assert reason in expected.reason
+
+
+def test_what_was_said_before_time_went_back_does_not_count():
+    gyro = Gyro()
+    gyro.receive(said(0, z=1.0))
+    gyro.forget()
+    assert gyro.expected(frame(0), GyroConfig(exposure_s=0.02), CAMERA).angle_rad is None
+
+
+@pytest.fixture
+def ros():
+    ros = Ros()
+    yield ros
+    ros.close()
+
+
+def test_the_node_finds_motion_and_says_what_it_knew_of_it(ros, tmp_path):
+    (tmp_path / "camera.yaml").write_text(yaml.safe_dump(SMALL))
+    small = {"motion_directions": 2, "motion_lengths": 2, "longest_motion_px": 6.0}
+    node = ros.make(
+        DepthNode,
+        {
+            "camera_file": str(tmp_path / "camera.yaml"),
+            "near_m": NEAR_M,
+            "far_m": FAR_M,
+            "levels": 6,
+            "learn.window_px": 32,
+            "learn.rank": 32,
+            "method": "motion",
+            "exposure_s": 0.02,
+            **small,
+        },
+    )
+    depths, motions = ros.subscribe("depth/image", Image), ros.subscribe("depth/motion", Image)
+    images, imu = ros.publisher("image_raw", Image), ros.publisher("imu", Imu)
+    assert wait_until(lambda: images.get_subscription_count() and imu.get_subscription_count())
+    pixels = pixels_from_frame(coded_wall(load_camera(tmp_path / "camera.yaml")), "mono8")
+
+    def send(seconds):
+        count = len(motions)
+        header = Header()
+        header.stamp.sec = seconds
+        images.publish(image_from_array(pixels, "mono8", header))
+        assert wait_until(lambda: len(motions) > count)
+        return node.identity()["motion"]
+
+    assert "no angular velocity" in send(10)
+    message = said(0, z=0.001)
+    message.header.stamp.sec = 11
+    imu.publish(message)
+    assert wait_until(lambda: node._gyro._lately)
+    assert send(11) == ""
+    assert "late" in send(12)
+    assert motions[0].encoding == "32FC2"
+    assert motions[0].step == 8 * motions[0].width
+    field = np.frombuffer(motions[1].data, np.float32).reshape(motions[1].height, -1, 2)
+    assert np.isfinite(field).any()
+    assert np.nanmedian(np.hypot(field[..., 0], field[..., 1])) < 2  # the wall stands still
+    assert wait_until(lambda: len(depths) == 3)
+
+
+@pytest.mark.parametrize("axes", ["x y", "x y y", "x y w", "x y z z", "", "xy z x", "x y -z"])
+def test_axes_that_are_no_rotation_are_refused(axes):
+    with pytest.raises(InputError, match="imu_axes"):
+        rotation_of(axes)

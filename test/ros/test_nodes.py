@@ -1,0 +1,567 @@
+"""depth_node and deblur_node over real DDS."""
+
+import itertools
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from coded_aperture_benchmarks import load_textures
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.parameter import Parameter
+from rclpy.qos import ReliabilityPolicy, qos_profile_sensor_data
+from ros_helpers import Ros, wait_until
+from scipy.signal import fftconvolve
+from sensor_msgs.msg import CameraInfo, Image
+from small_camera import CAMERA, DEPTH_M, HEIGHT, NEAR_M, WIDTH, coded_wall, write_model
+from std_msgs.msg import Header
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth import map_size
+from coded_aperture_ros.optics import load_camera, render_psf
+from coded_aperture_ros.ros.deblur_node import DeblurNode
+from coded_aperture_ros.ros.depth_node import DepthNode
+from coded_aperture_ros.ros.frame_model import ModelConfig, guarded_range
+from coded_aperture_ros.ros.messages import (
+    array_from_image,
+    image_from_array,
+    pixels_from_frame,
+    stamp_ns,
+)
+
+DEPTH_OUTPUTS = {
+    "depth/image": Image,
+    "depth/image_raw": Image,
+    "depth/confidence": Image,
+    "depth/camera_info": CameraInfo,
+}
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    return write_model(tmp_path_factory.mktemp("camera"))
+
+
+@pytest.fixture(scope="module")
+def camera_file(model):
+    return Path(model["camera_file"])
+
+
+@pytest.fixture(scope="module")
+def coded(camera_file):
+    """Return a frame of a textured wall at DEPTH_M."""
+    return coded_wall(load_camera(camera_file))
+
+
+@pytest.fixture
+def ros():
+    ros = Ros()
+    yield ros
+    ros.close()
+
+
+STAMPS = itertools.count(1)
+
+
+def stamped():
+    header = Header(frame_id="front_optical_frame")
+    header.stamp.sec, header.stamp.nanosec = next(STAMPS), 987_654_321
+    return header
+
+
+def mono8(frame, header=None):
+    return image_from_array(pixels_from_frame(frame, "mono8"), "mono8", header or stamped())
+
+
+class Chain:
+    """A depth node, everything that it publishes, and a publisher of frames."""
+
+    def __init__(self, ros, model, subscribe=tuple(DEPTH_OUTPUTS), **parameters):
+        self.ros = ros
+        self.node = ros.make(DepthNode, {**model, **parameters})
+        self.received = {t: ros.subscribe(t, DEPTH_OUTPUTS[t]) for t in subscribe}
+        self.images = ros.publisher("image_raw", Image)
+        self.infos = ros.publisher("camera_info", CameraInfo)
+        if subscribe:
+            assert wait_until(self.connected)
+
+    def connected(self):
+        return self.images.get_subscription_count() and self.infos.get_subscription_count()
+
+    def send(self, message):
+        """Send a message and wait until the node is done with it."""
+        before = self.handled()
+        self.images.publish(message)
+        assert wait_until(lambda: self.handled() > before), "the node did not react"
+
+    def handled(self):
+        summary = self.node.statistics.summary()
+        return summary.processed + summary.rejected_total + summary.dropped
+
+    def result(self, message, topic="depth/image"):
+        """Send a frame and return what comes of it on a topic."""
+        count = len(self.received[topic])
+        self.send(message)
+        assert wait_until(lambda: len(self.received[topic]) > count)
+        return self.received[topic][-1]
+
+    @property
+    def rejected(self):
+        return self.node.statistics.summary().rejected
+
+
+def test_a_frame_in_gives_depth_out(ros, model, coded):
+    chain = Chain(ros, model, output_size="half")
+    frame = mono8(coded)
+    chain.send(frame)
+    assert wait_until(lambda: all(chain.received.values()))
+    depth, raw, confidence, info = (chain.received[topic][0] for topic in DEPTH_OUTPUTS)
+    for message in (depth, raw, confidence, info):
+        assert message.header == frame.header
+        assert (message.width, message.height) == (WIDTH // 2, HEIGHT // 2)
+    assert (depth.encoding, raw.encoding, confidence.encoding) == ("32FC1", "16UC1", "32FC1")
+    metres, millimetres = array_from_image(depth), array_from_image(raw)
+    known = np.isfinite(metres)
+    assert known.mean() > 0.5
+    assert abs(np.median(metres[known]) - DEPTH_M) < 0.06 * DEPTH_M
+    np.testing.assert_allclose(millimetres[known], metres[known] * 1000, atol=0.51)
+    assert not millimetres[np.isnan(metres)].any()
+    certain = array_from_image(confidence)
+    assert certain.min() >= 0 and certain.max() <= 1
+    assert info.k[0] == pytest.approx(CAMERA["focal_length_px"] / 2)
+    assert info.k[2] == pytest.approx((WIDTH // 2 - 1) / 2)
+
+
+def test_every_encoding_gives_the_same_depth(ros, model, coded):
+    chain = Chain(ros, model, subscribe=("depth/image",))
+    for encoding in ("mono8", "bgr8", "rgba8", "mono16", "32FC1"):
+        pixels = pixels_from_frame(coded, encoding)
+        depth = array_from_image(chain.result(image_from_array(pixels, encoding, stamped())))
+        assert abs(np.nanmedian(depth) - DEPTH_M) < 0.06 * DEPTH_M, encoding
+    assert chain.rejected == {}
+
+
+def test_the_drivers_camera_info_is_scaled_and_passed_on(ros, model, coded):
+    chain = Chain(ros, model, output_size="half")
+    given = CameraInfo(width=WIDTH, height=HEIGHT, distortion_model="plumb_bob")
+    given.k = [410.0, 0.0, 60.0, 0.0, 420.0, 50.0, 0.0, 0.0, 1.0]
+    given.d = [0.1, 0.0, 0.0, 0.0, 0.0]
+    chain.infos.publish(given)
+    time.sleep(0.2)
+    info = chain.result(mono8(coded), "depth/camera_info")
+    assert list(info.k) == [205, 0, 29.75, 0, 210, 24.75, 0, 0, 1]
+    assert list(info.d) == [0.1, 0, 0, 0, 0]
+    assert info.header.frame_id == "front_optical_frame"
+
+
+def bad_messages():
+    good = np.zeros((HEIGHT, WIDTH), np.uint8)
+
+    def broken(**changes):
+        message = image_from_array(good, "mono8", stamped())
+        for name, value in changes.items():
+            setattr(message, name, value)
+        return message
+
+    return [
+        ("encoding", broken(encoding="yuv422")),
+        ("data", broken(data=bytes(100))),
+        ("data", broken(data=b"")),
+        ("step", broken(step=WIDTH - 1)),
+        ("size", broken(width=0)),
+        ("size", broken(height=0)),
+        ("size", mono8(np.zeros((HEIGHT, WIDTH + 40), np.float32))),
+        ("size", mono8(np.zeros((12, 16), np.float32))),
+    ]
+
+
+def test_malformed_messages_are_counted_and_survived(ros, model, coded):
+    chain = Chain(ros, model, subscribe=("depth/image",))
+    expected = {}
+    for kind, message in bad_messages():
+        chain.send(message)
+        expected[kind] = expected.get(kind, 0) + 1
+        assert chain.rejected == expected, message.encoding
+    assert chain.received["depth/image"] == []
+    depth = array_from_image(chain.result(mono8(coded)))
+    assert abs(np.nanmedian(depth) - DEPTH_M) < 0.06 * DEPTH_M
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0, np.nan, np.inf])
+def test_frames_without_information_give_no_depth(ros, model, value):
+    chain = Chain(ros, model)
+    pixels = np.full((HEIGHT, WIDTH), value, np.float32)
+    depth = chain.result(image_from_array(pixels, "32FC1", stamped()))
+    assert np.isnan(array_from_image(depth)).all()
+    assert wait_until(lambda: chain.received["depth/confidence"])
+    confidence = array_from_image(chain.received["depth/confidence"][0])
+    assert np.isfinite(confidence).all() and confidence.max() < 0.5
+
+
+def test_a_resized_frame_is_accepted(ros, model, coded):
+    """Twice the size of the camera file: the same blur in pixels is another depth then."""
+    chain = Chain(ros, model)
+    depth = array_from_image(chain.result(mono8(np.tile(coded, (2, 2)))))
+    camera = load_camera(model["camera_file"])
+    expected = camera.scaled(2).depth_m(camera.blur_size_px(DEPTH_M))
+    assert NEAR_M < expected < 0.8 * DEPTH_M
+    assert abs(np.median(depth[np.isfinite(depth)]) - expected) < 0.06 * expected
+    assert wait_until(lambda: chain.received["depth/camera_info"])
+    assert chain.received["depth/camera_info"][0].k[0] == pytest.approx(800.0)
+
+
+def test_depth_beyond_the_range_is_infinite(ros, model, coded):
+    chain = Chain(ros, {**model, "near_m": 1.3, "far_m": 1.5}, subscribe=("depth/image",))
+    depth = array_from_image(chain.result(mono8(coded)))
+    assert np.isposinf(depth).mean() > 0.4
+    assert not np.isfinite(depth[~np.isnan(depth)]).any() or np.nanmin(depth) <= 1.5
+
+
+def test_no_work_without_a_subscriber(ros, model, coded):
+    chain = Chain(ros, model, subscribe=())
+    assert wait_until(lambda: chain.images.get_subscription_count() == 0)
+    for _ in range(3):
+        chain.images.publish(mono8(coded))
+    time.sleep(0.3)
+    assert chain.node.statistics.summary().received == 0
+    received = ros.subscribe("depth/image", Image)
+    assert wait_until(chain.connected)
+    chain.send(mono8(coded))
+    assert wait_until(lambda: received)
+
+
+def test_laziness_can_be_switched_off(ros, model, coded):
+    chain = Chain(ros, model, subscribe=(), lazy=False)
+    assert wait_until(chain.connected)
+    chain.send(mono8(coded))
+    assert chain.node.statistics.summary().processed == 1
+
+
+def test_a_slow_node_drops_and_works_on_the_newest(ros, model, coded):
+    chain = Chain(ros, model, subscribe=("depth/image",))
+    frames = [mono8(coded) for _ in range(60)]
+    for frame in frames:
+        chain.images.publish(frame)
+        time.sleep(0.001)
+    newest = stamp_ns(frames[-1].header)
+    received = chain.received["depth/image"]
+    assert wait_until(lambda: received and stamp_ns(received[-1].header) == newest)
+    summary = chain.node.statistics.summary()
+    assert summary.dropped > 0
+    assert summary.processed + summary.dropped == summary.received
+    stamps = [stamp_ns(message.header) for message in received]
+    assert stamps == sorted(stamps)
+
+
+def test_the_rate_can_be_limited(ros, model, coded):
+    chain = Chain(ros, model, subscribe=("depth/image",), max_rate_hz=5.0)
+    for _ in range(30):
+        chain.images.publish(mono8(coded))
+        time.sleep(0.02)
+    summary = chain.node.statistics.summary()
+    assert 2 <= summary.processed <= 5
+
+
+def test_parameters_change_what_is_published(ros, model, coded):
+    chain = Chain(ros, model, subscribe=("depth/image",))
+    assert chain.result(mono8(coded)).width == WIDTH
+    (changed,) = chain.node.set_parameters([Parameter("output_size", value="quarter")])
+    assert changed.successful
+    assert chain.result(mono8(coded)).width == WIDTH // 4
+    (refused,) = chain.node.set_parameters([Parameter("confidence_threshold", value=2.0)])
+    assert not refused.successful and refused.reason
+    (refused,) = chain.node.set_parameters([Parameter("regularize", value="magic")])
+    assert "one of none, semiglobal, tv, graphcut" in refused.reason
+    (refused,) = chain.node.set_parameters([Parameter("bank", value="other.npz")])
+    assert "read-only" in refused.reason
+    (changed,) = chain.node.set_parameters([Parameter("confidence_threshold", value=1.0)])
+    assert changed.successful
+    assert np.isnan(array_from_image(chain.result(mono8(coded)))).mean() > 0.5
+
+
+@pytest.mark.parametrize(
+    ("frame", "choice", "expected"),
+    [
+        ((480, 640), "auto", (240, 320)),
+        ((240, 320), "auto", (240, 320)),
+        ((1080, 1920), "auto", (180, 320)),
+        ((600, 320), "auto", (200, 106)),
+        ((481, 641), "half", (240, 320)),
+        ((480, 640), "full", (480, 640)),
+        ((3, 3), "quarter", (1, 1)),
+    ],
+)
+def test_output_size(frame, choice, expected):
+    assert map_size(frame, choice) == expected
+
+
+def test_diagnostics(ros, model, coded):
+    chain = Chain(ros, model, subscribe=("depth/image",))
+    reports = ros.subscribe("/diagnostics", DiagnosticArray)
+    chain.send(mono8(coded))
+    chain.send(bad_messages()[0][1])
+
+    def values():
+        return {pair.key: pair.value for pair in reports[-1].status[0].values} if reports else {}
+
+    assert wait_until(lambda: values().get("rejected_encoding") == "1")
+    assert (values()["received"], values()["processed"]) == ("2", "1")
+    assert float(values()["work_median_ms"]) > 0
+    assert reports[-1].status[0].name == "depth_node: frames"
+
+
+def test_a_stamp_of_zero_has_no_latency(ros, model, coded):
+    chain = Chain(ros, model, use_sim_time=True)  # that has not begun
+    chain.send(mono8(coded, Header(frame_id="front_optical_frame")))
+    summary = chain.node.statistics.summary()
+    assert (summary.processed, summary.latency_s) == (1, None)
+
+
+def test_subscribers_of_both_kinds_are_served(ros, model, coded):
+    chain = Chain(ros, model, subscribe=("depth/image",))
+    best_effort = ros.subscribe("depth/image", Image, qos_profile_sensor_data)
+    assert wait_until(lambda: chain.node.count_subscribers("depth/image") == 2)
+    time.sleep(0.3)
+    chain.send(mono8(coded))
+    assert wait_until(lambda: best_effort and chain.received["depth/image"])
+
+
+def test_default_qos(ros, model):
+    Chain(ros, model)
+    (image,) = ros.probe.get_subscriptions_info_by_topic("image_raw")
+    assert image.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+    (depth,) = ros.probe.get_publishers_info_by_topic("depth/image")
+    assert depth.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+
+
+def test_qos_can_be_overridden(ros, model):
+    override = {"qos_overrides./image_raw.subscription.reliability": "reliable"}
+    Chain(ros, model, **override)
+    (image,) = ros.probe.get_subscriptions_info_by_topic("image_raw")
+    assert image.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+
+
+def test_namespace_and_remapping(ros, model, coded):
+    node = ros.make(
+        DepthNode,
+        model,
+        namespace="/robot/front",
+        cli_args=["--ros-args", "-r", "image_raw:=/lens/raw"],
+    )
+    received = ros.subscribe("/robot/front/depth/image", Image)
+    images = ros.publisher("/lens/raw", Image)
+    assert wait_until(images.get_subscription_count)
+    images.publish(mono8(coded))
+    assert wait_until(lambda: received)
+    assert node.get_fully_qualified_name() == "/robot/front/depth_node"
+
+
+def test_simulated_time_without_a_clock(ros, model, coded):
+    chain = Chain(ros, model, subscribe=("depth/image",), use_sim_time=True)
+    reports = ros.subscribe("/diagnostics", DiagnosticArray)
+    chain.send(mono8(coded))
+    assert wait_until(lambda: chain.received["depth/image"])
+    assert wait_until(lambda: reports)
+
+
+@pytest.mark.parametrize("node_type", [DepthNode, DeblurNode])
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"camera_file": ""}, "camera_file is empty"),
+        ({"camera_file": "/nowhere/camera.yaml"}, "/nowhere/camera.yaml"),
+        ({"bank": "/nowhere/bank.npz"}, "/nowhere/bank.npz"),
+        ({"bank": "", "far_m": 0.0}, "near_m and far_m"),
+        ({"near_m": 3.0, "far_m": 2.0}, "near_m 3 must be less than far_m 2"),
+        ({"bank": "", "near_m": 0.5}, "focus"),
+        ({"levels": 1}, "levels"),
+        ({"near_m": 1}, "decimal point"),
+    ],
+)
+def test_what_does_not_load_is_one_clear_line(ros, model, node_type, changes, reason):
+    with pytest.raises(InputError) as caught:
+        ros.make(node_type, {**model, **changes})
+    assert reason in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_bank_is_learned_at_start(ros, model, coded):
+    learned = {**model, "bank": "", "levels": 8, "learn.window_px": 32, "learn.rank": 48}
+    chain = Chain(ros, learned, subscribe=("depth/image",))
+    depth = array_from_image(chain.result(mono8(coded)))
+    assert abs(np.nanmedian(depth) - DEPTH_M) < 0.06 * DEPTH_M
+
+
+@pytest.mark.parametrize("depth_m", [1.45, 3.2])
+def test_both_sides_of_the_focal_plane_by_the_camera_file_alone(ros, model, tmp_path, depth_m):
+    both = {"side": "both", "focus_distance_m": 2.0, "mask_extent_mm": 80.0}
+    (tmp_path / "camera.yaml").write_text(
+        yaml.safe_dump({**CAMERA, **both, "mask": {"name": "three_wide"}})
+    )
+    camera = load_camera(tmp_path / "camera.yaml")
+    psf = render_psf(camera.mask, float(camera.blur_size_px(depth_m)))
+    shape = HEIGHT + len(psf) - 1, WIDTH + len(psf) - 1
+    (texture,) = load_textures("natural").crops(1, *shape, np.random.default_rng(4))
+    frame = fftconvolve(texture, psf, mode="valid")
+    frame += 0.001 * np.random.default_rng(0).standard_normal(frame.shape)
+    learned = {**model, "camera_file": str(tmp_path / "camera.yaml"), "bank": "", "levels": 21}
+    learned.update({"learn.window_px": 48, "learn.rank": 64, "stride_px": 8})
+    chain = Chain(ros, learned, subscribe=("depth/image",))
+    depth = array_from_image(
+        chain.result(image_from_array(frame.astype(np.float32), "32FC1", Header()))
+    )
+    assert np.isfinite(depth).mean() > 0.3
+    assert np.nanmedian(depth) == pytest.approx(depth_m, rel=0.06)
+
+
+@pytest.mark.parametrize(
+    ("near_m", "far_m", "is_what_it_is_called"),
+    [(1.3, 1.7, np.isposinf), (1.15, 1.7, np.isposinf), (2.4, 4.0, np.isneginf)],
+)
+def test_a_learned_bank_knows_what_is_out_of_range(
+    ros, model, coded, near_m, far_m, is_what_it_is_called
+):
+    """And does not take it for something at the end of the range, with full confidence."""
+    learned = {**model, "bank": "", "levels": 8, "learn.window_px": 32, "learn.rank": 48}
+    learned.update(near_m=near_m, far_m=far_m)
+    chain = Chain(ros, learned, subscribe=("depth/image",))
+    depth = array_from_image(chain.result(mono8(coded)))
+    assert not np.isfinite(depth).any()
+    assert is_what_it_is_called(depth).mean() > 0.5
+
+
+@pytest.mark.parametrize(
+    ("changes", "near_m", "far_m"),
+    [
+        ({}, 1.3, 4.0),
+        ({}, 1.05, 100.0),
+        ({"focus_distance_m": 5.0, "side": "near"}, 1.3, 4.0),
+        ({"focus_distance_m": 5.0, "side": "near"}, 1.3, 4.99),
+        ({"focus_distance_m": 2.0, "side": "both"}, 1.3, 4.0),
+    ],
+)
+def test_a_level_is_learned_on_either_side_of_the_range(tmp_path, changes, near_m, far_m):
+    (tmp_path / "camera.yaml").write_text(yaml.safe_dump({**CAMERA, **changes}))
+    camera = load_camera(tmp_path / "camera.yaml")
+    nearer_m, farther_m, levels = guarded_range(
+        camera, ModelConfig(near_m=near_m, far_m=far_m, levels=8)
+    )
+    assert nearer_m < near_m < far_m < farther_m
+    assert levels == 10
+    blur = camera.blur_range_px(nearer_m, farther_m)  # is a valid range of this camera
+    assert np.all(np.abs(blur) > 0) and blur[1] <= camera.blur_at_infinity_px
+
+
+class DeblurChain:
+    def __init__(self, ros, model, **parameters):
+        self.node = ros.make(DeblurNode, {**model, **parameters})
+        self.received = ros.subscribe("deblurred/image", Image)
+        self.infos = ros.subscribe("deblurred/camera_info", CameraInfo)
+        self.images = ros.publisher("image_raw", Image)
+        self.depths = ros.publisher("depth/image", Image)
+        assert wait_until(
+            lambda: self.images.get_subscription_count() and self.depths.get_subscription_count()
+        )
+
+
+def wall(header, size=(HEIGHT // 2, WIDTH // 2), depth_m=DEPTH_M):
+    return image_from_array(np.full(size, depth_m, np.float32), "32FC1", header)
+
+
+@pytest.mark.parametrize("encoding", ["mono8", "bgr8", "mono16"])
+def test_a_frame_and_its_depth_give_a_sharper_frame(ros, model, coded, encoding):
+    chain = DeblurChain(ros, model)
+    frame = image_from_array(pixels_from_frame(coded, encoding), encoding, stamped())
+    chain.images.publish(frame)
+    chain.depths.publish(wall(frame.header))
+    assert wait_until(lambda: chain.received and chain.infos)
+    sharp = chain.received[0]
+    assert sharp.header == chain.infos[0].header == frame.header
+    assert (sharp.encoding, sharp.width, sharp.height) == (encoding, WIDTH, HEIGHT)
+    assert chain.infos[0].k[0] == CAMERA["focal_length_px"]
+    gradient = [
+        np.abs(np.diff(array_from_image(message).astype(float), axis=1)).mean()
+        for message in (frame, sharp)
+    ]
+    assert gradient[1] > 1.3 * gradient[0]
+
+
+def test_only_the_frames_own_depth_is_used(ros, model, coded):
+    chain = DeblurChain(ros, model)
+    early, late = mono8(coded), mono8(coded)
+    chain.images.publish(early)
+    assert wait_until(lambda: chain.node.statistics.summary().received == 1)
+    chain.images.publish(late)
+    chain.depths.publish(wall(stamped()))
+    time.sleep(0.3)
+    assert chain.received == []
+    chain.depths.publish(wall(late.header))
+    assert wait_until(lambda: chain.received)
+    assert chain.received[0].header == late.header
+    assert chain.node.statistics.summary().dropped == 1
+
+
+def test_frames_that_come_fast_do_not_push_out_the_one_whose_depth_is_in_work(ros, model, coded):
+    """100 frames a second, and a second for the depth of one."""
+    chain = DeblurChain(ros, model)
+    first = mono8(coded)
+    for count, frame in enumerate([first, *(mono8(coded) for _ in range(99))], 1):
+        chain.images.publish(frame)
+        assert wait_until(lambda n=count: chain.node.statistics.summary().received == n)
+    chain.depths.publish(wall(first.header))
+    assert wait_until(lambda: chain.received)
+
+
+def test_frames_do_not_wait_while_nobody_listens(ros, model, coded):
+    chain = DeblurChain(ros, model)
+    for _ in range(3):
+        chain.images.publish(mono8(coded))
+    assert wait_until(lambda: chain.node.statistics.summary().received > 0)
+    for subscription in list(ros.probe.subscriptions):
+        ros.probe.destroy_subscription(subscription)
+    assert wait_until(lambda: chain.images.get_subscription_count() == 0)
+    summary = chain.node.statistics.summary()
+    assert summary.dropped == summary.received
+
+
+def test_a_node_that_waits_for_depth_in_vain_says_so(ros, model, coded):
+    chain = DeblurChain(ros, model)
+    diagnostics = ros.subscribe("/diagnostics", DiagnosticArray)
+
+    def warned():
+        chain.images.publish(mono8(coded))
+        statuses = [status for message in diagnostics for status in message.status]
+        return [s for s in statuses if s.level == s.WARN and "no results" in s.message]
+
+    assert wait_until(warned, 6)
+
+
+def test_unusable_pairs_are_counted_and_survived(ros, model, coded):
+    chain = DeblurChain(ros, model)
+    depth = wall(stamped())
+    depth.encoding, depth.step = "16UC1", depth.width * 2
+    short = wall(stamped())
+    short.data = b""
+    unknown = wall(stamped(), depth_m=np.nan)
+    for bad in (depth, short, unknown):
+        before = chain.node.statistics.summary().rejected_total
+        chain.images.publish(mono8(coded, bad.header))
+        chain.depths.publish(bad)
+        assert wait_until(lambda n=before: chain.node.statistics.summary().rejected_total > n)
+    assert chain.node.statistics.summary().rejected == {"depth": 2, "data": 1}
+    frame = mono8(coded)
+    chain.images.publish(frame)
+    chain.depths.publish(wall(frame.header))
+    assert wait_until(lambda: chain.received)
+
+
+def test_depth_and_deblurring_together(ros, model, coded):
+    depth = ros.make(DepthNode, model)
+    deblur = DeblurChain(ros, model)
+    assert wait_until(lambda: deblur.images.get_subscription_count() == 2)
+    frame = mono8(coded)
+    deblur.images.publish(frame)
+    assert wait_until(lambda: deblur.received)
+    assert deblur.received[0].header == frame.header
+    assert depth.statistics.summary().processed == 1

@@ -1,0 +1,154 @@
+"""ROS parameters made from configuration dataclasses."""
+
+import dataclasses
+from types import MappingProxyType
+
+import pytest
+from rcl_interfaces.msg import ParameterType
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from ros_helpers import Ros
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.ros.parameters import NodeParameters
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    file: str = option("", "A file", read_only=True)
+    kind: str = option("fast", "A method", choices=("fast", "slow"))
+    weight: float = option(0.5, "A weight", unit="m", minimum=0.0, maximum=1.0)
+    size: int = option(8, "A size", minimum=1)
+    free: float = option(1.0, "Any number")
+    on: bool = option(True, "A switch")
+
+    def __post_init__(self):
+        check_options(self)
+        if self.kind == "slow" and self.size > 100:
+            raise InputError("size: slow goes up to 100 only")
+
+
+@dataclasses.dataclass(frozen=True)
+class Other:
+    rank: int = option(3, "Another", minimum=1)
+
+
+@pytest.fixture(scope="module")
+def ros():
+    ros = Ros()
+    yield ros
+    ros.close()
+
+
+@pytest.fixture
+def make(ros, request):
+    made = []
+
+    def make(*configs, fixed=MappingProxyType({}), **overrides):
+        given = [Parameter(name, value=value) for name, value in overrides.items()]
+        node = Node("subject", context=ros.context, parameter_overrides=given)
+        made.append(node)
+        return node, NodeParameters(node, *(configs or (Config(), Other())), fixed=fixed)
+
+    yield make
+    for node in made:
+        node.destroy_node()
+
+
+def change(node, **values):
+    given = [Parameter(name, value=value) for name, value in values.items()]
+    return node.set_parameters_atomically(given)
+
+
+def test_defaults_and_overrides(make):
+    _, parameters = make(weight=0.25, file="bank.npz", rank=7)
+    assert parameters[Config] == Config(weight=0.25, file="bank.npz")
+    assert parameters[Other] == Other(rank=7)
+
+
+def test_descriptors_say_what_is_allowed(make):
+    node, _ = make()
+    weight = node.describe_parameter("weight")
+    assert weight.description == "A weight [m]"
+    assert weight.type == ParameterType.PARAMETER_DOUBLE
+    (allowed,) = weight.floating_point_range
+    assert (allowed.from_value, allowed.to_value) == (0.0, 1.0)
+    (allowed,) = node.describe_parameter("size").integer_range
+    assert (allowed.from_value, allowed.to_value) == (1, 2**63 - 1)
+    assert node.describe_parameter("file").read_only
+    assert node.describe_parameter("kind").additional_constraints == "one of fast, slow"
+    assert not node.describe_parameter("free").floating_point_range
+
+
+def test_a_good_value_makes_a_new_config(make):
+    node, parameters = make()
+    before = parameters[Config]
+    assert change(node, weight=1.0, kind="slow").successful
+    assert parameters[Config] == dataclasses.replace(before, weight=1.0, kind="slow")
+    assert before == Config()
+    assert parameters[Other] is parameters[Other]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("weight", 1.5, "weight"),
+        ("weight", float("nan"), "weight"),
+        ("weight", "much", "Type.DOUBLE"),
+        ("free", float("inf"), "free"),
+        ("size", 0, "size"),
+        ("size", 2.0, "Type.INTEGER"),
+        ("kind", "medium", "'medium' is not allowed, use one of fast, slow"),
+        ("file", "other.npz", "read-only"),
+        ("on", 1, "on"),
+    ],
+)
+def test_a_bad_value_is_refused_with_the_reason_and_the_old_one_stays(make, name, value, reason):
+    node, parameters = make()
+    result = change(node, **{name: value})
+    assert not result.successful
+    assert reason in result.reason
+    assert parameters[Config] == Config()
+    assert node.get_parameter(name).value == getattr(Config(), name)
+
+
+def test_values_are_checked_together(make):
+    node, parameters = make()
+    assert change(node, size=200).successful
+    result = change(node, kind="slow")
+    assert (result.successful, result.reason) == (False, "size: slow goes up to 100 only")
+    assert change(node, kind="slow", size=50).successful
+    assert parameters[Config] == Config(kind="slow", size=50)
+
+
+def test_one_bad_value_of_several_refuses_all(make):
+    node, parameters = make()
+    assert not change(node, size=20, kind="medium").successful
+    assert parameters[Config] == Config()
+
+
+def test_fixed_configs_are_read_only_and_have_a_prefix(make):
+    fixed = {"learn.": Other()}
+    node, parameters = make(Config(), fixed=fixed, **{"learn.rank": 5})
+    assert parameters[Other] == Other(rank=5)
+    assert "read-only" in change(node, **{"learn.rank": 4}).reason
+    assert change(node, size=9).successful
+    assert parameters[Other] == Other(rank=5)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "hint"),
+    [
+        ("weight", 2.0, "0 to 1 m"),
+        ("weight", 1, "decimal point"),
+        ("size", 0, "at least 1"),
+        ("kind", "medium", "one of fast, slow"),
+    ],
+)
+def test_a_bad_value_at_start_is_one_clear_line(make, name, value, hint):
+    with pytest.raises(InputError) as caught:
+        make(**{name: value})
+    assert name in str(caught.value)
+    assert hint in str(caught.value)
+    assert "\n" not in str(caught.value)

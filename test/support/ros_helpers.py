@@ -1,0 +1,83 @@
+"""What the tests of the nodes share: a context and an executor of their own."""
+
+import contextlib
+import gc
+import os
+import subprocess
+import sys
+import threading
+import warnings
+
+import rclpy
+import yaml
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from waiting import wait_until as wait_until
+
+with warnings.catch_warnings():
+    # Imported by rclpy with the first message; uses modules that Python has deprecated.
+    warnings.simplefilter("ignore", DeprecationWarning)
+    import rosidl_generator_py  # noqa: F401
+
+
+def start_node(node, parameters, *arguments, **options):
+    """Start one of the package's nodes as a program; `options` are those of `Popen`."""
+    command = [sys.executable, "-m", f"coded_aperture_ros.ros.{node}", "--ros-args"]
+    for name, value in parameters.items():
+        command += ["-p", f"{name}:={yaml.safe_dump(value).splitlines()[0]}"]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    return subprocess.Popen([*command, *arguments], env=environment, **options)
+
+
+class Ros:
+    """A ROS context of a test's own, whose nodes all spin in one thread."""
+
+    def __init__(self):
+        self.context = Context()
+        rclpy.init(context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.nodes = []
+        self.probe = self.add(Node("probe", context=self.context))
+        self.thread = threading.Thread(target=self._spin)
+        self.thread.start()
+
+    def add(self, node):
+        self.nodes.append(node)
+        self.executor.add_node(node)
+        return node
+
+    def make(self, node_type, parameters=(), **options):
+        """Make one of the package's nodes with these parameters."""
+        overrides = [Parameter(name, value=value) for name, value in dict(parameters).items()]
+        return self.add(node_type(context=self.context, parameter_overrides=overrides, **options))
+
+    def subscribe(self, topic, message_type, qos=10):
+        """Return the list that a topic's messages are appended to."""
+        received = []
+        self.probe.create_subscription(message_type, topic, received.append, qos)
+        return received
+
+    def publisher(self, topic, message_type, qos=None):
+        return self.probe.create_publisher(message_type, topic, qos or QoSProfile(depth=10))
+
+    def close(self):
+        for node in self.nodes:
+            if hasattr(node, "close"):
+                node.close()
+        self.executor.shutdown()
+        self.thread.join()
+        for node in self.nodes:
+            node.destroy_node()
+        self.context.try_shutdown()
+        # Removes the participant now, and not when the garbage is collected some time.
+        self.nodes.clear()
+        del self.probe, self.executor
+        self.context.destroy()
+        gc.collect()
+
+    def _spin(self):
+        with contextlib.suppress(ExternalShutdownException):
+            self.executor.spin()

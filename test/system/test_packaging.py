@@ -1,0 +1,190 @@
+"""What pip, colcon and rosdep are told agrees with the code."""
+
+import ast
+import re
+import sys
+import xml.etree.ElementTree as ElementTree
+from importlib import import_module
+from importlib.metadata import distribution
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+import coded_aperture_ros
+from coded_aperture_ros.core import share
+from coded_aperture_ros.core.errors import InputError
+
+PACKAGE = "coded_aperture_ros"
+PROGRAMS = {
+    "camera_driver_node": "coded_aperture_ros.ros.camera_driver_node:main",
+    "depth_node": "coded_aperture_ros.ros.depth_node:main",
+    "deblur_node": "coded_aperture_ros.ros.deblur_node:main",
+    "pipeline": "coded_aperture_ros.ros.pipeline:main",
+    "coded_aperture": "coded_aperture_ros.cli.main:main",
+}
+
+
+@pytest.fixture(scope="module")
+def manifest(checkout):
+    return ElementTree.parse(checkout / "package.xml").getroot()
+
+
+@pytest.fixture(scope="module")
+def requirements():
+    return [Requirement(line) for line in distribution(PACKAGE).requires or []]
+
+
+def names_in_extra(requirements, extra):
+    return {
+        requirement.name.lower()
+        for requirement in requirements
+        if requirement.marker
+        and requirement.marker.evaluate({"extra": extra})
+        and "extra" in str(requirement.marker)
+    }
+
+
+def test_versions_are_equal(checkout, manifest):
+    version = coded_aperture_ros.__version__
+    assert re.fullmatch(r"\d+\.\d+\.\d+", version)
+    assert manifest.findtext("version") == version
+    assert distribution(PACKAGE).version == version
+
+
+def test_manifest_is_valid():
+    """By the parser that rosdep, bloom and colcon use."""
+    catkin_pkg = pytest.importorskip("catkin_pkg.package")
+    warnings = []
+    package = catkin_pkg.parse_package(
+        Path(__file__).resolve().parent.parent / "package.xml", warnings=warnings
+    )
+    package.validate(warnings=warnings)
+    assert warnings == []
+    assert (package.name, package.package_format) == (PACKAGE, 3)
+    assert package.get_build_type() == "ament_python"
+    assert package.licenses == ["Apache-2.0"]
+
+
+def test_manifest_names_every_package_that_the_code_imports(checkout, manifest):
+    """A robot gets its dependencies from package.xml alone, by rosdep."""
+    apt_names = {
+        "numpy": "python3-numpy",
+        "scipy": "python3-scipy",
+        "cv2": "python3-opencv",
+        "yaml": "python3-yaml",
+    }
+    optional = {"maxflow", "skimage", "matplotlib", "tqdm", "rosbags", "torch", "distributed"}
+    declared = {element.text for element in manifest.iter("exec_depend")}
+    assert {"rclpy", "sensor_msgs", "diagnostic_msgs", *apt_names.values()} <= declared
+    imported = set()
+    for path in (checkout / PACKAGE).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                imported.add(node.module.partition(".")[0])
+    foreign = imported - set(sys.stdlib_module_names) - optional - {PACKAGE, "builtin_interfaces"}
+    assert {apt_names.get(name, name) for name in foreign} <= declared
+
+
+def test_runtime_requirements_admit_what_ubuntu_24_04_has(requirements):
+    apt = {
+        "numpy": "1.26.4",
+        "scipy": "1.11.4",
+        "opencv-python-headless": "4.6.0",
+        "pyyaml": "6.0.1",
+    }
+    runtime = {r.name.lower(): r for r in requirements if "extra" not in str(r.marker)}
+    assert set(runtime) == {*apt, "pymaxflow"}
+    for name, version in apt.items():
+        assert runtime[name].specifier.contains(version)
+    assert not runtime["pymaxflow"].marker.evaluate({"platform_machine": "aarch64"})
+    assert runtime["pymaxflow"].marker.evaluate({"platform_machine": "x86_64"})
+
+
+def test_extras(requirements):
+    ros = {str(r.specifier) for r in requirements if r.name == "ros-rclpy"}
+    assert ros == {"==7.1.6"}
+    assert {"ros-rclpy", "ros-jazzy-sensor-msgs", "ros-jazzy-diagnostic-msgs"} <= names_in_extra(
+        requirements, "ros"
+    )
+    evaluation = {"rosbags", "matplotlib", "scikit-image", "scikit-learn", "tqdm"}
+    assert evaluation == names_in_extra(requirements, "eval")
+    assert {"torch"} == names_in_extra(requirements, "gpu")
+    assert {"pytest", "hypothesis", "ruff", "mypy", "colcon-core", "colcon-ros"} <= names_in_extra(
+        requirements, "dev"
+    )
+
+
+def test_ros_comes_only_with_its_extra(requirements):
+    """Installing on a robot must not put a second rclpy beside its own."""
+    for requirement in requirements:
+        if requirement.name.startswith("ros-"):
+            assert 'extra == "ros"' in str(requirement.marker)
+
+
+def test_programs_are_declared():
+    declared = {
+        entry.name: entry.value
+        for entry in distribution(PACKAGE).entry_points
+        if entry.group == "console_scripts"
+    }
+    assert declared == PROGRAMS
+
+
+@pytest.mark.parametrize("target", PROGRAMS.values(), ids=PROGRAMS)
+def test_program_exists(target):
+    module, _, function = target.partition(":")
+    if module.startswith(f"{PACKAGE}.nodes"):
+        pytest.importorskip("rclpy")
+    assert callable(getattr(import_module(module), function))
+
+
+def test_every_python_package_is_installed(checkout):
+    """A folder without `__init__.py` would be left out of wheels without a word."""
+    folders = {path.parent for path in (checkout / PACKAGE).rglob("*.py")}
+    assert [folder for folder in folders if not (folder / "__init__.py").is_file()] == []
+
+
+def test_every_other_file_is_installed(checkout):
+    """What is no Python file is left out of wheels, unless setup.py names it."""
+    package = checkout / PACKAGE
+    others = {
+        path.relative_to(package)
+        for path in package.rglob("*")
+        if path.is_file() and path.suffix not in (".py", ".pyc")
+    }
+    assert others == {Path("design/page.html")}
+    assert 'package_data={f"{NAME}.design": ["page.html"]}' in (checkout / "setup.py").read_text()
+
+
+def test_setup_cfg_has_what_ros2_run_needs(checkout):
+    text = (checkout / "setup.cfg").read_text()
+    assert text.count(f"$base/lib/{PACKAGE}") == 2
+    # Without this section, older pips would follow setup.cfg's script folders as well.
+    assert "[build-system]" in (checkout / "pyproject.toml").read_text()
+
+
+def test_share_directory_of_a_checkout(checkout):
+    if not Path(share.__file__).resolve().is_relative_to(checkout):
+        pytest.skip("the package under test is not the checkout's")
+    assert share.share_directory() == checkout
+
+
+@pytest.mark.parametrize(
+    "site", ["lib/python3.12/site-packages", "local/lib/python3.12/dist-packages"]
+)
+def test_share_directory_of_an_installation(tmp_path, monkeypatch, site):
+    code = tmp_path / site / PACKAGE / "share.py"
+    config = tmp_path / "share" / PACKAGE / "config"
+    config.mkdir(parents=True)
+    monkeypatch.setattr(share, "__file__", str(code))
+    assert share.share_directory() == config.parent
+
+
+def test_share_directory_that_is_missing_is_one_clear_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(share, "__file__", str(tmp_path / PACKAGE / "share.py"))
+    with pytest.raises(InputError, match="install the package") as caught:
+        share.share_directory()
+    assert "\n" not in str(caught.value)

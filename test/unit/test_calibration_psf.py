@@ -1,0 +1,269 @@
+"""PSFs measured from dots, and from a sharp and a coded picture."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import ndimage, signal
+
+from coded_aperture_ros.calibration.psf.dots import psf_from_dots
+from coded_aperture_ros.calibration.psf.fine import mask_psf
+from coded_aperture_ros.calibration.psf.pair import psf_from_pair
+from coded_aperture_ros.calibration.psf.stack import CentredPsf, centre_psf, psf_picture, psf_stack
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.optics import Mask, render_psf
+
+SMALL = {"size": (260, 320), "spacing_px": 29.3}
+
+
+def point_image(mask, blur_size_px, down, right, width):
+    """What `width` pixels a side record of a point at (down, right) px off the middle one.
+
+    By differences of what lies left of each edge, apart from how the package does it.
+    """
+    cells = Mask.named(mask).transmission.astype(float)
+    if blur_size_px < 0:
+        cells = cells[::-1, ::-1]
+
+    def shares(count, offset):
+        pixels = np.arange(width + 1) - width / 2
+        edges = (np.arange(count + 1) - count / 2) * abs(blur_size_px) / max(cells.shape) + offset
+        return np.diff(np.diff(np.minimum(pixels[:, None], edges[None, :]), axis=0), axis=1)
+
+    image = shares(cells.shape[0], down) @ cells @ shares(cells.shape[1], right).T
+    return image / image.sum()
+
+
+def dot_picture(
+    mask,
+    blur_size_px,
+    *,
+    size=(480, 640),
+    spacing_px=44.3,
+    peak=0.5,
+    noise=0.002,
+    jitter_px=0.3,
+    angle_deg=1.7,
+    missing=0.0,
+    seed=0,
+):
+    """Simulate a picture of a grid of points, vignetted, over background light that is uneven.
+
+    `peak` is about the light of a dot's brightest pixel, `jitter_px` the standard deviation of how
+    far dots lie off the grid, `missing` the share of dots that are not there.
+    """
+    random = np.random.default_rng(seed)
+    height, width = size
+    turn = np.deg2rad(angle_deg)
+    basis = spacing_px * np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    reach = int(np.hypot(height, width) / spacing_px) + 2
+    steps = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
+    window = 2 * int(abs(blur_size_px) / 2 + 3) + 1
+    half = window // 2
+    points = steps @ basis + np.array([height / 2 + 0.37, width / 2 - 0.21])
+    points = points[((points > -half) & (points < np.array(size) + half)).all(axis=1)]
+    points += jitter_px * random.standard_normal(points.shape)
+    points = points[random.random(len(points)) >= missing]
+    strength = peak / point_image(mask, blur_size_px, 0.25, 0.25, window).max()
+    margin = 2 * half + 8
+    light = np.zeros((height + 2 * margin, width + 2 * margin))
+    for y, x in points:
+        row, column = round(y), round(x)
+        top, left = row + margin - half, column + margin - half
+        patch = point_image(mask, blur_size_px, y - row, x - column, window)
+        light[top : top + window, left : left + window] += strength * patch
+    light = light[margin : margin + height, margin : margin + width]
+    rows, columns = np.meshgrid(*(np.linspace(-1, 1, n) for n in size), indexing="ij")
+    scene = (light + 0.04) * (1 - 0.15 * (rows**2 + columns**2)) + 0.01 * columns
+    return np.clip(scene + noise * random.standard_normal(size), 0, 1).astype(np.float32)
+
+
+def pair(mask, size, *, noise=0.002, moved=(2.3, -1.6), seed=1):
+    """A page of random specks, and the same through the mask, moved, darker towards the corners."""
+    random = np.random.default_rng(seed)
+    page = 0.1 + 0.7 * ndimage.gaussian_filter((random.random((340, 400)) < 0.5) * 1.0, 0.5)
+    inside = slice(50, -50), slice(50, -50)
+    coded = signal.fftconvolve(page, point_image(mask, size, 0, 0, 33), "same")[inside]
+    rows, columns = np.meshgrid(*(np.linspace(-1, 1, n) for n in coded.shape), indexing="ij")
+    coded = 0.6 * coded * (1 - 0.2 * (rows**2 + columns**2))
+    sharp = np.fft.ifft2(ndimage.fourier_shift(np.fft.fft2(page), np.negative(moved))).real[inside]
+    return tuple(one + noise * random.standard_normal(one.shape) for one in (sharp, coded))
+
+
+def error_of(psf, mask, blur_size_px):
+    true = point_image(mask, blur_size_px, 0, 0, len(psf))
+    return np.linalg.norm(psf - true) / np.linalg.norm(true)
+
+
+@pytest.mark.parametrize(
+    ("mask", "blur_size_px"),
+    [
+        ("levin", 3.0),
+        ("zhou", 3.0),
+        ("zhou", -7.3),
+        ("four_hole", 5.0),
+    ],
+)
+def test_dots_give_the_psf_within_3_percent(mask, blur_size_px):
+    """Noise, dots 0.3 px off the grid, vignetting, uneven background light."""
+    # A PSF of a few px hardly tells the side of the focus.
+    sign = 1.0 if mask == "zhou" and blur_size_px == 3.0 else None
+    measured = psf_from_dots(dot_picture(mask, blur_size_px), Mask.named(mask), sign)
+    found = centre_psf(measured, Mask.named(mask), sign)
+    psf = found.psf(15)
+    assert found.blur_size_px == pytest.approx(blur_size_px, abs=0.06)
+    assert error_of(psf, mask, blur_size_px) < 0.03
+    assert psf.sum() == pytest.approx(1)
+    assert psf.min() >= 0
+    assert found.misfit < 0.04
+    assert measured.snr > 50
+    assert measured.field_variation < 0.02
+    assert (measured.missing, measured.saturated) == (0, 0)
+    assert measured.used > 100
+
+
+def test_without_a_mask_the_centre_of_light_is_the_centre():
+    """In three channels; blur sizes are right in proportion."""
+    sizes = []
+    for true in (6.0, 9.0):
+        grey = dot_picture("levin", true, **SMALL)
+        found = centre_psf(psf_from_dots(np.stack([0.8 * grey, grey, 1.2 * grey], axis=-1)))
+        assert error_of(found.psf(15), "levin", true) < 0.04
+        assert np.isnan(found.misfit)
+        sizes.append(found.blur_size_px)
+    assert sizes[1] / sizes[0] == pytest.approx(1.5, rel=0.02)
+
+
+def test_field_variation_is_seen():
+    """Blur that grows over the picture, as of a tilted grid."""
+    sharp, soft = (dot_picture("levin", size, jitter_px=0.1, **SMALL) for size in (8.0, 9.5))
+    share = np.linspace(0, 1, sharp.shape[1])
+    assert psf_from_dots((1 - share) * sharp + share * soft).field_variation > 0.08
+    assert psf_from_dots(sharp).field_variation < 0.03
+
+
+def test_a_few_missing_and_saturated_dots_and_specks_are_left_out():
+    picture = dot_picture("levin", 8.0, missing=0.06, **SMALL)
+    picture[100:104, 100:104] = 0.6
+    picture[196:204, 196:204] = 1.0
+    mask = Mask.named("levin")
+    measured = psf_from_dots(picture, mask)
+    assert 1 <= measured.missing <= 10
+    assert measured.saturated + measured.rejected >= 1
+    assert error_of(centre_psf(measured, mask).psf(13), "levin", 8.0) < 0.04
+
+
+def one_direction():
+    picture = dot_picture("levin", 7.0, angle_deg=0, spacing_px=40.0)
+    picture[:215] = picture[270:] = 0.04
+    return picture
+
+
+@pytest.mark.parametrize(
+    ("picture", "phrase"),
+    [
+        (0.1 + 0.01 * np.random.default_rng(0).standard_normal((200, 200)), "no (grid|dots)"),
+        (np.full((200, 200), 0.1), "no dots that repeat"),
+        (one_direction(), "no grid of dots|no dots that repeat|whole dots"),
+        (dot_picture("levin", 9.0, size=(120, 120)), "whole dots in the picture"),
+        (dot_picture("levin", 26.0, spacing_px=29.0), "the dots overlap|no dots that repeat"),
+        (dot_picture("disc", 22.0, spacing_px=24.3), "the dots overlap"),
+        (dot_picture("levin", 9.0, peak=2.0), "dots are saturated: expose for a shorter time"),
+        (
+            dot_picture("levin", 9.0, missing=0.45, **SMALL),
+            "of the grid are missing, cover|missing",
+        ),
+        (dot_picture("levin", 9.0, peak=0.004, noise=0.004, **SMALL), "light|no dots"),
+        (np.full((200, 200), np.nan), "NaN"),
+    ],
+)
+def test_pictures_that_cannot_be_used(picture, phrase):
+    with pytest.raises(InputError, match=phrase):
+        psf_from_dots(picture)
+
+
+def test_another_mask_is_refused():
+    picture = dot_picture("four_hole", 11.0, **SMALL)
+    with pytest.raises(InputError, match="the PSF differs from that of mask levin by"):
+        psf_from_dots(picture, Mask.named("levin"))
+
+
+# ---- the stack ----
+
+
+def rendered(mask, size):
+    return CentredPsf(mask_psf(Mask.named(mask), size), np.zeros(2), 23, size, 0.0)
+
+
+def test_what_the_stack_has_between_two_sizes():
+    """A PSF is as good between two measured ones as at them, if only its width changes."""
+    stack = psf_stack([rendered("levin", size) for size in (15.0, 6.0, 9.0)], 10, (4.0, 2.0, 2.5))
+    np.testing.assert_allclose(stack.blur_sizes_px, np.arange(6, 16))
+    for psf, size in zip(stack.psfs, stack.blur_sizes_px, strict=True):
+        assert error_of(psf, "levin", size) < 1e-5
+    np.testing.assert_allclose(stack.depths_m[[0, 3, 9]], [2.0, 2.5, 4.0])
+    np.testing.assert_allclose(np.diff(1 / stack.depths_m)[:3], (0.4 - 0.5) / 3)
+
+
+def test_a_turned_mask_is_that_of_a_negative_size():
+    for size in (5.0, -5.0):
+        np.testing.assert_allclose(
+            rendered("zhou", size).psf(7), render_psf(Mask.named("zhou"), size, 7), atol=1e-6
+        )
+
+
+@pytest.mark.parametrize(
+    ("sizes", "depths", "phrase"),
+    [
+        ((6.0, 6.0, 8.0), None, r"a\.png and b\.png have the same blur size of 6\.00 px"),
+        ((-6.0, 7.0, 8.0), None, r"a\.png has a blur size of -6.* both sides of the focus"),
+        ((6.0, 7.0, 8.0), (1.0, 3.0, 2.0), r"b\.png at 3 m .* c\.png at 2 m .* check the depths"),
+    ],
+)
+def test_blur_sizes_that_make_no_stack(sizes, depths, phrase):
+    measured = [dataclasses.replace(rendered("levin", 6.0), blur_size_px=size) for size in sizes]
+    with pytest.raises(InputError, match=phrase):
+        psf_stack(measured, depths_m=depths, names=("a.png", "b.png", "c.png"))
+
+
+def test_picture_of_psfs():
+    drawn = psf_picture([rendered("levin", size).psf(13) for size in (3.0, 9.0)] * 5)
+    assert (drawn.min(), drawn.max()) == (0, pytest.approx(1))
+    assert drawn.shape[1] / drawn.shape[0] == pytest.approx(4, rel=0.05)
+
+
+# ---- a sharp and a coded picture ----
+
+
+@pytest.mark.parametrize(("mask", "size"), [("levin", 7.0), ("zhou", 9.0)])
+def test_a_pair_gives_the_psf_within_3_percent(mask, size):
+    measured = psf_from_pair(*pair(mask, size), size + 3)
+    found = centre_psf(measured, Mask.named(mask), 1.0)
+    assert found.blur_size_px == pytest.approx(size, abs=0.03)
+    assert error_of(found.psf(measured.width_px), mask, size) < 0.03
+    assert measured.explained > 0.85
+    assert max(np.abs(np.add(measured.shift_px, (-2.3, 1.6)))) < 1
+
+
+def test_a_pair_of_very_different_light():
+    sharp, coded = pair("levin", 8.0, noise=0.0005)
+    measured = psf_from_pair(sharp, coded * np.linspace(0.35, 1.0, coded.shape[1]), 10)
+    found = centre_psf(measured, Mask.named("levin"), 1.0)
+    assert error_of(found.psf(measured.width_px), "levin", 8.0) < 0.03
+
+
+@pytest.mark.parametrize(
+    ("change", "phrase"),
+    [
+        (lambda sharp, coded: (sharp, coded[:-1]), "the coded picture has 300x239 px, the sharp"),
+        (lambda sharp, coded: (sharp, pair("levin", 6.0, seed=2)[1]), "explains|not show the same"),
+        (lambda sharp, coded: (0 * sharp + 0.5, coded), "no texture"),
+        (lambda sharp, coded: (1.5 + sharp, coded), "sharp picture is saturated"),
+        (lambda sharp, coded: (sharp * np.nan, coded), "NaN"),
+        (lambda sharp, coded: (sharp[:40, :40], coded[:40, :40]), "too few for a PSF"),
+        (lambda sharp, coded: (sharp, 0 * coded), "dark"),
+    ],
+)
+def test_pairs_that_cannot_be_used(change, phrase):
+    with pytest.raises(InputError, match=phrase):
+        psf_from_pair(*change(*pair("levin", 6.0)), 8)

@@ -1,0 +1,267 @@
+import cv2
+import numpy as np
+import pytest
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.imaging import decode, encode, gamma_from_text, linear_from_pixels
+from coded_aperture_ros.io import (
+    confidence_picture,
+    depth_picture,
+    open_sequence,
+    read_depth,
+    read_image,
+    write_depth,
+    write_image,
+)
+from coded_aperture_ros.io.depth_picture import UNKNOWN_RGB
+
+
+@pytest.fixture
+def colours():
+    """A red, a green and a blue pixel, and one of each light in between."""
+    return np.array([[[1, 0, 0], [0, 1, 0]], [[0, 0, 1], [0.25, 0.5, 0.75]]], dtype=np.float32)
+
+
+@pytest.mark.parametrize(
+    ("name", "tolerance"),
+    [("a.png", 1e-5), ("a.tif", 0), ("a.tiff", 0), ("a.npy", 0), ("a.bmp", 2.1e-3)],
+)
+def test_written_picture_is_read_back(tmp_path, colours, name, tolerance):
+    for image in (colours, colours[:, :, 1]):
+        write_image(tmp_path / name, image)
+        read = read_image(tmp_path / name)
+        assert read.dtype == np.float32
+        assert read.shape in (image.shape, (2, 2, 3))
+        compared = read if read.shape == image.shape else read[:, :, 1]
+        assert compared == pytest.approx(image, abs=tolerance)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_files_hold_the_colours_in_opencv_order(tmp_path, colours):
+    write_image(tmp_path / "a.png", colours)
+    assert cv2.imread(str(tmp_path / "a.png"))[0, 0].tolist() == [0, 0, 255]
+
+
+def test_jpeg_keeps_colours_roughly(tmp_path):
+    red = np.full((16, 16, 3), [0.8, 0.1, 0.1], np.float32)
+    write_image(tmp_path / "a.jpg", red)
+    assert read_image(tmp_path / "a.jpg") == pytest.approx(red, abs=0.02)
+
+
+@pytest.mark.parametrize(("gamma", "expected"), [(1.0, 0.502), (2.2, 0.2195), ("srgb", 0.2159)])
+def test_gamma_applies_to_8_bit_files(tmp_path, gamma, expected):
+    cv2.imwrite(str(tmp_path / "a.png"), np.full((2, 2), 128, np.uint8))
+    assert read_image(tmp_path / "a.png", gamma) == pytest.approx(expected, abs=1e-4)
+
+
+def test_gamma_leaves_wider_files_alone(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), np.full((2, 2), 32768, np.uint16))
+    assert read_image(tmp_path / "a.png", "srgb") == pytest.approx(0.5, abs=1e-4)
+    np.save(tmp_path / "a.npy", np.full((2, 2), 0.5))
+    assert read_image(tmp_path / "a.npy", 2.2) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("gamma", [1.0, 0.5, 2.2, "srgb"])
+def test_decode_undoes_encode(gamma):
+    light = np.linspace(0, 1, 101, dtype=np.float32)
+    assert decode(encode(light, gamma), gamma) == pytest.approx(light, abs=1e-5)
+
+
+def test_8_bit_write_with_gamma_is_read_back(tmp_path):
+    image = np.linspace(0, 1, 256, dtype=np.float32)[None, :].repeat(2, axis=0)
+    write_image(tmp_path / "a.png", image, bits=8, gamma="srgb")
+    assert read_image(tmp_path / "a.png", "srgb") == pytest.approx(image, abs=5e-3)
+
+
+def test_writing_clips_and_blacks_out_nan(tmp_path):
+    write_image(tmp_path / "a.png", np.array([[-1, 2, np.nan, 0.5, np.inf]]))
+    assert read_image(tmp_path / "a.png")[0] == pytest.approx([0, 1, 0, 0.5, 1], abs=1e-5)
+
+
+def test_nan_is_kept_in_float_files(tmp_path):
+    write_image(tmp_path / "a.tif", np.array([[np.nan, 0.5]]))
+    assert np.isnan(read_image(tmp_path / "a.tif")).tolist() == [[True, False]]
+
+
+def test_exif_does_not_turn_the_picture_against_the_mask(tmp_path):
+    path = tmp_path / "upright.jpg"
+    cv2.imwrite(str(path), np.zeros((24, 40, 3), np.uint8))
+    entry = b"\x01\x12\x00\x03\x00\x00\x00\x01\x00\x06\x00\x00"  # orientation: turned by 90 degrees
+    exif = b"Exif\0\0MM\x00\x2a\x00\x00\x00\x08\x00\x01" + entry + bytes(4)
+    stored = path.read_bytes()
+    segment = b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif
+    path.write_bytes(stored[:2] + segment + stored[2:])
+    assert cv2.imread(str(path)).shape == (40, 24, 3)  # OpenCV does, if it is not told otherwise
+    assert read_image(path).shape == (24, 40, 3)
+
+
+def test_alpha_is_dropped(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), np.full((3, 4, 4), [0, 0, 255, 128], np.uint8))
+    assert read_image(tmp_path / "a.png").tolist() == np.full((3, 4, 3), [1, 0, 0]).tolist()
+
+
+@pytest.mark.parametrize("text", ["srgb", "SRGB", "2.2"])
+def test_gamma_from_text(text):
+    assert gamma_from_text(text) in ("srgb", 2.2)
+
+
+@pytest.mark.parametrize("text", ["-1", "0", "nan", "linear", "99"])
+def test_impossible_gamma_is_refused(text):
+    with pytest.raises(InputError, match="gamma: expected"):
+        gamma_from_text(text)
+
+
+def _truncated(path):
+    image = np.random.default_rng(0).random((40, 40)).astype(np.float32)
+    write_image(path, image)
+    path.write_bytes(path.read_bytes()[:-500])
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "reason"),
+    [
+        ("a.png", lambda path: None, "No such file"),
+        ("a.png", lambda path: path.mkdir(), "Is a directory"),
+        ("a.png", lambda path: path.write_bytes(b""), "empty"),
+        ("a.png", lambda path: path.write_bytes(b"hello"), "not a picture"),
+        ("a.txt", lambda path: path.write_bytes(b"hello"), "not a picture"),
+        ("a.png", _truncated, "truncated"),
+        ("a.npy", _truncated, "truncated"),
+        ("a.npy", lambda path: np.save(path, np.ones(3)), "expected"),
+        ("a.npy", lambda path: np.save(path, np.ones((2, 2, 4))), "expected a picture"),
+        ("a.npy", lambda path: np.save(path, np.ones((0, 2))), "expected a picture"),
+        ("a.npy", lambda path: np.save(path, np.array([["x"]])), "one numeric array"),
+        ("a.npy", lambda path: np.save(path, np.ones((2, 2), np.int64)), "got int64"),
+    ],
+)
+def test_unusable_picture_is_refused_by_name(tmp_path, name, write, reason):
+    write(tmp_path / name)
+    with pytest.raises(InputError, match=f"{name}: .*{reason}") as error:
+        read_image(tmp_path / name)
+    assert "\n" not in str(error.value)
+
+
+def test_unknown_output_format_is_refused_and_nothing_is_left(tmp_path):
+    for write in (write_image, write_depth):
+        with pytest.raises(InputError, match=r"a\.xyz: unknown"):
+            write(tmp_path / "a.xyz", np.ones((2, 2)))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_depth_round_trips(tmp_path):
+    depth = np.array([[1.234, np.nan, 70.0, np.inf, 0.0002]], np.float32)
+    write_depth(tmp_path / "d.png", depth)
+    expected = [1.234, np.nan, 65.535, 65.535, 0.001]
+    assert read_depth(tmp_path / "d.png")[0] == pytest.approx(expected, nan_ok=True)
+    for name in ("d.npy", "d.tif"):
+        write_depth(tmp_path / name, depth)
+        assert np.array_equal(read_depth(tmp_path / name), depth, equal_nan=True)
+
+
+def test_depth_units(tmp_path):
+    cv2.imwrite(str(tmp_path / "d.png"), np.array([[0, 10000]], np.uint16))
+    assert read_depth(tmp_path / "d.png", 1e-4)[0] == pytest.approx([np.nan, 1.0], nan_ok=True)
+    np.save(tmp_path / "d.npy", np.array([[0.0, -1.0, 2.0, -np.inf]]))
+    expected = [np.nan, np.nan, 2.0, np.nan]
+    assert read_depth(tmp_path / "d.npy")[0] == pytest.approx(expected, nan_ok=True)
+
+
+def test_depth_that_is_not_one_is_refused(tmp_path):
+    write_image(tmp_path / "rgb.png", np.ones((2, 2, 3)))
+    with pytest.raises(InputError, match=r"rgb\.png: expected a depth map"):
+        read_depth(tmp_path / "rgb.png")
+    write_image(tmp_path / "d.png", np.ones((2, 2)), bits=8)
+    with pytest.raises(InputError, match="8-bit depth has no usual unit"):
+        read_depth(tmp_path / "d.png")
+    with pytest.raises(InputError, match="metres per unit"):
+        read_depth(tmp_path / "d.png", -1.0)
+
+
+def test_folder_is_read_in_order_of_names(tmp_path):
+    for value, name in [(0.3, "c.png"), (0.1, "a.npy"), (0.2, "b.tif")]:
+        write_image(tmp_path / name, np.full((2, 2), value))
+    (tmp_path / "planes.json").write_text("{}")
+    sequence = open_sequence(tmp_path)
+    assert sequence.length == 3
+    for _ in range(2):
+        read = [(name, float(image[0, 0])) for name, image in sequence]
+        assert [name for name, _ in read] == ["a", "b", "c"]
+        assert [value for _, value in read] == pytest.approx([0.1, 0.2, 0.3], abs=1e-4)
+
+
+def test_single_file_is_a_sequence_of_one(tmp_path):
+    write_image(tmp_path / "a.png", np.ones((2, 3)))
+    sequence = open_sequence(tmp_path / "a.png")
+    assert sequence.length == 1
+    assert [(name, image.shape) for name, image in sequence] == [("a", (2, 3))]
+
+
+def test_video_frames_come_in_order_and_in_rgb(tmp_path):
+    path = tmp_path / "clip.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))
+    for level in (50, 100, 200):
+        writer.write(np.full((48, 64, 3), [10, 20, level], np.uint8))
+    writer.release()
+    sequence = open_sequence(path)
+    assert sequence.length == 3
+    frames = list(sequence)
+    assert [name for name, _ in frames] == [f"clip_00000{index}" for index in range(3)]
+    for (_, frame), level in zip(frames, (50, 100, 200), strict=True):
+        assert frame.shape == (48, 64, 3)
+        assert frame[20, 20] == pytest.approx(np.array([level, 20, 10]) / 255, abs=0.02)
+
+
+def test_unusable_sequence_is_refused(tmp_path, capfd):
+    with pytest.raises(InputError, match="no pictures in this folder"):
+        open_sequence(tmp_path)
+    with pytest.raises(InputError, match="nowhere: no such file or folder"):
+        open_sequence(tmp_path / "nowhere")
+    (tmp_path / "bad.mp4").write_bytes(b"hello")
+    with pytest.raises(InputError, match=r"bad\.mp4: not a video"):
+        open_sequence(tmp_path / "bad.mp4")
+
+
+def test_depth_picture_colours_near_red_far_blue_unknown_grey():
+    depth = np.tile(np.linspace(1.0, 3.0, 200, dtype=np.float32), (50, 1))
+    depth[:10] = np.nan
+    depth[10:20] = np.inf
+    picture = depth_picture(depth)
+    assert picture.dtype == np.uint8
+    assert picture.shape[1:] == (200, 3)
+    assert picture.shape[0] > 50
+    assert (picture[:10] == UNKNOWN_RGB).all()
+    near, far = picture[30, 5].astype(int), picture[30, 194].astype(int)
+    assert near[0] > near[2]
+    assert far[2] > far[0]
+    assert (picture[15] == picture[30, 199]).all()
+    # The bar below shows the same colours in the same order, above dark labels.
+    strip = picture[50:].astype(int)
+    assert strip[8, 20, 0] > strip[8, 20, 2]
+    assert strip[8, 180, 2] > strip[8, 180, 0]
+    assert (strip[20:] < 128).all(axis=2).sum() > 30
+
+
+@pytest.mark.parametrize(
+    "depth",
+    [np.full((5, 300), np.nan), np.full((5, 300), 2.0), np.full((5, 8), 2.0), np.zeros((5, 300))],
+)
+def test_depth_picture_of_degenerate_maps(depth):
+    assert depth_picture(depth).shape == (45, depth.shape[1], 3)
+
+
+def test_depth_picture_with_a_fixed_range():
+    depth = np.full((4, 100), 2.0)
+    assert (depth_picture(depth, 1, 3)[0, 0] == depth_picture(depth + 8, 9, 11)[0, 0]).all()
+    with pytest.raises(InputError, match="expected"):
+        depth_picture(np.zeros((2, 2, 3)))
+
+
+def test_confidence_picture():
+    assert confidence_picture(np.array([[0, 0.5, 1, np.nan, 2]])).tolist() == [
+        [0, 128, 255, 0, 255]
+    ]
+
+
+def test_integer_pixels_span_their_type():
+    assert linear_from_pixels(np.array([0, 255], np.uint8)).tolist() == [0, 1]
+    assert linear_from_pixels(np.array([0, 65535], np.uint16)) == pytest.approx([0, 1])

@@ -1,0 +1,312 @@
+"""The operators of blur, the priors, conjugate gradients, and what they restore together."""
+
+import numpy as np
+import pytest
+from coded_aperture_benchmarks.restoration import residual_rms
+from scipy import ndimage, signal
+
+from coded_aperture_ros.core.threads import processors
+from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
+from coded_aperture_ros.deblur.blur_map import model_weight, sharper_near_edges, without_specks
+from coded_aperture_ros.deblur.colour import from_opponents, opponents
+from coded_aperture_ros.deblur.conjugate import conjugate_gradients
+from coded_aperture_ros.deblur.fill import filled_blur_map
+from coded_aperture_ros.deblur.occlusion import OccludedBlur
+from coded_aperture_ros.deblur.operator import SpreadingBlur, frame_within, scene_around
+from coded_aperture_ros.deblur.prior import (
+    difference_powers,
+    differences,
+    differences_adjoint,
+    high_order_filters,
+    natural_covariance,
+    patch_covariance,
+    quadratic_power,
+    sparse_weights,
+)
+from coded_aperture_ros.deblur.psf_basis import PsfBasis
+from coded_aperture_ros.deblur.restore import restore_quadratic, restore_sparse
+from coded_aperture_ros.metrics import psnr_db
+from coded_aperture_ros.optics import Mask, PsfStack, render_psf, render_psf_stack
+
+SIZES = np.linspace(1.0, 11.0, 11)
+OPERATORS = pytest.mark.parametrize("operator", [SpreadingBlur, OccludedBlur])
+
+
+@pytest.fixture(scope="module")
+def stack():
+    return render_psf_stack(Mask.named("levin"), SIZES)
+
+
+@pytest.fixture(scope="module")
+def basis(stack):
+    return PsfBasis.of(stack)
+
+
+@pytest.fixture(scope="module")
+def sharp():
+    random = np.random.default_rng(0)
+    image = np.kron(random.random((12, 14)), np.ones((10, 10)))
+    return (0.5 * image + 0.2 * ndimage.gaussian_filter(random.random(image.shape), 1.5)).astype(
+        np.float32
+    )
+
+
+def relief(shape):
+    """A slant with a square in front of it."""
+    blur = np.broadcast_to(np.linspace(5, 11, shape[1], dtype=np.float32), shape).copy()
+    blur[30:70, 40:80] = 2.5
+    return blur
+
+
+def test_basis_gives_back_psfs_of_fractional_size(stack, basis):
+    """It has fewer kernels than levels, and what it leaves out is hardly seen in photographs."""
+    dense = render_psf_stack(Mask.named("levin"), np.linspace(1, 11, 41))
+    assert len(PsfBasis.of(dense).kernels) < 0.6 * len(dense)
+    exact = PsfBasis.of(stack, tolerance=1e-6)
+    psfs = exact.psfs()
+    assert psfs.sum(axis=(1, 2)) == pytest.approx(1, abs=1e-4)
+    steps = exact.steps_of(np.array([-3, 4, 4.5, 99], np.float32))
+    assert psfs[steps[0]] == pytest.approx(stack.psfs[0], abs=1e-4)
+    assert psfs[steps[1]] == pytest.approx(stack.psfs[3], abs=1e-4)
+    assert psfs[steps[2]] == pytest.approx(stack.psfs[3:5].mean(axis=0), abs=1e-4)
+    assert psfs[steps[3]] == pytest.approx(stack.psfs[-1], abs=1e-4)
+
+
+@OPERATORS
+@pytest.mark.parametrize("threads", [1, 2])
+def test_adjoint_passes_the_dot_product_test(operator, basis, threads, sharp):
+    if threads > processors():
+        pytest.skip("one processor")
+    blur = operator(basis, relief(sharp.shape), Workers(threads))
+    random = np.random.default_rng(1)
+    scene = random.normal(size=blur.scene_shape).astype(np.float32)
+    frame = random.normal(size=blur.shape).astype(np.float32)
+    forward = np.vdot(blur.forward(scene).astype(np.float64), frame)
+    back = np.vdot(scene.astype(np.float64), blur.adjoint(frame))
+    scale = float(np.linalg.norm(blur.forward(scene)) * np.linalg.norm(frame))
+    assert forward == pytest.approx(back, abs=1e-5 * scale)
+
+
+@OPERATORS
+def test_plane_is_convolved_with_its_psf_and_nothing_wraps_around(operator, stack, sharp):
+    blur = operator(PsfBasis.of(stack, 1e-6), np.full(sharp.shape, 7.0, np.float32))
+    scene = np.random.default_rng(2).random(blur.scene_shape).astype(np.float32)
+    psf = render_psf(Mask.named("levin"), 7.0)
+    margin = len(psf) // 2
+    expected = signal.fftconvolve(scene, psf, mode="valid")
+    top = blur.margin_px - margin
+    expected = expected[top : top + sharp.shape[0], top : top + sharp.shape[1]]
+    assert blur.forward(scene) == pytest.approx(expected, abs=1e-3)
+    # What the frame does not see has no part in it.
+    rim = scene.copy()
+    margin = blur.margin_px
+    rim[2 * margin : -2 * margin, 2 * margin : -2 * margin] += 1
+    assert frame_within(rim, blur).shape == sharp.shape
+    flat = blur.forward(np.full(blur.scene_shape, 0.4, np.float32))
+    assert flat == pytest.approx(0.4, abs=1e-4)
+
+
+def test_background_does_not_shine_through_a_foreground(basis, sharp):
+    """A bright wall behind a dark square in focus: inside the square nothing of it is seen."""
+    blur = np.full(sharp.shape, 11.0, np.float32)
+    blur[40:80, 40:90] = 1.0
+    scene_of = np.where(blur == 1.0, 0.0, 1.0).astype(np.float32)
+    occluded, spreading = OccludedBlur(basis, blur), SpreadingBlur(basis, blur)
+    inside = np.s_[42:78, 42:88]
+    assert occluded.forward(scene_around(scene_of, occluded))[inside].max() < 1e-3
+    assert spreading.forward(scene_around(scene_of, spreading))[inside].max() > 0.1
+    # The wall keeps its brightness up to the square's edge.
+    beside = np.s_[42:78, 92:100]
+    assert occluded.forward(scene_around(scene_of, occluded))[beside].min() > 0.99
+
+
+def test_ranges_divide_the_scene(basis, sharp):
+    blur = SpreadingBlur(basis, relief(sharp.shape))
+    ranges = blur.ranges(4)
+    assert sum(share**2 for share, _ in ranges) == pytest.approx(
+        np.ones(blur.scene_shape), abs=1e-5
+    )
+    assert all(power[0, 0] == pytest.approx(1, abs=1e-3) for _, power in ranges)
+    assert len(SpreadingBlur(basis, np.full((60, 60), 3.0, np.float32)).ranges(4)) == 1
+
+
+def test_conjugate_gradients_solve_and_stop():
+    random = np.random.default_rng(3)
+    matrix = random.normal(size=(30, 30))
+    matrix = (matrix @ matrix.T + 5 * np.eye(30)).astype(np.float32)
+    solution = random.normal(size=30).astype(np.float32)
+    right = matrix @ solution
+    diagonal = np.diag(matrix)
+    solve = lambda tolerance, start: conjugate_gradients(  # noqa: E731
+        lambda x: matrix @ x, right, start, lambda r: r / diagonal, tolerance, 100
+    )
+    found, needed = solve(1e-5, np.zeros(30, np.float32))
+    assert found == pytest.approx(solution, abs=1e-3)
+    assert solve(1e-1, np.zeros(30, np.float32))[1] < needed < 40
+    assert solve(1e-4, solution)[1] == 0
+
+
+def test_differences_and_their_transpose():
+    random = np.random.default_rng(4)
+    image = random.normal(size=(20, 24)).astype(np.float32)
+    parts = [random.normal(size=image.shape).astype(np.float32) for _ in range(5)]
+    forward = sum(np.vdot(a, b) for a, b in zip(differences(image), parts, strict=True))
+    assert forward == pytest.approx(np.vdot(image, differences_adjoint(parts)), rel=1e-4)
+    # Far from its border an image has the powers of a periodic one.
+    wave = np.cos(2 * np.pi * np.arange(64) * 8 / 64).astype(np.float32)
+    wave = np.broadcast_to(wave, (64, 64)).copy()
+    right = differences(wave)[1][:, 4:-4]
+    assert np.mean(right**2) == pytest.approx(difference_powers((64, 64))[1][0, 8] / 2, rel=0.1)
+
+
+def test_sparse_prior_lets_edges_stand():
+    image = np.zeros((20, 20), np.float32)
+    image[:, 10:] = 0.5
+    right = sparse_weights([image])[1]
+    assert right[5, 3] == pytest.approx(1)
+    assert right[5, 9] < 0.02
+    # An edge in one channel is an edge in all.
+    assert sparse_weights([image, 0 * image])[1][5, 9] < 0.02
+
+
+def test_high_order_filters_whiten_sharp_patches(sharp):
+    covariance = patch_covariance([sharp], 5)
+    filters = high_order_filters(covariance)
+    assert filters.shape == (24, 5, 5)
+    flat = filters.reshape(24, -1)
+    assert flat.sum(axis=1) == pytest.approx(0, abs=1e-3 * float(np.abs(flat).max()))
+    assert flat @ covariance @ flat.T == pytest.approx(np.eye(24), abs=1e-2)
+    natural = high_order_filters(natural_covariance(5)).reshape(24, -1)
+    response = [np.mean(natural @ covariance * natural, axis=1), np.mean(natural**2, axis=1)]
+    assert response[0].mean() < 0.1 * response[1].mean()  # hardly any, compared with white noise
+    power = quadratic_power((32, 32))
+    assert power[0, 0] < 1e-3 * power[1, 0] < 1e-3 * power[16, 0]
+
+
+def test_quadratic_solution_is_the_minimum(basis, sharp):
+    """The gradient of thesis eq. 6.28 vanishes."""
+    blur = SpreadingBlur(basis, relief(sharp.shape))
+    coded = blur.forward(scene_around(sharp, blur))
+    one = np.ones(sharp.shape, np.float32)
+    few, needed = restore_quadratic(blur, [coded], one, [coded], 0.002, 1.0, 1e-4, 200)
+    assert needed < 60
+    many, _ = restore_quadratic(blur, [coded], one, [sharp], 0.002, 1.0, 1e-6, 400)
+    inside = np.s_[12:-12, 12:-12]  # the scene beyond the border hardly shows in the gradient
+    assert psnr_db(few[0][inside], many[0][inside]) > 40
+    assert psnr_db(many[0], sharp) > psnr_db(coded, sharp) + 3
+
+
+@OPERATORS
+def test_sparse_restoration_beats_the_quadratic_one(operator, basis, sharp):
+    blur = operator(basis, relief(sharp.shape))
+    noise = np.random.default_rng(5).normal(0, 0.002, sharp.shape).astype(np.float32)
+    coded = blur.forward(scene_around(sharp, blur)) + noise
+    one = np.ones(sharp.shape, np.float32)
+    quadratic, _ = restore_quadratic(blur, [coded], one, [coded], 0.002, 1.0, 1e-5, 60)
+    sparse, _ = restore_sparse(blur, [coded], one, [coded], 0.002, 1.0, 1e-5, 60)
+    assert psnr_db(sparse[0], sharp) > psnr_db(quadratic[0], sharp) + 1
+    residual = blur.forward(scene_around(sparse[0], blur)) - coded
+    assert residual[12:-12, 12:-12].std() < 0.003
+
+
+def test_frame_of_little_noise_is_explained_up_to_it(stack, sharp):
+    """Smoothness for the usual error of the model would leave 1.8 times the noise."""
+    noise, psf = 0.0002, stack.psfs[-1]
+    blurred = signal.convolve(sharp, psf, mode="valid")
+    coded = blurred + np.random.default_rng(2).normal(0, noise, blurred.shape)
+    one = PsfStack(np.zeros(1), psf[None], in_pixels=False)
+    deblurrer = Deblurrer(one, DeblurConfig(method="sparse", noise=noise))
+    found = deblurrer.deblur(coded.astype(np.float32), np.zeros(coded.shape, np.float32))
+    assert residual_rms(found, coded, psf) < 1.2 * noise
+
+
+@pytest.mark.parametrize("method", ["cg", "sparse"])
+def test_saturated_pixels_are_left_out(stack, sharp, method):
+    frame = np.clip(sharp, 0, 0.9)
+    psf = render_psf(Mask.named("levin"), 6.0)
+    coded = signal.fftconvolve(np.pad(frame, len(psf) // 2, mode="edge"), psf, mode="valid")
+    coded = coded.astype(np.float32)
+    spoilt = coded.copy()
+    spoilt[50:56, 60:66] = 1.0  # of a lamp, whose blur is not that of the scene
+    blur = np.full(sharp.shape, 6.0, np.float32)
+    results = [
+        Deblurrer(
+            stack, DeblurConfig(method=method, noise=0.002, saturation=limit, edge_reach=0)
+        ).deblur(spoilt, blur)
+        for limit in (0.995, 2.0)
+    ]
+    around = np.s_[38:68, 48:78]
+    with_mask, without = (psnr_db(result[around], frame[around]) for result in results)
+    assert with_mask > without + 1
+
+
+def test_opponents_are_orthonormal():
+    image = np.random.default_rng(6).random((5, 6, 3)).astype(np.float32)
+    channels = opponents(image)
+    assert sum(np.sum(channel**2) for channel in channels) == pytest.approx(
+        np.sum(image**2), rel=1e-5
+    )
+    assert from_opponents(channels) == pytest.approx(image, abs=1e-6)
+    assert opponents(np.ones((2, 2, 3), np.float32))[1] == pytest.approx(0)
+
+
+def test_specks_are_taken_out_and_edges_lean_to_the_sharper_side():
+    blur = np.full((60, 80), 9.0, np.float32)
+    blur[20:24, 30:34] = 2.0
+    blur[:, 60:] = 4.0
+    cleaned = without_specks(blur)
+    assert (cleaned[:, :60] == 9).all()
+    assert (cleaned[:, 60:] == 4).all()
+    safe = sharper_near_edges(cleaned, 10)
+    assert (safe[:, 50:] == 4).all()
+    assert (safe[:, :49] == 9).all()
+    assert sharper_near_edges(-cleaned, 10) == pytest.approx(-safe)
+    weight = model_weight(cleaned, 0.002)
+    assert weight[30, 58] < 0.6 < 0.99 < weight[30, 10]
+
+
+def test_smaller_map_follows_the_edges_of_the_frame():
+    frame = np.full((80, 120), 0.2, np.float32)
+    frame[:, 66:] = 0.8  # the edge is not where the small map's pixels end
+    small = np.where(np.arange(30) * 4 + 2 < 66, 9.0, 3.0).astype(np.float32)
+    small = np.broadcast_to(small, (20, 30)).copy()
+    large = filled_blur_map(small, frame)
+    assert set(np.unique(large[:, 60:72])) == {3.0, 9.0}
+    assert (large[:, 66:] == 3).all()
+    assert (large[:, :66] == 9).all()
+
+
+def test_larger_map_is_the_mean_of_what_is_known_in_it():
+    nothing = np.nan
+    blur = np.array([[4, 6, nothing, nothing], [5, nothing, nothing, nothing]], np.float32)
+    frame = np.zeros((2, 4), np.float32)
+    small = filled_blur_map(blur, frame, reduction=2)
+    np.testing.assert_allclose(small, [[5, 5]])
+
+
+def test_averaged_frames_of_a_video_are_better_than_single_ones(stack, sharp):
+    psf = render_psf(Mask.named("levin"), 6.0)
+    clean = signal.fftconvolve(np.pad(sharp, len(psf) // 2, mode="edge"), psf, mode="valid")
+    blur = np.full(sharp.shape, 6.0, np.float32)
+    random = np.random.default_rng(7)
+    frames = [(clean + random.normal(0, 0.01, sharp.shape)).astype(np.float32) for _ in range(6)]
+    for method in ("fast", "cg"):
+        single = Deblurrer(stack, DeblurConfig(method=method, noise=0.01))
+        video = Deblurrer(stack, DeblurConfig(method=method, noise=0.01, temporal_frames=8.0))
+        alone = single.deblur(frames[-1], blur)
+        for frame in frames:
+            together = video.deblur(frame, blur)
+        assert psnr_db(together, sharp) > psnr_db(alone, sharp) + 0.5
+        video.reset()
+        assert video.deblur(frames[-1], blur) == pytest.approx(alone, abs=1e-4)
+
+
+def test_sharing_among_threads_changes_nothing(stack, sharp):
+    if processors() < 2:
+        pytest.skip("one processor")
+    blur = relief(sharp.shape)
+    one = Deblurrer(stack, DeblurConfig()).deblur(sharp, blur, 0.002)
+    shared = Deblurrer(stack, DeblurConfig(threads=2))
+    assert shared.deblur(sharp, blur, 0.002) == pytest.approx(one, abs=1e-5)
+    shared.close()
