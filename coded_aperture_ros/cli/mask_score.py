@@ -6,10 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_benchmarks.commands.bench_options import add_sigmas_option, folder_of
-
 from coded_aperture_ros.cli.checks import check_output, check_suffix
-from coded_aperture_ros.cli.options import add_config_options, at_least, config_from, table
+from coded_aperture_ros.cli.options import (
+    add_config_options,
+    add_sigmas_option,
+    at_least,
+    config_from,
+    folder_of,
+    table,
+)
 from coded_aperture_ros.cli.progress import progress
 
 # Subspaces take a millisecond a level, and a figure shows no more.

@@ -13,11 +13,9 @@ from coded_aperture_benchmarks.commands.bench_options import (
     add_result_options,
     add_size_option,
     check_result_options,
-    folder_of,
-    noise_level,
     report,
 )
-from coded_aperture_ros.cli.options import add_numbers, mask_of, table
+from coded_aperture_ros.cli.options import add_numbers, folder_of, mask_of, noise_level, table
 
 _MASKS = ("levin", "zhou", "four_hole")
 _METHODS = ("fast", "cg")

@@ -35,10 +35,9 @@ from coded_aperture_benchmarks.commands.bench_deblur_pictures import (
 from coded_aperture_benchmarks.commands.bench_options import (
     add_result_options,
     check_result_options,
-    noise_level,
     report,
 )
-from coded_aperture_ros.cli.options import at_least, table
+from coded_aperture_ros.cli.options import at_least, noise_level, table
 from coded_aperture_ros.core.errors import InputError
 
 _NOISE = 0.002

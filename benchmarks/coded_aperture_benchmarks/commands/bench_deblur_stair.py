@@ -30,12 +30,10 @@ from coded_aperture_benchmarks.commands.bench_options import (
     add_masks_option,
     add_picture_options,
     add_result_options,
-    add_sigmas_option,
     check_result_options,
-    folder_of,
     report,
 )
-from coded_aperture_ros.cli.options import at_least, mask_of, table
+from coded_aperture_ros.cli.options import add_sigmas_option, at_least, folder_of, mask_of, table
 
 _SIGMAS = (0.0, 0.001, 0.002, 0.005)
 # The depth that is estimated is that of the benchmark of blur identification.

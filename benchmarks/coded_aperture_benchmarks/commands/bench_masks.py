@@ -11,13 +11,11 @@ from coded_aperture_benchmarks.commands.bench_cells import measure_cells
 from coded_aperture_benchmarks.commands.bench_options import (
     add_images_option,
     add_result_options,
-    add_sigmas_option,
     check_result_options,
-    folder_of,
     report,
 )
 from coded_aperture_benchmarks.commands.bench_stair import Cell, measure_cell
-from coded_aperture_ros.cli.options import add_numbers, table
+from coded_aperture_ros.cli.options import add_numbers, add_sigmas_option, folder_of, table
 from coded_aperture_ros.cli.progress import progress
 
 # Of the crops to predict from: the stairs have seeds from 0 on.

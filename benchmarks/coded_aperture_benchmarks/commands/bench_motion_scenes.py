@@ -4,12 +4,8 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
-from coded_aperture_benchmarks.commands.bench_options import (
-    check_result_options,
-    noise_level,
-    report,
-)
-from coded_aperture_ros.cli.options import add_numbers, mask_of, table
+from coded_aperture_benchmarks.commands.bench_options import check_result_options, report
+from coded_aperture_ros.cli.options import add_numbers, mask_of, noise_level, table
 from coded_aperture_ros.cli.progress import progress
 
 _METHODS = ("none", "cg", "sparse")

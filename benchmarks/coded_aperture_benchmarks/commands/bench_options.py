@@ -9,22 +9,18 @@ from typing import Any
 
 from coded_aperture_benchmarks.commands.bench_methods import method_names
 from coded_aperture_ros.cli.checks import check_output
-from coded_aperture_ros.cli.options import add_jobs_option, at_least, mask_of
+from coded_aperture_ros.cli.options import (
+    add_jobs_option,
+    add_sigmas_option,
+    at_least,
+    mask_of,
+    noise_level,
+)
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.core.threads import processors
 
 RESULTS = "results.json"
-# What the noise of a frame is made of.
-OF_THE_MASK = "; a frame has S divided by the open fraction of the mask's square"
-
-
-def noise_level(text: str) -> float:
-    """Parse a standard deviation in linear light."""
-    value = float(text)
-    if not 0 <= value <= 0.5:
-        raise argparse.ArgumentTypeError(f"expected 0 to 0.5, got {text}")
-    return value
 
 
 def texture_and_noise(textures: Sequence[str]) -> Callable[[str], tuple[str, float]]:
@@ -136,21 +132,6 @@ def add_cell_options(
     add_result_options(parser)
 
 
-def add_sigmas_option(
-    parser: argparse.ArgumentParser, sigmas: Sequence[float], what: str = OF_THE_MASK
-) -> None:
-    """Add the noises to measure at; `what` says to what they apply."""
-    parser.add_argument(
-        "--sigmas",
-        nargs="+",
-        type=noise_level,
-        default=list(sigmas),
-        metavar="S",
-        help=f"noise behind an open aperture{what} "
-        f"(default {' '.join(f'{sigma:g}' for sigma in sigmas)})",
-    )
-
-
 def add_cases_option(
     parser: argparse.ArgumentParser,
     textures: Sequence[str],
@@ -245,11 +226,6 @@ def check_result_options(args: argparse.Namespace) -> None:
         raise InputError(
             "--output: figures need matplotlib: pip install matplotlib, or use --json"
         ) from error
-
-
-def folder_of(images: str | None) -> Path | None:
-    """Return the folder of `--images`."""
-    return None if images is None else Path(images)
 
 
 def report(

@@ -14,12 +14,10 @@ from coded_aperture_benchmarks.commands.bench_options import (
     add_images_option,
     add_masks_option,
     add_result_options,
-    add_sigmas_option,
     check_result_options,
-    folder_of,
     report,
 )
-from coded_aperture_ros.cli.options import add_numbers, mask_of, table
+from coded_aperture_ros.cli.options import add_numbers, add_sigmas_option, folder_of, mask_of, table
 
 _SCENE_REACH_PX = 12.0
 # Learned for a little more than what there is to see.

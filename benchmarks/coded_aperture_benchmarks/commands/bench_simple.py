@@ -25,10 +25,9 @@ from coded_aperture_benchmarks.commands.bench_options import (
     add_picture_options,
     add_result_options,
     check_result_options,
-    folder_of,
     report,
 )
-from coded_aperture_ros.cli.options import add_numbers, mask_of, table
+from coded_aperture_ros.cli.options import add_numbers, folder_of, mask_of, table
 
 _MASKS = ("two_hole", "three_hole", "four_hole")
 _CASES = (("random", 0.0001), ("natural", 0.001))

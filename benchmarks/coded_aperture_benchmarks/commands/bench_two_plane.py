@@ -13,10 +13,9 @@ from coded_aperture_benchmarks.commands.bench_methods import PLAIN, Setting, ide
 from coded_aperture_benchmarks.commands.bench_options import (
     add_cell_options,
     check_cell_options,
-    folder_of,
     report,
 )
-from coded_aperture_ros.cli.options import at_least, mask_of, table
+from coded_aperture_ros.cli.options import at_least, folder_of, mask_of, table
 
 _SIGMAS = (0.001,)
 _METHODS = ("bank", "bank-semiglobal", "bank-tv", "bank-graphcut")
