@@ -5,11 +5,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-from coded_aperture_benchmarks import RelativeError
 from numpy.typing import NDArray
 
 from coded_aperture_ros.io.messages import MessageError, depth_from_pixels
 from coded_aperture_ros.metrics import Reliability
+from coded_aperture_ros.metrics.errors import RelativeError
 
 # What the confidence promises.
 RIGHT_WITHIN = 0.05
