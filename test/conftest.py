@@ -6,6 +6,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from domain_lock import reserve_domain
 from hypothesis import settings
 
 # No time limit for a single example: it would fail tests on a busy machine. Where CI is set,
@@ -13,10 +14,10 @@ from hypothesis import settings
 settings.register_profile("patient", parent=settings.default, deadline=None)
 settings.load_profile("patient")
 
-# Before anything imports rclpy. Domains 1 to 100 keep clear of the ports that Linux hands out; the
-# process number keeps test runs on one machine apart, and all of them from a robot's domain 0.
+# Before anything imports rclpy. Domains 1 to 100 keep clear of the ports that Linux hands out.
 _LOGS = tempfile.TemporaryDirectory(prefix="coded_aperture_ros-logs-")
-os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+_DOMAIN, _DOMAIN_LOCK = reserve_domain()
+os.environ["ROS_DOMAIN_ID"] = str(_DOMAIN)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_LOG_DIR"] = _LOGS.name
 # Tests make many participants in one process, one after the other and some side by side. Fast DDS
@@ -35,7 +36,7 @@ for name in ("ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", "ROS_NAMESPACE", "ROS_DIS
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 if find_spec("rclpy"):
-    import coded_aperture_ros.nodes  # noqa: F401  prepares the environment of the wheels
+    import coded_aperture_ros.ros  # noqa: F401  prepares the environment of the wheels
 
 DATA = "CODED_APERTURE_DATA"
 

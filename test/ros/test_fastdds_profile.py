@@ -12,7 +12,7 @@ pytest.importorskip("rclpy")
 MESSAGES = 20
 SUBSCRIBER = f"""
 import time
-import coded_aperture_ros.nodes
+import coded_aperture_ros.ros
 import rclpy
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
@@ -32,7 +32,7 @@ rclpy.shutdown()
 """
 PUBLISHER = f"""
 import array, time
-import coded_aperture_ros.nodes
+import coded_aperture_ros.ros
 import rclpy
 from sensor_msgs.msg import Image
 

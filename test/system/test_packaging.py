@@ -52,13 +52,11 @@ def test_versions_are_equal(checkout, manifest):
     assert distribution(PACKAGE).version == version
 
 
-def test_manifest_is_valid():
+def test_manifest_is_valid(checkout):
     """By the parser that rosdep, bloom and colcon use."""
     catkin_pkg = pytest.importorskip("catkin_pkg.package")
     warnings = []
-    package = catkin_pkg.parse_package(
-        Path(__file__).resolve().parent.parent / "package.xml", warnings=warnings
-    )
+    package = catkin_pkg.parse_package(checkout / "package.xml", warnings=warnings)
     package.validate(warnings=warnings)
     assert warnings == []
     assert (package.name, package.package_format) == (PACKAGE, 3)
@@ -136,7 +134,7 @@ def test_programs_are_declared():
 @pytest.mark.parametrize("target", PROGRAMS.values(), ids=PROGRAMS)
 def test_program_exists(target):
     module, _, function = target.partition(":")
-    if module.startswith(f"{PACKAGE}.nodes"):
+    if module.startswith(f"{PACKAGE}.ros"):
         pytest.importorskip("rclpy")
     assert callable(getattr(import_module(module), function))
 
