@@ -24,11 +24,10 @@ from bag_scene import (
     stamp_of,
     write_bag,
 )
-from cli_scene import call, everything
+from cli_scene import call, everything, examples
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import CompressionMode
-from test_cli_examples import examples
 
 from coded_aperture_ros.io.messages import array_from_image
 

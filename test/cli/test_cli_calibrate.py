@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 import yaml
 from browser import browser, values_of  # noqa: F401  a fixture
-from cli_scene import call, everything
-from test_camera import THESIS
-from test_cli_learn import refused, wrong_usage
+from cameras import THESIS
+from cli_scene import call, everything, refused, wrong_usage
 
 from coded_aperture_ros.cli.main import main
 from coded_aperture_ros.design import setting_of

@@ -7,9 +7,8 @@ import threading
 import numpy as np
 import pytest
 import yaml
-from cli_scene import call, everything
+from cli_scene import call, everything, refused, wrong_usage
 from planes_scene import DEPTHS_M, FOCUS_M, SLOPE_PX_M, WINDOW, plane
-from test_cli_learn import refused, wrong_usage
 
 from coded_aperture_ros.bank import load_bank
 from coded_aperture_ros.calibration.planes.folder import add_plane

@@ -6,10 +6,8 @@ import shutil
 import numpy as np
 import pytest
 import yaml
-from cli_scene import call, everything
-from test_calibration_psf import dot_picture, error_of, pair
-from test_cli_examples import examples
-from test_cli_learn import refused, wrong_usage
+from cli_scene import call, everything, examples, refused, wrong_usage
+from psf_pictures import dot_picture, error_of, pair
 
 from coded_aperture_ros.io import read_image, write_image
 from coded_aperture_ros.optics import PsfStack, camera_from_mapping

@@ -7,9 +7,18 @@ import shutil
 import cv2
 import numpy as np
 import pytest
-from cli_scene import FAR_M, HEIGHT, NEAR_M, WIDTH, call, camera_file, everything
-from test_cli_depth import names, write_frames
-from test_cli_learn import refused, wrong_usage
+from bad_frames import names, write_frames
+from cli_scene import (
+    FAR_M,
+    HEIGHT,
+    NEAR_M,
+    WIDTH,
+    call,
+    camera_file,
+    everything,
+    refused,
+    wrong_usage,
+)
 
 from coded_aperture_ros.deblur import Parallax, anaglyph, side_by_side, stereo_pair
 from coded_aperture_ros.imaging import SRGB

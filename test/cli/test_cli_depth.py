@@ -9,8 +9,8 @@ import sys
 import cv2
 import numpy as np
 import pytest
-from cli_scene import HEIGHT, WIDTH, Result, call, camera_file, everything
-from test_cli_learn import refused, wrong_usage
+from bad_frames import names, write_frames
+from cli_scene import HEIGHT, WIDTH, Result, call, camera_file, everything, refused, wrong_usage
 
 from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.io import read_depth, read_image
@@ -21,10 +21,6 @@ def relative_error(depth_m, scene):
     where = scene.away_from_the_edge()
     error = np.abs(depth_m - scene.depth_m)[where] / scene.depth_m[where]
     return np.nanmedian(error), np.isfinite(error).mean()
-
-
-def names(folder):
-    return sorted(path.name for path in folder.iterdir())
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".tiff", ".png"])
@@ -245,25 +241,6 @@ def test_several_frames_do_not_fit_into_one_file(scene, tmp_path, capsys):
     result = call(capsys, "depth", "--bank", scene.bank, *inputs, "-o", tmp_path / "depth.npy")
     refused(result, "depth.npy: 2 frames do not fit into one file, name a folder")
     assert everything(tmp_path) == {}
-
-
-def write_frames(folder):
-    """Write frames that cannot be used, and return what is said about each."""
-    (folder / "empty.png").write_bytes(b"")
-    (folder / "text.png").write_text("no picture")
-    (folder / "text.npy").write_text("no array")
-    (folder / "video.avi").write_text("no video")
-    (folder / "folder").mkdir()
-    np.save(folder / "small.npy", np.full((30, 200), 0.5, np.float32))
-    np.save(folder / "four.npy", np.ones((90, 90, 4), np.float32))
-    np.save(folder / "stack.npy", np.ones((2, 90, 90, 3), np.float32))
-    np.save(folder / "line.npy", np.ones(90, np.float32))
-    np.save(folder / "nothing.npy", np.ones((0, 90), np.float32))
-    np.save(folder / "int64.npy", np.ones((90, 90), np.int64))
-    np.save(folder / "complex.npy", np.ones((90, 90), np.complex64))
-    np.save(folder / "objects.npy", np.array([{}, None]))
-    whole = cv2.imencode(".png", np.random.default_rng(0).integers(0, 255, (90, 90)))[1].tobytes()
-    (folder / "cut.png").write_bytes(whole[: len(whole) // 2])
 
 
 @pytest.mark.parametrize(

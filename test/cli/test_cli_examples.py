@@ -1,27 +1,17 @@
 """The examples that the commands' `--help` shows, typed as they stand."""
 
-import shlex
 import shutil
 
 import cv2
 import numpy as np
 import pytest
-from cli_scene import call, texture
-from test_cli_learn import measured_file
-from test_learn_planes import few_steps, folder_of
+from asymmetric_planes import few_steps, folder_of
+from cli_scene import call, examples, texture
+from psf_pictures import measured_file
 
 from coded_aperture_ros.io import read_depth
 
 DEPTH_M = 4.0
-
-
-def examples(capsys, command):
-    """Return the command lines in a command's help, as lists of arguments."""
-    text = call(capsys, *command.split(), "--help").out.replace("\\\n", " ")
-    lines = [line.strip() for line in text.splitlines()]
-    return [
-        shlex.split(line)[1:] for line in lines if line.startswith(f"coded_aperture {command} ")
-    ]
 
 
 def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checkout):

@@ -7,44 +7,13 @@ import sys
 
 import numpy as np
 import pytest
-from cli_scene import CAMERA, call, camera_file, everything
+from cli_scene import CAMERA, call, camera_file, everything, refused, wrong_usage
+from psf_pictures import measured_file
 
 from coded_aperture_ros.bank import load_bank
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 
 SMALL = ("--window-px", 16, "--rank", 8)
-
-
-def refused(result, *phrases):
-    """Assert that a call failed with one line that has all phrases, and printed nothing else."""
-    assert (result.status, result.out) == (1, "")
-    lines = result.err.splitlines()
-    assert len(lines) == 1
-    assert lines[0].startswith("coded_aperture: error: ")
-    for phrase in phrases:
-        assert str(phrase) in lines[0]
-
-
-def wrong_usage(result, command, *phrases):
-    assert (result.status, result.out) == (2, "")
-    *usage, last = result.err.splitlines()
-    assert usage[0].startswith(f"usage: coded_aperture {command}")
-    assert last.startswith(f"coded_aperture {command}: error: ")
-    for phrase in phrases:
-        assert str(phrase) in last
-
-
-def measured_file(path, depths=None, sizes=None, levels=3):
-    """PSFs as someone might measure them: not of unit sum, a little noisy."""
-    stack = render_psf_stack(Mask.named("levin"), np.linspace(4, 9, levels))
-    noise = 0.01 * np.random.default_rng(0).standard_normal(stack.psfs.shape)
-    arrays = {"psfs": 7 * stack.psfs + noise * stack.psfs.max()}
-    if depths is not None:
-        arrays["depths_m"] = np.array(depths)
-    if sizes is not None:
-        arrays["sizes_px"] = np.array(sizes)
-    np.savez(path, **arrays)
-    return path
 
 
 def test_from_a_camera(scene, tmp_path, capsys):

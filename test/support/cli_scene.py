@@ -1,6 +1,7 @@
 """A small scene in front of a small camera, and a bank, made by the program; and how to call it."""
 
 import dataclasses
+import shlex
 from pathlib import Path
 
 import cv2
@@ -127,3 +128,31 @@ def make_scene(folder):
     without = ("--mask", "levin", "--blur-sizes", 4, 12, 9, "--rank", 32)
     program("learn", *without, "-o", scene.index_bank)
     return scene
+
+
+def refused(result, *phrases):
+    """Assert that a call failed with one line that has all phrases, and printed nothing else."""
+    assert (result.status, result.out) == (1, "")
+    lines = result.err.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("coded_aperture: error: ")
+    for phrase in phrases:
+        assert str(phrase) in lines[0]
+
+
+def wrong_usage(result, command, *phrases):
+    assert (result.status, result.out) == (2, "")
+    *usage, last = result.err.splitlines()
+    assert usage[0].startswith(f"usage: coded_aperture {command}")
+    assert last.startswith(f"coded_aperture {command}: error: ")
+    for phrase in phrases:
+        assert str(phrase) in last
+
+
+def examples(capsys, command):
+    """Return the command lines in a command's help, as lists of arguments."""
+    text = call(capsys, *command.split(), "--help").out.replace("\\\n", " ")
+    lines = [line.strip() for line in text.splitlines()]
+    return [
+        shlex.split(line)[1:] for line in lines if line.startswith(f"coded_aperture {command} ")
+    ]

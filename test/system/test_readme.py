@@ -6,7 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
-from test_learn_planes import few_steps, folder_of
+from asymmetric_planes import few_steps, folder_of
 
 from coded_aperture_ros.cli.main import main
 from coded_aperture_ros.io import write_depth, write_image

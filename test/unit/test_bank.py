@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from textures import blurred_texture
 
 from coded_aperture_ros.bank import (
     LearnConfig,
@@ -9,7 +10,6 @@ from coded_aperture_ros.bank import (
     learn_bank,
     learn_bank_for_camera,
     load_bank,
-    power_spectrum,
     save_bank,
 )
 from coded_aperture_ros.bank.factoring import factor_weights
@@ -24,18 +24,6 @@ NOISE = 0.002
 @pytest.fixture(scope="module")
 def bank():
     return learn_bank(render_psf_stack(Mask.named("levin"), SIZES), LearnConfig(window_px=32))
-
-
-def blurred_texture(psf, contrast=0.02, slope=2.4, size=128, noise=NOISE, seed=0):
-    """A texture from the prior, blurred by circular convolution, with noise."""
-    random = np.random.default_rng(seed)
-    shape = (size, size)
-    spectrum = np.fft.rfft2(random.normal(size=shape))
-    spectrum *= np.sqrt(contrast * power_spectrum(slope, shape))
-    padded = np.zeros(shape)
-    padded[: len(psf), : len(psf)] = psf
-    blurred = np.fft.irfft2(spectrum * np.fft.rfft2(padded), shape)
-    return (0.4 + blurred + random.normal(0, noise, shape)).astype(np.float32)
 
 
 def direct_energies(bank, image, noise):

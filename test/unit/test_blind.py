@@ -6,14 +6,12 @@ import json
 import numpy as np
 import pytest
 from blind_scene import CONFIG, MASK, SIZES_PX, names, plane, planes
-from cli_scene import call
+from cli_scene import call, examples, wrong_usage
 from coded_aperture_benchmarks.blind_planes import (
     deblurring_loss,
     make_blind_planes,
     mask_correlation,
 )
-from test_cli_examples import examples
-from test_cli_learn import wrong_usage
 
 from coded_aperture_ros.bank import WindowedFourierBasis, load_bank
 from coded_aperture_ros.calibration.blind.config import BlindConfig

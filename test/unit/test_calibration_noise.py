@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from cli_scene import call, everything
-from test_camera import THESIS
-from test_cli_learn import refused, wrong_usage
+from cameras import THESIS
+from cli_scene import call, everything, refused, wrong_usage
 
 from coded_aperture_ros.calibration.noise import noise_from_frames, with_noise_of
 from coded_aperture_ros.core.errors import InputError

@@ -4,38 +4,18 @@ import math
 import numpy as np
 import pytest
 import yaml
+from cameras import THESIS, pinhole
 from hypothesis import given
 from hypothesis import strategies as st
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics import Camera, Mask, camera_from_mapping, load_camera
+from coded_aperture_ros.optics import Mask, camera_from_mapping, load_camera
 
 # The camera of the thesis, section 3.4.3: Canon 50 mm lens, mask of 11 mm, 1920 pixels on 36 mm.
-THESIS = {
-    "focal_length_mm": 50,
-    "pixel_pitch_um": 18.72,
-    "focus_distance_m": 3.0,
-    "image_width": 1920,
-    "image_height": 1080,
-    "mask": {"name": "four_hole"},
-    "mask_extent_mm": 11,
-}
 
 
 def thesis_camera(focus_distance_m, side):
     return camera_from_mapping({**THESIS, "focus_distance_m": focus_distance_m, "side": side})
-
-
-def pinhole(**changes):
-    values = {
-        "focal_length_px": 800.0,
-        "focus_distance_m": 0.9,
-        "image_width": 640,
-        "image_height": 480,
-        "mask": Mask.named("levin"),
-        "mask_extent_mm": 30.0,
-    }
-    return Camera(**{**values, **changes})
 
 
 # Computed by hand with eq. 3.28 and 3.29; the thesis' table 3.1 has 4.9, 4.8 and 14.7.

@@ -6,9 +6,9 @@ import sys
 
 import numpy as np
 import pytest
+from cameras import THESIS, pinhole
 from hypothesis import given
 from hypothesis import strategies as st
-from test_camera import THESIS, pinhole
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design import (

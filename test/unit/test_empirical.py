@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from cli_scene import call
-from test_bank import blurred_texture
-from test_cli_learn import refused
+from cli_scene import call, refused
+from textures import blurred_texture
 
 from coded_aperture_ros.bank import (
     EmpiricalPrior,

@@ -1,44 +1,30 @@
 """Learning from pictures of planes whose mask nobody tells."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
-from cli_scene import call, everything
+from asymmetric_planes import (
+    DEPTHS_M,
+    FOCUS_M,
+    LARGEST_PX,
+    MASK,
+    NOISE,
+    WINDOW,
+    few_steps,
+    folder_of,
+    plane,
+)
+from cli_scene import call, everything, refused, wrong_usage
 from scipy.signal import fftconvolve
-from test_cli_learn import refused, wrong_usage
 
-from coded_aperture_ros.bank import LearnConfig, WindowedFourierBasis, load_bank, power_spectrum
+from coded_aperture_ros.bank import LearnConfig, WindowedFourierBasis, load_bank
 from coded_aperture_ros.calibration.mask.search import MaskSearch
 from coded_aperture_ros.calibration.mask.spectra import autocorrelation_to_power, half_plane
 from coded_aperture_ros.calibration.planes.learning import learn_bank_from_planes
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io import write_image
 from coded_aperture_ros.optics import Mask, render_psf
-
-WINDOW, NOISE = 24, 0.001
-FOCUS_M, LARGEST_PX = 1.0, 11.0
-MASK = Mask.named("veeraraghavan")  # not symmetric
-DEPTHS_M = 1 / np.linspace(0.85, 0.25, 7)
-
-
-def blur_size_px(depth_m):
-    return LARGEST_PX * (1 - FOCUS_M / depth_m) / (1 - FOCUS_M / DEPTHS_M[-1])
-
-
-def plane(depth_m, seed, size=144):
-    """Photograph of a plane with texture that is nowhere quite a power law of one slope."""
-    random = np.random.default_rng(seed)
-    shape = (2 * size, 2 * size)
-    texture = np.zeros(shape)
-    for slope in (1.8, 2.6):
-        spectrum = np.fft.rfft2(random.normal(size=shape)) * np.sqrt(power_spectrum(slope, shape))
-        texture += np.fft.irfft2(spectrum, shape)
-    blurred = fftconvolve(texture, render_psf(MASK, blur_size_px(depth_m)), "same")
-    blurred = 0.45 + 0.07 * blurred[:size, :size]
-    return (blurred + random.normal(0, NOISE, blurred.shape)).astype(np.float32)
 
 
 @pytest.fixture(scope="module")
@@ -141,28 +127,6 @@ def test_blur_wider_than_half_the_window_is_told(planes, caplog, monkeypatch, wi
     )
     search.single(search.mixture())
     assert ("half the window of 16 px, or more" in caplog.text) == warned
-
-
-def few_steps(monkeypatch):
-    """Learn quickly: for tests of what is around the fit."""
-    for name in ("_FIRST_STEPS", "_COARSE_STEPS", "_FINE_STEPS", "_SINGLE_STEPS"):
-        monkeypatch.setattr(f"coded_aperture_ros.calibration.mask.search.{name}", 1)
-    monkeypatch.setattr("coded_aperture_ros.calibration.mask.phase_retrieval._STARTS", 4)
-
-
-def folder_of(tmp_path, entries=None, **pictures):
-    """Make a folder of planes; `entries` None lists six good ones, a callable changes them."""
-    listed = []
-    for number, depth in enumerate((1.2, 1.4, 1.7, 2.1, 2.8, 4.0)):
-        name = f"plane_{number}.png"
-        image = pictures.get(f"plane_{number}", plane(depth, number, 48))
-        write_image(tmp_path / name, image)
-        listed.append({"file": name, "depth_m": depth})
-    if entries is not None:
-        listed = entries(listed)
-    text = listed if isinstance(listed, str) else json.dumps(listed)
-    (tmp_path / "planes.json").write_text(text)
-    return tmp_path
 
 
 def changed(number, **values):

@@ -11,9 +11,8 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from cli_scene import call, everything
-from test_camera import THESIS
-from test_cli_learn import refused, wrong_usage
+from cameras import THESIS
+from cli_scene import call, everything, refused, wrong_usage
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design.outline import outlines_of

@@ -5,10 +5,9 @@ import json
 import numpy as np
 import pytest
 import yaml
-from cli_scene import call
+from cli_scene import call, refused, wrong_usage
 from planes_scene import FOCUS_M, SLOPE_PX_M, WINDOW, plane
 from small_camera import CAMERA, FAR_M, NEAR_M, coded_wall
-from test_cli_learn import refused, wrong_usage
 
 from coded_aperture_ros.bank import (
     LearnConfig,
@@ -215,7 +214,7 @@ def change(ros, name, value):
 
 @pytest.mark.parametrize("kind", ["learned", "planes"])
 def test_a_node_takes_a_new_camera_file(ros, tmp_path, kind):
-    from test_nodes import Chain, mono8
+    from depth_chain import Chain, mono8
 
     old, new = written(tmp_path, CAMERA, "old.yaml"), {**CAMERA, "focus_distance_m": 0.9}
     new_file = written(tmp_path, new, "new.yaml")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.signal import fftconvolve
-from test_bank import blurred_texture
+from textures import blurred_texture
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank
 from coded_aperture_ros.core.errors import InputError

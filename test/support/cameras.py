@@ -1,0 +1,25 @@
+"""Cameras of known numbers: that of the thesis, and a pinhole."""
+
+from coded_aperture_ros.optics import Camera, Mask
+
+THESIS = {
+    "focal_length_mm": 50,
+    "pixel_pitch_um": 18.72,
+    "focus_distance_m": 3.0,
+    "image_width": 1920,
+    "image_height": 1080,
+    "mask": {"name": "four_hole"},
+    "mask_extent_mm": 11,
+}
+
+
+def pinhole(**changes):
+    values = {
+        "focal_length_px": 800.0,
+        "focus_distance_m": 0.9,
+        "image_width": 640,
+        "image_height": 480,
+        "mask": Mask.named("levin"),
+        "mask_extent_mm": 30.0,
+    }
+    return Camera(**{**values, **changes})

@@ -1,0 +1,17 @@
+"""Textures with a known spectrum."""
+
+import numpy as np
+
+from coded_aperture_ros.bank import power_spectrum
+
+
+def blurred_texture(psf, contrast=0.02, slope=2.4, size=128, noise=0.002, seed=0):
+    """A texture from the prior, blurred by circular convolution, with noise."""
+    random = np.random.default_rng(seed)
+    shape = (size, size)
+    spectrum = np.fft.rfft2(random.normal(size=shape))
+    spectrum *= np.sqrt(contrast * power_spectrum(slope, shape))
+    padded = np.zeros(shape)
+    padded[: len(psf), : len(psf)] = psf
+    blurred = np.fft.irfft2(spectrum * np.fft.rfft2(padded), shape)
+    return (0.4 + blurred + random.normal(0, noise, shape)).astype(np.float32)
