@@ -6,11 +6,7 @@ from typing import IO, Any
 from coded_aperture_ros.core.errors import InputError
 
 PANEL_INCHES = 3.0
-
-
 _DOTS_PER_INCH = 100
-
-
 # Or an open file, for which the format is PNG.
 PathLike = str | os.PathLike[str] | IO[bytes]
 

@@ -5,11 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.figures import (
-    PathLike,
-    new_panels,
-    save_figure,
-)
+from coded_aperture_ros.core.figures import PathLike, new_panels, save_figure
 from coded_aperture_ros.mask_design.fragmentation import Fragmentation, transfer
 from coded_aperture_ros.optics import render_psf
 

@@ -20,11 +20,21 @@ SMALLEST_HOLE_MM = 2.79
 PATCH_PX = 64
 # Noise levels of thesis 7.4.2, relative to the brightness.
 NOISE_LEVELS = tuple(np.arange(1, 11) / 100)
+# The experiments of thesis table 7.1. It does not say how large blur and motion are; 12 px is its
+# longest motion in a photograph.
+LEVELS, DIRECTIONS, LENGTHS = 10, 8, 8
+BLUR_SIZES_PX = tuple(np.linspace(7.0, 25.0, LEVELS))
+LENGTHS_PX = tuple(1.5 * np.arange(1, LENGTHS + 1))
 # More placements than this are not all tried: as many at random are, and improved by exchanges.
 MOST_PLACEMENTS = 3000
 # How finely the disc is drawn, cells for each of the grid's.
 _DISC_CELLS = 32
 _SUBCELLS = 8
+
+
+def table_motions() -> Motions:
+    """Return the 64 motions of thesis table 7.1, in order of direction, then length."""
+    return Motions.grid(DIRECTIONS, LENGTHS_PX, still=False)
 
 
 def most_holes(
@@ -263,24 +273,3 @@ def _check_positive(**values: float) -> None:
     for name, value in values.items():
         if not 0 < value < math.inf:
             raise InputError(f"{name}: expected more than 0, got {value!r}")
-
-
-LEVELS = 10
-
-
-DIRECTIONS = 8
-
-
-LENGTHS = 8
-
-
-# It does not say how large blur and motion are; 12 px is its longest motion in a photograph.
-BLUR_SIZES_PX = tuple(np.linspace(7.0, 25.0, LEVELS))
-
-
-LENGTHS_PX = tuple(1.5 * np.arange(1, LENGTHS + 1))
-
-
-def table_motions() -> Motions:
-    """Return the 64 motions of the table, in order of direction, then length."""
-    return Motions.grid(DIRECTIONS, LENGTHS_PX, still=False)

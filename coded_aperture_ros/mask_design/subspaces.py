@@ -20,15 +20,18 @@ _TORUS_PX = 96
 _SLOPE = 2.4
 _CONTRAST = 1e-2
 # Table 9.1 of the thesis: masks (a) to (h) of its figure 9.4.
-THESIS_L1 = {
-    "a": 8.24,
-    "b": 6.62,
-    "c": 8.21,
-    "d": 5.63,
-    "e": 8.37,
-    "f": 16.96,
-    "g": 8.17,
-    "h": 16.13,
+THESIS_L1 = dict(zip("abcdefgh", (8.24, 6.62, 8.21, 5.63, 8.37, 16.96, 8.17, 16.13), strict=True))
+# Figure 4.4 shows patterns without a list of cells. These two are the same patterns as ours; the
+# others are ours of the same authors, which may differ in proportions. Of the two patterns of Zhou
+# and Nayar, (f) and (g), we have one.
+SAME_PATTERN = {"four_hole": "b", "levin": "d"}
+LETTER_OF_MASK = {
+    "two_hole": "a",
+    "annulus": "c",
+    "veeraraghavan": "e",
+    "zhou": "g",
+    "mura": "h",
+    **SAME_PATTERN,
 }
 
 
@@ -125,17 +128,3 @@ def _covariance(
     mixed = (pairs @ power @ pairs.conj().T).real / _TORUS_PX**2
     n = _COSINES
     return mixed.reshape(n, n, n, n).transpose(0, 2, 1, 3).reshape(n * n, n * n)
-
-
-# Figure 4.4 shows patterns without a list of cells. These two are the same patterns as ours; the
-# others are ours of the same authors, which may differ in proportions. Of the two patterns of Zhou
-# and Nayar, (f) and (g), we have one.
-SAME_PATTERN = {"four_hole": "b", "levin": "d"}
-LETTER_OF_MASK = {
-    "two_hole": "a",
-    "annulus": "c",
-    "veeraraghavan": "e",
-    "zhou": "g",
-    "mura": "h",
-    **SAME_PATTERN,
-}
