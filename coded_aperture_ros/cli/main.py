@@ -52,8 +52,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         `SystemExit` with status 2, after argparse has said what is wrong.
     """
     _set_up_libraries()
-    options = make_parser().parse_args(arguments)
+    # Before parsing, which warns of former names.
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format=f"{PROGRAM}: %(message)s")
+    options = make_parser().parse_args(arguments)
     if warning := slow_blas_warning():
         logging.warning(warning)
     try:

@@ -1,13 +1,14 @@
 """Command-line options that several sub-commands share."""
 
 import argparse
+import logging
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.options import Option, check_option, options_of
+from coded_aperture_ros.core.options import Option, check_option, options_of, renamed
 from coded_aperture_ros.core.threads import processors
 
 
@@ -49,26 +50,77 @@ def add_commands(
         command.add_parser(subparsers)
 
 
+class _FormerName(argparse.Action):
+    """An option under the name that it had: does what the present one does, and warns."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, present: argparse.Action) -> None:
+        super().__init__(
+            option_strings,
+            dest,
+            nargs=present.nargs,
+            default=argparse.SUPPRESS,  # that of the present name counts
+            type=present.type,  # type: ignore[arg-type]
+            choices=present.choices,
+            help=argparse.SUPPRESS,
+        )
+        self._present = present
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        name = self._present.option_strings[-1]
+        logging.warning(renamed(option_string or self.option_strings[0], name))
+        self._present(parser, namespace, values, name)
+
+
+def add_deprecated_alias(
+    parser: argparse.ArgumentParser, former: str, present: argparse.Action
+) -> None:
+    """Let an option go by its former name too, which is not shown, and warns when it is used.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+    former : str
+        Such as ``--levels``.
+    present : argparse.Action
+        What `parser.add_argument` has returned for the present name; not a required option.
+    """
+    parser.add_argument(former, action=_FormerName, dest=present.dest, present=present)
+
+
 def add_config_options(
     parser: argparse.ArgumentParser, config: type, title: str, **defaults: Any
 ) -> None:
     """Add an option for every setting of a configuration dataclass.
 
     A setting `confidence_threshold` becomes `--confidence-threshold`, with the dataclass's
-    help and range, and its default unless `defaults` has another one.
+    help and range, and its default unless `defaults` has another one. Its former names work too;
+    see `add_deprecated_alias`.
     """
     group = parser.add_argument_group(title)
     for name, (field, described) in options_of(config).items():
         default = defaults.get(name, field.default)
         allowed = f"{described.allowed}; " if described.allowed and not described.choices else ""
-        group.add_argument(
-            f"--{name.replace('_', '-')}",
+        present = group.add_argument(
+            _written(name),
             type=_parser_of(type(field.default), described),
             choices=described.choices,
             default=default,
             metavar=None if described.choices else type(field.default).__name__.upper(),
             help=f"{described.description} ({allowed}default {default})",
         )
+        for former in described.formerly:
+            add_deprecated_alias(parser, _written(former), present)
+
+
+def _written(name: str) -> str:
+    """Return a setting's name as an option."""
+    return f"--{name.replace('_', '-')}"
 
 
 def _parser_of(kind: type, described: Option) -> Callable[[str], Any]:

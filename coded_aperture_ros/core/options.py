@@ -2,6 +2,15 @@
 
 ROS parameters, command-line options and YAML files are all derived from these dataclasses, so
 that a default or a range is written in one place only.
+
+A setting that gets a new name keeps its old one for a release. This too is written once, at the
+setting itself:
+
+    edge_correction: float = option(0.28, "...", formerly="rim")
+    temporal_frames: float = option(0.0, "...", parameter="temporal.frames")
+
+Everything that takes settings from a user looks old names up in `former_names` (command line,
+YAML) or `former_parameters` (ROS), uses the value, and warns with `renamed`.
 """
 
 import dataclasses
@@ -13,7 +22,25 @@ from coded_aperture_ros.core.errors import InputError
 
 @dataclasses.dataclass(frozen=True)
 class Option:
-    """What is known about one setting, kept in its dataclass field's metadata."""
+    """What is known about one setting, kept in its dataclass field's metadata.
+
+    Attributes
+    ----------
+    description : str
+        For help texts and ROS descriptors.
+    unit : str
+        Of the value, of `minimum` and of `maximum`.
+    minimum, maximum : float or None
+        Inclusive bounds.
+    choices : tuple of str, or None
+        The only values allowed.
+    read_only : bool
+        Whether a running node cannot change it.
+    formerly : tuple of str
+        Names that the field had in earlier releases.
+    parameter : str
+        Name of the ROS parameter, such as ``regularize.method``; empty if it is the field's.
+    """
 
     description: str
     unit: str = ""
@@ -21,6 +48,8 @@ class Option:
     maximum: float | None = None
     choices: tuple[str, ...] | None = None
     read_only: bool = False
+    formerly: tuple[str, ...] = ()
+    parameter: str = ""
 
     @property
     def allowed(self) -> str:
@@ -46,13 +75,17 @@ def option(
     maximum: float | None = None,
     choices: tuple[str, ...] | None = None,
     read_only: bool = False,
+    formerly: str | tuple[str, ...] = (),
+    parameter: str = "",
 ) -> Any:
     """Declare a dataclass field that carries its `Option`.
 
-    `read_only` marks what a running node cannot change. The other arguments are the fields of
-    `Option`; bounds are inclusive.
+    The arguments after `default` are the attributes of `Option`; a single former name need not be
+    in a tuple.
     """
-    described = Option(description, unit, minimum, maximum, choices, read_only)
+    if isinstance(formerly, str):
+        formerly = (formerly,)
+    described = Option(description, unit, minimum, maximum, choices, read_only, formerly, parameter)
     return dataclasses.field(default=default, metadata={"option": described})
 
 
@@ -63,6 +96,40 @@ def options_of(config: Any) -> dict[str, tuple[dataclasses.Field[Any], Option]]:
         for field in dataclasses.fields(config)
         if "option" in field.metadata
     }
+
+
+def former_names(config: Any) -> dict[str, str]:
+    """Return `{former name: field name}` of a configuration dataclass, for keywords and YAML."""
+    return {
+        former: name
+        for name, (_, described) in options_of(config).items()
+        for former in described.formerly
+    }
+
+
+def parameter_names(config: Any) -> dict[str, str]:
+    """Return `{field name: name of the ROS parameter}` of a configuration dataclass."""
+    return {
+        name: described.parameter or name for name, (_, described) in options_of(config).items()
+    }
+
+
+def former_parameters(config: Any) -> dict[str, str]:
+    """Return `{former ROS parameter: present one}` of a configuration dataclass.
+
+    Former ones are a field's former names, and its name where the parameter now has another one.
+    """
+    return {
+        former: present
+        for name, present in parameter_names(config).items()
+        for former in (name, *options_of(config)[name][1].formerly)
+        if former != present
+    }
+
+
+def renamed(former: str, present: str) -> str:
+    """Return the warning for whoever uses a former name; the names as the user writes them."""
+    return f"{former} is now called {present}: use this, {former} goes in the next release"
 
 
 def check_options(config: Any) -> None:

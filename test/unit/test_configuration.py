@@ -8,7 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.options import Option, check_options, option, options_of
+from coded_aperture_ros.core.options import (
+    Option,
+    check_options,
+    former_names,
+    former_parameters,
+    option,
+    options_of,
+    parameter_names,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,3 +112,25 @@ def test_messages_are_single_lines(text):
 def test_huge_integers_are_out_of_range_and_not_an_overflow():
     with pytest.raises(InputError, match="levels"):
         Config(levels=10**400)
+
+
+def test_former_names_of_settings_and_of_their_parameters():
+    @dataclasses.dataclass(frozen=True)
+    class Renamed:
+        plain: float = option(0.0, "As ever")
+        moved: float = option(0.0, "In a group of parameters", parameter="group.moved")
+        later: float = option(0.0, "Renamed", formerly="early")
+        both: float = option(0.0, "Both", formerly=("old", "older"), parameter="group.both")
+
+    assert former_names(Renamed) == {"early": "later", "old": "both", "older": "both"}
+    assert parameter_names(Renamed()) == {
+        "plain": "plain",
+        "moved": "group.moved",
+        "later": "later",
+        "both": "group.both",
+    }
+    assert former_parameters(Renamed) == {
+        "moved": "group.moved",
+        "early": "later",
+        **dict.fromkeys(("both", "old", "older"), "group.both"),
+    }
