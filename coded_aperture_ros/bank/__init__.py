@@ -4,16 +4,19 @@ from coded_aperture_ros.bank.empirical import EmpiricalPrior
 from coded_aperture_ros.bank.file import load_bank, save_bank
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.learning import (
+    DEFAULT_LEVEL_COUNT,
     LearnConfig,
     learn_bank,
     learn_bank_for_camera,
     textures_of,
 )
-from coded_aperture_ros.bank.model import FilterBank, ProjectedFrame
+from coded_aperture_ros.bank.model import DEFAULT_STRIDE_PX, FilterBank, ProjectedFrame
 from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.bank.prior import NaturalImagePrior, image_prior, power_spectrum
 
 __all__ = [
+    "DEFAULT_LEVEL_COUNT",
+    "DEFAULT_STRIDE_PX",
     "EmpiricalPrior",
     "FilterBank",
     "LearnConfig",

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.empirical import EmpiricalPrior
 from coded_aperture_ros.bank.learning import check_levels
-from coded_aperture_ros.bank.model import FilterBank
+from coded_aperture_ros.bank.model import DEFAULT_STRIDE_PX, FilterBank
 from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.bank.prior import NaturalImagePrior
 from coded_aperture_ros.core.archive import read_archive, write_archive
@@ -88,7 +88,7 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
             mask_digest=str(arrays["mask_digest"]),
             learned_from=str(arrays["learned_from"]),
             highest_frequency=float(arrays.get("highest_frequency", 1.0)),
-            stride_px=int(arrays.get("stride_px", 8)),
+            stride_px=int(arrays.get("stride_px", DEFAULT_STRIDE_PX)),
             level_error=float(arrays.get("level_error", np.nan)),
             pattern=_pattern(arrays),
         )

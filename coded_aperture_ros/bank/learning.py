@@ -16,6 +16,8 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
 
+# Blur levels that a depth range is divided into, unless something else is asked for.
+DEFAULT_LEVEL_COUNT = 30
 # Contrast over noise variance: contrasts of 1e-5 to 0.1 under noise of 0.0002 to 0.01.
 RATIOS = 10.0 ** (np.arange(-2, 14) / 2)
 

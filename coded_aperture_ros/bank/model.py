@@ -18,6 +18,9 @@ from coded_aperture_ros.optics import PsfStack
 OWN_NOISE = np.float32(0.05)
 LEAST_EXCESS = np.float32(1e-3)
 
+# Distance between the patches of a frame, unless something else is asked for.
+DEFAULT_STRIDE_PX = 8
+
 
 @dataclasses.dataclass(frozen=True)
 class FilterBank:
@@ -92,7 +95,7 @@ class FilterBank:
     mask_digest: str
     learned_from: str
     highest_frequency: float = 1.0
-    stride_px: int = 8
+    stride_px: int = DEFAULT_STRIDE_PX
     level_error: float = float("nan")
     pattern: LearnedPattern | None = None
 

@@ -17,8 +17,6 @@ from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.fork_server import load_in_fork_server
 from coded_aperture_ros.core.threads import processors
 
-# As the nodes: 8 px, which banks have by default, is finer and takes three times as long.
-_STRIDE_PX = 16
 _DEBLUR = ("fast", "cg", "sparse", "none")
 _DEBLUR_RANK = 10
 _SIZES = ("auto", "full", "half", "quarter")
@@ -92,7 +90,13 @@ def add_parser(subparsers: Any) -> None:
     )
     add_gamma_option(parser)
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
-    parser.add_late_options = lambda late: add_estimator_settings(late, stride_px=_STRIDE_PX)
+    parser.add_late_options = _add_settings
+
+
+def _add_settings(parser: argparse.ArgumentParser) -> None:
+    from coded_aperture_ros.depth.config import REAL_TIME_STRIDE_PX
+
+    add_estimator_settings(parser, stride_px=REAL_TIME_STRIDE_PX)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -34,10 +34,7 @@ if TYPE_CHECKING:
 CAMERA_FILE = "demo_camera.yaml"
 # What the scene covers, and a little more.
 NEAR_M, FAR_M = 2.05, 5.1
-LEVELS = 30
 RATE_HZ = 12.0
-# With the default stride of 8 px the depth node alone would need more than one core at this rate.
-DEPTH = {"stride_px": 16}
 # A robot steers by depth; all-in-focus frames are for people, who need fewer of them.
 DEBLUR_RATE_HZ = 1.0
 DEBLUR_RANK = 12
@@ -99,6 +96,7 @@ def run(options: argparse.Namespace) -> int:
     if not shared_memory:
         say.line(f"/dev/shm has less than {SHARED_MEMORY_MB} MB: sending images by UDP (slower)")
     # Only now: rclpy reads the environment when it is imported and started.
+    from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT
     from coded_aperture_ros.ros.demo_monitor import running_monitor
 
     with (
@@ -110,7 +108,7 @@ def run(options: argparse.Namespace) -> int:
         camera = {"camera_file": str(camera_file), "source": "simulator", "rate_hz": RATE_HZ}
         children.start("camera_driver_node", camera)  # renders its scene meanwhile
         model = learned_model(camera_file, Path(folder) / "bank.npz", say)
-        children.start("depth_node", {**model, **reliability, **DEPTH})
+        children.start("depth_node", {**model, **reliability})
         children.start(
             "deblur_node",
             {**model, **reliability, "max_rate_hz": DEBLUR_RATE_HZ, "rank": DEBLUR_RANK},
@@ -120,7 +118,7 @@ def run(options: argparse.Namespace) -> int:
             _measure(monitor, children, say, options.seconds)
             summary = summarise(monitor, options.seconds)
             snapshot = _take_snapshot(monitor, children)
-    summary.update(levels=LEVELS, **figures_of_snapshot(snapshot))
+    summary.update(levels=DEFAULT_LEVEL_COUNT, **figures_of_snapshot(snapshot))
     say.line(
         f"PSNR against the sharp scene: {summary['psnr_coded_db']:.1f} dB coded, "
         f"{summary['psnr_all_in_focus_db']:.1f} dB all in focus"
@@ -134,13 +132,13 @@ def run(options: argparse.Namespace) -> int:
 
 def learned_model(camera_file: Path, bank_file: Path, say: Speaker) -> dict[str, Any]:
     """Learn the bank, and return the parameters of the nodes that use it."""
-    from coded_aperture_ros.bank import learn_bank_for_camera, save_bank
+    from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT, learn_bank_for_camera, save_bank
     from coded_aperture_ros.optics import load_camera
 
     started_s = time.monotonic()
-    bank = learn_bank_for_camera(load_camera(camera_file), NEAR_M, FAR_M, LEVELS)
+    bank = learn_bank_for_camera(load_camera(camera_file), NEAR_M, FAR_M, DEFAULT_LEVEL_COUNT)
     save_bank(bank, bank_file)
-    say.line(f"learned a bank of {LEVELS} levels in {time.monotonic() - started_s:.1f} s")
+    say.line(f"learned a bank of {bank.levels} levels in {time.monotonic() - started_s:.1f} s")
     return {"camera_file": str(camera_file), "bank": str(bank_file)}
 
 

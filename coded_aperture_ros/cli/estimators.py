@@ -5,11 +5,10 @@ import logging
 from typing import Any
 
 from coded_aperture_ros.cli.checks import naming
-from coded_aperture_ros.cli.options import add_config_options, config_from
+from coded_aperture_ros.cli.options import add_config_options, add_numbers, config_from
 from coded_aperture_ros.core.errors import InputError
 
 _METHODS = ("bank", "simple")
-_LEVELS = 33
 
 
 def add_estimator_options(parser: argparse.ArgumentParser) -> None:
@@ -37,22 +36,18 @@ def add_estimator_options(parser: argparse.ArgumentParser) -> None:
         metavar=("NEAR", "FAR"),
         help="with --method simple: depths that are told apart, m",
     )
-    parser.add_argument(
-        "--level-count",
-        type=int,
-        default=_LEVELS,
-        metavar="N",
-        help=f"with --method simple: blur levels in that range (default {_LEVELS})",
-    )
 
 
 def add_estimator_settings(parser: argparse.ArgumentParser, **defaults: Any) -> None:
     """Add the settings of the estimators; `defaults` are other ones than theirs."""
+    from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT
     from coded_aperture_ros.depth import DepthConfig
     from coded_aperture_ros.methods.two_pixel import SimpleConfig
 
     add_config_options(parser, DepthConfig, "estimation", **defaults)
     add_config_options(parser, SimpleConfig, "with --method simple")
+    what = "with --method simple: blur levels in the depth range"
+    add_numbers(parser, ("level-count", 2, DEFAULT_LEVEL_COUNT, what))
 
 
 def check_estimator_options(args: argparse.Namespace) -> None:

@@ -6,6 +6,9 @@ from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.core.threads import check_threads
 from coded_aperture_ros.likelihood import BACKENDS, check_backend
 
+# What nodes and bags take instead of a bank's own stride, to keep up with a camera.
+REAL_TIME_STRIDE_PX = 16
+
 
 @dataclasses.dataclass(frozen=True)
 class DepthConfig:

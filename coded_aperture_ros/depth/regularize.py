@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.bank import DEFAULT_STRIDE_PX
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.levels import refine_level
@@ -30,7 +31,7 @@ def regularized_level(
     config: DepthConfig,
     brightness: NDArray[np.float32] | None = None,
     own: NDArray[np.float32] | None = None,
-    stride_px: int = 8,
+    stride_px: int = DEFAULT_STRIDE_PX,
 ) -> NDArray[np.float32]:
     """Return the fractional level of every patch.
 

@@ -26,6 +26,7 @@ from coded_aperture_ros.depth import (
     points_of_depth,
     side_warning,
 )
+from coded_aperture_ros.depth.config import REAL_TIME_STRIDE_PX
 from coded_aperture_ros.methods.motion import (
     MotionBank,
     MotionConfig,
@@ -58,7 +59,7 @@ from coded_aperture_ros.ros.running import run_nodes
 from coded_aperture_ros.ros.stamp_order import StampOrder
 
 # What a camera's rate needs on two processors; a bank from a file brings its own rank.
-_STRIDE_PX, _RANK = 16, 64
+_RANK = 64
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,7 +116,7 @@ class DepthNode(FrameNode[Image]):
             "depth_node",
             ModelConfig(),
             DepthNodeConfig(),
-            DepthConfig(stride_px=_STRIDE_PX),
+            DepthConfig(stride_px=REAL_TIME_STRIDE_PX),
             MotionConfig(),
             GyroConfig(),
             fixed={"learn.": LearnConfig(rank=_RANK), "simple.": SimpleConfig()},

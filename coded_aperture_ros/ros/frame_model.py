@@ -8,7 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
 
-from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank_for_camera, load_bank
+from coded_aperture_ros.bank import (
+    DEFAULT_LEVEL_COUNT,
+    FilterBank,
+    LearnConfig,
+    learn_bank_for_camera,
+    load_bank,
+)
 from coded_aperture_ros.calibration.planes.remap import remap_bank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
@@ -42,7 +48,11 @@ class ModelConfig:
         read_only=True,
     )
     levels: int = option(
-        30, "Blur levels to learn, if no bank is given", minimum=2, maximum=500, read_only=True
+        DEFAULT_LEVEL_COUNT,
+        "Blur levels to learn, if no bank is given",
+        minimum=2,
+        maximum=500,
+        read_only=True,
     )
 
     def __post_init__(self) -> None:

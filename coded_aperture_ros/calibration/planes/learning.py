@@ -18,7 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from coded_aperture_ros.bank.learning import LearnConfig, check_levels, learn_bank
+from coded_aperture_ros.bank.learning import (
+    DEFAULT_LEVEL_COUNT,
+    LearnConfig,
+    check_levels,
+    learn_bank,
+)
 from coded_aperture_ros.bank.model import FilterBank
 from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.bank.prior import NaturalImagePrior
@@ -29,7 +34,7 @@ from coded_aperture_ros.optics import render_psf_stack
 
 def learn_bank_from_planes(
     planes: Planes,
-    levels: int = 30,
+    levels: int = DEFAULT_LEVEL_COUNT,
     config: LearnConfig | None = None,
     prior: NaturalImagePrior | None = None,
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
@@ -88,7 +93,7 @@ def learn_bank_for_pattern(
     pattern: LearnedPattern,
     near_m: float,
     far_m: float,
-    levels: int = 30,
+    levels: int = DEFAULT_LEVEL_COUNT,
     config: LearnConfig | None = None,
     prior: NaturalImagePrior | None = None,
     learned_from: str = "planes",

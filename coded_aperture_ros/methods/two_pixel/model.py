@@ -6,7 +6,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import NaturalImagePrior, power_spectrum
+from coded_aperture_ros.bank import DEFAULT_STRIDE_PX, NaturalImagePrior, power_spectrum
 from coded_aperture_ros.bank.learning import RATIOS, check_levels, stack_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.methods.two_pixel.config import SimpleConfig
@@ -103,7 +103,7 @@ class NeighbourModel:
     mask_digest: str
     learned_from: str
     noise: float = 0.0
-    stride_px: int = 8
+    stride_px: int = DEFAULT_STRIDE_PX
     pattern: None = None
 
     @property
