@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.cli.demo import CAMERA_FILE, FAR_M, LEVELS, NEAR_M
+from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT
+from coded_aperture_ros.cli.demo import CAMERA_FILE, FAR_M, NEAR_M
 from coded_aperture_ros.cli.demo_processes import (
     SHARED_MEMORY_MB,
     private_network,
@@ -385,7 +386,7 @@ def node_arguments(camera_file: Path, reliable: bool, given: Sequence[str]) -> l
         f"camera_file:={json.dumps(str(camera_file))}",
         f"near_m:={NEAR_M}",
         f"far_m:={FAR_M}",
-        f"levels:={LEVELS}",
+        f"levels:={DEFAULT_LEVEL_COUNT}",
     ]
     if reliable:
         parameters.append("qos_overrides./image_raw.subscription.reliability:=reliable")
