@@ -6,54 +6,117 @@ Example::
 
     ros2 launch coded_aperture_ros obstacle_avoidance.launch.py \
         camera_file:=/path/to/camera.yaml near_m:=0.8 far_m:=3.0 source:=/dev/video0
+
+Other arguments are those of pipeline.launch.py. Everything has the settings of
+config/obstacle_avoidance.yaml; what `params_file` says of a node by its name wins over them.
 """
 
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    IncludeLaunchDescription,
+    OpaqueFunction,
+)
 from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
-from launch_ros.actions import Node, SetParametersFromFile
+from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
+from launch_ros.utilities import make_namespace_absolute, prefix_namespace
 
 from launch import LaunchDescription
 
 SHARE = FindPackageShare("coded_aperture_ros")
+ARGUMENTS = (
+    ("namespace", "", "Of all nodes, their topics, the scan and the map"),
+    ("params_file", "", "Parameter file that wins over everything else"),
+    ("rviz", "false", "Show everything"),
+)
+# The node of nav2_costmap_2d calls itself /costmap/costmap in whatever namespace it is started, so
+# that its names have to be brought there one by one.
+COSTMAP = "/costmap"
+NAMES_OF_COSTMAP = (
+    "clear_around_costmap",
+    "clear_entirely_costmap",
+    "clear_except_costmap",
+    "clearing_endpoints",
+    "costmap",
+    "costmap/change_state",
+    "costmap/get_available_states",
+    "costmap/get_available_transitions",
+    "costmap/get_state",
+    "costmap/get_transition_graph",
+    "costmap/transition_event",
+    "costmap_raw",
+    "costmap_raw_updates",
+    "costmap_updates",
+    "footprint",
+    "get_cost_costmap",
+    "published_footprint",
+    "voxel_grid",
+)
+
+
+def others(context):
+    """Return what uses the depth."""
+    settings = PathJoinSubstitution([SHARE, "config", "obstacle_avoidance.yaml"])
+    picture = PathJoinSubstitution([SHARE, "config", "coded_aperture.rviz"])
+    file = LaunchConfiguration("params_file").perform(context)
+    files = [file] if file else []  # that it is a file, pipeline.launch.py has looked
+    around = context.launch_configurations.get("ros_namespace")
+    namespace = LaunchConfiguration("namespace").perform(context)
+    root = (make_namespace_absolute(prefix_namespace(around, namespace)) or "").rstrip("/")
+    # Relative topics of a layer are searched for beside the map, not beside the camera.
+    topic = {"topic": f"{root}/depth/points"}
+    layer = {"voxel_layer": {"obstacles": topic, "free_space": topic}}
+    return [
+        Node(
+            package="depthimage_to_laserscan",
+            executable="depthimage_to_laserscan_node",
+            namespace=namespace,
+            parameters=[settings, *files],
+            remappings=[("depth", "depth/image"), ("depth_camera_info", "depth/camera_info")],
+        ),
+        Node(
+            package="nav2_costmap_2d",
+            executable="nav2_costmap_2d",
+            namespace=namespace,
+            parameters=[settings, layer, *files],
+            remappings=[
+                (f"{COSTMAP}/{name}", f"{root}{COSTMAP}/{name}")
+                for name in NAMES_OF_COSTMAP
+                if root
+            ],
+        ),
+        Node(
+            package="nav2_lifecycle_manager",
+            executable="lifecycle_manager",
+            name="lifecycle_manager_costmap",
+            namespace=namespace,
+            parameters=[settings, *files],
+        ),
+        Node(
+            package="rviz2",
+            executable="rviz2",
+            namespace=namespace,
+            arguments=["-d", picture],
+            condition=IfCondition(LaunchConfiguration("rviz")),
+        ),
+    ]
 
 
 def generate_launch_description():
     settings = PathJoinSubstitution([SHARE, "config", "obstacle_avoidance.yaml"])
-    picture = PathJoinSubstitution([SHARE, "config", "coded_aperture.rviz"])
     pipeline = PathJoinSubstitution([SHARE, "launch", "pipeline.launch.py"])
     return LaunchDescription(
         [
-            DeclareLaunchArgument("rviz", default_value="false", description="Show everything"),
-            SetParametersFromFile(settings),
-            IncludeLaunchDescription(PythonLaunchDescriptionSource(pipeline)),
-            Node(
-                package="depthimage_to_laserscan",
-                executable="depthimage_to_laserscan_node",
-                parameters=[settings],
-                remappings=[
-                    ("depth", "depth/image"),
-                    ("depth_camera_info", "depth/camera_info"),
-                ],
+            *(
+                DeclareLaunchArgument(name, default_value=default, description=description)
+                for name, default, description in ARGUMENTS
             ),
-            Node(
-                package="nav2_costmap_2d",
-                executable="nav2_costmap_2d",
-                parameters=[settings],
+            IncludeLaunchDescription(
+                PythonLaunchDescriptionSource(pipeline),
+                launch_arguments={"settings_file": settings}.items(),
             ),
-            Node(
-                package="nav2_lifecycle_manager",
-                executable="lifecycle_manager",
-                name="lifecycle_manager_costmap",
-                parameters=[settings],
-            ),
-            Node(
-                package="rviz2",
-                executable="rviz2",
-                arguments=["-d", picture],
-                condition=IfCondition(LaunchConfiguration("rviz")),
-            ),
+            OpaqueFunction(function=others),
         ]
     )

@@ -3,72 +3,80 @@
 Example::
 
     ros2 launch coded_aperture_ros pipeline.launch.py camera_file:=/path/to/camera.yaml \
-        near_m:=0.8 far_m:=3.0 source:=/dev/video0 namespace:=front
+        near_m:=0.8 far_m:=3.0 source:=/dev/video0 namespace:=front params_file:=robot.yaml
+
+Nothing is set but what is given: what a launch file around this one sets with `SetParameter`
+holds, and `params_file` wins over all the rest. Name the nodes in it, as in `/**/depth_node:`. ROS
+lets what a file says of all nodes, `/**`, yield to what another one says of a node by its name.
 """
 
-from launch.actions import DeclareLaunchArgument
-from launch.conditions import IfCondition, UnlessCondition
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from pathlib import Path
+
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
-from launch_ros.substitutions import FindPackageShare
 
 from launch import LaunchDescription
 
 PACKAGE = "coded_aperture_ros"
-NODES = ("camera_driver_node", "depth_node", "deblur_node")
 
-# Launch arguments that become parameters of the same name: (name, type, default, description).
+# Launch arguments that become parameters of the same name: (name, type, description, nodes).
+DRIVER, MODEL_USERS = ("camera_driver_node",), ("depth_node", "deblur_node")
 PARAMETERS = (
-    ("camera_file", str, "", "Camera file (YAML)"),
-    ("source", str, "simulator", "simulator, camera index, device, URL, video or folder"),
-    ("bank", str, "", "Filter bank (.npz); empty: learn it from the camera file"),
-    ("near_m", float, "0.0", "Nearest depth in metres; needed without a bank"),
-    ("far_m", float, "0.0", "Farthest depth in metres; needed without a bank"),
+    ("camera_file", str, "Camera file (YAML)", (*DRIVER, *MODEL_USERS)),
+    ("source", str, "simulator, camera index, device, URL, video or folder", DRIVER),
+    ("frame_id", str, "Optical frame of the images", DRIVER),
+    ("bank", str, "Filter bank (.npz); empty: learn it from the camera file", MODEL_USERS),
+    ("near_m", float, "Nearest depth in metres; needed without a bank", MODEL_USERS),
+    ("far_m", float, "Farthest depth in metres; needed without a bank", MODEL_USERS),
 )
-USED_BY = {
-    "camera_driver_node": ("camera_file", "source"),
-    "depth_node": ("camera_file", "bank", "near_m", "far_m"),
-    "deblur_node": ("camera_file", "bank", "near_m", "far_m"),
-}
+ARGUMENTS = (
+    ("namespace", "", "Of all nodes"),
+    ("composed", "false", "All nodes in one process"),
+    ("settings_file", "", "Parameter file of a launch file that includes this one"),
+    ("params_file", "", "Parameter file that wins over everything else"),
+)
+
+
+def nodes(context):
+    def value(name):
+        return LaunchConfiguration(name).perform(context)
+
+    given = {name: kind(value(name)) for name, kind, _, _ in PARAMETERS if value(name)}
+    of_node = {
+        node: {
+            name: given[name] for name, _, _, users in PARAMETERS if name in given and node in users
+        }
+        for node in (*DRIVER, *MODEL_USERS)
+    }
+    if IfCondition(LaunchConfiguration("composed")).evaluate(context):
+        of_node = {"pipeline": given}
+    files = [path for name in ("settings_file", "params_file") if (path := value(name))]
+    for path in files:
+        if not Path(path).is_file():  # launch_ros would only warn, and go on without
+            raise RuntimeError(f"{path} is not a file")
+    return [
+        Node(  # without `name`, which would rename all three nodes of the pipeline
+            package=PACKAGE,
+            executable=executable,
+            namespace=value("namespace"),
+            # The last one wins, and what is said of all nodes has to come before the rest.
+            parameters=[*([parameters] if parameters else []), *files],
+            output="screen",
+        )
+        for executable, parameters in of_node.items()
+    ]
 
 
 def generate_launch_description():
-    composed = LaunchConfiguration("composed")
-    values = {
-        name: ParameterValue(LaunchConfiguration(name), value_type=kind)
-        for name, kind, _, _ in PARAMETERS
-    }
-    settings = {
-        node: PathJoinSubstitution([FindPackageShare(PACKAGE), "config", f"{node}.yaml"])
-        for node in NODES
-    }
-    common = {"package": PACKAGE, "namespace": LaunchConfiguration("namespace"), "output": "screen"}
+    declared = [(name, "", description) for name, _, description, _ in PARAMETERS]
     return LaunchDescription(
         [
             *(
                 DeclareLaunchArgument(name, default_value=default, description=description)
-                for name, _, default, description in PARAMETERS
+                for name, default, description in (*declared, *ARGUMENTS)
             ),
-            DeclareLaunchArgument("namespace", default_value="", description="Of all nodes"),
-            DeclareLaunchArgument(
-                "composed", default_value="false", description="All nodes in one process"
-            ),
-            *(
-                Node(
-                    executable=node,
-                    parameters=[settings[node], {name: values[name] for name in USED_BY[node]}],
-                    condition=UnlessCondition(composed),
-                    **common,
-                )
-                for node in NODES
-            ),
-            Node(
-                # No `name` here: it would rename all three nodes.
-                executable="pipeline",
-                parameters=[*settings.values(), values],
-                condition=IfCondition(composed),
-                **common,
-            ),
+            OpaqueFunction(function=nodes),
         ]
     )

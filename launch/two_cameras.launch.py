@@ -5,9 +5,12 @@ Example::
     ros2 launch coded_aperture_ros two_cameras.launch.py \
         front:=front.yaml front_source:=/dev/video0 rear:=rear.yaml rear_source:=/dev/video2 \
         near_m:=0.8 far_m:=3.0
+
+Images of the front camera are in the frame front_optical_frame, those of the rear camera in
+rear_optical_frame. In `params_file`, /front/depth_node and /rear/depth_node tell them apart.
 """
 
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackageShare
@@ -15,6 +18,11 @@ from launch_ros.substitutions import FindPackageShare
 from launch import LaunchDescription
 
 CAMERAS = ("front", "rear")
+SHARED = (
+    ("near_m", None, "Nearest depth in metres"),
+    ("far_m", None, "Farthest depth in metres"),
+    ("params_file", "", "Parameter file that wins over everything else"),
+)
 
 
 def generate_launch_description():
@@ -22,25 +30,36 @@ def generate_launch_description():
         [FindPackageShare("coded_aperture_ros"), "launch", "pipeline.launch.py"]
     )
     arguments = [
-        *((camera, f"Camera file (YAML) of the {camera} camera") for camera in CAMERAS),
-        *((f"{camera}_source", f"Source of the {camera} camera") for camera in CAMERAS),
-        ("near_m", "Nearest depth in metres"),
-        ("far_m", "Farthest depth in metres"),
+        *((camera, None, f"Camera file (YAML) of the {camera} camera") for camera in CAMERAS),
+        *((f"{camera}_source", None, f"Source of the {camera} camera") for camera in CAMERAS),
+        *(
+            (f"{camera}_frame_id", f"{camera}_optical_frame", "Its optical frame")
+            for camera in CAMERAS
+        ),
+        *SHARED,
     ]
     return LaunchDescription(
         [
-            *(DeclareLaunchArgument(name, description=what) for name, what in arguments),
             *(
-                IncludeLaunchDescription(
-                    PythonLaunchDescriptionSource(pipeline),
-                    launch_arguments={
-                        "namespace": camera,
-                        "camera_file": LaunchConfiguration(camera),
-                        "source": LaunchConfiguration(f"{camera}_source"),
-                        "near_m": LaunchConfiguration("near_m"),
-                        "far_m": LaunchConfiguration("far_m"),
-                        "composed": "true",
-                    }.items(),
+                DeclareLaunchArgument(name, default_value=default, description=what)
+                for name, default, what in arguments
+            ),
+            *(
+                # A group, so that what the first camera is given is not left to the second one.
+                GroupAction(
+                    [
+                        IncludeLaunchDescription(
+                            PythonLaunchDescriptionSource(pipeline),
+                            launch_arguments={
+                                "namespace": camera,
+                                "camera_file": LaunchConfiguration(camera),
+                                "source": LaunchConfiguration(f"{camera}_source"),
+                                "frame_id": LaunchConfiguration(f"{camera}_frame_id"),
+                                **{name: LaunchConfiguration(name) for name, _, _ in SHARED},
+                                "composed": "true",
+                            }.items(),
+                        )
+                    ]
                 )
                 for camera in CAMERAS
             ),
