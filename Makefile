@@ -27,20 +27,27 @@ READY_OLDEST := $(VENV_OLDEST)/finished-with-3.12
 SETUP := setup.py setup.cfg pyproject.toml scripts/create_environment.sh
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-oldest fuzz soak lint environment clean
+.PHONY: help demo test test-all test-installed test-oldest fuzz soak lint docs environment clean
 
 help: ## Show this list
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | \
 		sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
 	@echo
 	@echo '  PYTHON=python3.12 chooses another Python, DEMO_ARGS="--seconds 5" and'
-	@echo '  TEST_ARGS="-k depth" are passed on.'
+	@echo '  TEST_ARGS="-k depth" are passed on; PROCESSES=1 tests one after the other.'
 
 demo: $(READY) ## Run camera driver, depth and deblurring over DDS, and save what they see
 	@$(VENV)/bin/coded_aperture demo $(DEMO_ARGS)
 
-test: $(READY) ## Run every test
-	@$(VENV)/bin/python -m pytest $(TEST_ARGS)
+test: $(READY) ## Run what a checkout must pass, in minutes
+	@scripts/run_tests.sh $(VENV)/bin/python fast $(TEST_ARGS)
+
+test-all: $(READY) ## Run every test, the slow ones too
+	@scripts/run_tests.sh $(VENV)/bin/python all $(TEST_ARGS)
+
+ROS_DISTRIBUTION ?= jazzy
+test-installed: ## Build with colcon and run the ROS tests, on a machine with ROS 2
+	@scripts/test_installed_ros.sh $(ROS_DISTRIBUTION) $(TEST_ARGS)
 
 fuzz: $(READY) ## Try more than ten thousand broken messages and files
 	@FUZZ_TIMES=1 $(VENV)/bin/python -m pytest test/system/test_fuzz.py $(TEST_ARGS)
@@ -57,6 +64,10 @@ lint: $(READY) ## Check style and types
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 
+docs: $(VENV)/finished-docs ## Build the documentation as a site (docs/_build/html)
+	@$(VENV)/bin/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	@echo 'docs/_build/html/index.html'
+
 ifneq ($(filter test-oldest,$(MAKECMDGOALS)),)
 ifeq ($(PYTHON312),)
 test-oldest:
@@ -64,7 +75,7 @@ test-oldest:
 		'make test-oldest PYTHON312=/usr/bin/python3.12'
 else
 test-oldest: $(READY_OLDEST)
-	@$(VENV_OLDEST)/bin/python -m pytest $(TEST_ARGS)
+	@scripts/run_tests.sh $(VENV_OLDEST)/bin/python all $(TEST_ARGS)
 endif
 endif
 test-oldest: ## Run every test with the oldest supported versions (those of Ubuntu 24.04)
@@ -74,11 +85,15 @@ environment: $(READY) ## Only make the virtual environment (.venv)
 $(VENV)/finished-with-%: $(SETUP)
 	@scripts/create_environment.sh $(PYTHON) $(VENV) ros,eval,dev
 
+$(VENV)/finished-docs: $(READY)
+	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	@touch $@
+
 $(READY_OLDEST): $(SETUP) test/constraints-oldest.txt
 	@scripts/create_environment.sh $(PYTHON312) $(VENV_OLDEST) ros,eval,dev \
 		test/constraints-oldest.txt
 
 clean: ## Remove the virtual environments, build folders and caches
-	rm -rf .venv .venv-oldest build install log *.egg-info
+	rm -rf .venv .venv-oldest build install log *.egg-info docs/_build docs/generated
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

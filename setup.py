@@ -67,14 +67,18 @@ setup(
         "gpu": ["torch>=2.2"],
         "graphcut": [GRAPH_CUTS],
         "cluster": ["distributed>=2024.1"],
+        # `make docs`.
+        "docs": ["sphinx>=7", "myst-parser>=2", "numpydoc>=1.6"],
         # What `colcon test` looks at to find out that the tests are pytest's.
         "test": ["pytest>=7.4", "pytest-timeout>=2.2", "hypothesis>=6.98"],
         "dev": [
             "pytest>=8",
             "pytest-timeout>=2.3",
+            "pytest-xdist>=3.5",
             "hypothesis>=6.100",
             "ruff>=0.6",
             "mypy>=1.11",
+            "pre-commit>=3.5",
             "types-PyYAML",
             "distributed>=2024.1",
             "colcon-core>=0.17",

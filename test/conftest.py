@@ -64,3 +64,11 @@ def scene(tmp_path_factory):
     from cli_scene import make_scene
 
     return make_scene(tmp_path_factory.mktemp("scene"))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session):
+    """Where everything that tests need is installed, a test that is skipped is a failure."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if os.environ.get("CODED_APERTURE_NO_SKIPS") and reporter.stats.get("skipped"):
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED

@@ -1,6 +1,7 @@
-"""Each part of the package imports only the parts below it; ROS stays in `ros`."""
+"""Each part of the package imports only the parts below it, single files too; ROS is in `ros`."""
 
 import ast
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -8,31 +9,28 @@ import pytest
 PACKAGE = "coded_aperture_ros"
 
 # Bottom first: a room imports only rooms before it, and `pipeline` puts them together.
-LAYERS = tuple(
-    (name,)
-    for name in (
-        "core",
-        "imaging",
-        "metrics",
-        "optics",
-        "simulation",
-        "io",
-        "bank",
-        "likelihood",
-        "methods",
-        "depth",
-        "deblur",
-        "calibration",
-        "design",
-        "mask_design",
-        "pipeline",
-        "__init__",
-        "bags",
-        "ros",
-        "cli",
-    )
+ROOMS = (
+    "core",
+    "imaging",
+    "metrics",
+    "optics",
+    "simulation",
+    "io",
+    "bank",
+    "likelihood",
+    "methods",
+    "depth",
+    "deblur",
+    "calibration",
+    "design",
+    "mask_design",
+    "pipeline",
+    "__init__",
+    "bags",
+    "ros",
+    "cli",
 )
-LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
+LEVEL = {name: level for level, name in enumerate(ROOMS)}
 ROS = {
     "rclpy", "sensor_msgs", "std_msgs", "geometry_msgs", "diagnostic_msgs", "rcl_interfaces",
     "rosgraph_msgs", "builtin_interfaces", "lifecycle_msgs", "tf2_msgs", "tf2_ros",
@@ -41,19 +39,17 @@ ROS = {
 }  # fmt: skip
 
 
-def imported_modules(source: str, package: str):
-    """Yield the full names of the modules that a source text imports, anywhere in it."""
+def imported_names(source: str, package: str) -> Iterator[tuple[str, str]]:
+    """Yield what a text imports, functions too: a module, and a name out of it or nothing."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            yield from ((alias.name, "") for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             base = node.module or ""
             if node.level:
                 parent = package.split(".")[: len(package.split(".")) - node.level + 1]
                 base = ".".join([*parent, base]).rstrip(".")
-            yield base
-            if base == PACKAGE:
-                yield from (f"{PACKAGE}.{alias.name}" for alias in node.names)
+            yield from ((base, alias.name) for alias in node.names)
 
 
 def violations(source: str, path: Path) -> list[str]:
@@ -62,7 +58,8 @@ def violations(source: str, path: Path) -> list[str]:
     if part not in LEVEL:
         return [f"{path}: {part} has no place in the order of the package"]
     found = []
-    for name in imported_modules(source, ".".join([PACKAGE, *path.parent.parts])):
+    for module, taken in imported_names(source, ".".join([PACKAGE, *path.parent.parts])):
+        name = f"{module}.{taken}" if module == PACKAGE else module
         root, _, rest = name.partition(".")
         used = rest.partition(".")[0]
         if root in ROS and part != "ros":
@@ -72,13 +69,70 @@ def violations(source: str, path: Path) -> list[str]:
     return found
 
 
-def test_order_of_the_package(checkout):
+def imports_of_files(sources: dict[Path, str]) -> dict[Path, set[Path]]:
+    """Say which of the files each file imports; paths are relative to the package's folder."""
+    modules = {
+        ".".join([PACKAGE, *path.with_suffix("").parts]).removesuffix(".__init__"): path
+        for path in sources
+    }
+    found: dict[Path, set[Path]] = {path: set() for path in sources}
+    for path, source in sources.items():
+        for module, taken in imported_names(source, ".".join([PACKAGE, *path.parent.parts])):
+            # `from folder import name` is about a module where there is one of this name.
+            name = next((n for n in (f"{module}.{taken}", module) if n in modules), None)
+            if name is not None:
+                found[path].add(modules[name])
+    return found
+
+
+def circle(graph: dict[str, set[str]]) -> list[str]:
+    """Return a circle in a graph, as the nodes along it, or nothing."""
+    done: set[str] = set()
+
+    def walk(node: str, trail: list[str]) -> list[str]:
+        if node in trail:
+            return [*trail[trail.index(node) :], node]
+        if node in done:
+            return []
+        for following in sorted(graph.get(node, ())):
+            if found := walk(following, [*trail, node]):
+                return found
+        done.add(node)
+        return []
+
+    return next((found for node in sorted(graph) if (found := walk(node, []))), [])
+
+
+def circles(sources: dict[Path, str]) -> list[str]:
+    """Look into every folder: what lies in it, files and folders, must have an order."""
+    imports = imports_of_files(sources)
+    found = []
+    for folder in sorted({parent for path in sources for parent in path.parents}):
+        graph: dict[str, set[str]] = {}
+        for path, used in imports.items():
+            if not path.is_relative_to(folder):
+                continue
+            child = path.relative_to(folder).parts[0]
+            inside = {p.relative_to(folder).parts[0] for p in used if p.is_relative_to(folder)}
+            graph.setdefault(child, set()).update(inside - {child})
+        if around := circle(graph):
+            found.append(f"{folder}: {' -> '.join(around)}")
+    return found
+
+
+@pytest.fixture(scope="module")
+def sources(checkout):
     root = checkout / PACKAGE
-    modules = sorted(root.rglob("*.py"))
-    assert len(modules) > 10
-    assert [
-        line for path in modules for line in violations(path.read_text(), path.relative_to(root))
-    ] == []
+    return {path.relative_to(root): path.read_text() for path in sorted(root.rglob("*.py"))}
+
+
+def test_order_of_the_package(sources):
+    assert len(sources) > 10
+    assert [line for path, text in sources.items() for line in violations(text, path)] == []
+
+
+def test_no_circles_among_files_and_folders(sources):
+    assert circles(sources) == []
 
 
 @pytest.mark.parametrize(
@@ -110,3 +164,46 @@ def test_a_broken_order_is_seen(path, source):
 )
 def test_the_order_allows_what_is_below(path, source):
     assert violations(source, Path(path)) == []
+
+
+@pytest.mark.parametrize(
+    "files",
+    [
+        {
+            "bank/a.py": "from coded_aperture_ros.bank.b import f",
+            "bank/b.py": "from .a import g",
+        },
+        {
+            "bank/a.py": "def f():\n    from coded_aperture_ros.bank import b",
+            "bank/b.py": "from . import a",
+        },
+        # A file that takes something from its own folder's face.
+        {
+            "bank/__init__.py": "from coded_aperture_ros.bank.a import f",
+            "bank/a.py": "from coded_aperture_ros.bank import f",
+        },
+        # Two sub-folders that need each other, though no two files do.
+        {
+            "methods/x/a.py": "from coded_aperture_ros.methods.y.a import f",
+            "methods/x/b.py": "",
+            "methods/y/a.py": "",
+            "methods/y/b.py": "from coded_aperture_ros.methods.x.b import f",
+        },
+    ],
+)
+def test_circles_are_seen(files):
+    everything = {Path(path): source for path, source in files.items()}
+    for folder in {path.parent for path in everything}:
+        everything.setdefault(folder / "__init__.py", "")
+    assert circles(everything) != []
+
+
+def test_files_in_order_have_no_circle():
+    files = {
+        "bank/__init__.py": "from coded_aperture_ros.bank.b import f",
+        "bank/a.py": "from coded_aperture_ros.optics import lens",
+        "bank/b.py": "from . import a",
+        "optics/__init__.py": "",
+        "optics/lens.py": "",
+    }
+    assert circles({Path(path): source for path, source in files.items()}) == []

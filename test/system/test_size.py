@@ -1,0 +1,28 @@
+"""The package stays small enough to be read, and no room outgrows the others."""
+
+from collections import Counter
+
+PACKAGE = "coded_aperture_ros"
+MOST_LINES = 29_000
+LARGEST_ROOM = 0.15
+
+
+def test_the_package_and_its_rooms_stay_small(checkout):
+    root = checkout / PACKAGE
+    lines: Counter[str] = Counter()
+    for path in root.rglob("*.py"):
+        lines[path.relative_to(root).parts[0]] += len(path.read_text().splitlines())
+    total = lines.total()
+    assert total <= MOST_LINES
+    ((room, count),) = lines.most_common(1)
+    assert count <= LARGEST_ROOM * total, f"{room}: {count} of {total} lines"
+
+
+def test_the_package_imports_nothing_of_the_benchmarks(checkout):
+    """They are a package of their own, which the program looks for when it is asked to run one."""
+    naming = {
+        path.relative_to(checkout / PACKAGE).as_posix()
+        for path in (checkout / PACKAGE).rglob("*.py")
+        if "coded_aperture_benchmarks" in path.read_text()
+    }
+    assert naming <= {"cli/bench.py", "cli/main.py"}
