@@ -19,7 +19,8 @@ from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthEstimator, map_size
 from coded_aperture_ros.imaging import Gamma
 from coded_aperture_ros.io.bags.conversion import Conversion, stamp_ns_of
-from coded_aperture_ros.io.bags.reading import Bag, Recorded, Topic
+from coded_aperture_ros.io.bags.reading import Bag
+from coded_aperture_ros.io.bags.recorded import Recorded, Topic
 from coded_aperture_ros.io.bags.topics import (
     Outputs,
     camera_info_topic,

@@ -12,7 +12,8 @@ from coded_aperture_ros.bags.processes import Submit, Wait
 from coded_aperture_ros.bags.work import FrameResult
 from coded_aperture_ros.core.threads import processors
 from coded_aperture_ros.io.bags.conversion import CAMERA_INFO, IMAGE, Conversion
-from coded_aperture_ros.io.bags.reading import Bag, Recorded, Topic
+from coded_aperture_ros.io.bags.reading import Bag
+from coded_aperture_ros.io.bags.recorded import Recorded, Topic
 from coded_aperture_ros.io.bags.topics import Outputs
 from coded_aperture_ros.io.bags.writing import BagWriter
 from coded_aperture_ros.io.messages import MessageError

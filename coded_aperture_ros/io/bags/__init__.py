@@ -4,7 +4,8 @@ Needs rosbags, and matplotlib for reports; both come with the extra `eval`.
 """
 
 from coded_aperture_ros.io.bags.conversion import Conversion, Picture
-from coded_aperture_ros.io.bags.reading import Bag, Recorded, Topic, is_bag
+from coded_aperture_ros.io.bags.reading import Bag, is_bag
+from coded_aperture_ros.io.bags.recorded import Recorded, Topic
 from coded_aperture_ros.io.bags.writing import BagWriter, bag_output, check_bag_output
 
 __all__ = [

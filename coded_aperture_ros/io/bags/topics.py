@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.bags.conversion import CAMERA_INFO, COMPRESSED, IMAGE
-from coded_aperture_ros.io.bags.reading import Topic
+from coded_aperture_ros.io.bags.recorded import Topic
 
 _RAW = "image_raw"
 _COMPRESSED_RAW = "image_raw/compressed"

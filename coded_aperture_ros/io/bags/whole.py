@@ -1,26 +1,12 @@
 """A bag, or one file of it, that rosbags opens as it is."""
 
-import sqlite3
-import struct
-import sys
 from collections.abc import Iterator, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from rosbags.rosbag2 import Reader, ReaderError
+from rosbags.rosbag2 import Reader
 
-from coded_aperture_ros.io.bags.reading import SUFFIXES, Recorded, Topic
-
-# What rosbags itself depends on.
-_apsw: Any = import_module("apsw")
-_zstd: Any = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
-
-# A computer that lost its power can leave behind anything for a reader to stumble over.
-DAMAGE: tuple[type[BaseException], ...] = (
-    *(ReaderError, OSError, sqlite3.Error, _apsw.Error, struct.error, _zstd.ZstdError),
-    *(ValueError, TypeError, KeyError, IndexError, EOFError, AssertionError, RuntimeError),
-)
+from coded_aperture_ros.io.bags.recorded import SUFFIXES, Recorded, Topic
 
 
 class WholeBag:

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.bags.reading import METADATA, Topic, check_rosbags
+from coded_aperture_ros.io.bags.reading import check_rosbags
+from coded_aperture_ros.io.bags.recorded import METADATA, Topic
 
 # Of bags as ROS 2 Jazzy writes them.
 _VERSION = 9

@@ -1,0 +1,78 @@
+"""The files of a bag, each as a whole or as far as it can be read."""
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.io.bags.cut_mcap import CutMcap
+from coded_aperture_ros.io.bags.cut_sqlite import CutSqlite
+from coded_aperture_ros.io.bags.damage import DAMAGE, in_a_line
+from coded_aperture_ros.io.bags.recorded import METADATA, SUFFIXES, Recorded, Topic
+from coded_aperture_ros.io.bags.whole import WholeBag
+
+_CUT: dict[str, type] = {"mcap": CutMcap, "sqlite3": CutSqlite}
+
+
+class Part(Protocol):
+    """A whole bag, or one file of it; the attributes are those of `Bag`."""
+
+    path: Path
+    storage: str
+    topics: list[Topic]
+    damage: str
+
+    def messages(self, topics: Sequence[str]) -> Iterator[Recorded]:
+        """Yield the messages of some topics."""
+
+    def close(self) -> None:
+        """Close the files."""
+
+
+def open_parts(path: Path, files: list[Path]) -> tuple[list[Part], list[str]]:
+    """Open a bag, or, where that cannot be done, its files one by one.
+
+    Returns
+    -------
+    parts : list of Part
+    damage : list of str
+        What is wrong with the bag, in words.
+
+    Raises
+    ------
+    InputError
+        If nothing in it can be read.
+    """
+    damage, refused = [], ""
+    if path.is_file() or (path / METADATA).is_file():
+        try:
+            return [WholeBag(path)], []
+        except PermissionError as error:
+            raise InputError(f"cannot read {path}: {error.strerror}") from error
+        except DAMAGE as error:
+            refused = in_a_line(error)
+            if path.is_dir():
+                damage.append(f"it cannot be opened as a whole ({refused})")
+    else:
+        damage.append(f"it has no {METADATA}, as if the recording was cut off")
+    parts: list[Part] = []
+    for file in sorted(files, key=_by_number):
+        for kind in (WholeBag, _CUT[SUFFIXES[file.suffix.lower()]]):
+            try:
+                parts.append(kind(file))
+                break
+            except DAMAGE as error:
+                refused = f"{file.name}: {in_a_line(error)}"
+        else:
+            damage.append(f"{file.name} cannot be read")
+    if not any(part.topics for part in parts):
+        for part in parts:
+            part.close()
+        raise InputError(f"cannot read {path}: nothing in it can be read ({refused})")
+    return parts, damage + [part.damage for part in parts if part.damage]
+
+
+def _by_number(path: Path) -> list[int | str]:
+    """Sort key with which file 10 comes after file 9."""
+    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]
