@@ -22,8 +22,15 @@ from coded_aperture_benchmarks import CodedVideo, load_video
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera, save_bank
 from coded_aperture_ros.core.threads import processors
-from coded_aperture_ros.io.bags import Conversion, bag_output
-from coded_aperture_ros.io.bags.conversion import CAMERA_INFO, IMAGE
+from coded_aperture_ros.io.bags import bag_output
+from coded_aperture_ros.io.bags.codec import (
+    CAMERA_INFO,
+    IMAGE,
+    camera_info_data,
+    image_data,
+    info_of,
+    new_topic,
+)
 from coded_aperture_ros.io.messages import millimetres_from_depth, pixels_from_frame
 
 RATE_HZ = 30
@@ -119,12 +126,11 @@ def write_bank(video: CodedVideo, args: argparse.Namespace, path: Path) -> None:
 
 def write_bag(video: CodedVideo, path: Path, storage: str, encoding: str, noise: float) -> None:
     """Write a bag with coded frames, camera models and true depth, as RGB-D cameras send it."""
-    convert = Conversion()
-    info = convert.info_of(video.camera.intrinsics)
+    info = info_of(video.camera.intrinsics)
     random = np.random.default_rng(0)
     with bag_output(path, storage) as writer:
         for topic, type_name in TOPICS.items():
-            writer.add_topic(convert.topic(topic, type_name))
+            writer.add_topic(new_topic(topic, type_name))
         for index, (frame, depth_m) in enumerate(zip(video.frames, video.depth_m, strict=True)):
             time_ns = START_NS + index * 10**9 // RATE_HZ
             stamp = dataclasses.replace(
@@ -135,9 +141,9 @@ def write_bag(video: CodedVideo, path: Path, storage: str, encoding: str, noise:
             pixels = pixels_from_frame(noisy.astype(np.float32), encoding)
             size = frame.shape[0], frame.shape[1]
             messages = (
-                convert.image(pixels, encoding, header),
-                convert.scaled_camera_info(info, size, header),
-                convert.image(millimetres_from_depth(depth_m), "16UC1", header),
+                image_data(pixels, encoding, header),
+                camera_info_data(info, size, header),
+                image_data(millimetres_from_depth(depth_m), "16UC1", header),
             )
             for topic, data in zip(TOPICS, messages, strict=True):
                 writer.write(topic, time_ns, data)

@@ -62,7 +62,7 @@ def reliability_plot(reliability: Reliability) -> bytes:
 
 def range_of(samples: Sequence[Sample]) -> tuple[float, float]:
     """Return the nearest and farthest depth that pictures of all samples show alike."""
-    depths = [sample.depth_m for sample in samples]
+    depths = [sample.maps.depth_m for sample in samples]
     depths += [sample.score.reference_m for sample in samples if sample.score is not None]
     known = np.concatenate([depth[np.isfinite(depth)] for depth in depths])
     if not known.size:
@@ -79,14 +79,14 @@ def pictures_of(
     `gamma` is how 8-bit frames are encoded.
     """
     pictures = {"coded frame": _light(sample.frame, gamma)}
-    pictures["depth"] = depth_picture(_small(sample.depth_m), *range_m)
-    pictures["confidence"] = confidence_picture(_small(sample.confidence))
+    pictures["depth"] = depth_picture(_small(sample.maps.depth_m), *range_m)
+    pictures["confidence"] = confidence_picture(_small(sample.maps.confidence))
     if sample.sharp is not None:
         pictures["all in focus"] = _light(sample.sharp, gamma)
     if sample.score is not None:
         reference = sample.score.reference_m
         pictures["reference"] = depth_picture(_small(reference), *range_m)
-        error = np.abs(sample.depth_m - reference) / reference
+        error = np.abs(sample.maps.depth_m - reference) / reference
         pictures[f"error, white: {100 * _WHITE_ERROR:.0f} %"] = _error_picture(_small(error))
     return pictures
 

@@ -2,14 +2,18 @@
 
 import dataclasses
 import time
+from collections import Counter
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bags.process import Frame
+from coded_aperture_ros.bags.frames import DepthMaps, FrameResult
 from coded_aperture_ros.bags.score import FrameScore, summary
-from coded_aperture_ros.io.bags.conversion import Conversion, stamp_ns_of
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.io.bags.codec import read_picture, stamp_ns_of
+from coded_aperture_ros.io.bags.recorded import Recorded
 from coded_aperture_ros.io.messages import frame_from_pixels
 from coded_aperture_ros.metrics.errors import median
 from coded_aperture_ros.metrics.times import Times
@@ -27,17 +31,15 @@ class Sample:
     ----------
     frame, sharp : ndarray, [row, column] or [row, column, RGB]
         float32, linear light; `sharp` may be None.
-    depth_m, confidence : ndarray, float32 [rows, columns]
+    maps : DepthMaps
     score : FrameScore or None
         Once its reference has come.
     """
 
     index: int
-    stamp_ns: int
     frame: NDArray[np.float32]
     sharp: NDArray[np.float32] | None
-    depth_m: NDArray[np.float32]
-    confidence: NDArray[np.float32]
+    maps: DepthMaps
     score: FrameScore | None = None
 
 
@@ -53,6 +55,10 @@ class Record:
     ----------
     frames : int
         All that came, also those that could not be used.
+    faults : Counter of str
+        Frames that could not be used, by the reason in a word.
+    reasons : dict of str to str
+        The first of each in a line.
     samples : dict of int to Sample
         At most four, spread over the recording, by index.
     scores : dict of int to FrameScore
@@ -62,10 +68,11 @@ class Record:
     def __init__(self, type_name: str) -> None:
         self._type_name = type_name
         self.frames = 0
+        self.faults: Counter[str] = Counter()
+        self.reasons: dict[str, str] = {}
         self.samples: dict[int, Sample] = {}
         self.scores: dict[int, FrameScore] = {}
         self._rows: dict[int, dict[str, Any]] = {}
-        self._seconds: dict[str, list[float]] = {stage: [] for stage in _STAGES}
         self._spacing = 1
         self._start_s = time.perf_counter()
         self._stop_s = self._start_s
@@ -86,38 +93,34 @@ class Record:
         """Frames that have a depth image."""
         return len(self._rows)
 
-    @property
-    def seconds(self) -> float:
-        """Between `start` and `stop`."""
-        return self._stop_s - self._start_s
-
-    def add(self, frame: Frame) -> None:
-        """Note the result of a frame."""
+    def add(self, index: int, recorded: Recorded, result: FrameResult) -> None:
+        """Note the result of a frame, by its index in the topic and its message."""
         self.frames += 1
-        result = frame.result
         self._processor_s += result.processor_s
-        if result.depth_m is None or result.confidence is None:
+        if result.fault:
+            self.faults[result.fault] += 1
+            self.reasons.setdefault(result.fault, result.reason)
+        if (maps := result.maps) is None:
             return
-        depths = result.depth_m[np.isfinite(result.depth_m)]
-        self._rows[frame.index] = {
-            "stamp_ns": stamp_ns_of(result.header) or frame.recorded.time_ns,
-            "coverage": depths.size / result.depth_m.size,
+        depths = maps.depth_m[np.isfinite(maps.depth_m)]
+        self._rows[index] = {
+            "stamp_ns": stamp_ns_of(result.header) or recorded.time_ns,
+            "coverage": depths.size / maps.depth_m.size,
             "median_depth_m": median(depths) if depths.size else None,
-            "mean_confidence": float(result.confidence.mean()),
-            "noise": result.noise,
+            "mean_confidence": float(maps.confidence.mean()),
+            "noise": maps.noise,
             **{f"{stage}_s": seconds for stage, seconds in result.seconds.items()},
         }
-        for stage, seconds in result.seconds.items():
-            self._seconds[stage].append(seconds)
-        if frame.index % self._spacing == 0:
-            self._keep(frame)
+        if index % self._spacing == 0:
+            self._keep(index, recorded, result, maps)
 
-    def add_score(self, index: int, score: FrameScore) -> None:
-        """Note how good the depth of a frame is."""
-        if index in self.samples:
-            self.samples[index].score = score
-        nothing = np.empty((0, 0), np.float32)
-        self.scores[index] = dataclasses.replace(score, reference_m=nothing)
+    def add_scores(self, scores: Iterable[tuple[int, FrameScore]]) -> None:
+        """Note how good the depth of frames is."""
+        for index, score in scores:
+            if index in self.samples:
+                self.samples[index].score = score
+            nothing = np.empty((0, 0), np.float32)
+            self.scores[index] = dataclasses.replace(score, reference_m=nothing)
 
     def series(self) -> list[dict[str, Any]]:
         """Return a row for every frame that could be used, ready for JSON."""
@@ -143,43 +146,41 @@ class Record:
             "noise": float(np.median([row["noise"] for row in rows])),
         }
 
-    def reference(self) -> dict[str, Any] | None:
-        """Sum up the scores, ready for JSON; None without any."""
-        return summary(list(self.scores.values())) if self.scores else None
+    def reference(self, topic: str) -> dict[str, Any]:
+        """Sum up the scores, ready for JSON; an `InputError` if there are none."""
+        if not self.scores:
+            raise InputError(f"no frame has a depth image in {topic} that was taken at its time")
+        return {"topic": topic, **summary(list(self.scores.values()))}
 
     def timing(self) -> dict[str, Any]:
         """Sum up how long it took, ready for JSON."""
-        stamps = [row["stamp_ns"] for row in self._rows.values()]
+        rows = self._rows.values()
+        stamps = [row["stamp_ns"] for row in rows]
+        seconds = self._stop_s - self._start_s
         recorded_s = None
         if len(stamps) > 1 and max(stamps) > min(stamps):
             # The last frame lasts as long as the others.
             recorded_s = 1e-9 * (max(stamps) - min(stamps)) * self.used / (self.used - 1)
         return {
-            "seconds": self.seconds,
+            "seconds": seconds,
             "processor_seconds": self._processor_s,
-            "frames_per_second": self.frames / self.seconds,
+            "frames_per_second": self.frames / seconds,
             "recorded_s": recorded_s,
-            "times_real_time": recorded_s and recorded_s / self.seconds,
+            "times_real_time": recorded_s and recorded_s / seconds,
             "stages": {
-                stage: dataclasses.asdict(Times.of(seconds))
-                for stage, seconds in self._seconds.items()
-                if seconds
+                stage: dataclasses.asdict(Times.of(times))
+                for stage in _STAGES
+                if (times := [row[f"{stage}_s"] for row in rows if f"{stage}_s" in row])
             },
         }
 
-    def _keep(self, frame: Frame) -> None:
+    def _keep(self, index: int, recorded: Recorded, result: FrameResult, maps: DepthMaps) -> None:
         """Keep a sample; every other one goes whenever there are too many."""
-        result = frame.result
-        assert result.depth_m is not None
-        assert result.confidence is not None
-        picture = Conversion().picture(frame.recorded.data, self._type_name)
-        self.samples[frame.index] = Sample(
-            frame.index,
-            picture.stamp_ns,
-            frame_from_pixels(picture.pixels),
+        self.samples[index] = Sample(
+            index,
+            frame_from_pixels(read_picture(recorded.data, self._type_name).pixels),
             None if result.sharp is None else _shown(result.sharp, result.encoding),
-            result.depth_m,
-            result.confidence,
+            maps,
         )
         while len(self.samples) > _SAMPLES:
             self._spacing *= 2

@@ -13,10 +13,6 @@ from coded_aperture_ros.metrics.errors import RelativeError
 
 # What the confidence promises.
 RIGHT_WITHIN = 0.05
-# A reference counts as of the same time up to this far from a frame.
-TOLERANCE_NS = 20_000_000
-# Frames that wait for their reference at most, and the other way round.
-_WAITING = 64
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -87,52 +83,6 @@ def at_size(reference: NDArray, shape: tuple[int, ...]) -> NDArray:
         )
     size = shape[1], shape[0]
     return np.asarray(cv2.resize(reference, size, interpolation=cv2.INTER_NEAREST_EXACT))
-
-
-class References:
-    """Pairs depth images with the references of the same time, whichever comes first."""
-
-    def __init__(self) -> None:
-        self._references: dict[int, NDArray] = {}
-        self._frames: dict[int, tuple[int, NDArray[np.float32], NDArray[np.float32]]] = {}
-
-    def add_reference(self, stamp_ns: int, pixels: NDArray) -> None:
-        """Add a reference, see `frame_score`."""
-        self._references[stamp_ns] = pixels
-        while len(self._references) > 2 * _WAITING:
-            del self._references[min(self._references)]
-
-    def add_frame(
-        self,
-        index: int,
-        stamp_ns: int,
-        depth_m: NDArray[np.float32],
-        confidence: NDArray[np.float32],
-    ) -> None:
-        """Add the depth of a frame."""
-        self._frames[index] = stamp_ns, depth_m, confidence
-
-    def scores(self, end: bool = False) -> list[tuple[int, FrameScore]]:
-        """Return what can be scored by now, with the frames' indices; in the end what is left.
-
-        Raises
-        ------
-        MessageError
-            See `at_size`.
-        """
-        scored = []
-        for index in list(self._frames):
-            stamp_ns, depth_m, confidence = self._frames[index]
-            nearest = min(self._references, key=lambda at: abs(at - stamp_ns), default=None)
-            apart_ns = TOLERANCE_NS + 1 if nearest is None else abs(nearest - stamp_ns)
-            late = end or len(self._frames) > _WAITING
-            if apart_ns and not late:
-                continue
-            del self._frames[index]
-            if nearest is not None and apart_ns <= TOLERANCE_NS:
-                reference = self._references[nearest]
-                scored.append((index, frame_score(depth_m, confidence, reference, apart_ns)))
-        return scored
 
 
 def summary(scores: list[FrameScore]) -> dict[str, Any]:

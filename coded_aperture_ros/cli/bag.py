@@ -105,8 +105,8 @@ def run(args: argparse.Namespace) -> int:
     if args.camera is None:
         args.usage_error("the following arguments are required: --camera")
     if processors() > 1:
-        load_in_fork_server("coded_aperture_ros.bags.processes")
-    from coded_aperture_ros.bags.job import BagJob
+        load_in_fork_server("coded_aperture_ros.bags.workers")
+    from coded_aperture_ros.bags.conversion import BagConversion
     from coded_aperture_ros.deblur import DeblurConfig
     from coded_aperture_ros.io.bags import check_bag_output
     from coded_aperture_ros.optics import load_camera
@@ -116,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
     deblur = None
     if args.deblur != "none":
         deblur = DeblurConfig(method=args.deblur, rank=args.deblur_rank, band=args.deblur_band)
-    job = BagJob(
+    conversion = BagConversion(
         topic=args.topic,
         reference_topic=args.reference_depth,
         namespace=args.namespace,
@@ -126,7 +126,7 @@ def run(args: argparse.Namespace) -> int:
         gamma=args.gamma,
         map_size=args.output_size,
     )
-    results = job.run(source, target, lambda steps, total: progress(steps, total, "frame"))
+    results = conversion.run(source, target, lambda steps, total: progress(steps, total, "frame"))
     if results["damage"]:
         logging.warning(f"{source}: processed up to the damage: {results['damage']}")
     for fault, reason in results["fault_reasons"].items():

@@ -34,7 +34,7 @@ from hypothesis import strategies as st
 from rosbags.rosbag2 import CompressionMode
 from waiting import wait_until
 
-from coded_aperture_ros.bags.ordered import in_order
+from coded_aperture_ros.bags.workers import in_order
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.threads import processors
 from coded_aperture_ros.io.bags import Bag, bag_output, is_bag
@@ -376,7 +376,7 @@ def test_a_failure_in_a_thread_comes_out():
 def test_processes_write_what_one_process_writes(scene, tmp_path, capsys, monkeypatch, options):
     bag = write_bag(tmp_path / "in", recording(scene, frames=9))
     assert call(capsys, *command(scene, bag, tmp_path / "several", *options)).status == 0
-    monkeypatch.setattr("coded_aperture_ros.bags.processes.processors", lambda: 1)
+    monkeypatch.setattr("coded_aperture_ros.bags.workers.processors", lambda: 1)
     assert call(capsys, *command(scene, bag, tmp_path / "one", *options)).status == 0
     assert read(tmp_path / "several") == read(tmp_path / "one")
 

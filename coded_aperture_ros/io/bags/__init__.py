@@ -3,7 +3,6 @@
 Needs rosbags, and matplotlib for reports; both come with the extra `eval`.
 """
 
-from coded_aperture_ros.io.bags.conversion import Conversion, Picture
 from coded_aperture_ros.io.bags.reading import Bag, is_bag
 from coded_aperture_ros.io.bags.recorded import Recorded, Topic
 from coded_aperture_ros.io.bags.writing import BagWriter, bag_output, check_bag_output
@@ -11,8 +10,6 @@ from coded_aperture_ros.io.bags.writing import BagWriter, bag_output, check_bag_
 __all__ = [
     "Bag",
     "BagWriter",
-    "Conversion",
-    "Picture",
     "Recorded",
     "Topic",
     "bag_output",

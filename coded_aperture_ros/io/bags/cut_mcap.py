@@ -47,7 +47,8 @@ class CutMcap:
         topics: dict[int, Topic] = {}
         counts: Counter[int] = Counter()
         used = 0
-        for kind, content, used in _records_of(path):
+        for kind, content, end in _records_of(path):
+            used = end
             body = io.BytesIO(content)
             if kind == _SCHEMA:
                 (number,) = struct.unpack("<H", body.read(2))

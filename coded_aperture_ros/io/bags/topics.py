@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Mapping
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.bags.conversion import CAMERA_INFO, COMPRESSED, IMAGE
+from coded_aperture_ros.io.bags.codec import CAMERA_INFO, COMPRESSED, IMAGE
 from coded_aperture_ros.io.bags.recorded import Topic
 
 _RAW = "image_raw"

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.bags import Bag, Conversion, Recorded
+from coded_aperture_ros.io.bags import Bag, Recorded
+from coded_aperture_ros.io.bags.codec import read_picture
 from coded_aperture_ros.io.bags.topics import image_topic
 from coded_aperture_ros.io.sources.source import Capture
 
@@ -48,7 +49,6 @@ class BagSource:
         except InputError as error:
             self._bag.close()
             raise InputError(f"{path}: {error}") from error
-        self._convert = Conversion()
         self._messages: Iterator[Recorded] | None = None
         self._any = False
 
@@ -61,7 +61,7 @@ class BagSource:
         if message is None:
             return None
         try:
-            picture = self._convert.picture(message.data, self._topic.type_name)
+            picture = read_picture(message.data, self._topic.type_name)
         except InputError as error:
             raise InputError(f"{self._path}, {self._topic.name}: {error}") from error
         return Capture(picture.pixels, stamp_ns=picture.stamp_ns or message.time_ns)

@@ -10,33 +10,60 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 
-from coded_aperture_ros.bags.work import FrameResult, FrameWork
+from coded_aperture_ros.bags.frames import FrameProcessor, FrameResult
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.fork_server import load_in_fork_server
 from coded_aperture_ros.core.threads import processors
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 Wait = Callable[[], FrameResult]
 Submit = Callable[[bytes], Wait]
 
 
-@contextmanager
-def working(work: FrameWork, first: bytes) -> Iterator[Submit]:
-    """Yield what has work done on a message, and returns what waits for the result.
-
-    There are as many processes as processors, which take turns. If the work remembers frames, it is
-    that of one process, in their order; with one processor, of this one.
+def in_order(
+    begin: Callable[[Item], Callable[[], Result] | None], items: Iterable[Item], ahead: int
+) -> Iterator[tuple[Item, Result | None]]:
+    """Yield every item with its result, in their order, while others work on those that follow.
 
     Parameters
     ----------
-    work : FrameWork
+    begin : callable
+        Begins to process an item, and returns what waits for the result; None: there is none.
+    items : iterable
+        Gone through by whoever takes the results.
+    ahead : int
+        Items that are taken before the first of them is asked for, at most; bounds the memory.
+    """
+    waiting: deque[tuple[Item, Callable[[], Result] | None]] = deque()
+    for item in items:
+        waiting.append((item, begin(item)))
+        if len(waiting) >= ahead:
+            first, wait = waiting.popleft()
+            yield first, wait() if wait else None
+    for first, wait in waiting:
+        yield first, wait() if wait else None
+
+
+@contextmanager
+def frame_workers(processor: FrameProcessor, first: bytes) -> Iterator[Submit]:
+    """Yield what has a message of a frame processed, and returns what waits for the result.
+
+    There are as many processes as processors, which take turns. If the processor remembers frames,
+    there is one process, which takes them in their order; with one processor, it is this one.
+
+    Parameters
+    ----------
+    processor : FrameProcessor
     first : bytes
         Message of a frame, to prepare with.
 
@@ -46,14 +73,14 @@ def working(work: FrameWork, first: bytes) -> Iterator[Submit]:
         If a process ended by itself.
     """
     if processors() == 1:
-        work.prepare(first)
-        yield lambda data: lambda: work(data)
+        processor.prepare(first)
+        yield lambda data: lambda: processor(data)
         return
     load_in_fork_server(__name__)
     workers: list[_Worker] = []
     try:
-        for _ in range(1 if work.remembers else processors()):
-            workers.append(_Worker(work, first))
+        for _ in range(1 if processor.remembers else processors()):
+            workers.append(_Worker(processor, first))
         for worker in workers:
             worker.wait()  # until it is ready
         turns = itertools.cycle(workers)
@@ -66,22 +93,22 @@ def working(work: FrameWork, first: bytes) -> Iterator[Submit]:
 class _Worker:
     """A process that works on one message after the other; it may be given several."""
 
-    def __init__(self, work: FrameWork, first: bytes) -> None:
+    def __init__(self, processor: FrameProcessor, first: bytes) -> None:
         # A plain fork would inherit the locks of libraries' threads, but not the threads.
         context = multiprocessing.get_context("forkserver")
         self._connection, other = context.Pipe()
-        self._process = context.Process(target=_serve, args=(other, work, first), daemon=True)
+        self._process = context.Process(target=_serve, args=(other, processor, first), daemon=True)
         self._process.start()
         other.close()
 
     def begin(self, data: bytes) -> Wait:
-        with _telling_its_end():
+        with _naming_its_end():
             self._connection.send_bytes(data)
         return self.wait
 
     def wait(self) -> FrameResult:
         """Return the result of the first message that it has not been returned of."""
-        with _telling_its_end():
+        with _naming_its_end():
             result = self._connection.recv()
         if isinstance(result, Exception):
             raise result
@@ -94,7 +121,7 @@ class _Worker:
 
 
 @contextmanager
-def _telling_its_end() -> Iterator[None]:
+def _naming_its_end() -> Iterator[None]:
     try:
         yield
     except (EOFError, ConnectionError) as error:
@@ -103,7 +130,7 @@ def _telling_its_end() -> Iterator[None]:
         ) from error
 
 
-def _serve(connection: Connection, work: FrameWork, first: bytes) -> None:
+def _serve(connection: Connection, processor: FrameProcessor, first: bytes) -> None:
     """Be one of the processes."""
     # A terminal sends Ctrl-C to all processes: the program answers it for them.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -112,14 +139,14 @@ def _serve(connection: Connection, work: FrameWork, first: bytes) -> None:
     threading.Thread(target=_take, args=(connection, messages), daemon=True).start()
     answer: Any = None
     try:
-        work.prepare(first)
+        processor.prepare(first)
     except Exception as error:
         answer = error
     with contextlib.suppress(ConnectionError):  # the program has ended
         while True:
             connection.send(answer)
             try:
-                answer = work(messages.get())
+                answer = processor(messages.get())
             except Exception as error:
                 answer = error
 

@@ -12,8 +12,24 @@ from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthEstimator
 from coded_aperture_ros.imaging import Gamma
-from coded_aperture_ros.io.bags.conversion import Conversion, Picture
+from coded_aperture_ros.io.bags.codec import Picture, read_picture
 from coded_aperture_ros.io.messages import MessageError, frame_from_pixels, pixels_from_frame
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DepthMaps:
+    """Depth of a frame, as far as the new bag has it.
+
+    Attributes
+    ----------
+    depth_m, confidence : ndarray, float32 [rows, columns]
+    noise : float
+        See `DepthEstimate`.
+    """
+
+    depth_m: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    noise: float
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -28,9 +44,7 @@ class FrameResult:
         Of the frame, as rosbags has it.
     encoding : str
         Of the all-in-focus frame.
-    depth_m, confidence : ndarray, float32 [rows, columns], or None
-    noise : float
-        See `DepthEstimate`.
+    maps : DepthMaps or None
     sharp : ndarray or None
         All in focus, as stored; None if that was not wanted.
     seconds : dict of str to float
@@ -43,15 +57,13 @@ class FrameResult:
     reason: str = ""
     header: Any = None
     encoding: str = ""
-    depth_m: NDArray[np.float32] | None = None
-    confidence: NDArray[np.float32] | None = None
-    noise: float = 0.0
+    maps: DepthMaps | None = None
     sharp: NDArray | None = None
     seconds: dict[str, float] = dataclasses.field(default_factory=dict)
     processor_s: float = 0.0
 
 
-class FrameWork:
+class FrameProcessor:
     """Reads a frame, estimates its depth, and deblurs it.
 
     Parameters
@@ -83,7 +95,6 @@ class FrameWork:
         self._estimator, self._map_size = estimator, map_size
         self._deblur = deblur
         self._deblurrer: Deblurrer | None = None  # made where the work is done
-        self._convert = Conversion()
 
     @property
     def remembers(self) -> bool:
@@ -116,9 +127,7 @@ class FrameWork:
         result = FrameResult(
             header=picture.header,
             encoding=picture.encoding,
-            depth_m=estimate.depth_m,
-            confidence=estimate.confidence,
-            noise=estimate.noise,
+            maps=DepthMaps(estimate.depth_m, estimate.confidence, estimate.noise),
             seconds=stages.seconds,
         )
         if self._deblur is None:
@@ -134,7 +143,7 @@ class FrameWork:
         return dataclasses.replace(result, sharp=pixels, seconds=stages.seconds)
 
     def _decoded(self, data: bytes) -> tuple[Picture, NDArray[np.float32]]:
-        picture = self._convert.picture(data, self._type_name)
+        picture = read_picture(data, self._type_name)
         rows, columns = picture.pixels.shape[:2]
         if (rows, columns) != self._size:
             raise MessageError(

@@ -1,4 +1,4 @@
-"""A whole bag: depth and all-in-focus frames beside the originals, and a report."""
+"""A recording in; the recording with depth and all-in-focus frames, and a report, out."""
 
 import dataclasses
 import time
@@ -7,20 +7,26 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.bags.figures import check_matplotlib
+from coded_aperture_ros.bags.frames import FrameProcessor
+from coded_aperture_ros.bags.messages import (
+    Batch,
+    batches,
+    result_messages,
+    result_topics,
+    warm_up,
+)
 from coded_aperture_ros.bags.page import PAGE, write_report
-from coded_aperture_ros.bags.process import BagPipeline, Frame
-from coded_aperture_ros.bags.processes import working
 from coded_aperture_ros.bags.record import Record
-from coded_aperture_ros.bags.score import References
-from coded_aperture_ros.bags.work import FrameWork
+from coded_aperture_ros.bags.references import References
+from coded_aperture_ros.bags.workers import Wait, frame_workers, in_order
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.threads import processors
 from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthEstimator, map_size
 from coded_aperture_ros.imaging import Gamma
-from coded_aperture_ros.io.bags.conversion import Conversion, stamp_ns_of
+from coded_aperture_ros.io.bags.codec import read_picture
 from coded_aperture_ros.io.bags.reading import Bag
-from coded_aperture_ros.io.bags.recorded import Recorded, Topic
+from coded_aperture_ros.io.bags.recorded import Topic
 from coded_aperture_ros.io.bags.topics import (
     Outputs,
     camera_info_topic,
@@ -34,11 +40,14 @@ from coded_aperture_ros.io.messages import MessageError
 from coded_aperture_ros.optics import Camera
 
 REPORT = "report"
+# Frames between reading and writing, for each processor.
+_AHEAD = 3
+Progress = Callable[[Iterable[Any], int | None], Iterable[Any]]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class BagJob:
-    """What to do with the frames of a bag.
+class BagConversion:
+    """What to make of the frames of a bag.
 
     Attributes
     ----------
@@ -67,12 +76,9 @@ class BagJob:
     map_size: str = "auto"
 
     def run(
-        self,
-        source: Path,
-        target: Path,
-        progress: Callable[[Iterable[Any], int | None], Iterable[Any]] = lambda items, total: items,
+        self, source: Path, target: Path, progress: Progress = lambda steps, total: steps
     ) -> dict[str, Any]:
-        """Work on all frames of a bag and write another one, with a report in its folder.
+        """Convert all frames of a bag into another bag, with a report in its folder.
 
         Parameters
         ----------
@@ -96,47 +102,51 @@ class BagJob:
         started_s = time.perf_counter()
         with Bag(source) as bag:
             try:
-                return self._run(bag, target, progress, started_s)
+                return self._converted(bag, target, progress, started_s)
             except MessageError as error:
                 raise InputError(f"{source}: {error}") from error
 
-    def _run(
-        self,
-        bag: Bag,
-        target: Path,
-        progress: Callable[[Iterable[Any], int | None], Iterable[Any]],
-        started_s: float,
+    def _converted(
+        self, bag: Bag, target: Path, progress: Progress, started_s: float
     ) -> dict[str, Any]:
-        image, reference, outputs = self._topics(bag)
+        image, references, outputs = self._topics(bag)
         first, size, camera = first_frame(bag, image, self.camera)
         depth_size = map_size(size, self.map_size)
-        work = FrameWork(
-            image.type_name,
-            size,
-            self.gamma,
-            self.new_estimator(camera),
-            depth_size,
-            self.deblur,
+        processor = FrameProcessor(
+            image.type_name, size, self.gamma, self.new_estimator(camera), depth_size, self.deblur
         )
-        pipeline = BagPipeline(image, outputs, camera, depth_size, self.deblur is not None)
-        pipeline.prepare()
+        warm_up(camera)
         record = Record(image.type_name)
-        with working(work, first) as submit, bag_output(target, bag.storage) as writer:
+        with frame_workers(processor, first) as submit, bag_output(target, bag.storage) as writer:
             preparation_s = time.perf_counter() - started_s
-            for topic in (*bag.topics.values(), *pipeline.topics()):
+            for topic in (*bag.topics.values(), *result_topics(outputs, self.deblur is not None)):
                 writer.add_topic(topic)
+
+            def begin(batch: Batch) -> Wait | None:
+                return None if batch.index is None else submit(batch.frame.data)
+
             record.start()
-            references = _References(reference, record)
-            steps = pipeline.run(bag, writer, submit, camera_info_topic(bag.topics, image))
-            for copies, frame in progress(steps, image.count):
-                if frame is not None:
-                    record.add(frame)
-                references.step(copies, frame)
-            references.end()
+            found = batches(bag, image.name, camera_info_topic(bag.topics, image), camera)
+            steps = in_order(begin, found, _AHEAD * processors())
+            for batch, result in progress(steps, image.count):
+                for message in batch.copies:
+                    writer.write(message.topic, message.time_ns, message.data)
+                if references:
+                    references.add_messages(batch.copies)
+                if result is not None and batch.index is not None:
+                    for topic_name, data in result_messages(result, batch.info, outputs):
+                        writer.write(topic_name, batch.frame.time_ns, data)
+                    record.add(batch.index, batch.frame, result)
+                    if references:
+                        references.add_frame(batch.index, result)
+                if references:
+                    record.add_scores(references.scores())
+            if references:
+                record.add_scores(references.scores(end=True))
             writer.close()
             record.stop()
             if not record.used:
-                reasons = "; ".join(pipeline.reasons.values()) or "it ends before the first one"
+                reasons = "; ".join(record.reasons.values()) or "it ends before the first one"
                 raise InputError(f"{bag.path}: no frame could be used: {reasons}")
             results = {
                 "input": str(bag.path),
@@ -147,12 +157,12 @@ class BagJob:
                 "damage": bag.damage,
                 "frames": record.frames,
                 "used": record.used,
-                "faults": dict(pipeline.faults),
-                "fault_reasons": pipeline.reasons,
+                "faults": dict(record.faults),
+                "fault_reasons": record.reasons,
                 "size": list(size),
                 "depth_size": list(depth_size),
                 "depth": record.depth(),
-                "reference": references.results(),
+                "reference": record.reference(references.topic) if references else None,
                 "timing": {
                     **record.timing(),
                     "preparation_s": preparation_s,
@@ -163,18 +173,18 @@ class BagJob:
             write_report(writer.folder / REPORT, results, record, self.gamma)
         return results
 
-    def _topics(self, bag: Bag) -> tuple[Topic, Topic | None, Outputs]:
+    def _topics(self, bag: Bag) -> tuple[Topic, References | None, Outputs]:
         reference = None
         try:
             if self.reference_topic is not None:
-                reference = depth_topic(bag.topics, self.reference_topic)
-            image = image_topic(bag.topics, self.topic, reference.name if reference else None)
+                reference = depth_topic(bag.topics, self.reference_topic).name
+            image = image_topic(bag.topics, self.topic, reference)
             namespace = namespace_of(image) if self.namespace is None else self.namespace
             outputs = Outputs.within(f"/{namespace.strip('/')}".rstrip("/"))
             check_outputs(bag.topics, outputs)
         except InputError as error:
             raise InputError(f"{bag.path}: {error}") from error
-        return image, reference, outputs
+        return image, None if reference is None else References(reference), outputs
 
 
 def first_frame(bag: Bag, topic: Topic, camera: Camera) -> tuple[bytes, tuple[int, int], Camera]:
@@ -185,53 +195,13 @@ def first_frame(bag: Bag, topic: Topic, camera: Camera) -> tuple[bytes, tuple[in
     InputError
         If there is none.
     """
-    convert, reason = Conversion(), ""
+    reason = ""
     for message in bag.messages(topic.name):
         try:
-            height, width = convert.picture(message.data, topic.type_name).pixels.shape[:2]
+            height, width = read_picture(message.data, topic.type_name).pixels.shape[:2]
             return message.data, (height, width), camera.fitted(width, height)
         except InputError as error:
             reason = reason or str(error)
     reason = reason or "there is none"
     damage = f" ({bag.damage})" if bag.damage else ""
     raise InputError(f"{bag.path}: no frame of {topic.name} could be used: {reason}{damage}")
-
-
-class _References:
-    """Finds the references among the messages, and notes the scores."""
-
-    def __init__(self, topic: Topic | None, record: Record) -> None:
-        self._topic, self._record = topic, record
-        self._pairs, self._convert = References(), Conversion()
-
-    def step(self, copies: Iterable[Recorded], frame: Frame | None) -> None:
-        if self._topic is None:
-            return
-        for message in copies:
-            if message.topic == self._topic.name:
-                picture = self._convert.depth(message.data)
-                self._pairs.add_reference(picture.stamp_ns, picture.pixels)
-        if frame is not None:
-            result = frame.result
-            if result.depth_m is not None and result.confidence is not None:
-                stamp_ns = stamp_ns_of(result.header)
-                self._pairs.add_frame(frame.index, stamp_ns, result.depth_m, result.confidence)
-        self._note(end=False)
-
-    def end(self) -> None:
-        if self._topic is not None:
-            self._note(end=True)
-
-    def results(self) -> dict[str, Any] | None:
-        if self._topic is None:
-            return None
-        found = self._record.reference()
-        if found is None:
-            raise InputError(
-                f"no frame has a depth image in {self._topic.name} that was taken at its time"
-            )
-        return {"topic": self._topic.name, **found}
-
-    def _note(self, end: bool) -> None:
-        for index, score in self._pairs.scores(end):
-            self._record.add_score(index, score)

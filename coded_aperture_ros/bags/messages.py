@@ -1,0 +1,120 @@
+"""The messages of the recording on their way through, and those of the results."""
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from coded_aperture_ros.bags.frames import FrameResult
+from coded_aperture_ros.io.bags.codec import (
+    CAMERA_INFO,
+    IMAGE,
+    camera_info_data,
+    image_data,
+    info_of,
+    new_topic,
+    read_camera_info,
+    read_depth_image,
+)
+from coded_aperture_ros.io.bags.reading import Bag
+from coded_aperture_ros.io.bags.recorded import Recorded, Topic
+from coded_aperture_ros.io.bags.topics import Outputs
+from coded_aperture_ros.io.messages import MessageError
+from coded_aperture_ros.optics import Camera
+
+# Messages that are copied wait for the next frame, but not more of them than this.
+_WAITING_BYTES = 16 * 2**20
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Batch:
+    """Messages in the order of the bag.
+
+    Attributes
+    ----------
+    copies : tuple of Recorded
+    index : int or None
+        Of the frame that the last of them is, if it is one.
+    info : sensor_msgs/CameraInfo
+        The camera model of that time.
+    """
+
+    copies: tuple[Recorded, ...]
+    index: int | None
+    info: Any
+
+    @property
+    def frame(self) -> Recorded:
+        """The last message."""
+        return self.copies[-1]
+
+
+def batches(bag: Bag, image_topic: str, info_topic: str | None, camera: Camera) -> Iterator[Batch]:
+    """Yield all messages of a bag, up to and with a frame at a time.
+
+    Parameters
+    ----------
+    bag : Bag
+    image_topic : str
+        Of the frames.
+    info_topic : str or None
+        Of the camera models, where the bag has any.
+    camera : Camera
+        Its model counts until the bag has one of this size.
+    """
+    info = info_of(camera.intrinsics)
+    copies: list[Recorded] = []
+    waiting, frames = 0, 0
+    for message in bag.messages():
+        copies.append(message)
+        waiting += len(message.data)
+        if message.topic == info_topic:
+            info = _usable_info(message.data, camera) or info
+        is_frame = message.topic == image_topic
+        if is_frame or waiting > _WAITING_BYTES:
+            yield Batch(tuple(copies), frames if is_frame else None, info)
+            copies, waiting = [], 0
+            frames += is_frame
+    yield Batch(tuple(copies), None, info)
+
+
+def _usable_info(data: bytes, camera: Camera) -> Any:
+    """Return a camera model of the bag; None if it is empty or of another size."""
+    try:
+        info = read_camera_info(data)
+    except MessageError:
+        return None
+    of_the_frames = (info.height, info.width) == (camera.image_height, camera.image_width)
+    return info if of_the_frames and info.k[0] > 0 and info.k[4] > 0 else None
+
+
+def result_topics(outputs: Outputs, deblurs: bool) -> list[Topic]:
+    """Return the topics of the results."""
+    kinds = {outputs.depth: IMAGE, outputs.confidence: IMAGE, outputs.depth_info: CAMERA_INFO}
+    if deblurs:
+        kinds |= {outputs.deblurred: IMAGE, outputs.deblurred_info: CAMERA_INFO}
+    return [new_topic(name, kind) for name, kind in kinds.items()]
+
+
+def result_messages(
+    result: FrameResult, info: Any, outputs: Outputs
+) -> Iterator[tuple[str, memoryview]]:
+    """Yield topic and data of the messages that say what was made of a frame."""
+    header = result.header
+    if (maps := result.maps) is not None:
+        yield outputs.depth, image_data(maps.depth_m, "32FC1", header)
+        yield outputs.confidence, image_data(maps.confidence, "32FC1", header)
+        rows, columns = maps.depth_m.shape
+        yield outputs.depth_info, camera_info_data(info, (rows, columns), header)
+    if result.sharp is not None:
+        rows, columns = result.sharp.shape[:2]
+        yield outputs.deblurred, image_data(result.sharp, result.encoding, header)
+        yield outputs.deblurred_info, camera_info_data(info, (rows, columns), header)
+
+
+def warm_up(camera: Camera) -> None:
+    """Have made what reads and writes messages: with the first ones it takes 0.1 s."""
+    info = info_of(camera.intrinsics)
+    read_camera_info(camera_info_data(info, (1, 1), info.header))
+    read_depth_image(image_data(np.zeros((1, 1), np.float32), "32FC1", info.header))

@@ -1,0 +1,200 @@
+"""Between the messages of a bag, as they were sent, and arrays."""
+
+import dataclasses
+import sys
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.io.bags.recorded import Topic
+from coded_aperture_ros.io.messages import (
+    MessageError,
+    array_from_compressed,
+    array_from_image,
+    check_pixels,
+    scaled_matrices,
+)
+from coded_aperture_ros.optics import Intrinsics
+
+IMAGE = "sensor_msgs/msg/Image"
+COMPRESSED = "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+_NS = 1_000_000_000
+# By the type of the pixels and the number of channels.
+_ENCODINGS = {("u1", 2): "mono8", ("u2", 2): "mono16", ("u1", 3): "rgb8"}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Picture:
+    """An image message.
+
+    Attributes
+    ----------
+    header : std_msgs/Header
+        As rosbags has it.
+    pixels : ndarray, [row, column] or [row, column, RGB]
+        As they are stored.
+    encoding : str
+        Of `sensor_msgs/Image`, in which results of the same kind can be stored.
+    """
+
+    header: Any
+    pixels: NDArray
+    encoding: str
+
+    @property
+    def stamp_ns(self) -> int:
+        """When the picture was taken."""
+        return stamp_ns_of(self.header)
+
+
+def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
+    """Read a raw or compressed image.
+
+    Raises
+    ------
+    MessageError
+        Of kind "message" if it is not one at all; see also `array_from_image` and
+        `array_from_compressed`.
+    """
+    message = _read(data, type_name)
+    if type_name == IMAGE:
+        return Picture(message.header, array_from_image(message), message.encoding)
+    pixels = array_from_compressed(message)
+    encoding = _ENCODINGS.get((pixels.dtype.str[1:], pixels.ndim))
+    if encoding is None:
+        raise MessageError("encoding", f"a picture of {pixels.dtype} in colour is not supported")
+    return Picture(message.header, pixels, encoding)
+
+
+def read_depth_image(data: bytes | memoryview) -> Picture:
+    """Read a depth image; `messages.depth_from_pixels` turns its pixels into metres.
+
+    Raises
+    ------
+    MessageError
+        Of kind "depth" where the encoding is not one of depth; see also `read_picture`.
+    """
+    picture = read_picture(data, IMAGE)
+    if picture.encoding not in ("32FC1", "16UC1", "mono16"):
+        raise MessageError(
+            "depth", f"depth has the encoding 32FC1 or 16UC1, not {picture.encoding}"
+        )
+    return picture
+
+
+def read_camera_info(data: bytes | memoryview) -> Any:
+    """Read a camera model; `MessageError` of kind "message" if it is none."""
+    return _read(data, CAMERA_INFO)
+
+
+def image_data(pixels: NDArray, encoding: str, header: Any) -> memoryview:
+    """Make an image message.
+
+    Parameters
+    ----------
+    pixels : ndarray, [row, column] or [row, column, stored channel]
+        As `check_pixels` wants them.
+    encoding : str
+    header : std_msgs/Header
+        As rosbags has it.
+    """
+    target = check_pixels(pixels, encoding)
+    height, width = pixels.shape[:2]
+    return _sent(
+        _types()[IMAGE](
+            header=header,
+            height=height,
+            width=width,
+            encoding=encoding,
+            is_bigendian=int(sys.byteorder == "big"),
+            step=width * target.pixel_bytes,
+            data=np.ascontiguousarray(pixels).view(np.uint8).reshape(-1),
+        ),
+        IMAGE,
+    )
+
+
+def camera_info_data(info: Any, size: tuple[int, int], header: Any) -> memoryview:
+    """Make the camera model of a view that was resized to (rows, columns).
+
+    Raises
+    ------
+    MessageError
+        See `scaled_matrices`.
+    """
+    k, p = scaled_matrices(info, size[1], size[0])
+    resized = dataclasses.replace(
+        info,
+        header=header,
+        height=size[0],
+        width=size[1],
+        k=np.array(k),
+        p=np.array(p),
+        binning_x=0,
+        binning_y=0,
+        roi=_whole_view(),
+    )
+    return _sent(resized, CAMERA_INFO)
+
+
+def info_of(model: Intrinsics) -> Any:
+    """Return a camera model as the message that describes it, with an empty header."""
+    kinds = _types()
+    stamp = kinds["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+    return kinds[CAMERA_INFO](
+        header=kinds["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
+        height=model.image_height,
+        width=model.image_width,
+        distortion_model=model.distortion_model,
+        d=np.array(model.distortion_coefficients, np.float64),
+        k=np.array(model.camera_matrix, np.float64),
+        r=np.array(model.rectification_matrix, np.float64),
+        p=np.array(model.projection_matrix, np.float64),
+        binning_x=0,
+        binning_y=0,
+        roi=_whole_view(),
+    )
+
+
+def new_topic(name: str, type_name: str) -> Topic:
+    """Return a topic of a type of messages that is made here."""
+    definition, _ = _store().generate_msgdef(type_name, ros_version=2)
+    return Topic(name, type_name, definition, _store().hash_rihs01(type_name))
+
+
+def stamp_ns_of(header: Any) -> int:
+    """Return the stamp of a header, as rosbags has it."""
+    stamp: int = header.stamp.sec * _NS + header.stamp.nanosec
+    return stamp
+
+
+@cache
+def _store() -> Any:
+    """Return the types of messages; it takes a fifth of a second until all of them were used."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def _types() -> Any:
+    return _store().types
+
+
+def _whole_view() -> Any:
+    kind = _types()["sensor_msgs/msg/RegionOfInterest"]
+    return kind(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
+
+
+def _sent(message: Any, type_name: str) -> memoryview:
+    data: memoryview = _store().serialize_cdr(message, type_name)
+    return data
+
+
+def _read(data: bytes | memoryview, type_name: str) -> Any:
+    try:
+        return _store().deserialize_cdr(data, type_name)
+    except Exception as error:  # whatever a decoder makes of bytes that are something else
+        raise MessageError("message", f"a message is not a {type_name}: {error}") from error
