@@ -8,10 +8,12 @@ from coded_aperture_ros.bank.learning import (
     LearnConfig,
     learn_bank,
     learn_bank_for_camera,
+    learn_bank_for_pattern,
+    psf_stack_for_camera,
     textures_of,
 )
 from coded_aperture_ros.bank.model import DEFAULT_STRIDE_PX, FilterBank, ProjectedFrame
-from coded_aperture_ros.bank.pattern import LearnedPattern
+from coded_aperture_ros.bank.pattern import LearnedPattern, ThinLens
 from coded_aperture_ros.bank.prior import NaturalImagePrior, image_prior, power_spectrum
 
 __all__ = [
@@ -23,12 +25,15 @@ __all__ = [
     "LearnedPattern",
     "NaturalImagePrior",
     "ProjectedFrame",
+    "ThinLens",
     "WindowedFourierBasis",
     "image_prior",
     "learn_bank",
     "learn_bank_for_camera",
+    "learn_bank_for_pattern",
     "load_bank",
     "power_spectrum",
+    "psf_stack_for_camera",
     "save_bank",
     "textures_of",
 ]

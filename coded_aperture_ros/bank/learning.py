@@ -11,6 +11,7 @@ from coded_aperture_ros.bank.empirical import EmpiricalPrior
 from coded_aperture_ros.bank.factoring import factor_weights
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.model import FilterBank
+from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.bank.prior import NaturalImagePrior
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
@@ -88,12 +89,12 @@ def learn_bank_for_camera(
         If the range does not lie on the camera's side of the focal plane or ends at infinity,
         there are fewer than two levels, or a blur size does not fit the window.
     """
-    stack = stack_for_camera(camera, near_m, far_m, levels)
+    stack = psf_stack_for_camera(camera, near_m, far_m, levels)
     learned_from = f"mask {camera.mask.name}, {near_m:g} to {far_m:g} m, {textures_of(prior)}"
     return learn_bank(stack, config, prior, learned_from, camera.mask, progress)
 
 
-def stack_for_camera(
+def psf_stack_for_camera(
     camera: Camera, near_m: float, far_m: float, levels: int, whose: str = "a bank"
 ) -> PsfStack:
     """Render the PSFs of a camera for a depth range, equally spaced in blur size.
@@ -138,6 +139,44 @@ def _blur_sizes(camera: Camera, near_m: float, far_m: float, levels: int) -> NDA
     steps[steps * beyond >= max(camera.blur_at_infinity_px, largest_px * (1 + 1e-9))] = np.inf
     best = int(steps.argmin())
     return np.arange(beyond[best] - levels + 1, beyond[best] + 1) * steps[best]
+
+
+def learn_bank_for_pattern(
+    pattern: LearnedPattern,
+    near_m: float,
+    far_m: float,
+    levels: int = DEFAULT_LEVEL_COUNT,
+    config: LearnConfig | None = None,
+    prior: NaturalImagePrior | None = None,
+    learned_from: str = "planes",
+) -> FilterBank:
+    """Learn the bank of a mask that is known from planes, for a depth range.
+
+    Parameters
+    ----------
+    pattern : LearnedPattern
+    near_m, far_m, levels
+        See `learn_bank_for_camera`; the focus must not lie within the range.
+    config, prior, learned_from
+        See `learn_bank`.
+
+    Returns
+    -------
+    FilterBank
+        With depths, which hold whatever a camera file says.
+
+    Raises
+    ------
+    InputError
+        As `learn_bank_for_camera`.
+    """
+    check_levels(levels)
+    sizes_px = np.linspace(*pattern.blur_range_px(near_m, far_m), levels)
+    stack = render_psf_stack(pattern.mask, sizes_px)
+    stack = dataclasses.replace(stack, depths_m=pattern.depth_m(sizes_px))
+    components = pattern.components(sizes_px)
+    bank = learn_bank(stack, config, prior, learned_from, components=components)
+    return dataclasses.replace(bank, pattern=pattern)
 
 
 def learn_bank(

@@ -5,80 +5,25 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coded_aperture_ros.calibration.mask.fit import MaskFit
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics import Mask, lens, render_psf_stack
+from coded_aperture_ros.optics import Mask, render_psf_stack
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class LearnedPattern:
-    """A mask as learned from planes, with the line of the thin lens.
-
-    The signed blur size of a point at depth ``z`` is ``slope (1 / z_focus - 1 / z)``, with the
-    slope ``M f_px`` (thesis eq. 3.28). Mask extent and focal length occur in this product only, so
-    planes alone cannot tell the one from the other.
+@dataclasses.dataclass(frozen=True)
+class ThinLens:
+    """The line ``S = slope (1 / z_focus - 1 / z)`` of signed blur sizes (thesis eq. 3.28).
 
     Attributes
     ----------
-    mask : Mask
-        A single mask: the PSFs are its. Blur sizes are the extent of its grid.
-    parts : ndarray, float64 [R, m, m]
-        Masks whose autocorrelations add up to that of the mask; the filters are theirs.
-    parts_extent : float
-        Width of the parts' grid over that of the mask's.
     slope_px_m : float
-        ``M f_px``, pixels times metres, positive.
+        ``M f_px``, pixels times metres, positive. Mask extent and focal length occur in this
+        product only, so planes alone cannot tell the one from the other.
     inverse_focus : float
         ``1 / z_focus``, 1/m; 0 or less where the blur vanishes nowhere in front of the camera.
-    image_width : int
-        Width of the pictures, px.
     """
 
-    mask: Mask
-    parts: NDArray[np.float64]
-    parts_extent: float
     slope_px_m: float
     inverse_focus: float
-    image_width: int
-
-    def __post_init__(self) -> None:
-        parts = np.asarray(self.parts, np.float64)
-        if parts.ndim != 3 or parts.shape[1] != parts.shape[2] or not parts.size:
-            raise InputError(f"parts: expected the shape [R, m, m], got {list(parts.shape)}")
-        if not (np.isfinite(parts).all() and (parts >= 0).all() and parts.any(axis=(1, 2)).all()):
-            raise InputError("parts: expected finite numbers from 0, not all of them 0")
-        for name in ("parts_extent", "slope_px_m", "image_width"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise InputError(f"{name}: expected more than 0, got {getattr(self, name)!r}")
-        if not np.isfinite(self.inverse_focus):
-            raise InputError(f"inverse_focus: expected a number, got {self.inverse_focus!r}")
-        object.__setattr__(self, "parts", parts)
-
-    @classmethod
-    def of_fit(
-        cls, fit: MaskFit, mask: Mask, extent_px: float, image_width: int
-    ) -> "LearnedPattern":
-        """Take the line of the thin lens from a fit.
-
-        Parameters
-        ----------
-        fit : MaskFit
-        mask : Mask
-            Instead of the fit's mixture.
-        extent_px : float
-            Extent of its grid at the most blurred plane.
-        image_width : int
-        """
-        v = fit.inverse_depths
-        reach = np.ptp(v) / (1 - fit.near_ratio)
-        return cls(
-            mask=mask,
-            parts=fit.parts,
-            parts_extent=fit.extent_px / extent_px,
-            slope_px_m=extent_px / float(reach),
-            inverse_focus=float(v.min() + reach if fit.sign > 0 else v.max() - reach),
-            image_width=image_width,
-        )
 
     @property
     def focus_distance_m(self) -> float:
@@ -89,9 +34,14 @@ class LearnedPattern:
         """Return the signed blur size at depths in metres."""
         return self.slope_px_m * (self.inverse_focus - 1 / np.asarray(depth_m, np.float64))
 
+    def inverse_depth(self, blur_size_px: ArrayLike) -> NDArray[np.float64]:
+        """Return the inverse depth at signed blur sizes; 0 or less at and beyond infinity's."""
+        size_px = np.asarray(blur_size_px, np.float64)
+        return np.asarray(self.inverse_focus - size_px / self.slope_px_m)
+
     def depth_m(self, blur_size_px: ArrayLike) -> NDArray[np.float64]:
         """Return the depth at signed blur sizes; infinite at and beyond that of infinity."""
-        inverse = self.inverse_focus - np.asarray(blur_size_px, np.float64) / self.slope_px_m
+        inverse = self.inverse_depth(blur_size_px)
         positive = inverse > 0
         return np.where(positive, 1 / np.where(positive, inverse, 1.0), np.inf)
 
@@ -116,6 +66,46 @@ class LearnedPattern:
             )
         return float(smallest), float(largest)
 
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LearnedPattern(ThinLens):
+    """A mask as learned from planes, with the line of the thin lens.
+
+    Attributes
+    ----------
+    mask : Mask
+        A single mask: the PSFs are its. Blur sizes are the extent of its grid.
+    parts : ndarray, float64 [R, m, m]
+        Masks whose autocorrelations add up to that of the mask; the filters are theirs.
+    parts_extent : float
+        Width of the parts' grid over that of the mask's.
+    image_width : int
+        Width of the pictures, px.
+
+    Raises
+    ------
+    InputError
+        If an attribute has another shape or range.
+    """
+
+    mask: Mask
+    parts: NDArray[np.float64]
+    parts_extent: float
+    image_width: int
+
+    def __post_init__(self) -> None:
+        parts = np.asarray(self.parts, np.float64)
+        if parts.ndim != 3 or parts.shape[1] != parts.shape[2] or not parts.size:
+            raise InputError(f"parts: expected the shape [R, m, m], got {list(parts.shape)}")
+        if not (np.isfinite(parts).all() and (parts >= 0).all() and parts.any(axis=(1, 2)).all()):
+            raise InputError("parts: expected finite numbers from 0, not all of them 0")
+        for name in ("parts_extent", "slope_px_m", "image_width"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise InputError(f"{name}: expected more than 0, got {getattr(self, name)!r}")
+        if not np.isfinite(self.inverse_focus):
+            raise InputError(f"inverse_focus: expected a number, got {self.inverse_focus!r}")
+        object.__setattr__(self, "parts", parts)
+
     def components(self, blur_sizes_px: ArrayLike) -> NDArray[np.float32]:
         """Return the PSFs of the parts at blur sizes of the mask [R, L, k, k].
 
@@ -127,39 +117,3 @@ class LearnedPattern:
             for part in self.parts
         ]
         return np.array(psfs)
-
-    def refocused(
-        self, focus_distance_m: float, image_width: int, focal_length_mm: float | None = None
-    ) -> "LearnedPattern":
-        """Return the pattern of the same lens and mask, focused elsewhere (thesis eq. 3.14, 3.28).
-
-        Parameters
-        ----------
-        focus_distance_m : float
-        image_width : int
-            Of pictures of the same view; all sizes in px scale with it.
-        focal_length_mm : float, optional
-            With it the image distance follows the focus; without, it stays, which is off by about
-            the focal length over the distance.
-
-        Raises
-        ------
-        InputError
-            If the lens cannot be focused there, or has no focus to start from.
-        """
-        slope = self.slope_px_m * image_width / self.image_width
-        if focal_length_mm is not None and np.isfinite(self.focus_distance_m):
-            for distance_m in (self.focus_distance_m, focus_distance_m):
-                if distance_m * 1e3 <= focal_length_mm:
-                    raise InputError(
-                        f"focus at {distance_m:.3g} m is not beyond the focal length of "
-                        f"{focal_length_mm:g} mm"
-                    )
-            before, after = (
-                lens.image_distance(focal_length_mm, distance_m * 1e3)
-                for distance_m in (self.focus_distance_m, focus_distance_m)
-            )
-            slope *= after / before
-        return dataclasses.replace(
-            self, slope_px_m=slope, inverse_focus=1 / focus_distance_m, image_width=image_width
-        )

@@ -210,8 +210,8 @@ def _option(name: str) -> str:
 
 def _learned(args: argparse.Namespace) -> Any:
     from coded_aperture_ros.bank import LearnConfig, learn_bank, learn_bank_for_camera, textures_of
-    from coded_aperture_ros.calibration.planes.learning import learn_bank_from_planes
-    from coded_aperture_ros.calibration.planes.pictures import Planes
+    from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_planes
+    from coded_aperture_ros.calibration.planes.folder import load_folder
     from coded_aperture_ros.optics import load_camera
 
     try:
@@ -220,7 +220,7 @@ def _learned(args: argparse.Namespace) -> Any:
         args.usage_error(f"--{error}".replace("window_px", "window-px"))
     levels = _LEVELS if args.levels is None else args.levels
     if args.planes is not None:
-        planes = Planes.load(args.planes, args.gamma)
+        planes = load_folder(args.planes, args.gamma)
         return learn_bank_from_planes(planes, levels, config, progress=progress)
     prior = _prior(args)
     if args.camera:

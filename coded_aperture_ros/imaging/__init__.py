@@ -1,7 +1,7 @@
 """One frame as numbers: linear light, grey, patches, noise, averages over time."""
 
 from coded_aperture_ros.imaging.decoding import decode_picture
-from coded_aperture_ros.imaging.frame import check_frame, filled, grey_image
+from coded_aperture_ros.imaging.frame import channel_mean, check_frame, filled, grey_image
 from coded_aperture_ros.imaging.light import (
     SRGB,
     Gamma,
@@ -22,6 +22,7 @@ __all__ = [
     "PatchGrid",
     "StillAverage",
     "brightness_at",
+    "channel_mean",
     "check_frame",
     "decode",
     "decode_picture",

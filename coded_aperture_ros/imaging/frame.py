@@ -28,6 +28,12 @@ def check_frame(frame: NDArray[np.floating]) -> None:
         raise InputError(f"frame: expected floating values in [0, 1], got {frame.dtype}")
 
 
+def channel_mean(frame: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Return the mean of the channels, float32 [rows, columns]; of a grey frame, itself."""
+    frame = np.ascontiguousarray(frame, np.float32)
+    return frame if frame.ndim == 2 else cv2.transform(frame, np.full((1, 3), 1 / 3, np.float32))
+
+
 def grey_image(
     frame: NDArray[np.float32], saturation: float
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
@@ -53,9 +59,7 @@ def grey_image(
     """
     check_frame(frame)
     frame = np.ascontiguousarray(frame, np.float32)
-    grey = frame
-    if frame.ndim == 3:
-        grey = cv2.transform(frame, np.full((1, 3), 1 / 3, np.float32))
+    grey = channel_mean(frame)
     with np.errstate(invalid="ignore"):  # NaN fails both comparisons
         if frame.max() < saturation and grey.min() > _DARKEST:
             return grey, None

@@ -58,8 +58,8 @@ def render_psf(
         cells = cells[::-1, ::-1]
     pixels = psf_width(size) if width_px is None else width_px
     cell_px = max(size, _SMALLEST_SIZE_PX) / max(cells.shape)
-    rows = _overlap(pixels, cells.shape[0], cell_px, centre_px[0])
-    columns = _overlap(pixels, cells.shape[1], cell_px, centre_px[1])
+    rows = cell_shares(pixels, cells.shape[0], cell_px, centre_px[0])
+    columns = cell_shares(pixels, cells.shape[1], cell_px, centre_px[1])
     psf = rows @ cells @ columns.T
     if not psf.any():
         raise InputError(f"blur size {blur_size_px:g} px: nothing lies within {pixels} px")
@@ -71,12 +71,28 @@ def psf_width(blur_size_px: float) -> int:
     return 2 * int(np.ceil(max(abs(blur_size_px) - 1.0, 0.0) / 2.0)) + 1
 
 
-def _overlap(pixels: int, cells: int, cell_px: float, centre_px: float) -> NDArray[np.float64]:
-    """Overlap of each pixel with each cell, the pixels centred on zero; shape [pixels, cells]."""
+def cell_shares(
+    pixels: int, cells: int, cell_px: float, offset_px: ArrayLike = 0.0
+) -> NDArray[np.float64]:
+    """Share of each cell that each pixel covers, along one axis, both centred on zero.
+
+    Parameters
+    ----------
+    pixels, cells : int
+    cell_px : float
+        Width of a cell, px.
+    offset_px : array of float, any shape, optional
+        How far the middle of the cells lies from the middle of the pixels.
+
+    Returns
+    -------
+    ndarray of float64, shape [*offset_px.shape, pixels, cells]
+    """
     pixel_edges = np.arange(pixels + 1)[:, None] - pixels / 2.0
-    cell_edges = (np.arange(cells + 1)[None, :] - cells / 2.0) * cell_px + centre_px
-    covered = np.clip(pixel_edges, cell_edges[:, :-1], cell_edges[:, 1:])
-    return np.diff(covered, axis=0)
+    cell_edges = (np.arange(cells + 1) - cells / 2.0) * cell_px
+    cell_edges = cell_edges + np.asarray(offset_px)[..., None, None]
+    covered = np.clip(pixel_edges, cell_edges[..., :-1], cell_edges[..., 1:])
+    return np.asarray(np.diff(covered, axis=-2) / cell_px)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -23,8 +23,8 @@ SIZE = 96
 def quick(monkeypatch):
     """Make the search short: what is around it is tested here."""
     for name, value in (("_FIRST_STEPS", 8), ("_COARSE_STEPS", 8), ("_FINE_STEPS", 25)):
-        monkeypatch.setattr(f"coded_aperture_ros.calibration.mask.search.{name}", value)
-    monkeypatch.setattr("coded_aperture_ros.calibration.mask.search._NEAREST_TO_FOCUS", (0.15,))
+        monkeypatch.setattr(f"coded_aperture_ros.calibration.planes.search.{name}", value)
+    monkeypatch.setattr("coded_aperture_ros.calibration.planes.search._NEAREST_TO_FOCUS", (0.15,))
 
 
 @pytest.fixture(scope="module")

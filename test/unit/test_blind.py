@@ -16,14 +16,15 @@ from coded_aperture_benchmarks.blind_planes import (
 from coded_aperture_ros.bank import WindowedFourierBasis, load_bank
 from coded_aperture_ros.calibration.blind.config import BlindConfig
 from coded_aperture_ros.calibration.blind.find import BlindMask, find_mask
-from coded_aperture_ros.calibration.blind.free_fit import FreeFit
 from coded_aperture_ros.calibration.blind.grid_misfit import FoundSpectra, GridMisfit
 from coded_aperture_ros.calibration.blind.grid_search import best_grid, improved
 from coded_aperture_ros.calibration.blind.picture import blind_picture
 from coded_aperture_ros.calibration.blind.relative_sizes import relative_blur_sizes
-from coded_aperture_ros.calibration.blind.windows import mean_by_contrast, window_powers
+from coded_aperture_ros.calibration.mask.fit import MaskFit
 from coded_aperture_ros.calibration.mask.likelihood import MaskLikelihood
+from coded_aperture_ros.calibration.mask.sizes import FreeSizes
 from coded_aperture_ros.calibration.mask.spectra import half_plane
+from coded_aperture_ros.calibration.mask.windows import mean_by_contrast, window_powers
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io import read_image, write_image
 from coded_aperture_ros.io.textures import Textures, load_textures
@@ -48,9 +49,10 @@ def found(pictures):
 def misfit(pictures):
     """The misfit of grids as large as the mask, around the spectra of the true one."""
     fourier = WindowedFourierBasis(CONFIG.window_px, 0.4)
-    means = [mean_by_contrast(window_powers(image, fourier, 7), fourier) for image in pictures]
+    means = [mean_by_contrast(window_powers(image, fourier), fourier) for image in pictures]
     likelihood = MaskLikelihood(means, fourier, 14)
-    fit = FreeFit(CELLS[None] / CELLS.sum(), SIZES_PX, likelihood.first_log_noise)
+    sizes = FreeSizes(SIZES_PX, 14)
+    fit = MaskFit(CELLS[None] / CELLS.sum(), sizes, likelihood.first_log_noise)
     fit = fit.climb(likelihood, 20, masks=False)
     return GridMisfit(likelihood, FoundSpectra.of_fit(fit, likelihood), 5, SIZES_PX / 5)
 
@@ -93,12 +95,13 @@ def test_spectra_tell_how_much_more_one_plane_is_blurred(pictures):
 def test_periodograms_of_white_noise_have_its_variance():
     white = np.random.default_rng(0).normal(0.5, 0.1, (120, 130)).astype(np.float32)
     fourier = WindowedFourierBasis(16)
-    powers = window_powers(white, fourier, 4)
-    mine, _ = fourier.project(white[:, 1:], 4, np.eye(fourier.size, dtype=np.float32))
+    powers = window_powers(white, fourier)
+    assert len(powers) == 27 * 29
     counts = fourier.multiplicity > 0
     assert powers[:, counts].mean() == pytest.approx(0.01, rel=0.03)
-    other = window_powers(np.ascontiguousarray(white[:, 1:]), fourier, 4)
-    np.testing.assert_allclose(other, mine.reshape(other.shape), rtol=1e-3, atol=1e-6)
+    first = white[:16, 1:17] * np.outer(fourier.window, fourier.window)
+    expected = np.abs(np.fft.rfft2(first)).ravel() ** 2
+    np.testing.assert_allclose(powers[0], expected, rtol=1e-3, atol=1e-6)
     means = mean_by_contrast(powers, fourier)
     assert means.shape == (3, fourier.size)
     contrast = means @ fourier.multiplicity
@@ -256,7 +259,7 @@ def known(monkeypatch):
         sizes = np.linspace(7, 30, len(images))
         return BlindMask(mask, sizes, 0.9, spectra, reaches_limit=True)
 
-    monkeypatch.setattr("coded_aperture_ros.calibration.blind.find_mask", find)
+    monkeypatch.setattr("coded_aperture_ros.calibration.blind.find.find_mask", find)
 
 
 def test_the_examples_of_calibrate_blind(folder, capsys, known, caplog):
@@ -307,7 +310,7 @@ def test_bench_blind_compares_with_the_truth(tmp_path, capsys, monkeypatch, know
     assert (tmp_path / "out" / f"levin_{seed}.png").is_file()
     table = call(capsys, *given).out
     assert "1.000  11x11" in table
-    refuse = "coded_aperture_ros.calibration.blind.find_mask"
+    refuse = "coded_aperture_ros.calibration.blind.find.find_mask"
     monkeypatch.setattr(refuse, lambda *_: (_ for _ in ()).throw(InputError("no mask")))
     result = call(capsys, *given)
     assert (result.status, f"levin {seed}: no mask" in result.out) == (0, True)

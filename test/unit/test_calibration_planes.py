@@ -12,15 +12,11 @@ from coded_aperture_ros.calibration.planes.calibrate import calibrate_planes
 from coded_aperture_ros.calibration.planes.checks import (
     advice_on_depths,
     advice_on_pictures,
-    check_planes,
+    check_pictures,
 )
-from coded_aperture_ros.calibration.planes.fit import (
-    MeasuredPlane,
-    leave_one_out,
-    measured_planes,
-    signed_fit,
-)
+from coded_aperture_ros.calibration.planes.fit import leave_one_out, signed_fit
 from coded_aperture_ros.calibration.planes.folder import add_plane, listed_depths_m, load_planes
+from coded_aperture_ros.calibration.planes.measure import MeasuredPlane, measured_planes
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io import read_image, write_image
@@ -43,7 +39,7 @@ def planes():
 def true_pattern():
     cells = Mask.named("levin").transmission.astype(float)
     return LearnedPattern(
-        Mask.named("levin"), cells[None] / cells.sum(), 1.0, SLOPE_PX_M, 1 / FOCUS_M, 120
+        SLOPE_PX_M, 1 / FOCUS_M, Mask.named("levin"), cells[None] / cells.sum(), 1.0, 120
     )
 
 
@@ -112,7 +108,7 @@ def test_both_sides_are_fitted_with_their_sign(focus_m):
     planes, measured = with_sizes(sizes)
     fit = signed_fit(planes, measured)
     assert 1 / fit.inverse_focus == pytest.approx(focus_m, rel=1e-6)
-    assert fit.blur_size_px(1 / DEPTHS_M) == pytest.approx(sizes)
+    assert fit.blur_size_px(DEPTHS_M) == pytest.approx(sizes)
     assert leave_one_out(planes, measured, fit).errors == pytest.approx(0, abs=1e-6)
 
 
@@ -147,7 +143,7 @@ def test_a_range_far_beyond_the_planes_is_refused(planes, monkeypatch):
 
     with pytest.raises(InputError, match=r"1.2 to 40 m goes far beyond the planes"):
         pattern = LearnedPattern(
-            Mask.named("levin"), np.ones((1, 3, 3)), 1.0, SLOPE_PX_M, 1 / FOCUS_M, 120
+            SLOPE_PX_M, 1 / FOCUS_M, Mask.named("levin"), np.ones((1, 3, 3)), 1.0, 120
         )
         module._check_range(planes, pattern, (1.2, 40.0))
 
@@ -157,7 +153,8 @@ def test_pictures_are_checked(planes):
     clipped = np.where(planes.images[1] > np.quantile(planes.images[1], 0.995), 1, planes.images[1])
     noisy = planes.images[2] + np.random.default_rng(0).normal(0, 0.02, planes.images[2].shape)
     images = (dark, clipped, noisy.astype(np.float32), *planes.images[3:])
-    checks = check_planes(dataclasses.replace(planes, images=images), WINDOW)
+    checks = check_pictures(images, planes.names, WINDOW, planes.depths_m)
+    assert [check.depth_m for check in checks] == pytest.approx(planes.depths_m)
     assert checks[2].noise == pytest.approx(0.02, rel=0.2)
     assert NOISE < checks[-1].noise < 0.004  # fine texture looks like noise
     assert checks[3].textured > 0.9
@@ -173,7 +170,7 @@ def test_textureless_planes_are_all_named(planes):
     noise = np.random.default_rng(0).normal(0, 0.004, flat.shape).astype(np.float32)
     images = (*planes.images[:5], flat + noise, flat, planes.images[7])
     with pytest.raises(InputError, match=r"5.png: contrast .*6.png: contrast .*fine texture"):
-        check_planes(dataclasses.replace(planes, images=images), WINDOW)
+        check_pictures(images, planes.names, WINDOW)
 
 
 def test_missing_depths_are_told():
@@ -257,11 +254,11 @@ def test_ray_traced_planes_are_measured(data_dir):
     cells = Mask.named("levin").transmission.astype(float)
     slope = 0.045 * 400 * 11 / 13
     pattern = LearnedPattern(
-        Mask.named("levin"), cells[None] / cells.sum(), 1.0, slope, 1 / 0.75, 320
+        slope, 1 / 0.75, Mask.named("levin"), cells[None] / cells.sum(), 1.0, 320
     )
     measured = measured_planes(planes, pattern, LearnConfig())
     fit = signed_fit(planes, measured)
     assert 1 / fit.inverse_focus == pytest.approx(0.75, rel=0.01)
-    error_px = fit.blur_size_px(1 / planes.depths_m) - pattern.blur_size_px(planes.depths_m)
+    error_px = fit.blur_size_px(planes.depths_m) - pattern.blur_size_px(planes.depths_m)
     assert np.sqrt(np.mean(error_px**2)) < 0.15
     assert np.median(leave_one_out(planes, measured, fit).errors) < 0.02

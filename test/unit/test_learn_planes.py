@@ -19,10 +19,13 @@ from cli_scene import call, everything, refused, wrong_usage
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.bank import LearnConfig, WindowedFourierBasis, load_bank
-from coded_aperture_ros.calibration.mask.search import MaskSearch
+from coded_aperture_ros.calibration.mask.fit import Variables
+from coded_aperture_ros.calibration.mask.sizes import FreeSizes
 from coded_aperture_ros.calibration.mask.spectra import autocorrelation_to_power, half_plane
-from coded_aperture_ros.calibration.planes.learning import learn_bank_from_planes
+from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_planes
+from coded_aperture_ros.calibration.planes.folder import load_folder
 from coded_aperture_ros.calibration.planes.pictures import Planes
+from coded_aperture_ros.calibration.planes.search import MaskSearch
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask, render_psf
 
@@ -78,10 +81,10 @@ def test_planes_in_front_of_the_focus_are_recognised(planes):
     mirrored = Planes(planes.images, 1 / (0.25 + 0.85 - 1 / DEPTHS_M), planes.names)
     assert mirrored.depths_m == pytest.approx(DEPTHS_M)
     search = MaskSearch(mirrored, WINDOW, lambda steps: [steps[0], steps[1], steps[4], steps[5]])
-    fit = search.mixture()
-    assert fit.sign == -1
-    assert fit.focus_distance_m > DEPTHS_M[-1]
-    assert fit.depths_m(np.array(fit.size_range_px)) == pytest.approx(DEPTHS_M[[0, -1]])
+    sizes = search.mixture().sizes
+    assert sizes.sign == -1
+    assert sizes.lens.focus_distance_m > DEPTHS_M[-1]
+    assert sizes.lens.depth_m(-sizes.px) == pytest.approx(DEPTHS_M)
 
 
 def test_power_is_linear_in_the_autocorrelation():
@@ -97,26 +100,26 @@ def test_power_is_linear_in_the_autocorrelation():
 def test_gradient_is_that_of_the_likelihood(planes):
     search = MaskSearch(planes, 16)
     start = search.start(2, 1.6, 1, 0.2)
-    groups = search.likelihood.group(start.parts, start.blur_sizes_px, start.log_noise)
-    x = np.concatenate([start.parts.ravel(), groups.textures.ravel(), start.log_noise, [10.3]])
-    arguments = (search.likelihood, groups)
-    _, gradient = start._value_and_gradient(x, *arguments)
+    free = dataclasses.replace(start, sizes=FreeSizes(start.sizes_px, 8.0))
     random = np.random.default_rng(0)
-    for _ in range(3):
-        direction = random.normal(size=x.size) * np.maximum(np.abs(x), 0.1)
-        step = 1e-5
-        above, below = (
-            start._value_and_gradient(x + sign * step * direction, *arguments)[0]
-            for sign in (1, -1)
-        )
-        assert (above - below) / (2 * step) == pytest.approx(gradient @ direction, rel=1e-3)
+    for fit, masks in ((start, True), (free, True), (free, False)):
+        variables = Variables(fit, search.likelihood, masks)
+        x = variables.start
+        _, gradient = variables.value_and_gradient(x)
+        for _ in range(3):
+            direction = random.normal(size=x.size) * np.maximum(np.abs(x), 0.1)
+            step = 1e-5
+            above, below = (
+                variables.value_and_gradient(x + sign * step * direction)[0] for sign in (1, -1)
+            )
+            assert (above - below) / (2 * step) == pytest.approx(gradient @ direction, rel=1e-3)
 
 
 def test_focus_of_ray_traced_planes_is_found(data_dir):
-    planes = Planes.load(data_dir / "rendered" / "calib")
-    fit = MaskSearch(planes, 32, lambda steps: [steps[1], steps[8]]).mixture()
-    assert fit.focus_distance_m == pytest.approx(0.75, rel=0.04)
-    assert fit.depths_m(np.array(fit.size_range_px)) == pytest.approx([0.8182, 4.5])
+    planes = load_folder(data_dir / "rendered" / "calib")
+    sizes = MaskSearch(planes, 32, lambda steps: [steps[1], steps[8]]).mixture().sizes
+    assert sizes.lens.focus_distance_m == pytest.approx(0.75, rel=0.04)
+    assert sizes.lens.depth_m(sizes.px[[0, -1]]) == pytest.approx([0.8182, 4.5], rel=1e-4)
 
 
 @pytest.mark.parametrize(("window_px", "warned"), [(16, True), (32, False)])

@@ -1,5 +1,6 @@
 """Banks for another focus and depth range, and camera files that change while a node runs."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -14,11 +15,11 @@ from coded_aperture_ros.bank import (
     LearnedPattern,
     learn_bank,
     learn_bank_for_camera,
+    learn_bank_for_pattern,
     load_bank,
     save_bank,
 )
-from coded_aperture_ros.calibration.planes.learning import learn_bank_for_pattern
-from coded_aperture_ros.calibration.planes.remap import remap_bank
+from coded_aperture_ros.calibration.planes.remap import refocused, remap_bank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera, Mask, load_camera, render_psf_stack
 
@@ -43,7 +44,7 @@ def bank():
     """Return a bank as learned from planes, of the true mask."""
     cells = Mask.named("levin").transmission.astype(float)
     pattern = LearnedPattern(
-        Mask.named("levin"), cells[None] / cells.sum(), 1.0, SLOPE_PX_M, 1 / FOCUS_M, 144
+        SLOPE_PX_M, 1 / FOCUS_M, Mask.named("levin"), cells[None] / cells.sum(), 1.0, 144
     )
     return learn_bank_for_pattern(pattern, 1.2, 4.0, 14, CONFIG)
 
@@ -88,7 +89,8 @@ def test_the_image_distance_follows_the_focus(bank):
     before, after = (0.05 * z / (z - 0.05) for z in (1.0, 2.0))
     assert moved.pattern.slope_px_m == pytest.approx(SLOPE_PX_M * after / before)
     with pytest.raises(InputError, match="not beyond the focal length"):
-        bank.pattern.refocused(0.04, 144, 50.0)
+        near = dataclasses.replace(bank.pattern, inverse_focus=1 / 0.04)
+        refocused(near, camera(2.0, focal_length_mm=50.0))
 
 
 def test_pictures_of_another_size_need_a_range(bank):
@@ -224,7 +226,7 @@ def test_a_node_takes_a_new_camera_file(ros, tmp_path, kind):
         first = load_camera(old)
         cells = first.mask.transmission.astype(float)
         slope = first.mask_extent_mm * 1e-3 * first.focal_length_px
-        pattern = LearnedPattern(first.mask, cells[None] / cells.sum(), 1.0, slope, 1.0, 128)
+        pattern = LearnedPattern(slope, 1.0, first.mask, cells[None] / cells.sum(), 1.0, 128)
         made = learn_bank_for_pattern(
             pattern, NEAR_M, FAR_M, 14, LearnConfig(window_px=32, rank=48)
         )

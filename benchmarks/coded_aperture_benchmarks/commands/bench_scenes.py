@@ -223,14 +223,14 @@ def measure_cell(cell: Cell) -> Measured:
 
 def _bank(cell: Cell, camera: Any, nearest_m: float, farthest_m: float) -> Any:
     from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
-    from coded_aperture_ros.calibration.planes.learning import learn_bank_from_planes
-    from coded_aperture_ros.calibration.planes.pictures import Planes
+    from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_planes
+    from coded_aperture_ros.calibration.planes.folder import load_folder
 
     config = LearnConfig()
     if cell.window_px is not None:
         config = dataclasses.replace(config, window_px=cell.window_px)
     if cell.planes is not None:
-        return learn_bank_from_planes(Planes.load(cell.planes), cell.levels, config)
+        return learn_bank_from_planes(load_folder(cell.planes), cell.levels, config)
     nearest_m *= 1 - _RANGE_MARGIN
     farthest_m *= 1 + _RANGE_MARGIN
     return learn_bank_for_camera(camera, nearest_m, farthest_m, cell.levels, config)

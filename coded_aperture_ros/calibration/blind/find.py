@@ -20,19 +20,22 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import WindowedFourierBasis
 from coded_aperture_ros.calibration.blind.config import BlindConfig
-from coded_aperture_ros.calibration.blind.free_fit import FreeFit
 from coded_aperture_ros.calibration.blind.grid_misfit import FoundSpectra, GridMisfit
 from coded_aperture_ros.calibration.blind.grid_search import BinaryGrid, best_grid
 from coded_aperture_ros.calibration.blind.relative_sizes import relative_blur_sizes
-from coded_aperture_ros.calibration.blind.windows import mean_by_contrast, window_powers
-from coded_aperture_ros.calibration.mask.fit import normalised
+from coded_aperture_ros.calibration.mask.cells import autocorrelation
+from coded_aperture_ros.calibration.mask.fit import MaskFit, normalised, random_parts
 from coded_aperture_ros.calibration.mask.likelihood import MaskLikelihood
+from coded_aperture_ros.calibration.mask.sizes import FreeSizes
+from coded_aperture_ros.calibration.mask.windows import mean_by_contrast, window_powers
 from coded_aperture_ros.calibration.planes.checks import check_pictures
 from coded_aperture_ros.calibration.planes.pictures import check_picture
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.imaging import channel_mean
 from coded_aperture_ros.optics import Mask
 
 Progress = Callable[[Iterable[Any]], Iterable[Any]]
+FreeFit = MaskFit[FreeSizes]
 
 _FEWEST = 4
 _HIGHEST_FREQUENCY = 0.4
@@ -135,10 +138,7 @@ def _checked(
             "largest_blur_px"
         )
     check_pictures(images, names, config.window_px)
-    return [
-        np.ascontiguousarray(image if image.ndim == 2 else image.mean(axis=2), np.float32)
-        for image in images
-    ]
+    return [channel_mean(image) for image in images]
 
 
 class _Search:
@@ -148,10 +148,7 @@ class _Search:
         self, images: list[NDArray[np.float32]], config: BlindConfig, progress: Progress
     ) -> None:
         fourier = WindowedFourierBasis(config.window_px, _HIGHEST_FREQUENCY)
-        stride = config.window_px // 4
-        means = [
-            mean_by_contrast(window_powers(image, fourier, stride), fourier) for image in images
-        ]
+        means = [mean_by_contrast(window_powers(image, fourier), fourier) for image in images]
         self.config = config
         self.fourier = fourier
         self.progress = progress
@@ -169,18 +166,18 @@ class _Search:
         found = FoundSpectra.of_fit(fit, self.likelihood)
         tried = self._tried(fit, found, extent)
         # The quadratic function is right near the mixture only: the likelihood itself decides.
-        refined = [self._refined(fit, found, one) for one in self.progress(tried)]
+        refined = [self._refined(fit, found, *one) for one in self.progress(tried)]
         fit = min(refined, key=self._penalised_value)
         fit = min([fit, *self._redrawn(fit)], key=self._penalised_value)
         fit = self._flipped(fit, found)
-        cells = (fit.parts[0] > 0).astype(np.float64)
-        explained = self._explained(fit, found)
+        cells = _cells(fit)
         cropped = cells[_bounds(cells)]
         if cropped.all():
             raise InputError(
                 "no mask is to be seen in the spectra of the planes, only an open rectangle: is "
                 "there a mask with a pattern in the lens?"
             )
+        explained = self._explained(fit, found)
         if explained < _LEAST_EXPLAINED:
             raise InputError(
                 "no mask is to be seen in the spectra of the planes "
@@ -197,77 +194,82 @@ class _Search:
             reaches_limit=bool(sizes_px.max() > self.widest_px),
         )
 
+    def _fit(
+        self, parts: NDArray[np.float64], sizes_px: NDArray[np.float64], log_noise: NDArray
+    ) -> FreeFit:
+        return MaskFit(parts, FreeSizes(sizes_px, self.likelihood.widest_px), log_noise)
+
     def _mixture(self, sizes_px: NDArray[np.float64]) -> FreeFit:
         """Fit a mixture and the sizes, coarse masks first."""
-        fit = FreeFit(
-            _blobs(_COARSE_PARTS, _COARSE_CELLS), sizes_px, self.likelihood.first_log_noise
-        )
-        fit = fit.climb(self.likelihood, _COARSE_STEPS // 2)
-        fit = fit.climb(self.likelihood, _COARSE_STEPS // 2)
+        parts = random_parts(_COARSE_PARTS, _COARSE_CELLS)
+        fit = self._fit(parts, sizes_px, self.likelihood.first_log_noise)
+        for _ in range(2):
+            fit = fit.climb(self.likelihood, _COARSE_STEPS // 2)
         cells = min(_FINE_CELLS, int(np.ceil(sizes_px.max())))
         # Afresh: the coarse ones' cells would stay visible.
-        fit = dataclasses.replace(fit, parts=_blobs(_FINE_PARTS, cells))
-        fit = fit.climb(self.likelihood, _FINE_STEPS // 2)
-        return fit.climb(self.likelihood, _FINE_STEPS // 2)
+        fit = dataclasses.replace(fit, parts=random_parts(_FINE_PARTS, cells))
+        for _ in range(2):
+            fit = fit.climb(self.likelihood, _FINE_STEPS // 2)
+        return fit
 
-    def _tried(self, fit: FreeFit, found: FoundSpectra, extent: float) -> "list[_Tried]":
-        """Return the best grids of some numbers of cells, the best number first."""
-        candidates = [
-            (cells, float(width))
-            for cells in range(self.config.least_cells, self.config.most_cells + 1)
-            for width in _widths(extent, cells)
-        ]
-        best: dict[int, _Tried] = {}
-        for cells, width in self.progress(candidates):
-            tried = self._best(fit, found, cells, width)
-            if cells not in best or tried.grid.misfit < best[cells].grid.misfit:
-                best[cells] = tried
-        return sorted(best.values(), key=_penalised)[:_PROMISING]
+    def _tried(
+        self, fit: FreeFit, found: FoundSpectra, extent: float
+    ) -> list[tuple[NDArray[np.float64], float]]:
+        """Return the best grids of some numbers of cells, the best number first.
 
-    def _best(
-        self,
-        fit: FreeFit,
-        found: FoundSpectra,
-        cells: int,
-        width: float,
-    ) -> "_Tried":
-        """Return the best grid of a number of cells and a width over that of the mixture's grid."""
-        misfit = GridMisfit(self.likelihood, found, cells, fit.sizes_px * width / cells)
-        return _Tried(best_grid(misfit, self.config.starts, self.random), width)
+        Each with its width over that of the mixture's grid.
+        """
+        best: dict[int, tuple[BinaryGrid, float]] = {}
+        candidates = [(n, float(width)) for n in self._counts for width in _widths(extent, n)]
+        for count, width in self.progress(candidates):
+            misfit = GridMisfit(self.likelihood, found, count, fit.sizes_px * width / count)
+            grid = best_grid(misfit, self.config.starts, self.random)
+            if count not in best or grid.misfit < best[count][0].misfit:
+                best[count] = grid, width
+        ranked = sorted(best.values(), key=lambda one: one[0].misfit + _penalty(one[0].cells))
+        return [(grid.cells, width) for grid, width in ranked[:_PROMISING]]
 
-    def _refined(self, mixture: FreeFit, found: FoundSpectra, tried: "_Tried") -> FreeFit:
+    @property
+    def _counts(self) -> range:
+        return range(self.config.least_cells, self.config.most_cells + 1)
+
+    def _misfit(self, fit: FreeFit, found: FoundSpectra, cells: int) -> GridMisfit:
+        return GridMisfit(self.likelihood, found, cells, fit.sizes_px / cells)
+
+    def _resized(self, fit: FreeFit, cells: NDArray[np.float64]) -> FreeFit:
+        """Fit sizes, textures and noise to a grid."""
+        fit = dataclasses.replace(fit, parts=normalised(cells[None]))
+        return fit.climb(self.likelihood, _SIZE_STEPS, masks=False)
+
+    def _refined(
+        self, mixture: FreeFit, found: FoundSpectra, cells: NDArray[np.float64], width: float
+    ) -> FreeFit:
         """Refine sizes and cells in turn, each with the others as found."""
-        cells, sizes_px = tried.grid.cells, mixture.sizes_px * tried.width
+        fit = self._fit(mixture.parts, mixture.sizes_px * width, mixture.log_noise)
         for _ in range(_ROUNDS):
-            fit = FreeFit(normalised(cells[None]), sizes_px, mixture.log_noise)
-            fit = fit.climb(self.likelihood, _SIZE_STEPS, masks=False)
-            sizes_px = fit.sizes_px
-            misfit = GridMisfit(self.likelihood, found, len(cells), sizes_px / len(cells))
+            fit = self._resized(dataclasses.replace(fit, log_noise=mixture.log_noise), cells)
+            misfit = self._misfit(fit, found, len(cells))
             cells = best_grid(misfit, 0, self.random, [cells]).cells
         return dataclasses.replace(fit, parts=normalised(cells[None]))
 
     def _redrawn(self, fit: FreeFit) -> list[FreeFit]:
         """Draw a mask with every other number of cells, for openings that lie between its own."""
-        cells = (fit.parts[0] > 0).astype(np.float64)
-        counts = range(self.config.least_cells, self.config.most_cells + 1)
+        cells = _cells(fit)
         redrawn = []
-        for count in counts:
-            size = (count, count)
-            grid = cv2.resize(cells, size, interpolation=cv2.INTER_AREA) > 0.5
+        for count in self._counts:
+            grid = cv2.resize(cells, (count, count), interpolation=cv2.INTER_AREA) > 0.5
             if count != len(cells) and grid.any():
-                one = dataclasses.replace(fit, parts=normalised(grid[None].astype(np.float64)))
-                redrawn.append(one.climb(self.likelihood, _SIZE_STEPS, masks=False))
+                redrawn.append(self._resized(fit, grid.astype(np.float64)))
         return redrawn
 
     def _flipped(self, fit: FreeFit, found: FoundSpectra) -> FreeFit:
         """Open and close single cells while that is likelier."""
         value = self._value(fit)
         for _ in range(_FLIPS):
-            cells = (fit.parts[0] > 0).astype(np.float64)
-            misfit = GridMisfit(self.likelihood, found, len(cells), fit.sizes_px / len(cells))
-            likely = {*np.argsort(misfit.of_flips(cells))[:_LIKELY_FLIPS], *_alone(cells)}
+            cells = _cells(fit)
+            misfits = self._misfit(fit, found, len(cells)).of_flips(cells)
             changed = []
-            for cell in sorted(likely):
+            for cell in sorted({*np.argsort(misfits)[:_LIKELY_FLIPS], *_alone(cells)}):
                 flipped = cells.copy()
                 flipped.flat[cell] = 1 - flipped.flat[cell]
                 changed.append(dataclasses.replace(fit, parts=normalised(flipped[None])))
@@ -286,14 +288,14 @@ class _Search:
         return float(value * groups.count.sum() * self.likelihood.multiplicity.sum())
 
     def _penalised_value(self, fit: FreeFit) -> float:
-        return self._value(fit) + _PER_CELL * _area(fit.parts[0])
+        return self._value(fit) + _penalty(fit.parts[0])
 
     def _explained(self, fit: FreeFit, found: FoundSpectra) -> float:
         """Compare the misfit with that of an open rectangle of the same extent."""
-        cells = (fit.parts[0] > 0).astype(np.float64)
-        misfit = GridMisfit(self.likelihood, found, len(cells), fit.sizes_px / len(cells))
+        cells = _cells(fit)
         opened = np.zeros_like(cells)
         opened[_bounds(cells)] = 1
+        misfit = self._misfit(fit, found, len(cells))
         return 1 - misfit.of_grid(cells) / misfit.of_grid(opened)
 
     def _spectra(self, fit: FreeFit) -> NDArray[np.float64]:
@@ -307,12 +309,9 @@ class _Search:
         return spectra.reshape(len(first), 2, n, -1)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Tried:
-    """A grid, and its width over that of the mixture's grid."""
-
-    grid: BinaryGrid
-    width: float
+def _cells(fit: FreeFit) -> NDArray[np.float64]:
+    """Return a binary mask's open (1) and closed (0) cells [n, n]."""
+    return (fit.parts[0] > 0).astype(np.float64)
 
 
 def _widths(extent: float, cells: int) -> NDArray[np.float64]:
@@ -322,14 +321,9 @@ def _widths(extent: float, cells: int) -> NDArray[np.float64]:
     return np.geomspace(low, high, count)
 
 
-def _penalised(tried: _Tried) -> float:
-    """Return the misfit with what the choice of the cells adds to it."""
-    return float(tried.grid.misfit + _PER_CELL * _area(tried.grid.cells))
-
-
-def _area(cells: NDArray[np.float64]) -> int:
-    """Return how many cells the smallest rectangle around the open ones has."""
-    return int(cells[_bounds(cells)].size)
+def _penalty(cells: NDArray[np.float64]) -> float:
+    """Return what the choice of the cells in the rectangle around the open ones costs."""
+    return float(_PER_CELL * cells[_bounds(cells)].size)
 
 
 def _alone(cells: NDArray[np.float64]) -> NDArray[np.intp]:
@@ -345,29 +339,9 @@ def _bounds(cells: NDArray[np.float64]) -> tuple[slice, slice]:
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
-def _blobs(count: int, cells: int) -> NDArray[np.float64]:
-    """Return random masks, brightest in their middle [count, cells, cells]."""
-    x = (np.arange(cells) + 0.5) / cells - 0.5
-    blob = np.exp(-(x[:, None] ** 2 + x**2) / (2 * 0.3**2))
-    random = np.random.default_rng(0).uniform(size=(count, cells, cells))
-    return normalised(blob * random**2)
-
-
-def _autocorrelation(parts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the sum of the autocorrelations of masks, lag zero in the middle [2m - 1, 2m - 1]."""
-    cells = parts.shape[-1]
-    torus = (2 * cells, 2 * cells)
-    whole = np.fft.irfft2((np.abs(np.fft.rfft2(parts, torus)) ** 2).sum(axis=0), torus)
-    return np.asarray(np.fft.fftshift(whole)[1:, 1:])
-
-
 def _extent(fit: FreeFit) -> float:
     """Return the width of the mask over that of the mixture's grid: where its light ends."""
     cells = fit.parts.shape[-1]
-    autocorrelation = _autocorrelation(fit.parts)
-    middle = autocorrelation[cells - 1, cells - 1]
-    reaches = []
-    for axis in (0, 1):
-        profile = autocorrelation.max(axis=axis)[cells - 1 :] / middle
-        reaches.append(int(np.flatnonzero(profile > _END)[-1]) + 1)
-    return max(reaches) / cells
+    correlation = autocorrelation(fit.parts)
+    profiles = [correlation.max(axis=axis)[:cells] / correlation[0, 0] for axis in (0, 1)]
+    return max(int(np.flatnonzero(profile > _END)[-1]) + 1 for profile in profiles) / cells

@@ -8,10 +8,10 @@ projected out. What remains is a small matrix, with which a million grids can be
 import dataclasses
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.calibration.blind.free_fit import FreeFit
+from coded_aperture_ros.calibration.mask.cells import autocorrelation
+from coded_aperture_ros.calibration.mask.fit import MaskFit
 from coded_aperture_ros.calibration.mask.likelihood import Groups, MaskLikelihood
 from coded_aperture_ros.calibration.mask.spectra import half_plane
 
@@ -36,7 +36,7 @@ class FoundSpectra:
     noise: NDArray[np.float64]
 
     @classmethod
-    def of_fit(cls, fit: FreeFit, likelihood: MaskLikelihood) -> "FoundSpectra":
+    def of_fit(cls, fit: MaskFit, likelihood: MaskLikelihood) -> "FoundSpectra":
         """Take the spectra of a fit, with the textures that suit it best."""
         groups = likelihood.group(fit.parts, fit.sizes_px, fit.log_noise)
         power = likelihood.spectra.expected(fit.parts, fit.sizes_px).power
@@ -131,9 +131,7 @@ class GridMisfit:
 
     def autocorrelation(self, grid: NDArray) -> NDArray[np.float64]:
         """Return that of a grid [n, n], at `lags`."""
-        torus = (2 * self.cells, 2 * self.cells)
-        whole = scipy.fft.irfft2(np.abs(scipy.fft.rfft2(grid, torus)) ** 2, torus)
-        return np.asarray(whole[self.lags[:, 0], self.lags[:, 1]])
+        return autocorrelation(grid[None])[self.lags[:, 0], self.lags[:, 1]]
 
     def misfit(self, autocorrelation: NDArray) -> NDArray[np.float64]:
         """Return the misfit of autocorrelations [..., lags]; their scale does not matter."""

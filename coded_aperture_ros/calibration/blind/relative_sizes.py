@@ -14,7 +14,7 @@ import scipy.ndimage
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
-from coded_aperture_ros.calibration.blind.windows import mean_by_contrast, window_powers
+from coded_aperture_ros.calibration.mask.windows import mean_by_contrast, window_powers
 from coded_aperture_ros.core.errors import InputError
 
 _DIRECTIONS = 48
@@ -94,8 +94,8 @@ def relative_blur_sizes(
 def _shape(image: NDArray[np.float32], window_px: int) -> _Shape:
     """Return the spectrum's deviation from what is smooth, in polar coordinates."""
     fourier = WindowedFourierBasis(window_px)
-    powers = window_powers(image, fourier, window_px // 4)
-    mean = mean_by_contrast(powers, fourier, classes=1)[0].astype(np.float64)
+    mean = mean_by_contrast(window_powers(image, fourier), fourier, classes=1)[0]
+    mean = mean.astype(np.float64)
     noise = float(mean @ fourier.noise_weights)
     logarithm = np.arange(np.log(_LOWEST_CYCLES / window_px), np.log(_HIGHEST), _STEP)
     angle = (np.arange(_DIRECTIONS) + 0.5) * np.pi / _DIRECTIONS

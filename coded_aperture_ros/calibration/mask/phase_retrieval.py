@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.calibration.mask.cells import autocorrelation
+
 # Many starts are cheap; those that are behind after some steps seldom catch up.
 _STARTS, _FIRST_STEPS = 60, 120
 _KEPT, _STEPS = 20, 300
@@ -18,12 +20,12 @@ def retrieved_masks(parts: NDArray[np.float64], count: int) -> list[NDArray[np.f
 
     Phase retrieval for a non-negative mask of limited support, the best of many random starts.
     """
-    # Here: it is slow to import, and the nodes, which load this module, never call it.
+    import scipy.fft
     import scipy.optimize
 
     cells = parts.shape[-1]
     torus = (2 * cells, 2 * cells)
-    wanted = scipy.fft.irfft2((np.abs(scipy.fft.rfft2(parts, torus)) ** 2).sum(axis=0), torus)
+    wanted = autocorrelation(parts)
 
     def misfit(x: NDArray) -> tuple[float, NDArray]:
         transform = scipy.fft.rfft2(x.reshape(cells, cells), torus)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.prior import power_spectrum
-from coded_aperture_ros.optics import psf_width
+from coded_aperture_ros.optics.psf import cell_shares, psf_width
 
 SLOPES = (1.6, 2.4, 3.2)
 _MODEL_ERROR = 3e-4
@@ -111,10 +111,7 @@ class MaskSpectra:
 
 def _renderer(pixels: int, cells: int, size_px: float) -> NDArray[np.float64]:
     """Share of every cell's light that falls onto each pixel, one axis [pixels, cells]."""
-    cell_px = max(size_px, 1e-3) / cells
-    pixel_edges = np.arange(pixels + 1)[:, None] - pixels / 2
-    cell_edges = (np.arange(cells + 1) - cells / 2) * cell_px
-    return np.diff(np.clip(pixel_edges, cell_edges[:-1], cell_edges[1:]), axis=0) / cell_px
+    return cell_shares(pixels, cells, max(size_px, 1e-3) / cells)
 
 
 def half_plane(reach: int) -> NDArray[np.intp]:

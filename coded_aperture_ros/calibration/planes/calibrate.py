@@ -1,7 +1,17 @@
 """Calibration from pictures of textured planes at known depths: mask, focus, bank, and its error.
 
-Everything that can be told about the pictures is told: what is wrong with one is an error that
-names it, what could be better is advice.
+The costs of a bank need nothing of a PSF but its autocorrelation, and the PSFs of all depths are
+one mask, scaled. So one mask and one focus distance are sought under which the pictures are
+likeliest, by the same likelihood with which the bank will judge patches later (thesis 6.2.1
+learns from planes too, but a subspace for each of them on its own).
+
+The likelihood of a single mask has many local maxima, because power spectra have no phases. A
+mixture of a few masks, whose autocorrelations add up, has the same power spectra to offer and is
+easy to climb. The bank is computed from the mixture. Only for deblurring, a single mask of that
+autocorrelation is sought afterwards; its orientation (as found or rotated by 180 degrees) is
+beyond what power spectra tell.
+
+What is wrong with a picture is an error that names it, what could be better is advice.
 """
 
 import dataclasses
@@ -10,29 +20,27 @@ from typing import Any
 
 import numpy as np
 
-from coded_aperture_ros.bank import FilterBank, LearnConfig, LearnedPattern
+from coded_aperture_ros.bank import (
+    DEFAULT_LEVEL_COUNT,
+    FilterBank,
+    LearnConfig,
+    LearnedPattern,
+    NaturalImagePrior,
+    learn_bank_for_pattern,
+)
+from coded_aperture_ros.bank.learning import check_levels
 from coded_aperture_ros.calibration.mask.recognition import fitted_extent, recognised_mask
-from coded_aperture_ros.calibration.mask.search import MaskSearch
 from coded_aperture_ros.calibration.planes.checks import (
     Advice,
     PlaneCheck,
     advice_on_depths,
     advice_on_pictures,
-    check_planes,
+    check_pictures,
 )
-from coded_aperture_ros.calibration.planes.fit import (
-    LeftOut,
-    MeasuredPlane,
-    ThinLensFit,
-    leave_one_out,
-    measured_planes,
-    signed_fit,
-)
-from coded_aperture_ros.calibration.planes.learning import (
-    learn_bank_for_pattern,
-    learned_from_planes,
-)
+from coded_aperture_ros.calibration.planes.fit import LeftOut, leave_one_out, signed_fit
+from coded_aperture_ros.calibration.planes.measure import MeasuredPlane, measured_planes
 from coded_aperture_ros.calibration.planes.pictures import Planes
+from coded_aperture_ros.calibration.planes.search import LensFit, MaskSearch, pattern_of
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import MASK_NAMES, Mask
 
@@ -110,38 +118,35 @@ def calibrate_planes(
         focus, a depth range far beyond the planes.
     """
     config = config or LearnConfig()
-    checks = check_planes(planes, config.window_px)
+    checks = check_pictures(planes.images, planes.names, config.window_px, planes.depths_m)
     search = MaskSearch(planes, config.window_px, progress)
     mixture = search.mixture()
     width = planes.images[0].shape[1]
     # The mixture's own grid serves to measure; what the mask is comes after the depths are right.
     part = Mask("mixture", mixture.parts[0] / mixture.parts[0].max())
-    grid = LearnedPattern.of_fit(mixture, part, mixture.extent_px, width)
+    grid = pattern_of(mixture, part, mixture.sizes.extent_px, width)
     measured = measured_planes(planes, grid, config)
     fit = signed_fit(planes, measured)
     found_mask, extent_px, known = _mask(search, mixture, mask)
-    scale = extent_px / mixture.extent_px
-    measured = [_scaled(plane, scale) for plane in measured]
+    scale = extent_px / mixture.sizes.extent_px
+    measured = [plane.scaled(scale) for plane in measured]
     pattern = dataclasses.replace(
-        LearnedPattern.of_fit(mixture, found_mask, extent_px, width),
+        pattern_of(mixture, found_mask, extent_px, width),
         slope_px_m=fit.slope_px_m * scale,
         inverse_focus=fit.inverse_focus,
     )
-    wanted = depth_range_m or (float(planes.depths_m[0]), float(planes.depths_m[-1]))
+    wanted = depth_range_m or _depth_range(planes)
     _check_range(planes, pattern, wanted)
-    bank = learn_bank_for_pattern(
-        pattern, *wanted, levels, config, learned_from=learned_from_planes(planes, pattern)
-    )
     return PlanesCalibration(
-        bank=bank,
+        bank=learn_bank_for_pattern(
+            pattern, *wanted, levels, config, learned_from=_learned_from(planes, pattern)
+        ),
         pattern=pattern,
         mask_is_known=known,
         planes=planes,
         checks=checks,
         measured=measured,
-        left_out=leave_one_out(
-            planes, measured, ThinLensFit(pattern.slope_px_m, pattern.inverse_focus)
-        ),
+        left_out=leave_one_out(planes, measured, pattern),
         advice=[
             *advice_on_pictures(checks),
             *advice_on_depths(planes.depths_m, depth_range_m),
@@ -150,7 +155,57 @@ def calibrate_planes(
     )
 
 
-def _mask(search: MaskSearch, mixture: Any, mask: Mask | None) -> tuple[Mask, float, bool]:
+def learn_bank_from_planes(
+    planes: Planes,
+    levels: int = DEFAULT_LEVEL_COUNT,
+    config: LearnConfig | None = None,
+    prior: NaturalImagePrior | None = None,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+) -> FilterBank:
+    """Learn the bank alone, of a mask that is none of those with names.
+
+    Parameters
+    ----------
+    planes, levels, config, progress
+        See `calibrate_planes`; a warning is logged if the window seems to be too small.
+    prior : NaturalImagePrior, optional
+        For the bank; the fit has a more flexible one.
+
+    Returns
+    -------
+    FilterBank
+        With the depths of the planes, which hold beside a camera file. Its PSFs are those of one
+        mask that has about the autocorrelation found; their orientation is a guess. Blur sizes
+        are the extent of that mask in px.
+
+    Raises
+    ------
+    InputError
+        If a plane has no texture above its noise, or is smaller than the window.
+    """
+    check_levels(levels)
+    config = config or LearnConfig()
+    check_pictures(planes.images, planes.names, config.window_px)
+    search = MaskSearch(planes, config.window_px, progress)
+    mixture = search.mixture()
+    pattern = pattern_of(mixture, *search.single(mixture), planes.images[0].shape[1])
+    wanted, learned_from = _depth_range(planes), _learned_from(planes, pattern)
+    return learn_bank_for_pattern(pattern, *wanted, levels, config, prior, learned_from)
+
+
+def _depth_range(planes: Planes) -> tuple[float, float]:
+    return float(planes.depths_m[0]), float(planes.depths_m[-1])
+
+
+def _learned_from(planes: Planes, pattern: LearnedPattern) -> str:
+    near_m, far_m = _depth_range(planes)
+    return (
+        f"{len(planes.names)} planes at {near_m:g} to {far_m:g} m, "
+        f"focus found at {pattern.focus_distance_m:.3g} m"
+    )
+
+
+def _mask(search: MaskSearch, mixture: LensFit, mask: Mask | None) -> tuple[Mask, float, bool]:
     """Return the mask, its extent at the most blurred plane, and whether it is a known one."""
     if mask is not None:
         return mask, fitted_extent(search.likelihood, mixture, mask)[0], True
@@ -158,16 +213,6 @@ def _mask(search: MaskSearch, mixture: Any, mask: Mask | None) -> tuple[Mask, fl
     if known is not None:
         return *known, True
     return *search.single(mixture), False
-
-
-def _scaled(plane: MeasuredPlane, scale: float) -> MeasuredPlane:
-    return MeasuredPlane(
-        size_px=plane.size_px * scale,
-        sizes_px=plane.sizes_px * np.float32(scale),
-        error_px=plane.error_px * scale,
-        tilt_px=(plane.tilt_px[0] * scale, plane.tilt_px[1] * scale),
-        tilt_error_px=plane.tilt_error_px * scale,
-    )
 
 
 def _check_range(planes: Planes, pattern: LearnedPattern, wanted: tuple[float, float]) -> None:

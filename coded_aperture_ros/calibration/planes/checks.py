@@ -1,16 +1,14 @@
 """Whether pictures of planes are fit to learn from, before the learning: light, noise, texture."""
 
 import dataclasses
-import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.imaging import PatchGrid, channel_mean
 from coded_aperture_ros.imaging.noise import NOISE_FLOOR, high_power
 
 _SATURATED = 0.995
@@ -75,30 +73,29 @@ class Advice:
         return f"{self.file}: {self.text}" if self.file else self.text
 
 
-def check_planes(planes: Planes, window_px: int) -> list[PlaneCheck]:
-    """Measure every picture.
-
-    Parameters
-    ----------
-    planes : Planes
-    window_px : int
-        Side of the windows that texture is counted in.
-
-    Raises
-    ------
-    InputError
-        Naming every picture that nothing can be learned from, and what to do.
-    """
-    return check_pictures(planes.images, planes.names, window_px, planes.depths_m)
-
-
 def check_pictures(
     images: Sequence[NDArray[np.float32]],
     names: Sequence[str],
     window_px: int,
     depths_m: ArrayLike = np.nan,
 ) -> list[PlaneCheck]:
-    """Measure every picture, whether its depth is known (see `check_planes`) or not (NaN)."""
+    """Measure every picture.
+
+    Parameters
+    ----------
+    images : sequence of ndarray, float32 [rows, columns] or [rows, columns, 3]
+    names : sequence of str
+        What to call each in messages.
+    window_px : int
+        Side of the windows that texture is counted in.
+    depths_m : array of float, optional
+        NaN where they are not known.
+
+    Raises
+    ------
+    InputError
+        Naming every picture that nothing can be learned from, and what to do.
+    """
     depths = np.broadcast_to(np.asarray(depths_m, np.float64), len(images))
     checks = [
         _check(image, name, float(depth), window_px)
@@ -119,8 +116,7 @@ def check_pictures(
 
 
 def _check(image: NDArray[np.float32], name: str, depth_m: float, window_px: int) -> PlaneCheck:
-    grey = image if image.ndim == 2 else image.mean(axis=2, dtype=np.float32)
-    grey = np.ascontiguousarray(grey, np.float32)
+    grey = channel_mean(image)
     try:
         grid = PatchGrid.covering(grey.shape, window_px, window_px // 2)
     except InputError as error:
@@ -153,26 +149,23 @@ def _window_variances(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.
     return np.asarray(windows.reshape(*windows.shape[:2], -1).var(axis=2, dtype=np.float64))
 
 
-def advice_on_pictures(checks: list[PlaneCheck]) -> list[Advice]:
+def advice_on_pictures(checks: Sequence[PlaneCheck]) -> list[Advice]:
     """Say what could be better about light, noise and texture."""
-    advice = []
-    for check in checks:
-        if check.saturated > _SOME_SATURATED:
-            text = f"{check.saturated:.1%} of the pixels are saturated: expose a little shorter"
-            advice.append(Advice(check.file, text))
-        if check.brightest < _DIM:
-            text = f"dark: 99 % of the pixels are below {check.brightest:.2f}: expose it longer"
-            advice.append(Advice(check.file, text))
-        if check.noise > _NOISY:
-            text = f"noise of {check.noise:.3f}: use more light, or the mean of several frames"
-            advice.append(Advice(check.file, text))
-        if check.textured < _WELL_TEXTURED:
-            text = (
-                f"only {check.textured:.0%} of the picture has texture above the noise: "
-                "use a page with fine texture all over"
-            )
-            advice.append(Advice(check.file, text))
-    return advice
+    return [Advice(check.file, text) for check in checks for text in _advice_on(check)]
+
+
+def _advice_on(check: PlaneCheck) -> Iterator[str]:
+    if check.saturated > _SOME_SATURATED:
+        yield f"{check.saturated:.1%} of the pixels are saturated: expose a little shorter"
+    if check.brightest < _DIM:
+        yield f"dark: 99 % of the pixels are below {check.brightest:.2f}: expose it longer"
+    if check.noise > _NOISY:
+        yield f"noise of {check.noise:.3f}: use more light, or the mean of several frames"
+    if check.textured < _WELL_TEXTURED:
+        yield (
+            f"only {check.textured:.0%} of the picture has texture above the noise: "
+            "use a page with fine texture all over"
+        )
 
 
 def advice_on_depths(
@@ -187,31 +180,22 @@ def advice_on_depths(
     wanted_m : (float, float), optional
         Depth range that the bank is for.
     """
-    advice = []
+    texts = []
     if len(depths_m) < _ENOUGH_PLANES:
-        advice.append(
-            Advice("", f"{len(depths_m)} planes are few: 10 to 16 give a much better bank")
-        )
+        texts.append(f"{len(depths_m)} planes are few: 10 to 16 give a much better bank")
     inverse = 1 / depths_m
     steps = -np.diff(inverse)
     usual = float(np.median(steps))
-    for (nearer, farther), step in zip(itertools.pairwise(depths_m), steps, strict=True):
-        if step > _WIDEST_GAP * usual:
-            between = 2 / (1 / nearer + 1 / farther)
-            advice.append(
-                Advice(
-                    "", f"wide gap from {nearer:.3g} to {farther:.3g} m: add one at {between:.3g} m"
-                )
-            )
-    if wanted_m is not None:
-        near_m, far_m = wanted_m
-        # Half a step beyond the planes is not far.
-        if 1 / near_m - inverse[0] > usual / 2:
-            advice.append(
-                Advice("", f"no plane is nearer than {depths_m[0]:.3g} m: add one at {near_m:.3g}")
-            )
-        if inverse[-1] - 1 / far_m > usual / 2:
-            advice.append(
-                Advice("", f"no plane is beyond {depths_m[-1]:.3g} m: add one at {far_m:.3g}")
-            )
-    return advice
+    for i in np.flatnonzero(steps > _WIDEST_GAP * usual):
+        between = 2 / (inverse[i] + inverse[i + 1])
+        texts.append(
+            f"wide gap from {depths_m[i]:.3g} to {depths_m[i + 1]:.3g} m: add one at "
+            f"{between:.3g} m"
+        )
+    near_m, far_m = wanted_m or depths_m[[0, -1]]
+    # Half a step beyond the planes is not far.
+    if 1 / near_m - inverse[0] > usual / 2:
+        texts.append(f"no plane is nearer than {depths_m[0]:.3g} m: add one at {near_m:.3g}")
+    if inverse[-1] - 1 / far_m > usual / 2:
+        texts.append(f"no plane is beyond {depths_m[-1]:.3g} m: add one at {far_m:.3g}")
+    return [Advice("", text) for text in texts]

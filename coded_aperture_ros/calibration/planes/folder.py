@@ -1,9 +1,10 @@
 """Pictures of planes with their depths: a folder that several sessions may add to."""
 
+import contextlib
 import csv
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +33,7 @@ def load_planes(
         One folder, or the pictures themselves.
     depths_m : sequence of float, optional
         Depth of each picture, those of a folder in the order of their names. Without it the folder
-        has a list: `planes.json`, ``[{"file": "a.png", "depth_m": 1.5}, ...]``, or `planes.csv`,
-        with the columns `file` and `depth_m`.
+        has a list, see `load_folder`.
     gamma : float or "srgb", optional
         How 8-bit pictures are encoded.
 
@@ -50,48 +50,87 @@ def load_planes(
                 f"{paths[0]}: say how far each picture's plane is with depths, or name a folder "
                 f"with {PLANES_JSON} or {PLANES_CSV}"
             )
-        if not (folder / PLANES_JSON).exists() and (folder / PLANES_CSV).exists():
-            return _planes(_read_csv(folder / PLANES_CSV), gamma)
-        return Planes.load(folder, gamma)
+        return load_folder(folder, gamma)
     pictures = list(open_sequence(folder).pictures) if folder is not None else paths
     if len(pictures) != len(depths_m):
         raise InputError(
             f"{folder or paths[0]}: {len(pictures)} pictures but {len(depths_m)} depths: give one "
             "for each, in the order of the names"
         )
-    return _planes(list(zip(pictures, depths_m, strict=True)), gamma)
+    return _planes(_nearest_first(zip(pictures, depths_m, strict=True)), gamma)
+
+
+def load_folder(folder: str | os.PathLike[str], gamma: Gamma = 1.0) -> Planes:
+    """Read the planes that a list in their folder tells: `planes.json`, or else `planes.csv`.
+
+    The one is ``[{"file": "a.png", "depth_m": 1.5}, ...]``, in order of depth, the other has the
+    columns `file` and `depth_m`.
+
+    Raises
+    ------
+    InputError
+        Naming the file or the entry, and what to do; see also `Planes`.
+    """
+    json_file, csv_file = Path(folder) / PLANES_JSON, Path(folder) / PLANES_CSV
+    if csv_file.exists() and not json_file.exists():
+        return _planes(_nearest_first(_read_csv(csv_file)), gamma)
+    return _planes(_read_json(json_file), gamma)
 
 
 def _planes(listed: Sequence[tuple[Path, float]], gamma: Gamma) -> Planes:
-    """Read the pictures, from the nearest to the farthest in whatever order they are listed."""
-    images = tuple(read_image(path, gamma) for path, _ in listed)
-    depths = np.array([depth for _, depth in listed])
-    order = np.argsort(depths, kind="stable")
     return Planes(
-        tuple(images[i] for i in order), depths[order], tuple(str(listed[i][0]) for i in order)
+        images=tuple(read_image(path, gamma) for path, _ in listed),
+        depths_m=np.array([depth for _, depth in listed]),
+        names=tuple(str(path) for path, _ in listed),
     )
+
+
+def _nearest_first(listed: Iterable[tuple[Path, float]]) -> list[tuple[Path, float]]:
+    return sorted(listed, key=lambda one: one[1])
+
+
+def _read_json(path: Path) -> list[tuple[Path, float]]:
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"cannot read {path}: {error.strerror}: the folder needs a list of its "
+            'pictures, [{"file": "a.png", "depth_m": 1.5}, ...]'
+        ) from error
+    except ValueError as error:
+        raise InputError(f"{path}: not JSON: {error}") from error
+    if not isinstance(entries, list):
+        raise InputError(f'{path}: expected a list [{{"file": ..., "depth_m": ...}}, ...]')
+    return [_entry(path, f"entry {number}", entry) for number, entry in enumerate(entries)]
 
 
 def _read_csv(path: Path) -> list[tuple[Path, float]]:
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file))
+            rows: list[dict[str, Any]] = list(csv.DictReader(file))
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     except (csv.Error, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not a table of comma-separated values: {error}") from error
     listed = []
     for number, row in enumerate(rows, 2):  # line 1 has the names of the columns
-        for column in ("file", "depth_m"):
-            if not row.get(column):
-                raise InputError(f"{path}: line {number} has no {column}")
-        try:
-            listed.append((path.parent / row["file"], float(row["depth_m"])))
-        except ValueError as error:
-            raise InputError(
-                f"{path}: line {number}: depth_m cannot be {row['depth_m']!r}"
-            ) from error
+        given = {key: value for key, value in row.items() if value}
+        with contextlib.suppress(KeyError, ValueError):
+            given["depth_m"] = float(given["depth_m"])
+        listed.append(_entry(path, f"line {number}", given))
     return listed
+
+
+def _entry(path: Path, where: str, entry: Any) -> tuple[Path, float]:
+    """Return file and depth of an entry of a list, or say what is wrong with it."""
+    if not isinstance(entry, dict):
+        raise InputError(f"{path}: {where}: expected file and depth_m, got {entry!r}")
+    for key, kinds in (("file", str), ("depth_m", (int, float))):
+        if key not in entry:
+            raise InputError(f"{path}: {where} has no {key}")
+        if not isinstance(entry[key], kinds) or isinstance(entry[key], bool):
+            raise InputError(f"{path}: {where}: {key} cannot be {entry[key]!r}")
+    return path.parent / entry["file"], float(entry["depth_m"])
 
 
 def listed_depths_m(folder: str | os.PathLike[str]) -> list[float]:

@@ -2,19 +2,12 @@
 
 import dataclasses
 import itertools
-import json
-import os
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import Gamma
-from coded_aperture_ros.io import read_image
 
-PLANES_FILE = "planes.json"
 _FEWEST = 4
 _SATURATED = 0.995
 _MOST_SATURATED = 0.01
@@ -77,47 +70,6 @@ class Planes:
         object.__setattr__(self, "images", tuple(self.images[i] for i in order))
         object.__setattr__(self, "names", tuple(self.names[i] for i in order))
         object.__setattr__(self, "depths_m", depths[order])
-
-    @classmethod
-    def load(cls, folder: str | os.PathLike[str], gamma: Gamma = 1.0) -> "Planes":
-        """Read the planes that `planes.json` in a folder lists with `file` and `depth_m`.
-
-        8-bit pictures are decoded with `gamma`; wider ones are linear.
-
-        Raises
-        ------
-        InputError
-            Naming the file and what is wrong with it; see also `Planes`.
-        """
-        listing = Path(folder) / PLANES_FILE
-        try:
-            entries = json.loads(listing.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(
-                f"cannot read {listing}: {error.strerror}: the folder needs a list of its "
-                'pictures, [{"file": "a.png", "depth_m": 1.5}, ...]'
-            ) from error
-        except ValueError as error:
-            raise InputError(f"{listing}: not JSON: {error}") from error
-        if not isinstance(entries, list):
-            raise InputError(f'{listing}: expected a list [{{"file": ..., "depth_m": ...}}, ...]')
-        listed = [_entry(listing, number, entry) for number, entry in enumerate(entries)]
-        return cls(
-            images=tuple(read_image(path, gamma) for path, _ in listed),
-            depths_m=np.array([depth for _, depth in listed]),
-            names=tuple(str(path) for path, _ in listed),
-        )
-
-
-def _entry(listing: Path, number: int, entry: Any) -> tuple[Path, float]:
-    if not isinstance(entry, dict):
-        raise InputError(f"{listing}: entry {number}: expected file and depth_m, got {entry!r}")
-    for key, kinds in (("file", str), ("depth_m", (int, float))):
-        if key not in entry:
-            raise InputError(f"{listing}: entry {number} has no {key}")
-        if not isinstance(entry[key], kinds) or isinstance(entry[key], bool):
-            raise InputError(f"{listing}: entry {number}: {key} cannot be {entry[key]!r}")
-    return listing.parent / entry["file"], float(entry["depth_m"])
 
 
 def check_picture(

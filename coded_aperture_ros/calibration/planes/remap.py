@@ -9,10 +9,15 @@ import dataclasses
 
 import numpy as np
 
-from coded_aperture_ros.bank import FilterBank, LearnConfig, LearnedPattern, learn_bank_for_camera
-from coded_aperture_ros.calibration.planes.learning import learn_bank_for_pattern
+from coded_aperture_ros.bank import (
+    FilterBank,
+    LearnConfig,
+    LearnedPattern,
+    learn_bank_for_camera,
+    learn_bank_for_pattern,
+)
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics import Camera, lens
 
 
 def remap_bank(
@@ -52,7 +57,7 @@ def remap_bank(
         raise InputError("a depth range needs both near_m and far_m")
     if levels is not None and near_m is None:
         raise InputError("levels: other levels need a depth range")
-    pattern = None if bank.pattern is None else _refocused(bank.pattern, camera)
+    pattern = None if bank.pattern is None else refocused(bank.pattern, camera)
     if pattern is None and not bank.stack.in_pixels:
         raise InputError("the bank's levels have no blur sizes in px, so they have no depths")
     if near_m is None or far_m is None:
@@ -81,8 +86,36 @@ def remap_bank(
     return dataclasses.replace(new, stride_px=bank.stride_px)
 
 
-def _refocused(pattern: LearnedPattern, camera: Camera) -> LearnedPattern:
-    return pattern.refocused(camera.focus_distance_m, camera.image_width, camera.focal_length_mm)
+def refocused(pattern: LearnedPattern, camera: Camera) -> LearnedPattern:
+    """Return the pattern of the same lens and mask in a camera's setting (thesis eq. 3.14, 3.28).
+
+    All sizes in px scale with the width of the pictures. Where the focal length in mm is known, the
+    image distance follows the focus; else it stays, which is off by about the focal length over
+    the distance.
+
+    Raises
+    ------
+    InputError
+        If the lens cannot be focused there.
+    """
+    slope = pattern.slope_px_m * camera.image_width / pattern.image_width
+    focal_length_mm = camera.focal_length_mm
+    if focal_length_mm is not None and np.isfinite(pattern.focus_distance_m):
+        distances_m = camera.focus_distance_m, pattern.focus_distance_m
+        for distance_m in distances_m:
+            if distance_m * 1e3 <= focal_length_mm:
+                raise InputError(
+                    f"focus at {distance_m:.3g} m is not beyond the focal length of "
+                    f"{focal_length_mm:g} mm"
+                )
+        after, before = (lens.image_distance(focal_length_mm, z * 1e3) for z in distances_m)
+        slope *= after / before
+    return dataclasses.replace(
+        pattern,
+        slope_px_m=slope,
+        inverse_focus=1 / camera.focus_distance_m,
+        image_width=camera.image_width,
+    )
 
 
 def _check_mask(bank: FilterBank, camera: Camera) -> None:

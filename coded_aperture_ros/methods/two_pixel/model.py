@@ -7,7 +7,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import DEFAULT_STRIDE_PX, NaturalImagePrior, power_spectrum
-from coded_aperture_ros.bank.learning import RATIOS, check_levels, stack_for_camera
+from coded_aperture_ros.bank.learning import RATIOS, check_levels, psf_stack_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.methods.two_pixel.config import SimpleConfig
 from coded_aperture_ros.methods.two_pixel.derivatives import channel_kernel, passed_power
@@ -155,7 +155,7 @@ def neighbour_model_for_camera(
     """
     check_levels(levels)
     find_holes(camera.mask)  # what is wrong with the mask is told first: no range helps it
-    stack = stack_for_camera(camera, near_m, far_m, levels, "the method for simple masks")
+    stack = psf_stack_for_camera(camera, near_m, far_m, levels, "the method for simple masks")
     return neighbour_model(stack, camera.mask, config)
 
 

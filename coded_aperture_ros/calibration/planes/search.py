@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank.fourier import WindowedFourierBasis
-from coded_aperture_ros.calibration.mask.fit import MaskFit, normalised
+from coded_aperture_ros.bank import LearnedPattern, WindowedFourierBasis
+from coded_aperture_ros.calibration.mask.fit import MaskFit, normalised, random_parts
 from coded_aperture_ros.calibration.mask.likelihood import MaskLikelihood
 from coded_aperture_ros.calibration.mask.phase_retrieval import retrieved_masks
+from coded_aperture_ros.calibration.mask.sizes import LensSizes
+from coded_aperture_ros.calibration.mask.windows import window_powers
 from coded_aperture_ros.calibration.planes.pictures import Planes
-from coded_aperture_ros.calibration.planes.spectra import plane_spectra
 from coded_aperture_ros.optics import Mask
 
 # Masks are sought up to this part of the window: a wider blur leaves too few independent
@@ -31,6 +32,7 @@ _CANDIDATES, _SINGLE_STEPS = 4, 60
 _logger = logging.getLogger(__name__)
 
 Progress = Callable[[Iterable[Any]], Iterable[Any]]
+LensFit = MaskFit[LensSizes]
 
 
 class MaskSearch:
@@ -47,58 +49,52 @@ class MaskSearch:
     Raises
     ------
     InputError
-        See `plane_spectra`.
+        If a picture is smaller than a window.
     """
 
     def __init__(self, planes: Planes, window_px: int, progress: Progress = iter) -> None:
         fourier = WindowedFourierBasis(window_px)
         self.inverse_depths = 1 / planes.depths_m
-        self.likelihood = MaskLikelihood(
-            plane_spectra(planes, fourier), fourier, _WIDEST * window_px
-        )
+        powers = [window_powers(image, fourier) for image in planes.images]
+        self.likelihood = MaskLikelihood(powers, fourier, _WIDEST * window_px)
         self.progress = progress
 
-    def mixture(self) -> MaskFit:
+    def mixture(self) -> LensFit:
         """Find the mask (as a mixture) and the focus under which the planes are likeliest.
 
         Coarse masks first, from several focus distances on both sides of the planes; the
         likelier ones go on, and the likeliest is refined.
         """
         starts = [(sign, ratio) for sign in (1, -1) for ratio in _NEAREST_TO_FOCUS]
-        coarse: list[MaskFit] = []
-        best: MaskFit | None = None
+        coarse: list[LensFit] = []
+        best: LensFit | None = None
         for step in self.progress([*starts, *range(_FINE_ROUNDS)]):
             if isinstance(step, tuple):
                 start = self.start(_COARSE_PARTS, _COARSE_CELL_PX, *step)
                 coarse.append(start.climb(self.likelihood, _FIRST_STEPS))
-            elif best is None:
+                continue
+            if best is None:
                 # The finer masks start afresh: the coarse ones' cells would stay visible.
-                found = self._most_promising(coarse)
+                found = self._most_promising(coarse).sizes
                 best = self.start(_FINE_PARTS, _FINE_CELL_PX, found.sign, found.near_ratio)
-                best = best.climb(self.likelihood, _FINE_STEPS)
-            else:
-                best = best.climb(self.likelihood, _FINE_STEPS)
+            best = best.climb(self.likelihood, _FINE_STEPS)
         return self._most_promising(coarse) if best is None else best
 
-    def _most_promising(self, coarse: list[MaskFit]) -> MaskFit:
+    def _most_promising(self, coarse: list[LensFit]) -> LensFit:
         coarse = sorted(coarse, key=lambda fit: fit.score)[:_PROMISING]
         further = [fit.climb(self.likelihood, _COARSE_STEPS) for fit in coarse]
         return min(further, key=lambda fit: fit.score)
 
-    def start(self, parts: int, cell_px: float, sign: int, near_ratio: float) -> MaskFit:
+    def start(self, parts: int, cell_px: float, sign: int, near_ratio: float) -> LensFit:
         """Return a first guess: random masks."""
         extent_px = self.likelihood.widest_px
         return MaskFit(
-            parts=normalised(_blobs(parts, round(extent_px / cell_px))),
-            near_ratio=near_ratio,
-            sign=sign,
-            extent_px=extent_px,
-            inverse_depths=self.inverse_depths,
-            log_noise=self.likelihood.first_log_noise,
-            score=np.inf,
+            random_parts(parts, round(extent_px / cell_px)),
+            LensSizes(near_ratio, sign, extent_px, self.inverse_depths),
+            self.likelihood.first_log_noise,
         )
 
-    def single(self, mixture: MaskFit) -> tuple[Mask, float]:
+    def single(self, mixture: LensFit) -> tuple[Mask, float]:
         """Find one mask instead of a mixture: the likeliest of several that come close to it.
 
         Logs a warning if it fills the grid: then the blur may be wider than that.
@@ -122,17 +118,33 @@ class MaskSearch:
             _logger.warning(
                 "the blur reaches %.0f px, half the window of %.0f px, or more: depths are more "
                 "trustworthy with a larger window_px",
-                *(mixture.extent_px, mixture.extent_px / _WIDEST),
+                *(mixture.sizes.extent_px, mixture.sizes.extent_px / _WIDEST),
             )
-        extent_px = mixture.extent_px * len(opening) / cells
+        extent_px = mixture.sizes.extent_px * len(opening) / cells
         return Mask("learned from planes", opening / opening.max()), extent_px
 
 
-def _blobs(count: int, cells: int) -> NDArray[np.float64]:
-    """Return random masks, brightest in their middle [count, cells, cells]."""
-    x = (np.arange(cells) + 0.5) / cells - 0.5
-    blob = np.exp(-(x[:, None] ** 2 + x**2) / (2 * 0.3**2))
-    return blob * np.random.default_rng(0).uniform(size=(count, cells, cells)) ** 2
+def pattern_of(fit: LensFit, mask: Mask, extent_px: float, image_width: int) -> LearnedPattern:
+    """Return a mask with the line of the thin lens that a fit has.
+
+    Parameters
+    ----------
+    fit : MaskFit
+    mask : Mask
+        Instead of the fit's mixture.
+    extent_px : float
+        Extent of its grid at the most blurred plane.
+    image_width : int
+    """
+    scale, lens = extent_px / fit.sizes.extent_px, fit.sizes.lens
+    return LearnedPattern(
+        slope_px_m=lens.slope_px_m * scale,
+        inverse_focus=lens.inverse_focus,
+        mask=mask,
+        parts=fit.parts,
+        parts_extent=1 / scale,
+        image_width=image_width,
+    )
 
 
 def _cropped(mask: NDArray[np.float64], darkest: float = 0.2) -> NDArray[np.float64]:

@@ -1,42 +1,32 @@
 """Power spectra of the windows of pictures, and what is averaged of them."""
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
+from coded_aperture_ros.imaging import channel_mean
 
 # Windows of little and of much contrast differ in how far they rise above the noise.
 _CLASSES = 3
 
 
-def window_powers(
-    image: NDArray[np.float32], fourier: WindowedFourierBasis, stride_px: int
-) -> NDArray[np.float64]:
-    """Return the power spectra of all windows of a grey picture.
+def window_powers(image: NDArray[np.float32], fourier: WindowedFourierBasis) -> NDArray[np.float32]:
+    """Return the power spectra of a picture's windows, a quarter of a window apart [W, K].
 
-    Parameters
-    ----------
-    image : ndarray, float32 [rows, columns]
-        Not smaller than a window.
-    fourier : WindowedFourierBasis
-    stride_px : int
-        From one window to the next.
+    White noise of variance s^2 has the power s^2.
 
-    Returns
-    -------
-    ndarray, float64 [windows, K]
-        As `WindowedFourierBasis.project` orders them; white noise of variance s^2 has power s^2.
+    Raises
+    ------
+    InputError
+        If the picture is smaller than a window.
     """
-    n = fourier.window_px
-    windows = np.lib.stride_tricks.sliding_window_view(image, (n, n))[::stride_px, ::stride_px]
-    weights = np.outer(fourier.window, fourier.window)
-    power = np.abs(scipy.fft.rfft2(windows.reshape(-1, n, n) * weights)) ** 2
-    return np.asarray(power.reshape(len(power), -1), np.float64)
+    every = np.eye(fourier.size, dtype=np.float32)
+    power, _ = fourier.project(channel_mean(image), fourier.window_px // 4, every)
+    return power.reshape(-1, fourier.size)
 
 
 def mean_by_contrast(
-    powers: NDArray[np.float64], fourier: WindowedFourierBasis, classes: int = _CLASSES
+    powers: NDArray[np.floating], fourier: WindowedFourierBasis, classes: int = _CLASSES
 ) -> NDArray[np.float32]:
     """Average the spectra of windows of about the same contrast.
 
@@ -45,7 +35,7 @@ def mean_by_contrast(
 
     Parameters
     ----------
-    powers : ndarray, float64 [windows, K]
+    powers : ndarray, float [windows, K]
     fourier : WindowedFourierBasis
     classes : int, optional
         How many averages.

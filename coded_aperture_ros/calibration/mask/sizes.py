@@ -1,0 +1,122 @@
+"""What may vary of the blur sizes of planes while a mask is sought: all of them, or the focus."""
+
+import dataclasses
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bank.pattern import ThinLens
+
+# Curvatures of the likelihood differ: in these units a focus, or the logarithm of a size, is as
+# soft as the mask's cells.
+_UNIT = 0.02
+_LARGEST_RATIO = 0.95
+
+
+class BlurSizes(Protocol):
+    """Unsigned blur sizes as a function of the variables of an optimiser."""
+
+    @property
+    def px(self) -> NDArray[np.float64]:
+        """Width of the mask's grid at each plane [I]."""
+
+    @property
+    def variables(self) -> NDArray[np.float64]:
+        """The variables here [V]."""
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Smallest and largest value of each."""
+
+    def moved(self, variables: NDArray[np.float64]) -> "BlurSizes":
+        """Return the sizes for other variables."""
+
+    def gradient(self, by_px: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return derivatives by the variables [V] from those by the sizes [I]."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FreeSizes:
+    """Each plane by itself; none is blurred by more than `widest_px`."""
+
+    px: NDArray[np.float64]
+    widest_px: float
+
+    @property
+    def variables(self) -> NDArray[np.float64]:
+        """Logarithms of the sizes."""
+        return np.asarray(np.log(self.px) / _UNIT)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """From a size of one pixel on."""
+        return 0.0, float(np.log(self.widest_px) / _UNIT)
+
+    def moved(self, variables: NDArray[np.float64]) -> "FreeSizes":
+        """See `BlurSizes`."""
+        return FreeSizes(np.exp(_UNIT * variables), self.widest_px)
+
+    def gradient(self, by_px: NDArray[np.float64]) -> NDArray[np.float64]:
+        """See `BlurSizes`."""
+        return by_px * self.px * _UNIT
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LensSizes:
+    """All on the line of a thin lens (thesis eq. 3.28), whose focus may vary.
+
+    Attributes
+    ----------
+    near_ratio : float
+        Blur size of the least blurred plane over that of the most blurred one, in [0, 1).
+    sign : int
+        1 if the planes lie beyond the focal plane, -1 if in front of it.
+    extent_px : float
+        Width of the mask's grid at the most blurred plane, px.
+    inverse_depths : ndarray, float64 [I]
+        Of the planes, 1/m, in the order of their depths.
+    """
+
+    near_ratio: float
+    sign: int
+    extent_px: float
+    inverse_depths: NDArray[np.float64]
+
+    @property
+    def px(self) -> NDArray[np.float64]:
+        """See `BlurSizes`."""
+        return self.extent_px * (1 - (1 - self.near_ratio) * self._towards_focus)
+
+    @property
+    def _towards_focus(self) -> NDArray[np.float64]:
+        """How near the planes are to the focus in inverse depth: 0 for the most blurred, to 1."""
+        v = self.inverse_depths
+        share = (v - v.min()) / np.ptp(v)
+        return np.asarray(share if self.sign > 0 else 1 - share)
+
+    @property
+    def variables(self) -> NDArray[np.float64]:
+        """The ratio of the sizes."""
+        return np.array([self.near_ratio / _UNIT])
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """See `BlurSizes`."""
+        return 0.0, _LARGEST_RATIO / _UNIT
+
+    def moved(self, variables: NDArray[np.float64]) -> "LensSizes":
+        """See `BlurSizes`."""
+        return dataclasses.replace(self, near_ratio=float(variables[0] * _UNIT))
+
+    def gradient(self, by_px: NDArray[np.float64]) -> NDArray[np.float64]:
+        """See `BlurSizes`."""
+        return np.array([by_px @ (self.extent_px * self._towards_focus) * _UNIT])
+
+    @property
+    def lens(self) -> ThinLens:
+        """The line that the sizes lie on."""
+        v = self.inverse_depths
+        reach = float(np.ptp(v)) / (1 - self.near_ratio)
+        focus = v.min() + reach if self.sign > 0 else v.max() - reach
+        return ThinLens(self.extent_px / reach, float(focus))
