@@ -89,10 +89,10 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            f"camera_driver_node = {NAME}.ros.camera_driver_node:main",
-            f"depth_node = {NAME}.ros.depth_node:main",
-            f"deblur_node = {NAME}.ros.deblur_node:main",
-            f"pipeline = {NAME}.ros.pipeline:main",
+            f"camera_driver_node = {NAME}.ros.programs:camera_driver_node",
+            f"depth_node = {NAME}.ros.programs:depth_node",
+            f"deblur_node = {NAME}.ros.programs:deblur_node",
+            f"pipeline = {NAME}.ros.programs:pipeline",
             f"coded_aperture = {NAME}.cli.main:main",
         ],
     },

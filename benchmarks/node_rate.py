@@ -392,7 +392,7 @@ def node_arguments(camera_file: Path, reliable: bool, given: Sequence[str]) -> l
         parameters.append("qos_overrides./image_raw.subscription.reliability:=reliable")
     parameters = [text for text in parameters if not _is_given(text, given)] + list(given)
     arguments = [text for parameter in parameters for text in ("-p", parameter)]
-    return ["-m", "coded_aperture_ros.ros.depth_node", "--ros-args", *arguments]
+    return ["-m", "coded_aperture_ros.ros.programs", "depth_node", "--ros-args", *arguments]
 
 
 def _is_given(parameter: str, given: Sequence[str]) -> bool:

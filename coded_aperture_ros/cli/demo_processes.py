@@ -57,7 +57,8 @@ class Children:
                 [
                     sys.executable,
                     "-m",
-                    f"coded_aperture_ros.ros.{node}",
+                    "coded_aperture_ros.ros.programs",
+                    node,
                     "--ros-args",
                     *arguments,
                 ],

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -335,7 +334,3 @@ class CameraDriverNode(ManagedNode):
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node until it is told to stop; return the exit status."""
     return run_nodes([CameraDriverNode], args)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,7 +1,6 @@
 """The node that turns coded frames and their depth into all-in-focus frames."""
 
 import math
-import sys
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -160,7 +159,3 @@ def _size_bytes(message: Image) -> int:
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node until it is told to stop; return the exit status."""
     return run_nodes([DeblurNode], args)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import sys
 from collections.abc import Sequence
 from typing import Any, ClassVar, cast
 
@@ -290,7 +289,3 @@ class DepthNode(FrameNode[Image]):
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node until it is told to stop; return the exit status."""
     return run_nodes([DepthNode], args)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

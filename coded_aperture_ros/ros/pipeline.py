@@ -1,7 +1,6 @@
 """Camera driver, depth and deblurring in one process."""
 
 import functools
-import sys
 from collections.abc import Sequence
 
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
@@ -20,7 +19,3 @@ def main(args: Sequence[str] | None = None) -> int:
     local = LocalTopics()
     nodes = (CameraDriverNode, DepthNode, DeblurNode)
     return run_nodes([functools.partial(node, local=local) for node in nodes], args)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

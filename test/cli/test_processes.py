@@ -1,8 +1,10 @@
 """The nodes as programs: start, signals, exit status, what they print."""
 
+import re
 import signal
 import subprocess
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -154,3 +156,34 @@ def test_wrong_ros_arguments_end_the_node_with_one_line(start):
     _, err = process.communicate(timeout=30)
     assert process.returncode == 1
     assert "Traceback" not in err
+
+
+def catches(pid, number):
+    """Return whether a process has said what to do at a signal."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    mask = int(re.search(r"^SigCgt:\s*(\w+)", status, re.M)[1], 16)
+    return bool(mask >> (number - 1) & 1)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("node", ["camera_driver_node", "depth_node", "pipeline"])
+def test_a_signal_before_anything_is_imported_is_no_crash(start, node, number):
+    process = start(node)
+    while not catches(process.pid, signal.SIGTERM):  # Python itself takes SIGINT, and this not
+        assert process.poll() is None
+    mapped = Path(f"/proc/{process.pid}/maps").read_text()
+    status, said = end(process, number)
+    assert (status, said) == (0, "")
+    assert "numpy" not in mapped and "rclpy" not in mapped
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("delay_s", [0.1, 0.25, 0.5, 0.8, 1.2, 1.8])
+def test_a_signal_during_the_start_is_no_crash(start, delay_s, number):
+    process = start("depth_node")
+    while not catches(process.pid, signal.SIGTERM):
+        assert process.poll() is None
+    time.sleep(delay_s)
+    status, said = end(process, number)
+    assert status == 0, said
+    assert "Traceback" not in said

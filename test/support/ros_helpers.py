@@ -25,7 +25,7 @@ with warnings.catch_warnings():
 
 def start_node(node, parameters, *arguments, **options):
     """Start one of the package's nodes as a program; `options` are those of `Popen`."""
-    command = [sys.executable, "-m", f"coded_aperture_ros.ros.{node}", "--ros-args"]
+    command = [sys.executable, "-m", "coded_aperture_ros.ros.programs", node, "--ros-args"]
     for name, value in parameters.items():
         command += ["-p", f"{name}:={yaml.safe_dump(value).splitlines()[0]}"]
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

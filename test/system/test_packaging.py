@@ -17,10 +17,10 @@ from coded_aperture_ros.core.errors import InputError
 
 PACKAGE = "coded_aperture_ros"
 PROGRAMS = {
-    "camera_driver_node": "coded_aperture_ros.ros.camera_driver_node:main",
-    "depth_node": "coded_aperture_ros.ros.depth_node:main",
-    "deblur_node": "coded_aperture_ros.ros.deblur_node:main",
-    "pipeline": "coded_aperture_ros.ros.pipeline:main",
+    "camera_driver_node": "coded_aperture_ros.ros.programs:camera_driver_node",
+    "depth_node": "coded_aperture_ros.ros.programs:depth_node",
+    "deblur_node": "coded_aperture_ros.ros.programs:deblur_node",
+    "pipeline": "coded_aperture_ros.ros.programs:pipeline",
     "coded_aperture": "coded_aperture_ros.cli.main:main",
 }
 
