@@ -18,6 +18,7 @@ def add_parser(subparsers: Any) -> None:
         "bench",
         help="measure accuracy on frames whose truth is known, and speed",
         add_help=False,  # the benchmarks' own help is the one that is wanted
+        prefix_chars="\0",  # so that nothing is an option: the benchmarks parse them
     )
     parser.add_argument("arguments", nargs=argparse.REMAINDER)
 

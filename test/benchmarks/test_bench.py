@@ -310,3 +310,22 @@ def test_planes_are_found_if_they_are_of_the_same_camera(tmp_path, folder):
     other = json.loads((folder / "meta.json").read_text()) | {"focus_distance_m": 3.0}
     (planes / "meta.json").write_text(json.dumps(other))
     assert _planes_of(folder, "levin") == []
+
+
+@pytest.mark.parametrize("words", [(), ("accuracy",), ("motion",), ("blind",)])
+def test_bench_hands_on_everything_after_its_name(capsys, words):
+    """Even where that begins with an option, which the program itself has too."""
+    result = call(capsys, "bench", *words, "--help")
+    assert (result.status, result.err) == (0, "")
+    assert result.out.startswith(" ".join(("usage: coded_aperture bench", *words)))
+    refused = call(capsys, "bench", *words, "--version")
+    assert (refused.status, refused.out) == (2, "")
+
+
+def test_benchmarks_that_are_not_there_are_one_line(capsys, tmp_path, monkeypatch):
+    from coded_aperture_ros.cli import bench
+
+    monkeypatch.setattr(bench, "_PACKAGE", "no_such_benchmarks")
+    result = call(capsys, "bench", "speed")
+    assert (result.status, result.out, result.err.count("\n")) == (1, "", 1)
+    assert "pip install ./benchmarks" in result.err
