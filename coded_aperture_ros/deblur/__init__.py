@@ -1,7 +1,7 @@
 """All-in-focus frames from coded frames and their depth."""
 
 from coded_aperture_ros.deblur.config import DeblurConfig
-from coded_aperture_ros.deblur.deblur import Deblurrer
+from coded_aperture_ros.deblur.deblurrer import Deblurrer
 from coded_aperture_ros.deblur.fill import covers_frame
 from coded_aperture_ros.deblur.stereo import (
     Parallax,

@@ -8,16 +8,36 @@ from coded_aperture_ros.depth import DEPTH_EDGE_PX
 
 # Sharper specks narrower than this are outliers of the depth, px of the frame.
 _SPECK_PX = 9
-# How far from a depth edge the smaller blur size is used, px.
-_EDGE_REACH_PX = 10
 # How far blur sizes are averaged, px, and how much they may differ on one surface.
-_CALM_PX, _SAME_SURFACE_PX = 20, 1.0
+_SMOOTH_PX, _SAME_SURFACE_PX = 20, 1.0
 # What the model of blur leaves unexplained on a plane without noise: standard deviation, linear
 # light.
 MODEL_ERROR = 0.0015
 # What a change of blur size around a pixel leaves unexplained there, per pixel of its standard
 # deviation, linear light; and how far around.
 _ERROR_PER_PX, _AROUND_PX = 0.0014, 15
+
+
+def safe_blur_map(
+    blur: NDArray[np.float32], reach_px: float, reduction: int, moves: bool
+) -> NDArray[np.float32]:
+    """Return the blur sizes that do the least harm where the depth may be wrong.
+
+    Parameters
+    ----------
+    blur : ndarray, float32
+        Signed blur sizes in px of the frame, finite.
+    reach_px : float
+        How far edges of the depth may be off, px of the frame; 0: the depth is exact.
+    reduction : int
+        How many times smaller than the frame the map is.
+    moves : bool
+        Whether something has moved during the exposure.
+    """
+    if not reach_px:
+        return blur
+    blur = sharper_near_edges(without_specks(blur, reduction), round(reach_px / reduction))
+    return smoothed_over_surfaces(blur) if moves else blur
 
 
 def without_specks(blur: NDArray[np.float32], reduction: int = 1) -> NDArray[np.float32]:
@@ -32,9 +52,7 @@ def without_specks(blur: NDArray[np.float32], reduction: int = 1) -> NDArray[np.
     return np.where(closed - amount > DEPTH_EDGE_PX, np.copysign(closed, blur), blur)
 
 
-def sharper_near_edges(
-    blur: NDArray[np.float32], reach_px: int = _EDGE_REACH_PX
-) -> NDArray[np.float32]:
+def sharper_near_edges(blur: NDArray[np.float32], reach_px: int) -> NDArray[np.float32]:
     """Return blur sizes that near a depth edge are those of its sharper side.
 
     Where the edge is off, a pixel is deblurred with the PSF of the other side. One that is too
@@ -45,12 +63,12 @@ def sharper_near_edges(
     return np.where(amount - least > DEPTH_EDGE_PX, np.copysign(least, blur), blur)
 
 
-def calm(blur: NDArray[np.float32]) -> NDArray[np.float32]:
+def smoothed_over_surfaces(blur: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return blur sizes averaged over surfaces, whose edges stay.
 
     The inverse of a long motion rings where the other blur is wrong by little.
     """
-    return np.asarray(cv2.bilateralFilter(blur, 3 * _CALM_PX | 1, _SAME_SURFACE_PX, _CALM_PX))
+    return np.asarray(cv2.bilateralFilter(blur, 3 * _SMOOTH_PX | 1, _SAME_SURFACE_PX, _SMOOTH_PX))
 
 
 def model_weight(blur: NDArray[np.float32], noise: float) -> NDArray[np.float32]:

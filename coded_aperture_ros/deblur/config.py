@@ -23,6 +23,12 @@ class DeblurConfig:
         minimum=0.0,
         maximum=0.5,
     )
+    noise_gain: float = option(
+        0.0,
+        "Variance of one channel's shot noise per unit of light; adds to the variance of noise.",
+        minimum=0.0,
+        maximum=0.1,
+    )
     smoothness: float = option(
         1.0,
         "Trades sharpness (below 1) against noise and ringing (above 1).",

@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.deblur.fast import InverseFilters
+from coded_aperture_ros.deblur.inverse_filters import InverseFilters
 from coded_aperture_ros.optics import PsfStack
 
 # Frequencies that are deblurred, cycles/px: all below the first, none above the second.

@@ -7,8 +7,11 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.deblur.motion import MotionParts
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
+from coded_aperture_ros.imaging import transfer_function
 
 
 class BlurOperator(Protocol):
@@ -72,15 +75,16 @@ def frame_within(scene: Any, operator: BlurOperator) -> Any:
 
 
 class SpreadingBlur(OnProcessor):
-    """Every point of the scene spreads its light by the PSF of its own depth.
+    """Every point of the scene spreads its light by the PSF of its own depth, and of its motion.
 
-    The columns of the thesis' ``H_d`` (eq. 3.26) are those PSFs. With PSFs that are combinations
-    ``h_d = sum_r c_r(d) k_r`` of R kernels (see `PsfBasis`)::
+    The columns of the thesis' ``H_d`` (eq. 3.26) are those PSFs. They are combinations ``h_d =
+    sum_r c_r(d) k_r`` of R kernels (see `PsfBasis`). Where things move, each part ``S_m`` of the
+    scene is convolved with the trace ``t_m`` of its motion too (eq. 7.1 and 7.2)::
 
-        H_d f = sum_r k_r * (c_r(d) f)  /  sum_r k_r * c_r(d)
+        H_d f = sum_m t_m * sum_r k_r * (c_r(d) S_m f)  /  (the same of f = 1)
 
-    one Fourier transform for each kernel, whatever the number of levels and the relief. The
-    denominator, which is 1 on a plane, keeps the brightness near depth edges, where light from
+    one Fourier transform for each kernel and motion, whatever the number of levels and the relief.
+    The denominator, which is 1 on a plane, keeps the brightness near depth edges, where light from
     behind a foreground is missing and that of others takes its place.
 
     Parameters
@@ -90,6 +94,13 @@ class SpreadingBlur(OnProcessor):
         Signed blur size of every pixel, finite.
     workers : Workers, optional
         Threads to share the work with.
+    motion : MotionParts, optional
+        Of the same size. By default nothing moves.
+
+    Raises
+    ------
+    InputError
+        If the motion has another size than the blur.
     """
 
     def __init__(
@@ -97,30 +108,51 @@ class SpreadingBlur(OnProcessor):
         basis: PsfBasis,
         blur_size_px: NDArray[np.float32],
         workers: Workers | None = None,
+        motion: MotionParts | None = None,
     ) -> None:
         rows, columns = blur_size_px.shape
-        self.shape, self.margin_px = (rows, columns), basis.margin_px
+        if motion is not None and motion.labels.shape != (rows, columns):
+            raise InputError(
+                f"motion of {motion.labels.shape[1]}x{motion.labels.shape[0]} px: expected the "
+                f"size of the blur, {columns}x{rows}"
+            )
+        traces = [] if motion is None else motion.traces()
+        reach_px = max((len(trace) // 2 for trace in traces), default=0)
+        self.shape, self.margin_px = (rows, columns), basis.margin_px + reach_px
         self.scene_shape = fast_shape(self.shape, self.margin_px)
         self.workers = workers or Workers()
-        self._transforms = basis.transforms(self.scene_shape)
         self._basis = basis
+        self._transforms = basis.transforms(self.scene_shape)
         steps = scene_around(basis.steps_of(blur_size_px).astype(np.float32), self)
         self._steps = steps.astype(np.intp)
         self._shares = [np.take(of_kernel, self._steps) for of_kernel in basis.table]
+        self._traces = [transfer_function(trace, self.scene_shape) for trace in traces]
+        self._parts: list[NDArray[np.float32]] = []
+        if motion is not None:
+            labels = scene_around(motion.labels.astype(np.float32), self)
+            self._parts = [(labels == part).astype(np.float32) for part in range(len(traces))]
+        self._terms = list(np.ndindex(max(len(traces), 1), len(self._shares)))
         self._scale = np.ones(self.shape, np.float32)
         self._scale /= self.forward(np.ones(self.scene_shape, np.float32))
 
+    def _share(self, part: int, kernel: int) -> NDArray[np.float32]:
+        share = self._shares[kernel]
+        return share * self._parts[part] if self._parts else share
+
+    def _transform(self, part: int, kernel: int) -> NDArray[np.complex64]:
+        transform = self._transforms[kernel]
+        return transform * self._traces[part] if self._traces else transform
+
     def forward(self, scene: NDArray[np.float32]) -> NDArray[np.float32]:
         """Blur a scene."""
-        like = self._transforms[0]
-        sums = [np.zeros_like(like) for _ in range(self.workers.threads)]
+        sums = [np.zeros_like(self._transforms[0]) for _ in range(self.workers.threads)]
 
-        def add(kernel: int, thread: int) -> None:
-            spectrum = scipy.fft.rfft2(self._shares[kernel] * scene)
-            spectrum *= self._transforms[kernel]
+        def add(term: tuple[int, int], thread: int) -> None:
+            spectrum = scipy.fft.rfft2(self._share(*term) * scene)
+            spectrum *= self._transform(*term)
             sums[thread] += spectrum
 
-        self.workers.each(add, range(len(self._shares)))
+        self.workers.each(add, self._terms)
         blurred = scipy.fft.irfft2(np.sum(sums, axis=0), self.scene_shape)
         return frame_within(blurred, self) * self._scale
 
@@ -129,16 +161,23 @@ class SpreadingBlur(OnProcessor):
         spectrum = scipy.fft.rfft2(scene_around(frame * self._scale, self, cv2.BORDER_CONSTANT))
         sums = [np.zeros(self.scene_shape, np.float32) for _ in range(self.workers.threads)]
 
-        def add(kernel: int, thread: int) -> None:
-            part = scipy.fft.irfft2(spectrum * self._transforms[kernel].conj(), self.scene_shape)
-            cv2.accumulateProduct(part, self._shares[kernel], sums[thread])
+        def add(term: tuple[int, int], thread: int) -> None:
+            passed = scipy.fft.irfft2(spectrum * self._transform(*term).conj(), self.scene_shape)
+            cv2.accumulateProduct(passed, self._share(*term), sums[thread])
 
-        self.workers.each(add, range(len(self._shares)))
+        self.workers.each(add, self._terms)
         return np.sum(sums, axis=0)
 
     def ranges(self, count: int) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-        """Divide the scene among ranges of blur sizes."""
-        return self._basis.ranges(self._steps, count)
+        """Divide the scene among ranges of blur sizes, and motions."""
+        ranges = self._basis.ranges(self._steps, count)
+        if not self._parts:
+            return ranges
+        return [
+            (share * part, power * np.abs(trace) ** 2)
+            for share, power in ranges
+            for part, trace in zip(self._parts, self._traces, strict=True)
+        ]
 
 
 def fast_shape(shape: tuple[int, int], margin_px: int) -> tuple[int, int]:

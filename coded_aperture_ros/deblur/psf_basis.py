@@ -29,11 +29,14 @@ class PsfBasis:
         How much of each kernel there is in the PSFs of `table_sizes_px`.
     table_sizes_px : ndarray, float64 [steps]
         Signed blur sizes, ascending and equally many between all levels of the stack.
+    in_pixels : bool
+        Whether the sizes are pixels, and not mere indices of levels.
     """
 
     kernels: NDArray[np.float32]
     table: NDArray[np.float32]
     table_sizes_px: NDArray[np.float64]
+    in_pixels: bool = True
 
     @classmethod
     def of(cls, stack: PsfStack, tolerance: float = _TOLERANCE) -> "PsfBasis":
@@ -73,6 +76,7 @@ class PsfBasis:
             kernels.astype(np.float32),
             table.astype(np.float32),
             np.interp(fine, at, stack.blur_sizes_px[order]),
+            stack.in_pixels,
         )
 
     @lru_cache(maxsize=2)  # noqa: B019 - as many sizes of frames as a camera has

@@ -1,4 +1,4 @@
-"""Less noise in the all-in-focus frames of a video: what stays alike is averaged first."""
+"""What deblurring remembers of a video: averaged coded frames, and where to begin the next one."""
 
 import cv2
 import numpy as np
@@ -6,8 +6,11 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.imaging import StillAverage
 
+# A place that is the mean of more frames than this has not changed.
+_STATIC = 1.5
 
-class SteadyFrames:
+
+class VideoState:
     """Averages the coded frames of a video, along non-local weights in time, before deblurring.
 
     The thesis proposes such weights for depth (eq. 8.11) and leaves all-in-focus frames for later.
@@ -17,12 +20,12 @@ class SteadyFrames:
 
     Parameters
     ----------
-    frames : float
-        Frames that are averaged at most, > 0.
+    most_frames : float
+        Frames that are averaged at most; 0: every frame for itself, and nothing is remembered.
     """
 
-    def __init__(self, frames: float) -> None:
-        self._frames = frames
+    def __init__(self, most_frames: float) -> None:
+        self._most_frames = most_frames
         self._averages: list[StillAverage] = []
         self._shape: tuple[int, ...] = ()
         self._restored: list[NDArray[np.float32]] | None = None
@@ -46,35 +49,37 @@ class SteadyFrames:
         Returns
         -------
         channels : list of ndarray, float32 [rows, columns]
-        frames : ndarray, float32 [rows, columns]
+        frame_count : ndarray, float32 [rows, columns], or [1, 1] of single frames
             Of the channel that changed most; at least 1.
         """
+        if not self._most_frames:
+            return channels, np.ones((1, 1), np.float32)
         shape = (len(channels), *channels[0].shape)
         if shape != self._shape:
             self.reset()
             self._shape = shape
         if not self._averages:
-            self._averages = [StillAverage(self._frames) for _ in channels]
+            self._averages = [StillAverage(self._most_frames) for _ in channels]
         means = [
             average.add(channel, noise)
             for average, channel in zip(self._averages, channels, strict=True)
         ]
         least = np.min([count for _, count in means], axis=0)
-        frames = cv2.resize(least, shape[:0:-1], interpolation=cv2.INTER_LINEAR)
-        return [mean.copy() for mean, _ in means], np.asarray(frames, np.float32)
+        frame_count = cv2.resize(least, shape[:0:-1], interpolation=cv2.INTER_LINEAR)
+        return [mean.copy() for mean, _ in means], np.asarray(frame_count, np.float32)
 
     def start(
-        self, closed_form: list[NDArray[np.float32]], frames: NDArray[np.float32]
+        self, closed_form: list[NDArray[np.float32]], frame_count: NDArray[np.float32]
     ) -> list[NDArray[np.float32]]:
         """Return where to begin to restore: the last result wherever nothing has changed."""
         if self._restored is None:
             return closed_form
-        still = frames > 1.5
         return [
-            np.where(still, last, fresh)
+            np.where(frame_count > _STATIC, last, fresh)
             for last, fresh in zip(self._restored, closed_form, strict=True)
         ]
 
     def keep(self, restored: list[NDArray[np.float32]]) -> None:
         """Remember a result, to begin with it next time."""
-        self._restored = restored
+        if self._most_frames:
+            self._restored = restored

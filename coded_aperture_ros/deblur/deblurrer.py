@@ -1,0 +1,136 @@
+"""The all-in-focus frame from a coded frame and its depth: where to begin to read."""
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.deblur.blur_map import safe_blur_map
+from coded_aperture_ros.deblur.cg import ConjugateGradients
+from coded_aperture_ros.deblur.closed_form import ClosedForm
+from coded_aperture_ros.deblur.config import DeblurConfig
+from coded_aperture_ros.deblur.fast import Fast
+from coded_aperture_ros.deblur.fill import filled_blur_map
+from coded_aperture_ros.deblur.frame import frame_noise, measured_pixels, opponents
+from coded_aperture_ros.deblur.motion import motion_of_frame
+from coded_aperture_ros.deblur.problem import Method, Problem
+from coded_aperture_ros.deblur.psf_basis import PsfBasis
+from coded_aperture_ros.deblur.sparse import Sparse
+from coded_aperture_ros.deblur.video import VideoState
+from coded_aperture_ros.imaging import check_frame
+from coded_aperture_ros.optics import PsfStack
+
+
+class Deblurrer:
+    """Makes the frames of a camera all-in-focus.
+
+    Parameters
+    ----------
+    stack : PsfStack
+        PSFs of the blur levels, as a filter bank has them.
+    config : DeblurConfig, optional
+    """
+
+    def __init__(self, stack: PsfStack, config: DeblurConfig | None = None) -> None:
+        self.stack, self.config = stack, config or DeblurConfig()
+        self._basis = cache(lambda: PsfBasis.of(stack))
+        self._workers = Workers(self.config.threads)
+        self._closed_form = self._new_closed_form()
+        self._method = self._new_method()
+        self._video = VideoState(self.config.temporal_frames)
+
+    def prepare(self, shape: tuple[int, int]) -> None:
+        """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
+        self._closed_form.prepare(shape)
+
+    def reset(self) -> None:
+        """Forget the frames so far: the next one begins another video."""
+        self._video.reset()
+
+    def reconfigure(self, config: DeblurConfig) -> None:
+        """Deblur by other settings from the next frame on. Any option may change.
+
+        Another `rank`, `band` or number of `threads` makes the filters anew, which the next frame
+        waits for unless `prepare` is called. Another `temporal_frames` begins another video.
+        """
+        old, self.config = self.config, config
+        if config.threads != old.threads:
+            self._workers.close()
+            self._workers = Workers(config.threads)
+        of_filters = (config.threads, config.rank, config.band)
+        if of_filters != (old.threads, old.rank, old.band):
+            self._closed_form = self._new_closed_form()
+        if config.temporal_frames != old.temporal_frames:
+            self._video = VideoState(config.temporal_frames)
+        self._method = self._new_method()
+
+    def close(self) -> None:
+        """End the threads that the frames were shared among."""
+        self._workers.close()
+
+    def deblur(
+        self,
+        frame: NDArray[np.float32],
+        blur_size_px: NDArray[np.float32],
+        noise: float | None = None,
+        motion_px: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.float32]:
+        """Return the all-in-focus frame.
+
+        Parameters
+        ----------
+        frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
+            Coded frame in linear light.
+        blur_size_px : ndarray, float32 [map rows, map columns]
+            Signed blur sizes in pixels of the frame. The map covers the whole frame, may be
+            smaller, and is not finite where the depth is unknown.
+        noise : float, optional
+            Standard deviation of the noise of one channel, without shot noise. By default the
+            configured one, and if that is 0, an estimate.
+        motion_px : ndarray, float32 [map rows, map columns, 2], optional
+            Way during the exposure, to the right, and down, in pixels of the frame, of what has
+            moved; not finite where it is unknown. The map covers the whole frame. Methods `cg` and
+            `sparse` remove it, without occlusion (thesis 7.5).
+
+        Returns
+        -------
+        ndarray, float32, like `frame`
+            In [0, 1].
+
+        Raises
+        ------
+        InputError
+            If the frame or a map has a wrong shape or type, no blur size is known, the frame is too
+            small for its noise to be estimated, or `fast` is to remove motion.
+        """
+        check_frame(frame)
+        motion = motion_of_frame(motion_px, frame.shape)
+        if motion is not None and not self._method.removes_motion:
+            raise InputError("motion: method fast removes no motion, use cg or sparse")
+        frame, measured = measured_pixels(frame, self.config.saturation)
+        blur = self._blur_map(blur_size_px, frame, moves=motion is not None)
+        noise = frame_noise(frame, noise or self.config.noise, self.config.noise_gain)
+        channels, frame_count = self._video.add(opponents(frame), noise)
+        problem = Problem(channels, frame_count, measured, blur, motion, noise)
+        return np.clip(self._method.restore(problem, self._video), 0, 1)
+
+    def _blur_map(
+        self, blur_size_px: NDArray[np.float32], frame: NDArray[np.float32], moves: bool
+    ) -> NDArray[np.float32]:
+        """Return the blur sizes to deblur by, as much smaller as the method wants them."""
+        blur = filled_blur_map(blur_size_px, frame, self._method.reduction)
+        if not self.stack.in_pixels:
+            return blur
+        reach_px = self._method.edge_reach * self.config.edge_reach
+        return safe_blur_map(blur, reach_px, self._method.reduction, moves)
+
+    def _new_closed_form(self) -> ClosedForm:
+        return ClosedForm(self.stack, self.config.rank, self.config.band, self._workers)
+
+    def _new_method(self) -> Method:
+        if self.config.method == "fast":
+            return Fast(self.config, self._closed_form)
+        iterative = {"cg": ConjugateGradients, "sparse": Sparse}[self.config.method]
+        return iterative(self.config, self._closed_form, self._basis, self._workers)

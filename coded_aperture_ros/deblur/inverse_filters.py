@@ -1,0 +1,180 @@
+"""Closed-form deblurring: every pixel filtered by the inverse of its own level's PSF."""
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.deblur.inverse_basis import MODEL_ERRORS, InverseBasis
+from coded_aperture_ros.imaging import periodic, periodic_shape
+from coded_aperture_ros.optics import PsfStack
+
+# Model errors for which there are filters, and how finely maps are looked up between them.
+_MODEL_ERRORS = np.geomspace(MODEL_ERRORS[0], MODEL_ERRORS[-1], 4)
+_STEPS_PER_LEVEL = 8
+_STEPS_PER_ERROR = 4
+# The error that a change of blur size within reach of the filters makes, per pixel of its standard
+# deviation; from the best choice on ray-traced scenes.
+_ERROR_PER_PX = 0.03
+# How far the surroundings matter, in px of the frame: about the largest blur, where filters reach
+# strongest.
+_SURROUNDINGS_PX = 42
+# Frames are extended by this, or by the width of the PSFs, before they are filtered. Twice as much
+# gains 0.2 dB near the border.
+_EXTENSION_PX = 32
+# There is a basis for each of these noises; the nearest one is used.
+_NOISES = (0.001, 0.003, 0.01, 0.03)
+
+
+class InverseFilters:
+    """Space-varying deblurring in closed form.
+
+    The inverse filters of all levels share a basis of a few kernels. A frame is filtered by the
+    kernels, and every pixel takes the combination for its own blur size: the cost does not depend
+    on the number of levels or on the relief of the scene.
+
+    Parameters
+    ----------
+    stack : PsfStack
+        PSFs of the blur levels, as a filter bank has them.
+    rank : int
+        Kernels of the basis.
+    workers : Workers
+        Threads to share the work with.
+
+    Attributes
+    ----------
+    reduction : int
+        Weights change slowly: a map of so many times fewer rows and columns tells them.
+    """
+
+    reduction = 2
+
+    def __init__(self, stack: PsfStack, rank: int, workers: Workers) -> None:
+        self._stack, self._rank, self._workers = stack, rank, workers
+        # A PSF reaches so far across the passage from one border to the other, and no farther.
+        self._extension_px = max(_EXTENSION_PX, stack.psfs.shape[-1] - 1)
+        self._order = np.argsort(stack.blur_sizes_px)
+        self._basis = lru_cache(maxsize=len(_NOISES))(self._new_basis)
+        self._transforms = lru_cache(maxsize=len(_NOISES))(self._new_transforms)
+        self._lookup_table = lru_cache(maxsize=32)(self._new_lookup_table)
+
+    def prepare(self, shape: tuple[int, int]) -> None:
+        """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
+        for noise in _NOISES[:-1]:
+            self._transforms(noise, periodic_shape(shape, self._extension_px))
+
+    def places(self, blur: NDArray[np.float32]) -> NDArray[np.intp]:
+        """Return the place of every pixel in the tables of coefficients, of any rank and noise.
+
+        Parameters
+        ----------
+        blur : ndarray, float32 [rows / reduction, columns / reduction], rounded up
+            Signed blur sizes in px of the frame, finite.
+        """
+        level = _index_among(self._stack.blur_sizes_px[self._order], blur)
+        error = _index_among(np.log(_MODEL_ERRORS), _log_model_error(blur, self.reduction))
+        columns = _STEPS_PER_ERROR * (len(_MODEL_ERRORS) - 1) + 1
+        row = np.rint(level * _STEPS_PER_LEVEL)
+        row *= columns
+        row += np.rint(error * _STEPS_PER_ERROR)
+        return row.astype(np.intp)
+
+    def apply(
+        self, channels: list[NDArray[np.float32]], places: NDArray[np.intp], noise: float
+    ) -> list[NDArray[np.float32]]:
+        """Deblur the channels of a frame.
+
+        Parameters
+        ----------
+        channels : list of ndarray, float32 [rows, columns]
+            Finite.
+        places : ndarray, intp [rows / reduction, columns / reduction]
+            See `places`.
+        noise : float
+            Standard deviation, > 0.
+        """
+        basis_noise = min(_NOISES, key=lambda known: abs(np.log(known / noise)))
+        height, width = channels[0].shape
+        transforms = self._transforms(
+            basis_noise, periodic_shape((height, width), self._extension_px)
+        )
+        # Steps of a tenth of a decade: there are few different tables.
+        lookup = self._lookup_table(basis_noise, round(10 * np.log10(noise)))
+        weights = self._weights(lookup, places, (height, width))
+        return [self._filter(channel, transforms, weights) for channel in channels]
+
+    def _weights(
+        self, lookup: NDArray[np.float32], places: NDArray[np.intp], size: tuple[int, int]
+    ) -> list[NDArray[np.float32]]:
+        """Return the share of every kernel in every pixel."""
+        weights = [np.empty(0, np.float32)] * len(lookup)
+
+        def weigh(kernel: int, thread: int) -> None:
+            weights[kernel] = cv2.resize(np.take(lookup[kernel], places), size[::-1])
+
+        self._workers.each(weigh, range(len(lookup)))
+        return weights
+
+    def _filter(
+        self,
+        channel: NDArray[np.float32],
+        transforms: NDArray[np.complex64],
+        weights: list[NDArray[np.float32]],
+    ) -> NDArray[np.float32]:
+        height, width = channel.shape
+        shape = periodic_shape(channel.shape, self._extension_px)
+        spectrum = scipy.fft.rfft2(periodic(channel, shape), workers=self._workers.threads)
+        sums = [np.zeros_like(channel) for _ in range(self._workers.threads)]
+
+        def add(kernel: int, thread: int) -> None:
+            filtered = scipy.fft.irfft2(spectrum * transforms[kernel], shape, overwrite_x=True)
+            cv2.accumulateProduct(filtered[:height, :width], weights[kernel], sums[thread])
+
+        self._workers.each(add, range(len(weights)))
+        return np.sum(sums, axis=0) if len(sums) > 1 else sums[0]
+
+    def _new_basis(self, noise: float) -> InverseBasis:
+        return InverseBasis.learn(self._stack, noise, self._rank)
+
+    def _new_transforms(self, noise: float, shape: tuple[int, int]) -> NDArray[np.complex64]:
+        return self._basis(noise).transforms(shape)
+
+    def _new_lookup_table(self, basis_noise: float, tenths: int) -> NDArray[np.float32]:
+        """Coefficients [R, steps of level * steps of model error], interpolated."""
+        table = self._basis(basis_noise).coefficients(_MODEL_ERRORS, 10 ** (tenths / 10))
+        table = table[self._order]
+        for axis, steps in ((0, _STEPS_PER_LEVEL), (1, _STEPS_PER_ERROR)):
+            table = np.moveaxis(table, axis, 0)
+            position = np.arange(steps * (len(table) - 1) + 1) / steps
+            lower = np.minimum(position.astype(np.intp), len(table) - 2)
+            above = (position - lower).astype(np.float32)[:, None, None]
+            table = np.moveaxis(table[lower] * (1 - above) + table[lower + 1] * above, 0, axis)
+        return np.ascontiguousarray(table.reshape(-1, table.shape[-1]).T)
+
+
+def _index_among(places: NDArray[np.floating], values: NDArray[np.float32]) -> NDArray[np.floating]:
+    """Return fractional indices of values among ascending places, those beyond at the ends."""
+    last = len(places) - 1
+    steps = np.diff(places)
+    if last == 0 or not steps[0] or np.ptp(steps) > 1e-6 * np.abs(steps).mean():
+        return np.interp(values, places, np.arange(last + 1))
+    # Equally spaced, as they usually are: several times as fast.
+    first, step = np.float32(places[0]), np.float32((places[-1] - places[0]) / last)
+    return np.clip((values - first) / step, 0, np.float32(last))
+
+
+def _log_model_error(blur: NDArray[np.float32], reduction: int) -> NDArray[np.float32]:
+    """Logarithm of every pixel's model error, from how much the blur size changes around it."""
+    side = (_SURROUNDINGS_PX // reduction | 1,) * 2
+    # Variances of differences from the overall mean keep their digits in single precision.
+    centred = blur - blur.mean()
+    variance = cv2.blur(centred * centred, side)
+    variance -= cv2.blur(centred, side) ** 2
+    np.maximum(variance, 0, out=variance)
+    variance *= np.float32(_ERROR_PER_PX**2)
+    variance += np.float32(_MODEL_ERRORS[0] ** 2)
+    return np.asarray(np.log(variance) / 2, np.float32)

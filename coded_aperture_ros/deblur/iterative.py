@@ -1,0 +1,152 @@
+"""What the methods share that solve for the whole frame at once."""
+
+import abc
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.deblur.blur_map import model_weight
+from coded_aperture_ros.deblur.closed_form import ClosedForm
+from coded_aperture_ros.deblur.config import DeblurConfig
+from coded_aperture_ros.deblur.conjugate import Linear
+from coded_aperture_ros.deblur.fill import filled_blur_map
+from coded_aperture_ros.deblur.frame import from_opponents
+from coded_aperture_ros.deblur.motion import motion_parts
+from coded_aperture_ros.deblur.occlusion import OccludedBlur
+from coded_aperture_ros.deblur.operator import BlurOperator, SpreadingBlur
+from coded_aperture_ros.deblur.problem import Problem
+from coded_aperture_ros.deblur.psf_basis import PsfBasis
+from coded_aperture_ros.deblur.video import VideoState
+from coded_aperture_ros.likelihood import torch_device
+
+# Ranges of blur sizes that the preconditioners tell apart.
+RANGES = 4
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fit:
+    """A frame to be explained by a sharp scene: ``min ||g - H_d f||^2 + alpha prior(f)``.
+
+    Attributes
+    ----------
+    operator : BlurOperator
+        ``H_d``.
+    channels : list of ndarray, float32 [rows, columns]
+        ``g``: brightness and colour differences.
+    weight : ndarray, float32 [rows, columns]
+        How much every pixel of the frame counts, 0 to 1.
+    start : list of ndarray, float32 [rows, columns]
+        Where to begin, such as the last frame's result.
+    noise : float
+        Standard deviation.
+    smoothness : float
+        Factor of ``alpha``.
+    tolerance : float
+        Norm of the gradient (thesis eq. 6.28) at which to stop, relative to that of ``H_d^T g``.
+    iterations : int
+        At most so many for each channel.
+    """
+
+    operator: BlurOperator
+    channels: list[NDArray[np.float32]]
+    weight: NDArray[np.float32]
+    start: list[NDArray[np.float32]]
+    noise: float
+    smoothness: float = 1.0
+    tolerance: float = 1e-3
+    iterations: int = 112
+
+
+class Iterative(abc.ABC):
+    """A `Method` that minimises thesis eq. 6.27, beginning with the closed form.
+
+    Parameters
+    ----------
+    config : DeblurConfig
+    closed_form : ClosedForm
+    basis : callable
+        Returns the `PsfBasis`, which takes time to make the first time.
+    workers : Workers
+    """
+
+    reduction = 1
+    edge_reach = 1.0
+    removes_motion = True
+    runs_on_torch = False
+
+    def __init__(
+        self,
+        config: DeblurConfig,
+        closed_form: ClosedForm,
+        basis: Callable[[], PsfBasis],
+        workers: Workers,
+    ) -> None:
+        self._config, self._closed_form = config, closed_form
+        self._basis, self._workers = basis, workers
+
+    def restore(self, problem: Problem, video: VideoState) -> NDArray[np.float32]:
+        """Return the all-in-focus frame; see `Method`."""
+        config, blur, count = self._config, problem.blur_size_px, problem.frame_count
+        most = float(np.max(count))
+        noise = problem.noise / float(np.sqrt(most))
+        # Edges that are too sharp are found and lost again more easily than blurred ones.
+        small = filled_blur_map(blur, problem.channels[0], self._closed_form.reduction)
+        start = self._closed_form.restore(problem.channels, small, noise / 3)
+        fit = Fit(
+            self._operator(problem),
+            problem.channels,
+            model_weight(blur, noise) * problem.measured * (count / np.float32(most)),
+            video.start(start, np.broadcast_to(count, blur.shape)),
+            noise,
+            config.smoothness,
+            config.tolerance,
+            config.iterations,
+        )
+        restored = self.minimise(fit)
+        video.keep(restored)
+        return from_opponents(restored)
+
+    @abc.abstractmethod
+    def minimise(self, fit: Fit) -> list[NDArray[np.float32]]:
+        """Return the channels of the sharp scene within the frame."""
+
+    @abc.abstractmethod
+    def hides(self, basis: PsfBasis, pixels: int) -> bool:
+        """Whether foregrounds hide what is behind them, where the configuration leaves it open."""
+
+    def _operator(self, problem: Problem) -> BlurOperator:
+        basis, blur, workers = self._basis(), problem.blur_size_px, self._workers
+        if problem.motion_px is not None:
+            return SpreadingBlur(basis, blur, workers, motion_parts(problem.motion_px))
+        device = torch_device(self._config.backend) if self.runs_on_torch else None
+        if device is not None:
+            from coded_aperture_ros.deblur.torch_blur import TorchBlur
+
+            return TorchBlur(basis, blur, device, workers.threads)
+        occlusion = self._config.occlusion
+        if occlusion == "yes" or (occlusion == "auto" and self.hides(basis, blur.size)):
+            return OccludedBlur(basis, blur, workers)
+        return SpreadingBlur(basis, blur, workers)
+
+
+def preconditioner(fit: Fit, ranges: list[tuple[Any, Any]], weight: float, penalty: Any) -> Linear:
+    """Return what nearly solves a system: in each range of blur sizes by one Fourier transform."""
+    fft, workers = fit.operator.fft, fit.operator.workers
+    inverses = [(share, 1 / (weight * power + penalty)) for share, power in ranges]
+
+    def solve(scene: Any) -> Any:
+        sums = [0 * scene for _ in range(workers.threads)]
+
+        def add(of_range: tuple[Any, Any], thread: int) -> None:
+            share, inverse = of_range
+            solved = fft.irfft2(inverse * fft.rfft2(share * scene), scene.shape)
+            sums[thread] += share * solved
+
+        workers.each(add, inverses)
+        return sum(sums[1:], sums[0])
+
+    return solve

@@ -1,0 +1,59 @@
+"""What a method of deblurring gets, and what it has to do."""
+
+import dataclasses
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.deblur.video import VideoState
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Problem:
+    """All that is known of one frame when its blur is to be removed.
+
+    Attributes
+    ----------
+    channels : list of ndarray, float32 [rows, columns]
+        See `opponents`; averaged over the frames of a video.
+    frame_count : ndarray, float32 [rows, columns] or [1, 1]
+        How many frames they are the mean of.
+    measured : ndarray, bool [rows, columns]
+        Which pixels count: neither saturated nor impossible.
+    blur_size_px : ndarray, float32
+        Signed blur sizes, finite; so many times smaller than the frame as the method asks for.
+    motion_px : ndarray, float32 [rows, columns, 2], or None if nothing moves
+    noise : float
+        Standard deviation of one channel of one frame.
+    """
+
+    channels: list[NDArray[np.float32]]
+    frame_count: NDArray[np.float32]
+    measured: NDArray[np.bool_]
+    blur_size_px: NDArray[np.float32]
+    motion_px: NDArray[np.float32] | None
+    noise: float
+
+
+class Method(Protocol):
+    """One way to remove the blur.
+
+    Attributes
+    ----------
+    reduction : int
+        How many times smaller than the frame its map of blur sizes is.
+    edge_reach : float
+        How far it keeps from edges of the depth, relative to the configured reach.
+    removes_motion : bool
+    """
+
+    reduction: int
+    edge_reach: float
+    removes_motion: bool
+
+    def restore(self, problem: Problem, video: VideoState) -> NDArray[np.float32]:
+        """Return the all-in-focus frame [rows, columns] or [rows, columns, 3], not yet clipped.
+
+        A method that iterates begins with what `video` has, and leaves its result there.
+        """
