@@ -18,32 +18,11 @@ _EXPONENT = 0.7
 _SMALL = 0.01
 
 
-def patch_covariance(images: list[NDArray[np.float32]], side_px: int) -> NDArray[np.float64]:
-    """Return the covariance of the patches of sharp images, whatever their mean.
-
-    Parameters
-    ----------
-    images : list of ndarray, float32 [rows, columns]
-        At least one, each at least `side_px` wide and high.
-    side_px : int
-        Side of a patch.
-
-    Returns
-    -------
-    ndarray, float64 [side_px**2, side_px**2]
-    """
-    total, count = np.zeros((side_px**2, side_px**2)), 0
-    for image in images:
-        patches = np.lib.stride_tricks.sliding_window_view(image, (side_px, side_px))
-        flat = patches.reshape(-1, side_px**2).astype(np.float64)
-        flat -= flat.mean(axis=1, keepdims=True)
-        total += flat.T @ flat
-        count += len(flat)
-    return total / count
-
-
 def natural_covariance(side_px: int) -> NDArray[np.float64]:
-    """Return `patch_covariance` as the natural-image prior has it, for unit contrast."""
+    """Return the covariance of sharp patches less their mean, for unit contrast.
+
+    It is that of the natural-image prior.
+    """
     period = 64
     correlation = np.fft.irfft2(power_spectrum(_SLOPE, (period, period)), (period, period))
     rows, columns = (index.ravel() for index in np.indices((side_px, side_px)))
@@ -65,7 +44,7 @@ def high_order_filters(covariance: NDArray[np.float64]) -> NDArray[np.float32]:
     Parameters
     ----------
     covariance : ndarray, float64 [side**2, side**2]
-        See `patch_covariance`.
+        Of sharp patches less their mean.
 
     Returns
     -------

@@ -117,9 +117,11 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
     def _present_deblurrer(self) -> Deblurrer:
         """Return the deblurrer for the present bank and parameters."""
         if self._deblurrer.stack is not self._model.bank.stack:
+            self._deblurrer.close()
             self._deblurrer = self._new_deblurrer()
-        # What was prepared depends on the rank only, which cannot change while the node runs.
-        self._deblurrer.config = self.configs[DeblurConfig]
+        config = self.configs[DeblurConfig]
+        if config != self._deblurrer.config:
+            self._deblurrer.reconfigure(config)
         return self._deblurrer
 
     def _new_deblurrer(self) -> Deblurrer:

@@ -2,51 +2,36 @@
 
 import numpy as np
 import pytest
-from scipy import ndimage, signal
+from deblur_scene import NOISE, blurred, deblurrer, edges_and_texture, levin_stack
+from scipy import ndimage
 
 from coded_aperture_ros.bank import image_prior
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
+from coded_aperture_ros.deblur import Deblurrer
 from coded_aperture_ros.deblur.fill import filled_blur_map
-from coded_aperture_ros.deblur.inverse import InverseBasis, wiener_filters
+from coded_aperture_ros.deblur.inverse_basis import InverseBasis, wiener_filters
 from coded_aperture_ros.imaging import transfer_function
 from coded_aperture_ros.metrics import psnr_db
 from coded_aperture_ros.optics import Mask, render_psf, render_psf_stack
 
-SIZES = np.linspace(1.0, 11.0, 11)
-NOISE = 0.002
-
 
 @pytest.fixture(scope="module")
 def stack():
-    return render_psf_stack(Mask.named("levin"), SIZES)
+    return levin_stack()
 
 
 @pytest.fixture(scope="module")
 def sharp():
-    """Smooth shading, edges and fine texture."""
-    random = np.random.default_rng(0)
-    cells = random.random((14, 18))
-    image = np.kron(cells, np.ones((16, 16)))[:208, :272]
-    image = 0.5 * image + 0.2 * ndimage.gaussian_filter(random.random(image.shape), 1.5)
-    return image.astype(np.float32)
-
-
-def blurred(image, size, noise=NOISE):
-    psf = render_psf(Mask.named("levin"), size)
-    margin = len(psf) // 2
-    padded = np.pad(image, margin, mode="edge")
-    coded = signal.fftconvolve(padded, psf, mode="valid")
-    return (coded + np.random.default_rng(1).normal(0, noise, image.shape)).astype(np.float32)
+    return edges_and_texture((14, 18), 16)[:208, :272]
 
 
 @pytest.mark.parametrize("size", [3.0, 6.5, 10.0])
 def test_plane_becomes_sharper(stack, sharp, size):
     coded = blurred(sharp, size)
-    result = Deblurrer(stack).deblur(coded, np.full(sharp.shape, size, np.float32))
+    result = deblurrer().deblur(coded, np.full(sharp.shape, size, np.float32))
     assert result.dtype == np.float32
     assert psnr_db(result, sharp) > psnr_db(coded, sharp) + 3
-    wrong = Deblurrer(stack).deblur(coded, np.full(sharp.shape, size + 1, np.float32))
+    wrong = deblurrer().deblur(coded, np.full(sharp.shape, size + 1, np.float32))
     assert psnr_db(result, sharp) > psnr_db(wrong, sharp) + 1
 
 
@@ -57,7 +42,7 @@ def test_each_half_is_deblurred_by_its_own_depth(stack, sharp):
     coded[:, middle:] = right[:, middle:]
     blur = np.full(sharp.shape, 4.0, np.float32)
     blur[:, middle:] = 9.0
-    result = Deblurrer(stack).deblur(coded, blur)
+    result = deblurrer().deblur(coded, blur)
     for part in (np.s_[:, : middle - 24], np.s_[:, middle + 24 :]):
         assert psnr_db(result[part], sharp[part]) > psnr_db(coded[part], sharp[part]) + 2
 
@@ -68,11 +53,9 @@ def test_noise_of_colour_is_not_amplified_channel_by_channel(stack, sharp, metho
     coded = np.dstack([blurred(sharp, 5.0, 0.0)] * 3)
     coded += np.random.default_rng(4).normal(0, 0.01, coded.shape).astype(np.float32)
     blur = np.full(sharp.shape, 5.0, np.float32)
-    deblurrer = Deblurrer(stack, DeblurConfig(noise=0.01, method=method, iterations=24))
-    together = deblurrer.deblur(coded, blur)
-    alone = np.dstack(
-        [deblurrer.deblur(np.ascontiguousarray(c), blur) for c in coded.T.swapaxes(1, 2)]
-    )
+    restore = deblurrer(noise=0.01, method=method, iterations=24).deblur
+    together = restore(coded, blur)
+    alone = np.dstack([restore(np.ascontiguousarray(c), blur) for c in coded.T.swapaxes(1, 2)])
     assert psnr_db(together, grey) > psnr_db(alone, grey) - 0.7
     assert np.ptp(together, axis=2).mean() < 0.7 * np.ptp(alone, axis=2).mean()
 
@@ -81,7 +64,7 @@ def test_noise_of_colour_is_not_amplified_channel_by_channel(stack, sharp, metho
 def test_flat_frame_stays_flat_up_to_its_border(stack, value):
     frame = np.full((120, 150), value, np.float32)
     blur = np.tile(np.linspace(1, 11, 150, dtype=np.float32), (120, 1))
-    assert Deblurrer(stack).deblur(frame, blur) == pytest.approx(frame, abs=2e-3)
+    assert deblurrer().deblur(frame, blur) == pytest.approx(frame, abs=2e-3)
 
 
 @pytest.mark.parametrize("band", ["full", "half"])
@@ -90,9 +73,7 @@ def test_opposite_borders_that_differ_do_not_ring(stack, band, shape):
     # Blur leaves a slope as it is.
     down, across = np.linspace(0, 0.3, shape[0]), np.linspace(0.1, 0.6, shape[1])
     slope = (down[:, None] + across).astype(np.float32)
-    result = Deblurrer(stack, DeblurConfig(band=band, noise=0.001)).deblur(
-        slope, np.full(shape, 10.0, np.float32)
-    )
+    result = deblurrer(band=band, noise=0.001).deblur(slope, np.full(shape, 10.0, np.float32))
     assert np.abs(result - slope).max() < 0.02
 
 
@@ -100,7 +81,7 @@ def test_smoothness_trades_noise_for_sharpness(stack):
     noise = np.random.default_rng(2).normal(0.5, 0.01, (128, 128)).astype(np.float32)
     blur = np.full(noise.shape, 6.0, np.float32)
     spread = [
-        Deblurrer(stack, DeblurConfig(smoothness=smoothness)).deblur(noise, blur).std()
+        deblurrer(smoothness=smoothness).deblur(noise, blur).std()
         for smoothness in (0.01, 1.0, 100.0)
     ]
     assert spread[0] > 1.3 * spread[1] > 1.3 * spread[2]
@@ -151,7 +132,7 @@ def test_unknown_depth_and_pixels_that_are_not_numbers_are_survived(stack, sharp
     coded[50:52, 60:64] = np.nan
     blur = np.full((104, 136), 6.0, np.float32)
     blur[20:60, 40:70] = np.nan
-    result = Deblurrer(stack).deblur(coded, blur)
+    result = deblurrer().deblur(coded, blur)
     assert np.isfinite(result).all()
     far = np.s_[120:, 150:]
     assert psnr_db(result[far], sharp[far]) > psnr_db(coded[far], sharp[far]) + 3
@@ -161,9 +142,9 @@ def test_unknown_depth_and_pixels_that_are_not_numbers_are_survived(stack, sharp
 def test_a_pixel_out_of_all_bounds_spoils_only_its_surroundings(stack, sharp, bad):
     coded = blurred(sharp, 6.0)
     blur = np.full(sharp.shape, 6.0, np.float32)
-    clean = Deblurrer(stack).deblur(coded, blur, NOISE)
+    clean = deblurrer().deblur(coded, blur, NOISE)
     coded[50, 60] = bad
-    spoilt = Deblurrer(stack).deblur(coded, blur, NOISE)
+    spoilt = deblurrer().deblur(coded, blur, NOISE)
     assert spoilt[120:, 150:] == pytest.approx(clean[120:, 150:], abs=0.01)
 
 
@@ -187,30 +168,27 @@ def test_psf_that_is_wider_than_the_frame(sharp):
 
 
 def test_wrong_input_is_refused(stack):
-    deblurrer = Deblurrer(stack)
+    wrong = deblurrer()
     frame = np.zeros((64, 64), np.float32)
     with pytest.raises(InputError, match="no pixel has a known depth"):
-        deblurrer.deblur(frame, np.full((64, 64), np.nan, np.float32))
+        wrong.deblur(frame, np.full((64, 64), np.nan, np.float32))
     with pytest.raises(InputError, match="blur map: expected"):
-        deblurrer.deblur(frame, np.zeros(64, np.float32))
+        wrong.deblur(frame, np.zeros(64, np.float32))
     with pytest.raises(InputError, match="floating values"):
-        deblurrer.deblur(np.zeros((64, 64), np.uint8), frame)
+        wrong.deblur(np.zeros((64, 64), np.uint8), frame)
     with pytest.raises(InputError, match="5x7 px is too small to estimate its noise"):
-        deblurrer.deblur(np.zeros((7, 5), np.float32), np.zeros((7, 5), np.float32))
+        wrong.deblur(np.zeros((7, 5), np.float32), np.zeros((7, 5), np.float32))
     with pytest.raises(InputError, match=r"map of 30x64 px .* frame of 64x64 px"):
-        deblurrer.deblur(frame, np.zeros((64, 30), np.float32))
+        wrong.deblur(frame, np.zeros((64, 30), np.float32))
     with pytest.raises(InputError, match=r"got \[64, 64, 2\]"):
-        deblurrer.deblur(np.zeros((64, 64, 2), np.float32), frame)
+        wrong.deblur(np.zeros((64, 64, 2), np.float32), frame)
 
 
 def test_missing_pixels_are_filled_from_their_surroundings(stack):
     frame = np.full((96, 96, 3), 0.6, np.float32)
     frame[40:43, 40:43, 1] = np.nan
-    result = Deblurrer(stack).deblur(frame, np.full((96, 96), 6.0, np.float32))
+    result = deblurrer().deblur(frame, np.full((96, 96), 6.0, np.float32))
     assert result == pytest.approx(np.full((96, 96, 3), 0.6), abs=5e-3)
-
-
-HALF = DeblurConfig(band="half")
 
 
 @pytest.mark.parametrize("shape", [(208, 272), (187, 255)])
@@ -219,8 +197,8 @@ def test_the_lower_half_of_the_frequencies_is_deblurred_as_by_all(stack, sharp, 
     smooth = ndimage.gaussian_filter(sharp, 1.2)[: shape[0], : shape[1]]
     coded = blurred(smooth, 9.0, 0.0005)
     blur = np.full(shape, 9.0, np.float32)
-    half = Deblurrer(stack, HALF).deblur(coded, blur)
-    full = Deblurrer(stack).deblur(coded, blur)
+    half = deblurrer(band="half").deblur(coded, blur)
+    full = deblurrer().deblur(coded, blur)
     assert half.shape == full.shape
     assert psnr_db(half, smooth) > psnr_db(coded, smooth) + 2
     assert psnr_db(half, smooth) > psnr_db(full, smooth) - 1
@@ -232,12 +210,12 @@ def test_the_lower_half_of_the_frequencies_is_deblurred_as_by_all(stack, sharp, 
 def test_the_upper_half_of_the_frequencies_stays(stack):
     columns = np.tile(np.arange(128), (96, 1))
     stripes = (0.5 + 0.2 * np.cos(2 * np.pi * 0.4 * columns)).astype(np.float32)
-    result = Deblurrer(stack, HALF).deblur(stripes, np.full((96, 128), 6.0, np.float32), 0.002)
+    result = deblurrer(band="half").deblur(stripes, np.full((96, 128), 6.0, np.float32), 0.002)
     inside = (slice(24, -24), slice(24, -24))
     # All of it, but for the smoothing at the end, and no brightness is lost.
     assert result[inside].std() > 0.8 * stripes[inside].std()
     assert result[inside].mean() == pytest.approx(0.5, abs=0.01)
-    full = Deblurrer(stack).deblur(stripes, np.full((96, 128), 6.0, np.float32), 0.002)
+    full = deblurrer().deblur(stripes, np.full((96, 128), 6.0, np.float32), 0.002)
     assert abs(full[inside].std() / stripes[inside].std() - 1) > 0.2
 
 
@@ -249,7 +227,7 @@ def test_half_of_the_frequencies_in_colour_and_by_two_depths(stack, sharp):
     coded = np.where(np.arange(sharp.shape[1])[None, :, None] < middle, near, far)
     blur = np.where(np.arange(sharp.shape[1]) < middle, 5.0, 10.0).astype(np.float32)
     blur = np.tile(blur, (sharp.shape[0], 1))
-    result = Deblurrer(stack, HALF).deblur(coded.astype(np.float32), blur)
+    result = deblurrer(band="half").deblur(coded.astype(np.float32), blur)
     for part in (slice(0, middle - 20), slice(middle + 20, None)):
         gain = psnr_db(result[:, part], colour[:, part]) - psnr_db(coded[:, part], colour[:, part])
         assert gain > 1.5

@@ -5,12 +5,13 @@ import json
 import numpy as np
 import pytest
 from cli_scene import CAMERA, HEIGHT, WIDTH, call, camera_file, texture
+from deblur_scene import assert_adjoint
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
-from coded_aperture_ros.deblur.blur_map import calm
-from coded_aperture_ros.deblur.moving import MovingBlur, segments
+from coded_aperture_ros.deblur.blur_map import smoothed_over_surfaces
+from coded_aperture_ros.deblur.motion import motion_parts
 from coded_aperture_ros.deblur.operator import SpreadingBlur, frame_within, scene_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.io import write_image
@@ -25,13 +26,14 @@ from coded_aperture_ros.optics import Camera, Mask, render_psf, render_psf_stack
 from coded_aperture_ros.simulation import MovingObject, render_coded_frame, render_moving_frame
 
 STACK = render_psf_stack(Mask.named("levin"), np.linspace(3, 11, 9))
+BASIS = PsfBasis.of(STACK)
 SHAPE = (72, 96)
 SCENE_CAMERA = Camera(**{**CAMERA, "mask": Mask.named("levin")})
 OBJECT_M, SCENE_M = 1.7, 2.8
 
 
 def fields(motion=(6.0, 2.0)):
-    """Return blur and motion of a moving square in front of a still plane."""
+    """Return blur and motion of a moving square in front of a static plane."""
     blur = np.full(SHAPE, 9.0, np.float32)
     motion_px = np.zeros((*SHAPE, 2), np.float32)
     blur[20:52, 30:70] = 5.0
@@ -39,24 +41,26 @@ def fields(motion=(6.0, 2.0)):
     return blur, motion_px
 
 
-def test_the_adjoint_is_the_transpose():
+def moving_blur(basis, blur, motion_px):
+    return SpreadingBlur(basis, blur, motion=motion_parts(motion_px))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_adjoint_is_the_transpose(seed):
+    assert_adjoint(moving_blur(BASIS, *fields()), seed)
+
+
+def test_motion_of_another_size_is_refused():
     blur, motion_px = fields()
-    operator = MovingBlur(PsfBasis.of(STACK), blur, motion_px)
-    random = np.random.default_rng(0)
-    for _ in range(3):
-        scene = random.standard_normal(operator.scene_shape).astype(np.float32)
-        frame = random.standard_normal(operator.shape).astype(np.float32)
-        left = float(np.sum(operator.forward(scene).astype(np.float64) * frame))
-        right = float(np.sum(operator.adjoint(frame).astype(np.float64) * scene))
-        size = np.linalg.norm(scene) * np.linalg.norm(frame)
-        assert abs(left - right) < 1e-5 * size
+    with pytest.raises(InputError, match="motion of 96x40 px: expected the size of the blur, 96x"):
+        moving_blur(BASIS, blur, motion_px[:40])
 
 
 def test_a_plane_that_moves_is_convolved_with_both():
     basis = PsfBasis.of(STACK, 1e-5)
     blur = np.full(SHAPE, STACK.blur_sizes_px[4], np.float32)
     motion = np.broadcast_to(np.float32([5.0, -3.0]), (*SHAPE, 2))
-    operator = MovingBlur(basis, blur, motion)
+    operator = moving_blur(basis, blur, motion)
     scene = scene_around(texture(*SHAPE), operator)
     exact = fftconvolve(scene, blurred_psf(STACK.psfs[4], (5.0, -3.0)), mode="same")
     assert operator.forward(scene) == pytest.approx(frame_within(exact, operator), abs=2e-4)
@@ -64,40 +68,40 @@ def test_a_plane_that_moves_is_convolved_with_both():
 
 def test_nothing_moves_is_defocus_alone():
     blur, motion_px = fields((0.0, 0.0))
-    basis = PsfBasis.of(STACK)
-    moving, still = MovingBlur(basis, blur, motion_px), SpreadingBlur(basis, blur)
-    scene = scene_around(texture(*SHAPE), still)
-    assert moving.forward(scene) == pytest.approx(still.forward(scene), abs=1e-5)
+    moving, static = moving_blur(BASIS, blur, motion_px), SpreadingBlur(BASIS, blur)
+    scene = scene_around(texture(*SHAPE), static)
+    assert moving.forward(scene) == pytest.approx(static.forward(scene), abs=1e-5)
     assert sum(np.square(share) for share, _ in moving.ranges(3)) == pytest.approx(1, abs=1e-5)
 
 
-def test_calm_blur_sizes_keep_their_edges():
+def test_smoothed_blur_sizes_keep_their_edges():
     random = np.random.default_rng(0)
     true = np.where(np.arange(96) < 48, 5.0, 9.0) + np.zeros(SHAPE)
     noisy = (true + 0.3 * random.standard_normal(SHAPE)).astype(np.float32)
-    assert np.abs(calm(noisy) - true).max() < 0.3
-    assert np.abs(calm(noisy) - true).mean() < 0.05
+    smoothed = smoothed_over_surfaces(noisy)
+    assert np.abs(smoothed - true).max() < 0.3
+    assert np.abs(smoothed - true).mean() < 0.05
 
 
-def test_segments_are_the_motions_that_occur():
+def test_the_parts_of_a_frame_are_the_motions_that_occur():
     motion = np.zeros((4, 5, 2), np.float32)
     motion[0] = 3.0, 1.0
     motion[1, :2] = -3.0, -1.0  # the same line, the other way
     motion[3, 3] = np.nan
-    vectors, labels = segments(motion)
-    assert vectors.tolist() == [[0, 0], [3, 1]]
-    assert (labels == 1).sum() == 7
+    parts = motion_parts(motion)
+    assert parts.vectors_px.tolist() == [[0, 0], [3, 1]]
+    assert (parts.labels == 1).sum() == 7
     many = np.random.default_rng(0).uniform(-9, 9, (30, 30, 2)).astype(np.float32)
-    vectors, labels = segments(many)
-    assert len(vectors) == 8
-    assert set(np.unique(labels)) <= set(range(8))
+    parts = motion_parts(many)
+    assert len(parts.vectors_px) == len(parts.traces()) == 8
+    assert set(np.unique(parts.labels)) <= set(range(8))
 
 
 @pytest.mark.parametrize("method", ["cg", "sparse"])
 def test_deblurring_with_the_motion_is_better_where_it_was(method):
     sharp = texture(*SHAPE)
     blur, motion_px = fields((8.0, 0.0))
-    operator = MovingBlur(PsfBasis.of(STACK), blur, motion_px)
+    operator = moving_blur(BASIS, blur, motion_px)
     coded = operator.forward(scene_around(sharp, operator))
     coded += 0.001 * np.random.default_rng(0).standard_normal(SHAPE).astype(np.float32)
     config = DeblurConfig(method=method, edge_reach=0, occlusion="no", noise=0.001, iterations=48)
@@ -114,8 +118,8 @@ def test_motion_that_cannot_be_removed_is_refused():
     frame, (blur, motion_px) = texture(*SHAPE), fields()
     with pytest.raises(InputError, match="fast removes no motion"):
         Deblurrer(STACK).deblur(frame, blur, motion_px=motion_px)
-    still = Deblurrer(STACK).deblur(frame, blur, motion_px=np.zeros_like(motion_px))
-    assert still == pytest.approx(Deblurrer(STACK).deblur(frame, blur))
+    static = Deblurrer(STACK).deblur(frame, blur, motion_px=np.zeros_like(motion_px))
+    assert static == pytest.approx(Deblurrer(STACK).deblur(frame, blur))
     for wrong in (motion_px[..., 0], motion_px.astype(int)):
         with pytest.raises(InputError, match="motion: expected"):
             Deblurrer(STACK).deblur(frame, blur, motion_px=wrong)

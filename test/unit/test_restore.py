@@ -3,15 +3,27 @@
 import numpy as np
 import pytest
 from coded_aperture_benchmarks.restoration import residual_rms
-from scipy import ndimage, signal
+from deblur_scene import (
+    NOISE,
+    assert_adjoint,
+    blurred,
+    deblurrer,
+    edges_and_texture,
+    levin_basis,
+    levin_stack,
+    relief,
+)
+from scipy import signal
 
 from coded_aperture_ros.core.threads import processors
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.deblur.blur_map import model_weight, sharper_near_edges, without_specks
-from coded_aperture_ros.deblur.colour import from_opponents, opponents
+from coded_aperture_ros.deblur.cg import restore_quadratic
 from coded_aperture_ros.deblur.conjugate import conjugate_gradients
 from coded_aperture_ros.deblur.fill import filled_blur_map
+from coded_aperture_ros.deblur.frame import from_opponents, opponents
+from coded_aperture_ros.deblur.iterative import Fit
 from coded_aperture_ros.deblur.occlusion import OccludedBlur
 from coded_aperture_ros.deblur.operator import SpreadingBlur, frame_within, scene_around
 from coded_aperture_ros.deblur.prior import (
@@ -20,43 +32,30 @@ from coded_aperture_ros.deblur.prior import (
     differences_adjoint,
     high_order_filters,
     natural_covariance,
-    patch_covariance,
     quadratic_power,
     sparse_weights,
 )
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
-from coded_aperture_ros.deblur.restore import restore_quadratic, restore_sparse
+from coded_aperture_ros.deblur.sparse import restore_sparse
 from coded_aperture_ros.metrics import psnr_db
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf, render_psf_stack
 
-SIZES = np.linspace(1.0, 11.0, 11)
 OPERATORS = pytest.mark.parametrize("operator", [SpreadingBlur, OccludedBlur])
 
 
 @pytest.fixture(scope="module")
 def stack():
-    return render_psf_stack(Mask.named("levin"), SIZES)
+    return levin_stack()
 
 
 @pytest.fixture(scope="module")
-def basis(stack):
-    return PsfBasis.of(stack)
+def basis():
+    return levin_basis()
 
 
 @pytest.fixture(scope="module")
 def sharp():
-    random = np.random.default_rng(0)
-    image = np.kron(random.random((12, 14)), np.ones((10, 10)))
-    return (0.5 * image + 0.2 * ndimage.gaussian_filter(random.random(image.shape), 1.5)).astype(
-        np.float32
-    )
-
-
-def relief(shape):
-    """A slant with a square in front of it."""
-    blur = np.broadcast_to(np.linspace(5, 11, shape[1], dtype=np.float32), shape).copy()
-    blur[30:70, 40:80] = 2.5
-    return blur
+    return edges_and_texture((12, 14), 10)
 
 
 def test_basis_gives_back_psfs_of_fractional_size(stack, basis):
@@ -79,13 +78,8 @@ def test_adjoint_passes_the_dot_product_test(operator, basis, threads, sharp):
     if threads > processors():
         pytest.skip("one processor")
     blur = operator(basis, relief(sharp.shape), Workers(threads))
-    random = np.random.default_rng(1)
-    scene = random.normal(size=blur.scene_shape).astype(np.float32)
-    frame = random.normal(size=blur.shape).astype(np.float32)
-    forward = np.vdot(blur.forward(scene).astype(np.float64), frame)
-    back = np.vdot(scene.astype(np.float64), blur.adjoint(frame))
-    scale = float(np.linalg.norm(blur.forward(scene)) * np.linalg.norm(frame))
-    assert forward == pytest.approx(back, abs=1e-5 * scale)
+    assert_adjoint(blur)
+    blur.workers.close()
 
 
 @OPERATORS
@@ -170,8 +164,16 @@ def test_sparse_prior_lets_edges_stand():
     assert sparse_weights([image, 0 * image])[1][5, 9] < 0.02
 
 
+def patch_covariance(image, side_px):
+    """The covariance of the patches of an image, whatever their mean."""
+    patches = np.lib.stride_tricks.sliding_window_view(image, (side_px, side_px))
+    flat = patches.reshape(-1, side_px**2).astype(np.float64)
+    flat -= flat.mean(axis=1, keepdims=True)
+    return flat.T @ flat / len(flat)
+
+
 def test_high_order_filters_whiten_sharp_patches(sharp):
-    covariance = patch_covariance([sharp], 5)
+    covariance = patch_covariance(sharp, 5)
     filters = high_order_filters(covariance)
     assert filters.shape == (24, 5, 5)
     flat = filters.reshape(24, -1)
@@ -189,9 +191,9 @@ def test_quadratic_solution_is_the_minimum(basis, sharp):
     blur = SpreadingBlur(basis, relief(sharp.shape))
     coded = blur.forward(scene_around(sharp, blur))
     one = np.ones(sharp.shape, np.float32)
-    few, needed = restore_quadratic(blur, [coded], one, [coded], 0.002, 1.0, 1e-4, 200)
+    few, needed = restore_quadratic(Fit(blur, [coded], one, [coded], NOISE, 1.0, 1e-4, 200))
     assert needed < 60
-    many, _ = restore_quadratic(blur, [coded], one, [sharp], 0.002, 1.0, 1e-6, 400)
+    many, _ = restore_quadratic(Fit(blur, [coded], one, [sharp], NOISE, 1.0, 1e-6, 400))
     inside = np.s_[12:-12, 12:-12]  # the scene beyond the border hardly shows in the gradient
     assert psnr_db(few[0][inside], many[0][inside]) > 40
     assert psnr_db(many[0], sharp) > psnr_db(coded, sharp) + 3
@@ -203,8 +205,8 @@ def test_sparse_restoration_beats_the_quadratic_one(operator, basis, sharp):
     noise = np.random.default_rng(5).normal(0, 0.002, sharp.shape).astype(np.float32)
     coded = blur.forward(scene_around(sharp, blur)) + noise
     one = np.ones(sharp.shape, np.float32)
-    quadratic, _ = restore_quadratic(blur, [coded], one, [coded], 0.002, 1.0, 1e-5, 60)
-    sparse, _ = restore_sparse(blur, [coded], one, [coded], 0.002, 1.0, 1e-5, 60)
+    fit = Fit(blur, [coded], one, [coded], NOISE, 1.0, 1e-5, 60)
+    (quadratic, _), sparse = restore_quadratic(fit), restore_sparse(fit)
     assert psnr_db(sparse[0], sharp) > psnr_db(quadratic[0], sharp) + 1
     residual = blur.forward(scene_around(sparse[0], blur)) - coded
     assert residual[12:-12, 12:-12].std() < 0.003
@@ -222,18 +224,13 @@ def test_frame_of_little_noise_is_explained_up_to_it(stack, sharp):
 
 
 @pytest.mark.parametrize("method", ["cg", "sparse"])
-def test_saturated_pixels_are_left_out(stack, sharp, method):
+def test_saturated_pixels_are_left_out(sharp, method):
     frame = np.clip(sharp, 0, 0.9)
-    psf = render_psf(Mask.named("levin"), 6.0)
-    coded = signal.fftconvolve(np.pad(frame, len(psf) // 2, mode="edge"), psf, mode="valid")
-    coded = coded.astype(np.float32)
-    spoilt = coded.copy()
+    spoilt = blurred(frame, 6.0, noise=0.0)
     spoilt[50:56, 60:66] = 1.0  # of a lamp, whose blur is not that of the scene
     blur = np.full(sharp.shape, 6.0, np.float32)
     results = [
-        Deblurrer(
-            stack, DeblurConfig(method=method, noise=0.002, saturation=limit, edge_reach=0)
-        ).deblur(spoilt, blur)
+        deblurrer(method=method, noise=NOISE, saturation=limit, edge_reach=0).deblur(spoilt, blur)
         for limit in (0.995, 2.0)
     ]
     around = np.s_[38:68, 48:78]
@@ -286,11 +283,8 @@ def test_larger_map_is_the_mean_of_what_is_known_in_it():
 
 
 def test_averaged_frames_of_a_video_are_better_than_single_ones(stack, sharp):
-    psf = render_psf(Mask.named("levin"), 6.0)
-    clean = signal.fftconvolve(np.pad(sharp, len(psf) // 2, mode="edge"), psf, mode="valid")
     blur = np.full(sharp.shape, 6.0, np.float32)
-    random = np.random.default_rng(7)
-    frames = [(clean + random.normal(0, 0.01, sharp.shape)).astype(np.float32) for _ in range(6)]
+    frames = [blurred(sharp, 6.0, 0.01, seed) for seed in range(6)]
     for method in ("fast", "cg"):
         single = Deblurrer(stack, DeblurConfig(method=method, noise=0.01))
         video = Deblurrer(stack, DeblurConfig(method=method, noise=0.01, temporal_frames=8.0))
@@ -306,7 +300,7 @@ def test_sharing_among_threads_changes_nothing(stack, sharp):
     if processors() < 2:
         pytest.skip("one processor")
     blur = relief(sharp.shape)
-    one = Deblurrer(stack, DeblurConfig()).deblur(sharp, blur, 0.002)
+    one = deblurrer().deblur(sharp, blur, 0.002)
     shared = Deblurrer(stack, DeblurConfig(threads=2))
     assert shared.deblur(sharp, blur, 0.002) == pytest.approx(one, abs=1e-5)
     shared.close()
