@@ -22,21 +22,15 @@ def pdf_of(sheet: Sheet) -> bytes:
         b"<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica /Encoding /WinAnsiEncoding >>",
         b"<< /Title " + _string(sheet.title).encode("cp1252", "replace") + b" >>",
     ]
-    return _file(objects)
-
-
-def _file(objects: list[bytes]) -> bytes:
-    """Join objects, numbered from 1, and append the table of where each begins."""
     data, offsets = b"%PDF-1.4\n", []
-    for number, content in enumerate(objects, start=1):
+    for number, body in enumerate(objects, start=1):
         offsets.append(len(data))
-        data += b"%d 0 obj\n%s\nendobj\n" % (number, content)
-    table = len(data)
-    data += b"xref\n0 %d\n0000000000 65535 f \n" % (len(objects) + 1)
+        data += b"%d 0 obj\n%s\nendobj\n" % (number, body)
+    size_of_table, start_of_table = len(objects) + 1, len(data)
+    data += b"xref\n0 %d\n0000000000 65535 f \n" % size_of_table
     data += b"".join(b"%010d 00000 n \n" % offset for offset in offsets)
-    info = len(objects)
-    data += b"trailer\n<< /Size %d /Root 1 0 R /Info %d 0 R >>\n" % (len(objects) + 1, info)
-    return data + b"startxref\n%d\n%%%%EOF\n" % table
+    data += b"trailer\n<< /Size %d /Root 1 0 R /Info %d 0 R >>\n" % (size_of_table, len(objects))
+    return data + b"startxref\n%d\n%%%%EOF\n" % start_of_table
 
 
 def _at(x_mm: float, y_mm: float) -> str:
@@ -45,23 +39,19 @@ def _at(x_mm: float, y_mm: float) -> str:
 
 
 def _shape(shape: Shape) -> str:
-    lines = [f"% {shape.kind}", f"{shape.width_mm * _POINTS_PER_MM:.4f} w"]
-    dashes = (1.5 * _POINTS_PER_MM, 1.0 * _POINTS_PER_MM)
-    lines.append(f"[{dashes[0]:.4f} {dashes[1]:.4f}] 0 d" if shape.dashed else "[] 0 d")
-    if shape.fill:
-        lines.append(f"{_colour(shape.fill)} rg")
-    if shape.stroke:
-        lines.append(f"{_colour(shape.stroke)} RG")
-    for outline in shape.outlines:
-        first, *others = outline
-        lines.append(f"{_at(*first)} m")
-        lines += [f"{_at(*point)} l" for point in others]
+    dashes = f"{1.5 * _POINTS_PER_MM:.4f} {_POINTS_PER_MM:.4f}" if shape.dashed else ""
+    colour = " ".join(f"{int(shape.colour[k : k + 2], 16) / 255:.3f}" for k in (1, 3, 5))
+    lines = [
+        f"% {shape.kind}",
+        f"{shape.width_mm * _POINTS_PER_MM:.4f} w",
+        f"[{dashes}] 0 d",
+        f"{colour} {'rg' if shape.filled else 'RG'}",
+    ]
+    for first, *others in shape.outlines:
+        lines += [f"{_at(*first)} m", *(f"{_at(*point)} l" for point in others)]
         if shape.closed:
             lines.append("h")
-    lines.append(
-        {(True, True): "B*", (True, False): "f*"}.get((bool(shape.fill), bool(shape.stroke)), "S")
-    )
-    return "\n".join(lines)
+    return "\n".join([*lines, "f*" if shape.filled else "S"])
 
 
 def _text(text: Text) -> str:
@@ -77,7 +67,3 @@ def _text(text: Text) -> str:
 def _string(text: str) -> str:
     printable = "".join(character if character.isprintable() else "?" for character in text)
     return "(" + printable.replace("\\", r"\\").replace("(", r"\(").replace(")", r"\)") + ")"
-
-
-def _colour(colour: str) -> str:
-    return " ".join(f"{int(colour[k : k + 2], 16) / 255:.3f}" for k in (1, 3, 5))

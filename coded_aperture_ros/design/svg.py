@@ -26,9 +26,9 @@ def _shape(shape: Shape) -> str:
         "M" + " L".join(f"{x:.4f} {y:.4f}" for x, y in outline) + (" Z" if shape.closed else "")
         for outline in shape.outlines
     )
-    style = f'class="{shape.kind}" fill="{shape.fill or "none"}" fill-rule="evenodd"'
-    if shape.stroke:
-        style += f' stroke="{shape.stroke}" stroke-width="{shape.width_mm:g}"'
+    fill, stroke = (shape.colour, "none") if shape.filled else ("none", shape.colour)
+    style = f'class="{shape.kind}" fill="{fill}" fill-rule="evenodd" stroke="{stroke}"'
+    style += f' stroke-width="{shape.width_mm:g}"'
     if shape.dashed:
         style += ' stroke-dasharray="1.5 1"'
     return f'<path {style} d="{path}"/>'
