@@ -17,13 +17,15 @@ def new_panels(down: int, across: int, width: float = 1.1) -> tuple[Any, Any]:
     return figure, figure.subplots(down, across, squeeze=False)
 
 
-def new_figure(width_inches: float, height_inches: float) -> Any:
+def new_figure(
+    width_inches: float, height_inches: float, layout: str | None = "constrained"
+) -> Any:
     """Return an empty figure; an `InputError` where matplotlib is not installed."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise InputError("figures need matplotlib: pip install matplotlib") from error
-    return Figure(figsize=(width_inches, height_inches), layout="constrained")
+    return Figure(figsize=(width_inches, height_inches), layout=layout)
 
 
 def save_figure(figure: Any, path: PathLike) -> None:

@@ -1,7 +1,6 @@
 """Design of a coded-aperture camera: what a lens, a mask and a focus can tell, before building."""
 
 from coded_aperture_ros.design.best import best_settings
-from coded_aperture_ros.design.config import DesignConfig
 from coded_aperture_ros.design.curves import (
     Curves,
     curves_of,
@@ -9,7 +8,7 @@ from coded_aperture_ros.design.curves import (
     default_focus_range_m,
 )
 from coded_aperture_ros.design.openings import Openings, openings_of
-from coded_aperture_ros.design.setting import Setting, setting_of
+from coded_aperture_ros.design.setting import DesignConfig, Setting, setting_of
 
 __all__ = [
     "Curves",

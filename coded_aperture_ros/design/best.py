@@ -4,13 +4,12 @@ import dataclasses
 import math
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.design.config import DesignConfig
 from coded_aperture_ros.design.curves import (
     default_extent_range_mm,
     default_focus_range_m,
     refocused_cameras,
 )
-from coded_aperture_ros.design.setting import Setting, setting_of
+from coded_aperture_ros.design.setting import DesignConfig, Setting, setting_of
 from coded_aperture_ros.optics import Camera
 
 # Settings whose number of levels is within this of the most count as equal.

@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.design.config import DesignConfig
 from coded_aperture_ros.design.openings import openings_of
-from coded_aperture_ros.design.setting import mean_blur_size_px, resolution_m
+from coded_aperture_ros.design.setting import DesignConfig, mean_blur_size_px, resolution_m
 from coded_aperture_ros.optics import Camera
 
 _SAMPLES = 200

@@ -7,9 +7,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.design.config import DesignConfig
 from coded_aperture_ros.design.openings import openings_of
-from coded_aperture_ros.design.setting import Setting
+from coded_aperture_ros.design.setting import DesignConfig, Setting
 from coded_aperture_ros.optics import Camera
 
 # Where the template has the values that the page starts from.

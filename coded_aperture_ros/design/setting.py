@@ -7,12 +7,53 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.design.config import DesignConfig
+from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.design.openings import openings_of
 from coded_aperture_ros.optics import Camera
 
 # First zero of the Airy pattern, in wavelengths times the f-number.
 _AIRY = 1.22
+
+
+@dataclasses.dataclass(frozen=True)
+class DesignConfig:
+    """What the sensor and the estimator can do, and which blur is wanted."""
+
+    resolution_px: float = option(
+        1.0,
+        "Smallest change of blur size that is told apart, alpha times lambda of thesis eq. 3.29.",
+        unit="px",
+        minimum=0.01,
+        maximum=100.0,
+    )
+    # The longest that the thesis reckons with (eq. 3.21): red suffers most from diffraction.
+    wavelength_nm: float = option(
+        750.0, "Longest wavelength of the light.", unit="nm", minimum=200.0, maximum=2000.0,
+    )  # fmt: skip
+    # Below this the cells of Levin's mask are a quarter of a pixel wide, and the code is lost.
+    smallest_blur_px: float = option(
+        3.0,
+        "The best setting has no smaller blur in the depth range.",
+        unit="px",
+        minimum=0.0,
+        maximum=10_000.0,
+    )
+    # Half the window of a filter bank with default settings.
+    largest_blur_px: float = option(
+        24.0,
+        "The best setting has no larger blur in the depth range.",
+        unit="px",
+        minimum=0.1,
+        maximum=10_000.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        if self.smallest_blur_px >= self.largest_blur_px:
+            raise InputError(
+                f"smallest_blur_px: {self.smallest_blur_px:g} px is not less than "
+                f"largest_blur_px, {self.largest_blur_px:g} px"
+            )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,12 +139,8 @@ def setting_of(
     share = openings_of(camera.mask).smallest_width
     open_fraction = camera.mask.open_fraction
     hole_mm = share * camera.mask_extent_mm
-    resolution_near_m, resolution_far_m = resolution_m(
-        camera, [near_m, far_m], config.resolution_px
-    )
-    f_number = None
-    if camera.focal_length_mm is not None:
-        f_number = camera.focal_length_mm / camera.mask_extent_mm
+    resolutions_m = resolution_m(camera, [near_m, far_m], config.resolution_px)
+    f_number = camera.focal_length_mm and camera.focal_length_mm / camera.mask_extent_mm
     limit_mm = _AIRY * config.wavelength_nm * 1e-6 * camera.focal_length_px
     return Setting(
         focus_distance_m=camera.focus_distance_m,
@@ -115,8 +152,8 @@ def setting_of(
         hole_blur_near_px=share * abs(near_px),
         hole_blur_far_px=share * abs(far_px),
         hole_blur_mean_px=share * abs(mean_blur_size_px(camera, near_m, far_m)),
-        resolution_near_m=float(resolution_near_m),
-        resolution_far_m=float(resolution_far_m),
+        resolution_near_m=float(resolutions_m[0]),
+        resolution_far_m=float(resolutions_m[1]),
         hole_width_mm=hole_mm,
         open_fraction=open_fraction,
         f_number=f_number,
