@@ -50,37 +50,31 @@ def load_checkpoint(
         differs.
     """
     arrays = read_archive(path, _SCHEMA, _SCHEMA_VERSION)
+    ours = _identity(config, scene)
     try:
-        theirs, ours = json.loads(str(arrays["search"])), _identity(config, scene)
+        theirs = json.loads(str(arrays["search"]))
         differing = [
             f"{name} {theirs.get(name)} instead of {value}"
             for name, value in ours.items()
             if theirs.get(name) != value
         ]
-        if differing:
-            raise InputError(
-                f"{path}: this is a checkpoint of another search: {', '.join(differing)}; use "
-                "another file, or the same options"
-            )
         ends = np.cumsum(arrays["front_sizes"])[:-1]
-        fronts = [
-            Front(grids, scores)
-            for grids, scores in zip(
-                np.split(arrays["front_grids"], ends),
-                np.split(arrays["front_scores"], ends),
-                strict=True,
-            )
-        ]
-        parts = zip(arrays["grids"], arrays["objective"], fronts, arrays["scored"], strict=True)
-        islands = tuple(
-            Island(grids, objective, front, int(scored))
-            for grids, objective, front, scored in parts
+        fronts = map(
+            Front, np.split(arrays["front_grids"], ends), np.split(arrays["front_scores"], ends)
         )
-        return SearchState(islands, int(arrays["epoch"]))
+        scored = map(int, arrays["scored"])
+        islands = tuple(map(Island, arrays["grids"], arrays["objective"], fronts, scored))
+        state = SearchState(islands, int(arrays["epoch"]))
     except (KeyError, json.JSONDecodeError, AttributeError) as error:
         raise InputError(
             f"{path}: cannot be read as a {_SCHEMA}: something is missing in it"
         ) from error
+    if differing:
+        raise InputError(
+            f"{path}: this is a checkpoint of another search: {', '.join(differing)}; use "
+            "another file, or the same options"
+        )
+    return state
 
 
 def _identity(config: SearchConfig, scene: SceneConfig) -> dict[str, object]:

@@ -4,8 +4,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.optics import Mask
-
 SYMMETRIES = ("none", "point", "mirror")
 CARRIERS = ("transparent", "connected")
 
@@ -24,32 +22,27 @@ def smallest_openings(grids: NDArray[np.floating]) -> NDArray[np.int64]:
     """
     opened = np.asarray(grids) > 0
     widths = np.zeros(len(opened), np.int64)
-    unchanged = opened.any(axis=(1, 2))
-    side = 0
-    while unchanged.any():
-        widths[unchanged] = side
-        side += 1
-        if side > opened.shape[-1]:
+    kept = opened.any(axis=(1, 2))
+    for side in range(1, opened.shape[-1] + 1):
+        kept &= (squares_only(opened, side) == opened).all(axis=(1, 2))
+        if not kept.any():
             break
-        unchanged = unchanged & (squares_only(opened, side) == opened).all(axis=(1, 2))
-    else:
-        return widths
-    widths[unchanged] = side - 1
+        widths[kept] = side
     return widths
 
 
 def squares_only(opened: NDArray[np.bool_], side: int) -> NDArray[np.bool_]:
     """Keep of each mask [B, n, n] the cells that lie in open squares of a side (an opening)."""
-    n = opened.shape[-1]
-    count = n - side + 1
-    fits = np.ones((len(opened), count, count), bool)
-    for row in range(side):
-        for column in range(side):
-            fits &= opened[:, row : row + count, column : column + count]
+    count = opened.shape[-1] - side + 1
+    places = [
+        np.s_[:, row : row + count, column : column + count]
+        for row in range(side)
+        for column in range(side)
+    ]
+    fits = np.logical_and.reduce([opened[place] for place in places])
     kept = np.zeros_like(opened)
-    for row in range(side):
-        for column in range(side):
-            kept[:, row : row + count, column : column + count] |= fits
+    for place in places:
+        kept[place] |= fits
     return kept
 
 
@@ -88,21 +81,6 @@ def random_grids(
     return grids
 
 
-def random_masks(count: int, seed: int) -> list[Mask]:
-    """Draw masks of 7 to 13 cells, with openings of 1 to 3 cells, with and without symmetry.
-
-    Those of one seed begin with those of a smaller count.
-    """
-    random = np.random.default_rng(seed)
-    masks = []
-    for number in range(count):
-        cells, opening = int(random.integers(7, 14)), int(random.integers(1, 4))
-        symmetry = SYMMETRIES[random.integers(0, 2)]
-        (grid,) = random_grids(1, cells, opening, symmetry, random)
-        masks.append(Mask(f"random_{number}", grid.astype(np.float32)))
-    return masks
-
-
 def changed(
     grids: NDArray[np.bool_], opening: int, symmetry: str, random: np.random.Generator
 ) -> NDArray[np.bool_]:
@@ -134,22 +112,16 @@ def changed(
             child[:] = child ^ flips
     if opening > 1:
         children = squares_only(children, opening)
-    if symmetry == "none":
-        return children
     # The upper half, or the left, is what the other follows.
-    half = np.zeros_like(children)
     if symmetry == "point":
-        half[:, : (n + 1) // 2] = children[:, : (n + 1) // 2]
-    else:
-        half[:, :, : (n + 1) // 2] = children[:, :, : (n + 1) // 2]
-    return symmetric(half, symmetry)
+        children[:, (n + 1) // 2 :] = False
+    elif symmetry == "mirror":
+        children[:, :, (n + 1) // 2 :] = False
+    return symmetric(children, symmetry)
 
 
 def allowed(
-    grids: NDArray[np.bool_],
-    opening: int,
-    light: tuple[float, float],
-    carrier: str,
+    grids: NDArray[np.bool_], opening: int, light: tuple[float, float], carrier: str
 ) -> NDArray[np.bool_]:
     """Which masks keep to the constraints [B].
 

@@ -64,45 +64,6 @@ def patches_of_pictures(
     return textures.crops(count, side_px, side_px, np.random.default_rng(seed))
 
 
-def patches_of_columns(
-    textures: Textures, count: int, side_px: int, step_px: int, seed: int = 0
-) -> NDArray[np.float32]:
-    """Cut patches as a stair has them: crops above each other, with seams where they meet.
-
-    Parameters
-    ----------
-    textures : Textures
-    count : int
-    side_px : int
-        Side of the patches; see `patch_side_px`.
-    step_px : int
-        Rows of a crop.
-    seed : int, optional
-
-    Returns
-    -------
-    ndarray, float32 [count, side_px, side_px]
-        The middle of a patch lies anywhere in a crop, from its first to its last row.
-
-    Raises
-    ------
-    InputError
-        If no picture is large enough.
-    """
-    random = np.random.default_rng(seed)
-    # So many that a patch fits in wherever in the first whole step it begins.
-    steps = 1 + -(-side_px // step_px)
-    patches = np.empty((count, side_px, side_px), np.float32)
-    for block in _blocks(count):
-        here = patches[block]
-        crops = textures.crops(len(here) * steps, step_px, side_px, random)
-        columns = crops.reshape(len(here), steps * step_px, side_px)
-        tops = random.integers(step_px, size=len(here))
-        for patch, column, top in zip(here, columns, tops, strict=True):
-            patch[:] = column[top : top + side_px]
-    return patches
-
-
 class PictureScorer:
     """Predicts the depth errors of masks with given pictures.
 

@@ -72,11 +72,6 @@ class SearchConfig:
                 f"{self.most_light:g}"
             )
 
-    @property
-    def masks_scored(self) -> int:
-        """About how many masks the search scores at most."""
-        return self.islands * self.epochs * self.generations * _MASKS
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Island:

@@ -51,6 +51,13 @@ def texture(height=HEIGHT, width=WIDTH, seed=1):
     return np.clip(0.5 + 0.12 * values / values.std(), 0.02, 0.95).astype(np.float32)
 
 
+def picture_folder(folder):
+    """Write two pictures into a folder; return it."""
+    for seed in range(2):
+        cv2.imwrite(str(folder / f"{seed}.png"), np.rint(255 * texture(200, 256, seed)))
+    return folder
+
+
 def camera_file(folder, name="camera.yaml", **changes):
     """Write a camera file; a change to None leaves a key out."""
     content = {key: value for key, value in {**CAMERA, **changes}.items() if value is not None}

@@ -13,7 +13,6 @@ from coded_aperture_ros.mask_design.pictures import (
     WindowSpectra,
     likeliest_levels,
     patch_side_px,
-    patches_of_columns,
     patches_of_pictures,
 )
 from coded_aperture_ros.optics import Mask, render_psf_stack
@@ -145,17 +144,6 @@ def test_patches_have_room_for_the_largest_blur(largest_px):
     assert side - 96 >= width
     patches = patches_of_pictures(TEXTURES, 16, side)
     assert 0 <= PictureScorer(patches, scene).depth_error(Mask.named("levin"))[0] < 3
-
-
-def test_patches_of_columns_have_seams():
-    bright, dark = np.full((70, 90), 0.8, np.float32), np.full((70, 90), 0.2, np.float32)
-    patches = patches_of_columns(Textures("natural", (bright, dark)), 100, 80, 48)
-    assert patches.shape == (100, 80, 80)
-    assert (patches == patches[:, :, :1]).all()
-    seams = [np.flatnonzero(np.diff(patch[:, 0])) for patch in patches]
-    assert all(set(np.diff(rows)) <= {48} for rows in seams)
-    # They begin anywhere.
-    assert len({rows[0] % 48 for rows in seams if len(rows)}) > 25
 
 
 def test_patches_of_pictures_are_cut_from_them():

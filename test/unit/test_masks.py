@@ -1,12 +1,10 @@
 """Scores of masks: predictions, subspace distances, and the commands that print them."""
 
 import json
-import re
 
-import cv2
 import numpy as np
 import pytest
-from cli_scene import call, texture
+from cli_scene import call, picture_folder
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.mask_design import MaskScorer, SceneConfig, subspace_distances
@@ -15,7 +13,6 @@ from coded_aperture_ros.mask_design.grids import (
     changed,
     is_connected,
     random_grids,
-    random_masks,
     smallest_openings,
     symmetric,
 )
@@ -29,19 +26,17 @@ from coded_aperture_ros.optics import MASK_NAMES, Mask
 
 # A coarse scene, which is quick, and whose cells are wide enough that pixels do not alias.
 SCENE = SceneConfig(levels=6, smallest_px=14.0, largest_px=28.0)
-
-
-def pictures(folder):
-    """Write two pictures into a folder; return it."""
-    for seed in range(2):
-        cv2.imwrite(str(folder / f"{seed}.png"), np.rint(255 * texture(200, 256, seed)))
-    return folder
+GRIDS = np.concatenate(
+    [
+        random_grids(3, 11, opening, symmetry, np.random.default_rng(opening))
+        for opening in (1, 2, 3)
+        for symmetry in ("none", "point")
+    ]
+).astype(np.float32)
 
 
 def test_autocorrelations_are_those_of_their_definition():
-    (mask,) = random_masks(1, 3)
-    grid = mask.transmission.astype(float)
-    n = len(grid)
+    grid, n = GRIDS[0].astype(float), GRIDS.shape[-1]
     lags = autocorrelations(grid[None]).reshape(2 * n - 1, n)
     for down, right in ((0, 0), (2, 1), (-3, 2), (0, 4)):
         moved = np.zeros_like(grid)
@@ -53,7 +48,7 @@ def test_autocorrelations_are_those_of_their_definition():
 
 
 def test_spectra_of_many_masks_are_those_of_each():
-    masks = [Mask.named("levin"), *(m for m in random_masks(9, 1) if len(m.transmission) == 11)]
+    masks = [Mask.named("levin"), Mask("random", GRIDS[0])]
     frequencies = Frequencies.of_window()
     grids = np.array([mask.transmission for mask in masks])
     fast = autocorrelations(grids) @ lag_matrix(11, SCENE, frequencies)
@@ -65,10 +60,10 @@ def test_spectra_of_many_masks_are_those_of_each():
 
 
 def test_both_ways_of_scoring_agree():
-    masks = [mask for mask in random_masks(60, 2) if len(mask.transmission) == 11]
+    masks = [Mask(f"random {index}", grid) for index, grid in enumerate(GRIDS)]
     scorer = MaskScorer()
     one_by_one = scorer.score(masks)
-    together = scorer.score_grids(np.array([mask.transmission for mask in masks]))
+    together = scorer.score_grids(GRIDS)
     np.testing.assert_allclose(together.depth_error, one_by_one.depth_error, rtol=0.15)
     np.testing.assert_allclose(together.deblurring_error, one_by_one.deblurring_error, rtol=0.05)
 
@@ -92,7 +87,7 @@ def test_an_open_aperture_is_worse_than_four_holes():
 
 
 def test_a_scaled_mask_is_the_same_mask():
-    mask = random_masks(1, 5)[0]
+    mask = Mask("random", GRIDS[0])
     fine = Mask("fine", np.kron(mask.transmission, np.ones((2, 2))))
     predicted = MaskScorer(SCENE).score([mask, fine])
     np.testing.assert_allclose(predicted.depth_error[0], predicted.depth_error[1], rtol=1e-3)
@@ -180,39 +175,8 @@ def test_score_command_refuses_one_colour(tmp_path, capsys):
     assert "one colour" in result.err
 
 
-def test_benchmark_command(capsys):
-    small = ["--levels", "5", "--side", "48", "--window", "48", "--rank", "32", "--repeats", "1"]
-    result = call(capsys, "bench", "masks", "--count", "3", *small, "--jobs", "1", "--json")
-    results = json.loads(result.out)
-    assert len(results["masks"]) == 3
-    assert set(results["rank_correlation"]) == {"0.001", "0.005"}
-    assert set(results["rank_correlation_pictures"]) == {"0.001", "0.005"}
-    assert all(0 < value < 5 for row in results["masks"] for value in row["predicted_pictures"])
-    assert results["masks_per_second"] > 0
-
-
-def test_benchmark_command_with_pictures_of_a_folder(tmp_path, capsys):
-    folder = pictures(tmp_path)
-    small = ["--levels", "5", "--side", "48", "--window", "48", "--rank", "32", "--repeats", "1"]
-    small += ["--count", "3", "--windows", "40", "--sigmas", "0.005", "--jobs", "1"]
-    of_folder = call(capsys, "bench", "masks", *small, "--images", folder, "--json")
-    built_in = call(capsys, "bench", "masks", *small)
-    results = json.loads(of_folder.out)
-    assert (results["images"], results["windows"]) == (str(folder), 40)
-    first = results["masks"][0]
-    shown = built_in.out.splitlines()
-    assert "from other crops of the pictures: " in built_in.out
-    titles = re.split(r" {2,}", shown[0])
-    assert titles[3:] == ["predicted 0.005", "pictures 0.005", "measured 0.005"]
-    # Other pictures, other errors; what the mask alone tells stays.
-    alone, with_pictures, measured = (float(value) for value in shown[1].split()[3:])
-    assert alone == pytest.approx(first["predicted"][0], abs=0.006)
-    assert with_pictures != pytest.approx(first["predicted_pictures"][0], abs=0.006)
-    assert measured != pytest.approx(first["measured"][0], abs=0.006)
-
-
 def test_score_command_with_pictures(tmp_path, capsys):
-    folder = pictures(tmp_path)
+    folder = picture_folder(tmp_path)
     command = ["mask", "score", "four_hole", "disc", "--levels", "8", "--sigmas", "0.01"]
     command += ["--images", folder, "--windows", "80"]
     rows = json.loads(call(capsys, *command, "--json").out)["masks"]
@@ -227,7 +191,7 @@ def test_score_command_with_pictures(tmp_path, capsys):
 
 
 def test_score_command_says_what_pictures_cannot(tmp_path, capsys):
-    folder = pictures(tmp_path)
+    folder = picture_folder(tmp_path)
     result = call(capsys, "mask", "score", "levin", "--images", folder, "--motion-px", "3")
     assert result.status == 1
     assert "motion_px: the prediction from pictures knows none" in result.err

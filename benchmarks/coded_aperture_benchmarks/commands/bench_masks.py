@@ -61,8 +61,8 @@ def run(args: argparse.Namespace) -> int:
     import numpy as np
 
     from coded_aperture_benchmarks.commands.bench_methods import BANK, Setting
+    from coded_aperture_benchmarks.random_masks import random_masks
     from coded_aperture_ros.mask_design import MaskScorer
-    from coded_aperture_ros.mask_design.grids import random_masks
 
     if args.window % 2:
         args.usage_error(f"--window: expected an even number, got {args.window}")
@@ -112,10 +112,11 @@ def _with_pictures(args: argparse.Namespace, masks: Sequence[Any]) -> Any:
     """Return depth errors predicted from columns of crops, as the stairs are [masks, noises]."""
     import numpy as np
 
+    from coded_aperture_benchmarks.random_masks import patches_of_columns
     from coded_aperture_benchmarks.stair import LARGEST_BLUR_PX, SMALLEST_BLUR_PX
     from coded_aperture_ros.io.textures import load_textures
     from coded_aperture_ros.mask_design import PictureScorer, SceneConfig
-    from coded_aperture_ros.mask_design.pictures import patch_side_px, patches_of_columns
+    from coded_aperture_ros.mask_design.pictures import patch_side_px
 
     scene = SceneConfig(
         levels=args.levels, smallest_px=SMALLEST_BLUR_PX, largest_px=LARGEST_BLUR_PX
