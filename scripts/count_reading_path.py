@@ -27,15 +27,9 @@ def lines_of_code(source: str) -> int:
         if token.type not in _SILENT:
             held.update(range(token.start[0], token.end[0] + 1))
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            first = node.body[0] if node.body else None
-            if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
-                if isinstance(first.value.value, str):
-                    held.difference_update(range(first.lineno, first.end_lineno + 1))
-        # A text below an attribute, which documents it.
-        elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-            if isinstance(node.value.value, str):
-                held.difference_update(range(node.lineno, node.end_lineno + 1))
+        # Docstrings, and texts below an attribute.
+        if isinstance(node, ast.Expr) and isinstance(getattr(node.value, "value", None), str):
+            held.difference_update(range(node.lineno, node.end_lineno + 1))
     return len(held)
 
 
