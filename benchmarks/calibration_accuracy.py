@@ -23,7 +23,6 @@ from coded_aperture_ros.calibration.planes.calibrate import calibrate_planes
 from coded_aperture_ros.calibration.planes.folder import load_planes
 from coded_aperture_ros.calibration.planes.remap import remap_bank
 from coded_aperture_ros.calibration.psf.dots import psf_from_dots
-from coded_aperture_ros.calibration.psf.stack import centre_psf
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.optics import Mask, render_psf
@@ -132,7 +131,7 @@ def measure_psfs(name: str, seed: int) -> dict[str, Any]:
     row: dict[str, Any] = {"mask": name}
     for size in PSF_SIZES:
         measured = psf_from_dots(dot_picture(mask, size, seed), mask)
-        centred = centre_psf(measured, mask)
+        centred = measured.centred(mask)
         true = render_psf(mask, size, 25)
         error = np.linalg.norm(centred.psf(25) - true) / np.linalg.norm(true)
         row[f"{size:g} px"] = round(100 * float(error), 2)

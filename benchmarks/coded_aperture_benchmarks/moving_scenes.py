@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_benchmarks.moving_frame import MovingFrame, MovingObject, render_moving_frame
 from coded_aperture_benchmarks.stair import with_noise
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthEstimate
 from coded_aperture_ros.io.textures import TEST_PICTURES, load_textures
 from coded_aperture_ros.methods.motion import MotionEstimate
 from coded_aperture_ros.optics import Camera, Mask, PsfStack
-from coded_aperture_ros.simulation import MovingFrame, MovingObject, render_moving_frame
 
 # Rows and columns of the frames, and of the object in their middle.
 FRAME_PX = (288, 384)

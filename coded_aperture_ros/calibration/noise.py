@@ -70,10 +70,6 @@ def noise_from_frames(frames: Sequence[NDArray[np.floating]]) -> SensorNoise:
         Linear light in [0, 1], of one size, with the same exposure. Textured or flat; the more
         the light varies over them, the better. Each is compared with the next.
 
-    Returns
-    -------
-    SensorNoise
-
     Raises
     ------
     InputError
@@ -89,27 +85,22 @@ def noise_from_frames(frames: Sequence[NDArray[np.floating]]) -> SensorNoise:
                 f"frame {number} has the shape {list(array.shape)}, the first one "
                 f"{list(arrays[0].shape)}: frames of one camera are needed"
             )
-    light, variance, steep = (
-        np.concatenate(parts)
-        for parts in zip(*(_compared(*pair) for pair in itertools.pairwise(arrays)), strict=True)
-    )
+    pairs = [_compared(*pair) for pair in itertools.pairwise(arrays)]
+    light, squares, steep = np.concatenate(pairs, axis=1)
     if len(light) < _FEWEST_PIXELS:
         raise InputError(
             f"only {len(light)} pixels are neither black nor saturated, {_FEWEST_PIXELS} are "
             "needed: change the exposure"
         )
-    if not variance.any():
+    if not squares.any():
         raise InputError("the frames are equal: take each one anew")
-    light, variance = _binned(light, variance, steep)
-    line, fit_error = _robust_line(light, variance)
+    light, variance = _binned(light, squares, steep)
+    dark, gain, fit_error = _robust_line(light, variance)
     darkest, brightest = float(light[0]), float(light[-1])
     known = brightest - darkest >= _LEAST_SPREAD
     if not known:
-        return SensorNoise(
-            float(np.sqrt(np.median(variance))), 0.0, darkest, brightest, False, fit_error
-        )
-    noise, gain = line
-    return SensorNoise(float(np.sqrt(noise)), gain, darkest, brightest, True, fit_error)
+        dark, gain = float(np.median(variance)), 0.0
+    return SensorNoise(float(np.sqrt(dark)), gain, darkest, brightest, known, fit_error)
 
 
 def with_noise_of(camera: Camera | None, config: Any) -> Any:
@@ -130,44 +121,39 @@ def with_noise_of(camera: Camera | None, config: Any) -> Any:
     )
 
 
-def _compared(
-    one: NDArray[np.float64], two: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return light, variance and steepness of the usable pixels of two frames."""
+def _compared(one: NDArray[np.float64], two: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return light, variance and steepness of the usable pixels of two frames [3, pixels]."""
     usable = np.isfinite(one) & np.isfinite(two) & (np.minimum(one, two) > 0)
     usable &= np.maximum(one, two) < _SATURATED
     if not usable.any():
-        return (np.empty(0),) * 3
+        return np.empty((3, 0))
     # Lamps flicker: the frames may differ in brightness as a whole.
     ratio = np.median(two[usable]) / np.median(one[usable])
     mean = (one + two / ratio) / 2
-    difference = one - two / ratio
     even = ndimage.uniform_filter(mean, (3, 3, 1)[: mean.ndim])
     slopes = np.hypot(*(np.gradient(even, axis=axis) for axis in (0, 1)))
-    squares = difference**2 / (1 + 1 / ratio**2)
+    squares = (one - two / ratio) ** 2 / (1 + 1 / ratio**2)
     # Sum and difference of the same noise are independent: sorted by the sum, the squares are fair.
-    return mean[usable], squares[usable], slopes[usable]
+    return np.stack([mean[usable], squares[usable], slopes[usable]])
 
 
 def _binned(
     light: NDArray[np.float64], squares: NDArray[np.float64], steep: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return mean light and variance of groups of equally many pixels, darkest first."""
-    order = np.argsort(light, kind="stable")
-    bins = np.array_split(order, _BINS)
-    means = np.array([light[group].mean() for group in bins])
-    variances = np.array([_clipped_mean(squares[group]) for group in bins])
+    bins = np.array_split(np.argsort(light, kind="stable"), _BINS)
     even, uneven = [], []
     for group in bins:
-        middle = np.median(steep[group])
-        even.append(squares[group][steep[group] <= middle].mean())
-        uneven.append(squares[group][steep[group] > middle].mean())
+        is_even = steep[group] <= np.median(steep[group])
+        even.append(squares[group][is_even].mean())
+        uneven.append(squares[group][~is_even].mean())
     if np.median(uneven) > _MOVED * np.median(even):
         raise InputError(
             "the frames differ where the picture is steep: something moved between them; fix "
             "camera and scene, and use a remote release"
         )
-    return means, variances
+    means = [light[group].mean() for group in bins]
+    return np.array(means), np.array([_clipped_mean(squares[group]) for group in bins])
 
 
 def _clipped_mean(squares: NDArray[np.float64]) -> float:
@@ -181,26 +167,22 @@ def _clipped_mean(squares: NDArray[np.float64]) -> float:
 
 def _robust_line(
     light: NDArray[np.float64], variance: NDArray[np.float64]
-) -> tuple[tuple[float, float], float]:
-    """Fit variance over light by a line that is never negative; return it and its relative error.
+) -> tuple[float, float, float]:
+    """Fit variance over light by a line that is never negative.
 
     Groups far off the line count less (Huber's weights); all errors are relative, as those of
-    variances are.
+    variances are. Returns height in the dark, slope, and the relative error.
     """
-    weights = np.ones_like(light)
-    dark, slope = float(np.median(variance)), 0.0
-    scale = np.maximum(variance, 1e-3 * variance.mean() + 1e-30)
+    from scipy import optimize  # slow to import
+
+    terms = np.stack([np.ones_like(light), light], axis=1)
+    least = 1e-3 * variance.mean() + 1e-30
+    trust, fitted = np.ones_like(light), variance
     for _ in range(_ROUNDS):
-        matrix = np.stack([np.ones_like(light), light], axis=1) * (weights / scale)[:, None]
-        target = variance * weights / scale
-        dark, slope = np.linalg.lstsq(matrix, target, rcond=None)[0]
-        if dark < 0:
-            dark, slope = 0.0, float(matrix[:, 1] @ target / (matrix[:, 1] @ matrix[:, 1]))
-        if slope < 0:
-            dark, slope = float(matrix[:, 0] @ target / (matrix[:, 0] @ matrix[:, 0])), 0.0
-        fitted = dark + slope * light
-        scale = np.maximum(fitted, 1e-3 * variance.mean() + 1e-30)
-        rest = np.abs(variance - fitted) / scale
+        weights = trust / np.maximum(fitted, least)
+        line, _ = optimize.nnls(terms * weights[:, None], variance * weights)
+        fitted = terms @ line
+        rest = np.abs(variance - fitted) / np.maximum(fitted, least)
         usual = max(1.4826 * float(np.median(rest)), 1e-12)
-        weights = np.sqrt(np.minimum(1, 1.345 * usual / np.maximum(rest, 1e-12)))
-    return (float(dark), float(slope)), float(np.median(rest))
+        trust = np.sqrt(np.minimum(1, 1.345 * usual / np.maximum(rest, 1e-12)))
+    return float(line[0]), float(line[1]), float(np.median(rest))

@@ -139,7 +139,8 @@ def _write_files(args: argparse.Namespace, found: Any, filters: Any, summary: An
     import numpy as np
 
     from coded_aperture_ros.bank import learn_bank, save_bank
-    from coded_aperture_ros.calibration.blind.picture import blind_picture, mask_picture
+    from coded_aperture_ros.calibration.blind.picture import blind_picture
+    from coded_aperture_ros.calibration.tiles import enlarged
     from coded_aperture_ros.core.files import atomic_outputs
     from coded_aperture_ros.io import write_image
     from coded_aperture_ros.optics import render_psf_stack
@@ -151,7 +152,7 @@ def _write_files(args: argparse.Namespace, found: Any, filters: Any, summary: An
             output(folder / _REPORT).write_text(report + "\n", encoding="utf-8")
             with output(folder / _MASK).open("wb") as file:
                 np.save(file, found.mask.transmission)
-            write_image(output(folder / _PICTURE_OF_MASK), mask_picture(found.mask.transmission))
+            write_image(output(folder / _PICTURE_OF_MASK), enlarged(found.mask.transmission, 512))
             write_image(output(folder / _PICTURE), blind_picture(found))
         if args.bank is not None:
             sizes = found.blur_sizes_px

@@ -86,7 +86,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the action; return its exit status."""
-    from coded_aperture_ros.calibration.psf.stack import centre_psf, psf_stack
+    from coded_aperture_ros.calibration.psf.stack import psf_stack
     from coded_aperture_ros.optics import load_camera
 
     depths_m = _check_usage(args)
@@ -124,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
         size = picture.shape[:2]
         with naming(name):
             measured.append(_measured(args, number, picture, mask, sign))
-            centred.append(centre_psf(measured[-1], mask, sign))
+            centred.append(measured[-1].centred(mask, sign))
     stack = psf_stack(centred, args.levels, depths_m, names)
     _write(args, stack, centred)
     rows = [

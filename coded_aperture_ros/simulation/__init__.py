@@ -1,17 +1,13 @@
 """A simulated coded-aperture camera: rendering with occlusion, sensor noise, a demo scene."""
 
-from coded_aperture_ros.simulation.moving import MovingFrame, MovingObject, render_moving_frame
 from coded_aperture_ros.simulation.render import render_coded_frame
 from coded_aperture_ros.simulation.scene import PanningScene, Scene, motorcycle_scene
 from coded_aperture_ros.simulation.sensor import SensorModel
 
 __all__ = [
-    "MovingFrame",
-    "MovingObject",
     "PanningScene",
     "Scene",
     "SensorModel",
     "motorcycle_scene",
     "render_coded_frame",
-    "render_moving_frame",
 ]

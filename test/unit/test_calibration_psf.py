@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from psf_pictures import dot_picture, error_of, pair
 
+from coded_aperture_ros.calibration.psf.centre import CentredPsf
 from coded_aperture_ros.calibration.psf.dots import psf_from_dots
 from coded_aperture_ros.calibration.psf.fine import mask_psf
 from coded_aperture_ros.calibration.psf.pair import psf_from_pair
-from coded_aperture_ros.calibration.psf.stack import CentredPsf, centre_psf, psf_picture, psf_stack
+from coded_aperture_ros.calibration.psf.stack import psf_picture, psf_stack
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask, render_psf
 
@@ -30,7 +31,7 @@ def test_dots_give_the_psf_within_3_percent(mask, blur_size_px):
     # A PSF of a few px hardly tells the side of the focus.
     sign = 1.0 if mask == "zhou" and blur_size_px == 3.0 else None
     measured = psf_from_dots(dot_picture(mask, blur_size_px), Mask.named(mask), sign)
-    found = centre_psf(measured, Mask.named(mask), sign)
+    found = measured.centred(Mask.named(mask), sign)
     psf = found.psf(15)
     assert found.blur_size_px == pytest.approx(blur_size_px, abs=0.06)
     assert error_of(psf, mask, blur_size_px) < 0.03
@@ -48,7 +49,7 @@ def test_without_a_mask_the_centre_of_light_is_the_centre():
     sizes = []
     for true in (6.0, 9.0):
         grey = dot_picture("levin", true, **SMALL)
-        found = centre_psf(psf_from_dots(np.stack([0.8 * grey, grey, 1.2 * grey], axis=-1)))
+        found = psf_from_dots(np.stack([0.8 * grey, grey, 1.2 * grey], axis=-1)).centred()
         assert error_of(found.psf(15), "levin", true) < 0.04
         assert np.isnan(found.misfit)
         sizes.append(found.blur_size_px)
@@ -71,7 +72,7 @@ def test_a_few_missing_and_saturated_dots_and_specks_are_left_out():
     measured = psf_from_dots(picture, mask)
     assert 1 <= measured.missing <= 10
     assert measured.saturated + measured.rejected >= 1
-    assert error_of(centre_psf(measured, mask).psf(13), "levin", 8.0) < 0.04
+    assert error_of(measured.centred(mask).psf(13), "levin", 8.0) < 0.04
 
 
 def one_direction():
@@ -159,7 +160,7 @@ def test_picture_of_psfs():
 @pytest.mark.parametrize(("mask", "size"), [("levin", 7.0), ("zhou", 9.0)])
 def test_a_pair_gives_the_psf_within_3_percent(mask, size):
     measured = psf_from_pair(*pair(mask, size), size + 3)
-    found = centre_psf(measured, Mask.named(mask), 1.0)
+    found = measured.centred(Mask.named(mask), 1.0)
     assert found.blur_size_px == pytest.approx(size, abs=0.03)
     assert error_of(found.psf(measured.width_px), mask, size) < 0.03
     assert measured.explained > 0.85
@@ -169,7 +170,7 @@ def test_a_pair_gives_the_psf_within_3_percent(mask, size):
 def test_a_pair_of_very_different_light():
     sharp, coded = pair("levin", 8.0, noise=0.0005)
     measured = psf_from_pair(sharp, coded * np.linspace(0.35, 1.0, coded.shape[1]), 10)
-    found = centre_psf(measured, Mask.named("levin"), 1.0)
+    found = measured.centred(Mask.named("levin"), 1.0)
     assert error_of(found.psf(measured.width_px), "levin", 8.0) < 0.03
 
 

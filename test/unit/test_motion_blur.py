@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from cli_scene import CAMERA, HEIGHT, WIDTH, call, camera_file, texture
+from coded_aperture_benchmarks.moving_frame import MovingObject, render_moving_frame
 from deblur_scene import assert_adjoint
 from scipy.signal import fftconvolve
 
@@ -23,7 +24,7 @@ from coded_aperture_ros.mask_design.fragmentation import (
 )
 from coded_aperture_ros.methods.motion import Motions, blurred_psf, motion_kernel
 from coded_aperture_ros.optics import Camera, Mask, render_psf, render_psf_stack
-from coded_aperture_ros.simulation import MovingObject, render_coded_frame, render_moving_frame
+from coded_aperture_ros.simulation import render_coded_frame
 
 STACK = render_psf_stack(Mask.named("levin"), np.linspace(3, 11, 9))
 BASIS = PsfBasis.of(STACK)

@@ -5,9 +5,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.calibration.blind.find import BlindMask
+from coded_aperture_ros.calibration.tiles import tiled
 
-_TILE_PX, _GAP_PX, _GAP_LIGHT = 192, 6, 0.3
-_PER_ROW = 5
+_TILE_PX, _PER_ROW, _GAP_LIGHT = 192, 5, 0.3
 
 
 def blind_picture(found: BlindMask) -> NDArray[np.float32]:
@@ -23,20 +23,7 @@ def blind_picture(found: BlindMask) -> NDArray[np.float32]:
     """
     tiles = [_mask_tile(found.mask.transmission)]
     tiles += [_halves(*found.spectra[plane]) for plane in np.argsort(found.blur_sizes_px)]
-    step = _TILE_PX + _GAP_PX
-    columns = min(_PER_ROW, len(tiles))
-    rows = -(-len(tiles) // columns)
-    drawn = np.full((rows * step + _GAP_PX, columns * step + _GAP_PX), _GAP_LIGHT, np.float32)
-    for number, tile in enumerate(tiles):
-        top, left = (_GAP_PX + step * place for place in divmod(number, columns))
-        drawn[top : top + _TILE_PX, left : left + _TILE_PX] = tile
-    return drawn
-
-
-def mask_picture(transmission: NDArray[np.float32], side_px: int = 512) -> NDArray[np.float32]:
-    """Draw a mask's cells as whole squares of equal size, about `side_px` wide in all."""
-    factor = max(1, side_px // max(transmission.shape))
-    return np.kron(transmission, np.ones((factor, factor), np.float32)).astype(np.float32)
+    return tiled(tiles, _PER_ROW, _GAP_LIGHT)
 
 
 def _mask_tile(transmission: NDArray[np.float32]) -> NDArray[np.float32]:

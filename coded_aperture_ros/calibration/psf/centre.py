@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
+from coded_aperture_ros.calibration.psf.fine import FinePsf
+from coded_aperture_ros.calibration.psf.light import centres_of, steps_of
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask, render_psf
 
@@ -32,27 +34,37 @@ _TURNED = 0.95
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Centred:
-    """How a measured PSF lies.
+class CentredPsf:
+    """A measured PSF whose middle and width are known.
 
     Attributes
     ----------
+    fine : FinePsf
     place : ndarray of float64, shape [2]
-        Place of the PSF's origin (down, right) for which it is centred, px.
+        Where its origin has to be (down, right), in px, so that the mask's extent is centred.
+    width_px : int
+        Odd; it is not wider.
     blur_size_px : float
-        Signed width of the mask's extent; without a mask, the width of what is seen, positive.
+        Signed width of the mask's extent. Without a mask, that of an even square with the same
+        spread, positive: right in proportion.
     misfit : float
         Relative difference (norm) from the mask's rendered PSF; NaN without a mask.
     """
 
+    fine: FinePsf
     place: NDArray[np.float64]
+    width_px: int
     blur_size_px: float
     misfit: float
+
+    def psf(self, width: int, scale: float = 1.0) -> NDArray[np.float64]:
+        """Return the PSF as pixels record it [width, width], `scale` times as wide as measured."""
+        return finished(self.fine.at(width, self.place * scale, scale))
 
 
 def centred(
     at: PsfAt, mask: Mask | None = None, sign: float | None = None, phases: NDArray = PHASES
-) -> Centred:
+) -> tuple[NDArray[np.float64], float, float]:
     """Find the middle and the blur size of a measured PSF.
 
     Parameters
@@ -65,6 +77,11 @@ def centred(
         Of the blur size, where the side of the focus is known; by default the mask tells.
     phases : ndarray of float, shape [N, 2], optional
         Places on the pixels at which the PSF is looked at.
+
+    Returns
+    -------
+    place, blur_size_px, misfit
+        See `CentredPsf`.
 
     Raises
     ------
@@ -88,7 +105,7 @@ def centred(
             break
     if mask is not None:
         check_misfit(misfit, mask)
-    return Centred(place, size, misfit)
+    return place, size, misfit
 
 
 def check_misfit(misfit: float, mask: Mask) -> None:
@@ -138,9 +155,9 @@ def _like(
 
 def _moments(psf: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Return the centre of light from the middle, and the spread about it without the pixel's."""
-    steps = np.arange(len(psf)) - len(psf) // 2
+    centre = centres_of(psf) / psf.sum()
+    steps = steps_of(len(psf))
     shares = [psf.sum(axis=axis) / psf.sum() for axis in (1, 0)]
-    centre = np.array([share @ steps for share in shares])
     variances = [share @ (steps - c) ** 2 for share, c in zip(shares, centre, strict=True)]
     return centre, float(np.sqrt(max(np.mean(variances) - _PIXEL_VARIANCE, 1e-4)))
 

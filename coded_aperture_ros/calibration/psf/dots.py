@@ -5,11 +5,14 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.calibration.psf.centre import centred
-from coded_aperture_ros.calibration.psf.fine import FinePsf, coverage, fit_fine, mask_psf
+from coded_aperture_ros.calibration.psf.centre import CentredPsf, centred
+from coded_aperture_ros.calibration.psf.fine import FinePsf, fit_fine, mask_psf
 from coded_aperture_ros.calibration.psf.lattice import find_lattice
+from coded_aperture_ros.calibration.psf.light import centres_of, extent_of, rim_of, steps_of
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.imaging import channel_mean
 from coded_aperture_ros.optics import Mask
+from coded_aperture_ros.optics.psf import cell_shares
 
 _FEWEST_DOTS = 9
 _MOST_MISSING = 0.2
@@ -24,7 +27,6 @@ _MASK_ROUNDS = 4
 _RIM_PX = 3
 # Light on the rim between dots, over that of the brightest pixel, from which neighbours overlap.
 _OVERLAP = 0.1
-_FAINT = 0.04
 _LARGEST_MOVE_PX = 0.5
 _FARTHEST_PX = 2.0
 _SLOPE_STEP_PX = 0.05
@@ -66,6 +68,26 @@ class DotPsf:
     rejected: int
     missing: int
 
+    def centred(self, mask: Mask | None = None, sign: float | None = None) -> CentredPsf:
+        """Centre the PSF in the middle of the mask's extent, and tell its blur size.
+
+        Parameters
+        ----------
+        mask : Mask, optional
+            What is in the lens. Without it, the centre of light is the centre.
+        sign : float, optional
+            Of the blur size: which side of the focus. By default the mask tells, and positive if
+            not.
+
+        Raises
+        ------
+        InputError
+            If the PSF does not look like the mask.
+        """
+        width = self.width_px + 2
+        place, size, misfit = centred(lambda place: self.fine.at(width, place), mask, sign)
+        return CentredPsf(self.fine, place, width, size, misfit)
+
 
 def psf_from_dots(
     picture: NDArray[np.floating], mask: Mask | None = None, sign: float | None = None
@@ -94,12 +116,10 @@ def psf_from_dots(
     InputError
         If no grid is found, too many dots are missing or saturated, they overlap, or are too dim.
     """
-    grey = np.asarray(picture, np.float64)
-    if not np.isfinite(grey).all():
+    if not np.isfinite(picture).all():
         raise InputError("has pixels that are NaN or infinite: use linear pictures of a camera")
-    clipped = np.asarray(grey >= SATURATED)
-    if grey.ndim == 3:
-        grey, clipped = grey.mean(axis=2), np.asarray(clipped.any(axis=2))
+    grey = channel_mean(picture).astype(np.float64)
+    clipped = np.asarray(np.reshape(picture >= SATURATED, (*grey.shape, -1)).any(axis=2))
     lattice = find_lattice(grey)
     if lattice.missing > _MOST_MISSING * (len(lattice.positions) + lattice.missing):
         raise InputError(
@@ -112,7 +132,7 @@ def psf_from_dots(
     _check_gaps(mean, lattice.spacing_px)
     width = min(_extent(mean) + 2 + 2 * _RIM_PX, room)
     windows, places, _ = cut(lattice.positions, width)
-    backgrounds = np.median(windows[:, _rim(width, 1)], axis=1)[:, None, None]
+    backgrounds = np.median(windows[:, rim_of(width)], axis=1)[:, None, None]
     places = np.rint(places) + _centroids(windows - backgrounds)
     support = width
     for rounds in _ROUNDS:
@@ -211,24 +231,15 @@ class _Fit:
         return float(np.linalg.norm(halves[0] - halves[1]) / 2)
 
 
-def _rim(width: int, thickness: int) -> NDArray[np.bool_]:
-    rim = np.ones((width, width), bool)
-    rim[thickness:-thickness, thickness:-thickness] = False
-    return rim
-
-
 def _extent(psf: NDArray[np.float64]) -> int:
-    """Return the width in px of what is not faint, about the middle."""
-    light = psf - np.median(psf[_rim(len(psf), 1)])
-    steps = np.abs(np.arange(len(psf)) - len(psf) // 2)
-    ring = np.maximum(steps[:, None], steps[None, :])
-    return 2 * int(ring[light > _FAINT * light.max()].max(initial=0)) + 1
+    """Return the width in px of what is not faint, over the light on its rim."""
+    return extent_of(psf - np.median(psf[rim_of(len(psf))]))
 
 
 def _check_gaps(mean: NDArray[np.float64], spacing_px: float) -> None:
     """Refuse dots whose mean window, as wide as their spacing, is lit up to its rim."""
     light = mean - mean.min()
-    if light[_rim(len(mean), 1)].max() > _OVERLAP * light.max() or _extent(mean) > len(mean) - 4:
+    if light[rim_of(len(mean))].max() > _OVERLAP * light.max() or _extent(mean) > len(mean) - 4:
         raise InputError(
             f"the dots overlap: they are {spacing_px:.1f} px apart, and light reaches across the "
             "gaps: use a grid with wider gaps, or less blur"
@@ -238,11 +249,9 @@ def _check_gaps(mean: NDArray[np.float64], spacing_px: float) -> None:
 def _centroids(light: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the centre of light of each window without background, from its middle [N, 2]."""
     total = light.sum(axis=(1, 2))
-    width = light.shape[1]
-    steps = np.arange(width) - width // 2
-    centres = np.stack([light.sum(axis=2) @ steps, light.sum(axis=1) @ steps], axis=1)
     usable = np.maximum(total, max(0.1 * float(np.median(total)), 1e-9))
-    return np.clip(centres / usable[:, None], -width / 4, width / 4)
+    farthest = light.shape[1] / 4
+    return np.clip(centres_of(light) / usable[:, None], -farthest, farthest)
 
 
 def _by_mask(
@@ -258,8 +267,8 @@ def _by_mask(
     a few px only, and with them a PSF that is fitted to dots so placed.
     """
     width = windows.shape[1]
-    found = centred(lambda place: fine.at(width, place), mask, sign)
-    model = mask_psf(mask, found.blur_size_px)
+    _, size, _ = centred(lambda place: fine.at(width, place), mask, sign)
+    model = mask_psf(mask, size)
     for _ in range(_MASK_ROUNDS):
         offsets = offsets + _fit_dots(windows, model, offsets)[0]
     return offsets
@@ -271,7 +280,7 @@ def _registered(
     """Fit the PSF, and place, strength and background of every dot, in turn."""
     start = offsets
     width = windows.shape[1]
-    rim = windows[:, _rim(width, 1)]
+    rim = windows[:, rim_of(width)]
     backgrounds = np.median(rim, axis=1)[:, None, None]
     strengths = (windows - backgrounds).sum(axis=(1, 2))
     if not np.median(strengths) > 0:
@@ -311,13 +320,13 @@ def _fit_dots(
     width, cells = windows.shape[1], len(fine.light)
 
     def along(axis: int, aside: float = 0.0) -> NDArray[np.float64]:
-        return coverage(offsets[:, axis] + aside, width, cells, fine.cell_px)
+        return cell_shares(width, cells, fine.cell_px, offsets[:, axis] + aside)
 
     rows, columns = along(0), along(1).transpose(0, 2, 1)
     h = _SLOPE_STEP_PX
     row_slopes = (along(0, h) - along(0, -h)) / (2 * h)
     column_slopes = ((along(1, h) - along(1, -h)) / (2 * h)).transpose(0, 2, 1)
-    steps = (np.arange(width) - width // 2) / width
+    steps = steps_of(width) / width
     ones = np.ones((len(windows), width, width))
     terms = np.stack(
         [

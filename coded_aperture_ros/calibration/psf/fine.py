@@ -10,7 +10,9 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from coded_aperture_ros.calibration.mask.cells import square_cells
 from coded_aperture_ros.optics import Mask
+from coded_aperture_ros.optics.psf import cell_shares
 
 _ITERATIONS = 60
 
@@ -49,42 +51,17 @@ class FinePsf:
         ndarray of float64, shape [width, width]
         """
         down, right = np.asarray(centre, np.float64)
-        rows = coverage(down, width, len(self.light), self.cell_px * scale)
-        columns = coverage(right, width, len(self.light), self.cell_px * scale)
+        rows = cell_shares(width, len(self.light), self.cell_px * scale, down)
+        columns = cell_shares(width, len(self.light), self.cell_px * scale, right)
         return np.asarray(rows @ self.light @ columns.T)
 
 
 def mask_psf(mask: Mask, blur_size_px: float) -> FinePsf:
     """Return the PSF of a mask whose extent is so wide: its cells, turned if that is negative."""
-    cells: NDArray[np.float64] = mask.transmission.astype(np.float64)
-    side = max(cells.shape)
-    if min(cells.shape) < side:
-        # Two cells for one, so that an odd difference of the sides can be halved.
-        cells = cells.repeat(2, axis=0).repeat(2, axis=1)
-        side *= 2
-        margins = [(side - length) // 2 for length in cells.shape]
-        cells = np.pad(cells, [(margin, margin) for margin in margins])
+    cells = square_cells(mask)
     if blur_size_px < 0:
         cells = cells[::-1, ::-1]
-    return FinePsf(cells / cells.sum(), abs(blur_size_px) / side)
-
-
-def coverage(offset: ArrayLike, width: int, cells: int, cell_px: float) -> NDArray[np.float64]:
-    """Return the share of each cell that each pixel covers, along one axis.
-
-    Parameters
-    ----------
-    offset : array of float, any shape
-        How far the middle of the cells lies from the middle of the pixels, in px.
-
-    Returns
-    -------
-    ndarray of float64, shape [*offset.shape, width, cells]
-    """
-    pixels = np.arange(width + 1)[:, None] - width / 2
-    edges = (np.arange(cells + 1) - cells / 2) * cell_px + np.asarray(offset)[..., None, None]
-    covered = np.clip(pixels, edges[..., :-1], edges[..., 1:])
-    return np.asarray(np.diff(covered, axis=-2) / cell_px)
+    return FinePsf(cells / cells.sum(), abs(blur_size_px) / len(cells))
 
 
 def fit_fine(
@@ -115,7 +92,7 @@ def fit_fine(
         Of sum 1.
     """
     width, cells = windows.shape[-1], len(start.light)
-    rows, columns = (coverage(offsets[:, axis], width, cells, start.cell_px) for axis in (0, 1))
+    rows, columns = (cell_shares(width, cells, start.cell_px, offsets[:, axis]) for axis in (0, 1))
     rows = rows * strengths[:, None, None]
     damping = ridge / max(float((start.light**2).mean()), 1e-30)
 

@@ -6,8 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, linalg, ndimage, optimize
 
+from coded_aperture_ros.calibration.psf.centre import PHASES, CentredPsf, centred, check_misfit
 from coded_aperture_ros.calibration.psf.dots import SATURATED
+from coded_aperture_ros.calibration.psf.fine import FinePsf
+from coded_aperture_ros.calibration.psf.light import centres_of, extent_of
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.imaging import channel_mean
 from coded_aperture_ros.optics import Mask, render_psf
 
 _MOST_SATURATED = 0.01
@@ -18,7 +22,6 @@ _EXCHANGES = 30
 _LEAST_SNR = 5.0
 _LEAST_EXPLAINED = 0.2
 _RECENTRINGS = 3
-_FAINT = 0.04
 _SHIFT_MARGIN_PX = 32
 # Side of the part of the pictures by which they are registered.
 _REGISTERED_PX = 256
@@ -53,7 +56,19 @@ class PairPsf:
         """Return the PSF at whole pixels, its origin moved by `place` (down, right), in px."""
         return _solve(_moved(self.sharp, -place), self.coded, self.width_px)[0]
 
-    def like_mask(self, mask: Mask, sign: float | None) -> tuple[NDArray[np.float64], float]:
+    def centred(self, mask: Mask | None = None, sign: float | None = None) -> CentredPsf:
+        """See `DotPsf.centred`."""
+        width = self.width_px
+        if mask is None:
+            place, size, misfit = centred(self.at, phases=PHASES[:1])
+            return CentredPsf(FinePsf(self.at(place), 1.0), np.zeros(2), width, size, misfit)
+        place, size = self._like_mask(mask, sign)
+        psf = self.at(place)
+        misfit = float(np.linalg.norm(psf - render_psf(mask, size, width)) / np.linalg.norm(psf))
+        check_misfit(misfit, mask)
+        return CentredPsf(FinePsf(psf, 1.0), np.zeros(2), width, size, misfit)
+
+    def _like_mask(self, mask: Mask, sign: float | None) -> tuple[NDArray[np.float64], float]:
         """Return the place (see `at`) and the blur size for which the mask explains most.
 
         Place and size are compared with the pictures themselves: between two places on the pixels,
@@ -67,9 +82,7 @@ class PairPsf:
         spectrum = fft.rfft2(first)
         inside = slice(self.width_px, -self.width_px)
         target = second[inside, inside]
-        start = self.at(np.zeros(2))
-        steps = np.arange(self.width_px) - self.width_px // 2
-        centre = np.array([start.sum(axis=axis) @ steps for axis in (1, 0)])
+        centre = centres_of(self.at(np.zeros(2)))
 
         def rest(x: NDArray[np.float64]) -> float:
             psf = np.zeros(first.shape)
@@ -139,29 +152,26 @@ def psf_from_pair(
         psf, variance, explained = _solve(first, second, width)
         snr = float(np.linalg.norm(psf) / max(np.sqrt(variance * psf.size), 1e-12))
         # The correlation may have taken one hole of the mask for all of it.
-        steps = np.arange(width) - width // 2
-        off = round(float(psf.sum(axis=1) @ steps)), round(float(psf.sum(axis=0) @ steps))
-        if off == (0, 0):
+        down, right = np.rint(centres_of(psf)).astype(int).tolist()
+        if (down, right) == (0, 0):
             break
-        shift = shift[0] + off[0], shift[1] + off[1]
+        shift = shift[0] + down, shift[1] + right
     if explained < _LEAST_EXPLAINED or not snr >= _LEAST_SNR:
         raise InputError(
             f"the sharp picture explains {explained:.0%} of the coded one, with a signal-to-noise "
             f"ratio of {snr:.1f}: both have to show one textured plane, unmoved and well lit"
         )
     # What is narrower than it could be is solved for with fewer unknowns, and less noise.
-    ring = np.maximum(np.abs(steps)[:, None], np.abs(steps)[None, :])
-    narrow = 2 * int(ring[psf > _FAINT * psf.max()].max(initial=0)) + 5
-    return PairPsf(first, second, min(narrow, width), snr, explained, shift)
+    narrow = min(extent_of(psf) + 4, width)
+    return PairPsf(first, second, narrow, snr, explained, shift)
 
 
 def _grey(picture: NDArray[np.floating], name: str) -> NDArray[np.float64]:
-    grey = np.asarray(picture, np.float64)
-    if not np.isfinite(grey).all():
+    if not np.isfinite(picture).all():
         raise InputError(f"the {name} picture has pixels that are NaN or infinite")
-    if np.mean(grey >= SATURATED) > _MOST_SATURATED:
+    if np.mean(picture >= SATURATED) > _MOST_SATURATED:
         raise InputError(f"the {name} picture is saturated: expose for a shorter time")
-    return grey.mean(axis=2) if grey.ndim == 3 else grey
+    return channel_mean(picture).astype(np.float64)
 
 
 def _evenly_lit(

@@ -1,87 +1,18 @@
 """From PSFs measured at some depths to a stack of equally spaced blur sizes, and a picture."""
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coded_aperture_ros.calibration.psf.centre import PHASES, centred, check_misfit, finished
-from coded_aperture_ros.calibration.psf.dots import DotPsf
-from coded_aperture_ros.calibration.psf.fine import FinePsf
-from coded_aperture_ros.calibration.psf.pair import PairPsf
+from coded_aperture_ros.calibration.psf.centre import CentredPsf
+from coded_aperture_ros.calibration.tiles import enlarged, tiled
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics import Mask, PsfStack, render_psf
+from coded_aperture_ros.optics import PsfStack
 
 # PSFs whose blur sizes differ less are one: a level between them is not told apart.
 _CLOSEST_PX = 0.02
-_WIDTH_PX = 120
-_GAP_PX = 6
-_PER_ROW = 8
-_GAP_LIGHT = 0.25
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class CentredPsf:
-    """A measured PSF whose middle and width are known.
-
-    Attributes
-    ----------
-    fine : FinePsf
-    place : ndarray of float64, shape [2]
-        Where its origin has to be (down, right), in px, so that the mask's extent is centred.
-    width_px : int
-        Odd; it is not wider.
-    blur_size_px : float
-        Signed width of the mask's extent. Without a mask, that of an even square with the same
-        spread: right in proportion.
-    misfit : float
-        Relative difference (norm) from the mask's rendered PSF; NaN without a mask.
-    """
-
-    fine: FinePsf
-    place: NDArray[np.float64]
-    width_px: int
-    blur_size_px: float
-    misfit: float
-
-    def psf(self, width: int, scale: float = 1.0) -> NDArray[np.float64]:
-        """Return the PSF as pixels record it [width, width], `scale` times as wide as measured."""
-        return finished(self.fine.at(width, self.place * scale, scale))
-
-
-def centre_psf(
-    measured: DotPsf | PairPsf, mask: Mask | None = None, sign: float | None = None
-) -> CentredPsf:
-    """Centre a measured PSF in the middle of the mask's extent, and tell its blur size.
-
-    Parameters
-    ----------
-    measured : DotPsf or PairPsf
-    mask : Mask, optional
-        What is in the lens. Without it, the centre of light is the centre.
-    sign : float, optional
-        Of the blur size: which side of the focus. By default the mask tells, and positive if not.
-
-    Raises
-    ------
-    InputError
-        If the PSF does not look like the mask.
-    """
-    if isinstance(measured, DotPsf):
-        fine, width = measured.fine, measured.width_px + 2
-        found = centred(lambda place: fine.at(width, place), mask, sign)
-        return CentredPsf(fine, found.place, width, found.blur_size_px, found.misfit)
-    width = measured.width_px
-    if mask is None:
-        found = centred(measured.at, phases=PHASES[:1])
-        fine = FinePsf(measured.at(found.place), 1.0)
-        return CentredPsf(fine, np.zeros(2), width, found.blur_size_px, np.nan)
-    place, size = measured.like_mask(mask, sign)
-    psf = measured.at(place)
-    misfit = float(np.linalg.norm(psf - render_psf(mask, size, width)) / np.linalg.norm(psf))
-    check_misfit(misfit, mask)
-    return CentredPsf(FinePsf(psf, 1.0), np.zeros(2), width, size, misfit)
+_WIDTH_PX, _PER_ROW, _GAP_LIGHT = 120, 8, 0.25
 
 
 def psf_stack(
@@ -179,13 +110,6 @@ def psf_picture(psfs: Sequence[NDArray[np.floating]]) -> NDArray[np.float32]:
         Linear light, 0 to 1; the gaps are grey.
     """
     width = max(len(psf) for psf in psfs)
-    factor = max(1, _WIDTH_PX // width)
-    step = width * factor + _GAP_PX
-    rows, columns = -(-len(psfs) // _PER_ROW), min(len(psfs), _PER_ROW)
-    drawn = np.full((rows * step + _GAP_PX, columns * step + _GAP_PX), _GAP_LIGHT, np.float32)
-    for number, psf in enumerate(psfs):
-        padded = np.pad(np.maximum(psf, 0), (width - len(psf)) // 2)
-        tile = np.kron(padded / max(float(padded.max()), 1e-12), np.ones((factor, factor)))
-        top, left = (_GAP_PX + step * place for place in divmod(number, _PER_ROW))
-        drawn[top : top + len(tile), left : left + len(tile)] = tile
-    return drawn
+    padded = [np.pad(np.maximum(psf, 0), (width - len(psf)) // 2) for psf in psfs]
+    tiles = [enlarged(psf / max(float(psf.max()), 1e-12), _WIDTH_PX) for psf in padded]
+    return tiled(tiles, _PER_ROW, _GAP_LIGHT)
