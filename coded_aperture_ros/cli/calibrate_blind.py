@@ -107,11 +107,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _pictures(inputs: list[str]) -> list[str]:
-    from coded_aperture_ros.io import open_sequence
+    from coded_aperture_ros.io.sources import open_files
 
     if len(inputs) > 1 or not Path(inputs[0]).is_dir():
         return inputs
-    return [str(path) for path in open_sequence(inputs[0]).pictures]
+    return [str(path) for path in open_files(inputs[0]).files]
 
 
 def _summary(

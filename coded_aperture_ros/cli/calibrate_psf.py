@@ -174,11 +174,11 @@ def _check_usage(args: argparse.Namespace) -> list[float] | None:
 
 
 def _pictures(inputs: list[str]) -> list[str]:
-    from coded_aperture_ros.io import open_sequence
+    from coded_aperture_ros.io.sources import open_files
 
     if len(inputs) > 1 or not Path(inputs[0]).is_dir():
         return inputs
-    return [str(path) for path in open_sequence(inputs[0]).pictures]
+    return [str(path) for path in open_files(inputs[0]).files]
 
 
 def _depths_in_names(names: list[str]) -> list[float] | None:

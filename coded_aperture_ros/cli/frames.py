@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+import logging
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -14,17 +15,21 @@ from coded_aperture_ros.core.errors import InputError
 
 @dataclasses.dataclass(frozen=True)
 class NamedFrame:
-    """A frame, what to call it in messages, and where its result goes."""
+    """A frame, what to call it in messages, where its result goes, and its stamp, if it has one."""
 
     source: str
     output: Path
     image: Any
+    stamp_ns: int | None
 
 
 def add_input_options(parser: argparse.ArgumentParser, output_help: str) -> None:
     """Add the inputs, the output and what they have in common."""
     parser.add_argument(
-        "inputs", nargs="+", metavar="INPUT", help="picture, .npy, folder of pictures, or video"
+        "inputs",
+        nargs="+",
+        metavar="INPUT",
+        help="picture, .npy, folder of pictures, video, or bag (with #TOPIC: bag:PATH#TOPIC)",
     )
     parser.add_argument("-o", "--output", required=True, metavar="OUT", help=output_help)
 
@@ -58,10 +63,11 @@ def named_frames(
         If several frames would go to one file, an input cannot be read, or an output cannot be
         written or would overwrite an input.
     """
-    from coded_aperture_ros.io import open_sequence
+    from coded_aperture_ros.imaging import linear_from_pixels
+    from coded_aperture_ros.io.sources import PictureSource, captures, open_files
 
-    sequences = [(given, open_sequence(given, args.gamma)) for given in args.inputs]
-    lengths = [sequence.length for _, sequence in sequences]
+    sources = [(given, open_files(given)) for given in args.inputs]
+    lengths = [source.length for _, source in sources]
     total = None if None in lengths else sum(length or 0 for length in lengths)
     output = Path(args.output)
     to_file = _is_file_name(args.output)
@@ -74,21 +80,24 @@ def named_frames(
             f"{output}: {'several' if total is None else total} frames do not fit into one file, "
             "name a folder"
         )
-    pictures = [file for _, sequence in sequences for file in sequence.pictures]
-    videos = [sequence.video for _, sequence in sequences if sequence.video]
-    _check_names(output, [file.stem for file in pictures])
+    files = [file for _, source in sources for file in source.files]
+    pictures = [source for _, source in sources if isinstance(source, PictureSource)]
+    _check_names(output, [file.stem for source in pictures for file in source.files])
 
-    def frames() -> Iterator[tuple[str, str, Any]]:
-        for given, sequence in sequences:
-            alone = sequence.pictures == (Path(given),)
-            for name, image in sequence:
-                yield given if alone else f"{given}, frame {name}", name, image
+    def frames() -> Iterator[tuple[str, Any]]:
+        for given, source in sources:
+            alone = isinstance(source, PictureSource) and source.files == (Path(given),)
+            for capture in captures(source):
+                yield given if alone else f"{given}, frame {capture.name}", capture
+            if source.damage:
+                logging.warning(f"{given}: read up to the damage: {source.damage}")
 
-    for source, name, image in progress(frames(), total, "frame"):
-        target = output if to_file else output / f"{name}{suffix}"
+    for given, capture in progress(frames(), total, "frame"):
+        target = output if to_file else output / f"{capture.name}{suffix}"
         for path in outputs(target):
-            check_output(path, pictures + videos)
-        yield NamedFrame(source, target, image)
+            check_output(path, files)
+        image = linear_from_pixels(capture.frame, args.gamma)
+        yield NamedFrame(given, target, image, capture.stamp_ns)
 
 
 def _is_file_name(output: str) -> bool:

@@ -288,13 +288,16 @@ def _tuned(args: argparse.Namespace, trials: list[Any]) -> Any:
 
 def _prior(args: argparse.Namespace) -> Any:
     from coded_aperture_ros.bank import EmpiricalPrior, NaturalImagePrior
-    from coded_aperture_ros.io import open_sequence
+    from coded_aperture_ros.imaging import linear_from_pixels
+    from coded_aperture_ros.io.sources import captures, open_files
 
     if args.images is None:
         return NaturalImagePrior()
-    pictures = open_sequence(args.images, args.gamma)
+    pictures = captures(open_files(args.images))
     with naming(args.images):
-        return EmpiricalPrior.from_images(image for _, image in pictures)
+        return EmpiricalPrior.from_images(
+            linear_from_pixels(picture.frame, args.gamma) for picture in pictures
+        )
 
 
 def _rendered(args: argparse.Namespace) -> Any:

@@ -1,22 +1,20 @@
-"""Pictures and videos on disk."""
+"""Pictures and depth maps on disk; in `sources`, whatever gives frames."""
 
 from coded_aperture_ros.io.depth_picture import confidence_picture, depth_picture
 from coded_aperture_ros.io.picture_file import (
     PICTURE_SUFFIXES,
+    picture_files,
     read_depth,
     read_image,
     write_depth,
     write_image,
 )
-from coded_aperture_ros.io.sequence import VIDEO_SUFFIXES, ImageSequence, open_sequence
 
 __all__ = [
     "PICTURE_SUFFIXES",
-    "VIDEO_SUFFIXES",
-    "ImageSequence",
     "confidence_picture",
     "depth_picture",
-    "open_sequence",
+    "picture_files",
     "read_depth",
     "read_image",
     "write_depth",

@@ -22,6 +22,15 @@ _MILLIMETRE = 1e-3
 _ENCODING = dict.fromkeys(_TIFF, (cv2.IMWRITE_TIFF_COMPRESSION, 5))
 
 
+def picture_files(folder: Path) -> list[Path]:
+    """Return the pictures of a folder, in the order of their names."""
+    return sorted(
+        file
+        for file in folder.iterdir()
+        if file.suffix.lower() in PICTURE_SUFFIXES and not file.name.startswith(".")
+    )
+
+
 def read_image(path: str | os.PathLike[str], gamma: Gamma = 1.0) -> NDArray[np.float32]:
     """Read a picture as linear light.
 
@@ -43,6 +52,11 @@ def read_image(path: str | os.PathLike[str], gamma: Gamma = 1.0) -> NDArray[np.f
     InputError
         Naming the file, if it is missing, empty, or not a picture.
     """
+    return linear_from_pixels(read_pixels(path), gamma)
+
+
+def read_pixels(path: str | os.PathLike[str]) -> NDArray:
+    """Read a picture as it is stored: uint8, uint16 or float32; see `read_image`."""
     pixels = _read_pixels(Path(path))
     if pixels.ndim == 3 and pixels.shape[2] == 1:
         pixels = pixels[:, :, 0]
@@ -51,10 +65,11 @@ def read_image(path: str | os.PathLike[str], gamma: Gamma = 1.0) -> NDArray[np.f
             f"{path}: expected a picture [row, column] or [row, column, RGB], "
             f"got the shape {list(pixels.shape)}"
         )
-    try:
-        return linear_from_pixels(pixels, gamma)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    if pixels.dtype.kind == "f":
+        return pixels.astype(np.float32, copy=False)
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise InputError(f"{path}: expected 8-bit, 16-bit or float pixels, got {pixels.dtype}")
+    return pixels
 
 
 def write_image(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io import open_sequence, read_image
+from coded_aperture_ros.io.picture_file import picture_files, read_image
 
 TEXTURES = ("natural", "random", "soft")
 TEST_PICTURES = (
@@ -115,7 +115,7 @@ def load_textures(kind: str, folder: Path | None = None) -> Textures:
     if kind not in TEXTURES:
         raise InputError(f"unknown texture {kind!r}: use one of {', '.join(TEXTURES)}")
     if folder is not None:
-        paths = list(open_sequence(folder).pictures) if folder.is_dir() else []
+        paths = picture_files(folder) if folder.is_dir() else []
         if not paths:
             raise InputError(f"{folder}: expected a folder with pictures")
         check_not_for_training((path.stem for path in paths), folder)

@@ -12,6 +12,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from bag_scene import (
@@ -38,7 +39,7 @@ from coded_aperture_ros.bags.workers import in_order
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.threads import processors
 from coded_aperture_ros.io.bags import Bag, bag_output, is_bag
-from coded_aperture_ros.io.sources import BagSource, SequenceSource, open_source
+from coded_aperture_ros.io.sources import BagSource, PictureSource, open_source
 from coded_aperture_ros.optics import load_camera
 
 STORAGES = ("mcap", "sqlite3")
@@ -287,6 +288,36 @@ def test_a_bag_is_a_source_of_frames_with_their_stamps(scene, tmp_path, storage)
         source.close()
 
 
+def test_depth_takes_a_bag(scene, tmp_path, capsys):
+    pixels = {index: frame_pixels(scene, "mono8", index) for index in range(2)}
+    other = [("/other/image_raw", IMAGE, START_NS, image(pixels[0][:8], "mono8", 0))]
+    bag = write_bag(tmp_path / "in", [*recording(scene, frames=2), *other])
+    for index in pixels:
+        cv2.imwrite(str(tmp_path / f"frame_{index}.png"), pixels[index])
+    options = ("--bank", scene.bank, "--stride-px", 16)
+    for source, folder in (
+        ((f"bag:{bag}#/eye/image_raw",), "of_bag"),
+        ([tmp_path / f"frame_{index}.png" for index in pixels], "of_pictures"),
+    ):
+        result = call(capsys, "depth", *options, *source, "-o", tmp_path / folder)
+        assert (result.status, result.err) == (0, "")
+    for index in pixels:
+        ours = np.load(tmp_path / "of_bag" / f"in_00000{index}.npy")
+        np.testing.assert_array_equal(ours, np.load(tmp_path / f"of_pictures/frame_{index}.npy"))
+    result = call(capsys, "depth", *options, bag, "-o", tmp_path / "again")
+    assert result.status == 1
+    assert f"Say bag:{bag}#/eye/image_raw or /other/image_raw" in result.err
+
+
+def test_depth_takes_a_bag_up_to_the_cut(scene, tmp_path, capsys, caplog):
+    bag = write_bag(tmp_path / "in", recording(scene, frames=8))
+    file = cut(bag, 0.5)
+    result = call(capsys, "depth", "--bank", scene.bank, bag, "-o", tmp_path / "out", "--json")
+    assert result.status == 0
+    assert 2 <= len(json.loads(result.out)) <= 5
+    assert file.name in caplog.text
+
+
 def test_a_source_loops_and_goes_on_after_what_cannot_be_used(scene, tmp_path):
     pixels = frame_pixels(scene, "bgr8", 0)
     messages = [
@@ -322,7 +353,7 @@ def test_what_is_a_bag(scene, tmp_path):
     assert not is_bag(scene.folder)
     assert not is_bag(scene.coded_png)
     assert not is_bag(tmp_path / "missing.mcap")
-    assert isinstance(open_source(str(scene.coded_png), None, 1.0), SequenceSource)
+    assert isinstance(open_source(str(scene.coded_png), None, 1.0), PictureSource)
     with pytest.raises(InputError, match="no such file"):
         open_source("bag:/missing", None, 1.0)
 

@@ -10,7 +10,7 @@ from ros_helpers import Ros, wait_until
 from sensor_msgs.msg import CameraInfo, Image
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.sources import DeviceSource, SequenceSource, SimulatorSource, open_source
+from coded_aperture_ros.io.sources import DeviceSource, PictureSource, SimulatorSource, open_source
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.messages import array_from_image, stamp_ns
@@ -228,7 +228,7 @@ def test_sources_by_name(camera_file, folder):
     assert isinstance(open_source("0", camera, 10.0), DeviceSource)
     assert isinstance(open_source("/dev/video7", camera, 10.0), DeviceSource)
     assert isinstance(open_source("rtsp://camera/stream", camera, 10.0), DeviceSource)
-    assert isinstance(open_source(str(folder), camera, 10.0), SequenceSource)
+    assert isinstance(open_source(str(folder), camera, 10.0), PictureSource)
 
 
 def test_the_simulators_noise_is_as_asked(camera_file):

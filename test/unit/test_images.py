@@ -7,13 +7,13 @@ from coded_aperture_ros.imaging import decode, encode, gamma_from_text, linear_f
 from coded_aperture_ros.io import (
     confidence_picture,
     depth_picture,
-    open_sequence,
     read_depth,
     read_image,
     write_depth,
     write_image,
 )
 from coded_aperture_ros.io.depth_picture import UNKNOWN_RGB
+from coded_aperture_ros.io.sources import captures, open_files
 
 
 @pytest.fixture
@@ -181,44 +181,76 @@ def test_folder_is_read_in_order_of_names(tmp_path):
     for value, name in [(0.3, "c.png"), (0.1, "a.npy"), (0.2, "b.tif")]:
         write_image(tmp_path / name, np.full((2, 2), value))
     (tmp_path / "planes.json").write_text("{}")
-    sequence = open_sequence(tmp_path)
-    assert sequence.length == 3
+    source = open_files(str(tmp_path))
+    assert source.length == 3
     for _ in range(2):
-        read = [(name, float(image[0, 0])) for name, image in sequence]
-        assert [name for name, _ in read] == ["a", "b", "c"]
-        assert [value for _, value in read] == pytest.approx([0.1, 0.2, 0.3], abs=1e-4)
+        read = list(captures(source))
+        assert [capture.name for capture in read] == ["a", "b", "c"]
+        values = [float(linear_from_pixels(capture.frame)[0, 0]) for capture in read]
+        assert values == pytest.approx([0.1, 0.2, 0.3], abs=1e-4)
 
 
-def test_single_file_is_a_sequence_of_one(tmp_path):
+def test_single_file_is_a_source_of_one_frame(tmp_path):
     write_image(tmp_path / "a.png", np.ones((2, 3)))
-    sequence = open_sequence(tmp_path / "a.png")
-    assert sequence.length == 1
-    assert [(name, image.shape) for name, image in sequence] == [("a", (2, 3))]
+    source = open_files(str(tmp_path / "a.png"))
+    assert source.length == 1
+    assert [(capture.name, capture.frame.shape) for capture in captures(source)] == [("a", (2, 3))]
 
 
-def test_video_frames_come_in_order_and_in_rgb(tmp_path):
-    path = tmp_path / "clip.avi"
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory):
+    """A video of three frames with more and more red."""
+    path = tmp_path_factory.mktemp("video") / "clip.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))
     for level in (50, 100, 200):
         writer.write(np.full((48, 64, 3), [10, 20, level], np.uint8))
     writer.release()
-    sequence = open_sequence(path)
-    assert sequence.length == 3
-    frames = list(sequence)
-    assert [name for name, _ in frames] == [f"clip_00000{index}" for index in range(3)]
-    for (_, frame), level in zip(frames, (50, 100, 200), strict=True):
+    return path
+
+
+def test_video_frames_come_in_order_and_in_rgb(clip):
+    source = open_files(str(clip))
+    assert source.length == 3
+    read = list(captures(source))
+    assert [capture.name for capture in read] == [f"clip_00000{index}" for index in range(3)]
+    for capture, level in zip(read, (50, 100, 200), strict=True):
+        frame = linear_from_pixels(capture.frame)
         assert frame.shape == (48, 64, 3)
         assert frame[20, 20] == pytest.approx(np.array([level, 20, 10]) / 255, abs=0.02)
 
 
-def test_unusable_sequence_is_refused(tmp_path, capfd):
+def test_files_are_read_over_and_over_or_once(clip, tmp_path):
+    for value, name in [(0.25, "a.npy"), (0.5, "b.npy")]:
+        write_image(tmp_path / name, np.full((2, 2), value))
+    for path, length in ((clip, 3), (tmp_path, 2)):
+        once, forever = open_files(str(path)), open_files(str(path), loop=True)
+        names = [capture.name for capture in captures(once)]
+        assert len(names) == length
+        assert [forever.read().name for _ in range(2 * length)] == 2 * names
+        forever.close()
+        assert forever.read().name == names[0]
+
+
+def test_a_picture_that_cannot_be_read_does_not_hide_those_after_it(tmp_path):
+    for name in ("a.png", "c.png"):
+        write_image(tmp_path / name, np.ones((2, 2)))
+    (tmp_path / "b.png").write_bytes(b"hello")
+    source = open_files(str(tmp_path))
+    assert source.read().name == "a"
+    with pytest.raises(InputError, match=r"b\.png"):
+        source.read()
+    assert source.read().name == "c"
+    assert source.read() is None
+
+
+def test_unusable_files_are_refused(tmp_path, capfd):
     with pytest.raises(InputError, match="no pictures in this folder"):
-        open_sequence(tmp_path)
+        open_files(str(tmp_path))
     with pytest.raises(InputError, match="nowhere: no such file or folder"):
-        open_sequence(tmp_path / "nowhere")
+        open_files(str(tmp_path / "nowhere"))
     (tmp_path / "bad.mp4").write_bytes(b"hello")
     with pytest.raises(InputError, match=r"bad\.mp4: not a video"):
-        open_sequence(tmp_path / "bad.mp4")
+        open_files(str(tmp_path / "bad.mp4"))
 
 
 def test_depth_picture_colours_near_red_far_blue_unknown_grey():

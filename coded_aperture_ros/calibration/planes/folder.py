@@ -15,7 +15,7 @@ from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.imaging import Gamma
-from coded_aperture_ros.io import open_sequence, read_image, write_image
+from coded_aperture_ros.io import picture_files, read_image, write_image
 
 PLANES_JSON, PLANES_CSV = "planes.json", "planes.csv"
 
@@ -51,7 +51,7 @@ def load_planes(
                 f"with {PLANES_JSON} or {PLANES_CSV}"
             )
         return load_folder(folder, gamma)
-    pictures = list(open_sequence(folder).pictures) if folder is not None else paths
+    pictures = picture_files(folder) if folder is not None else paths
     if len(pictures) != len(depths_m):
         raise InputError(
             f"{folder or paths[0]}: {len(pictures)} pictures but {len(depths_m)} depths: give one "

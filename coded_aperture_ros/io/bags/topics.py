@@ -31,7 +31,12 @@ class Outputs:
         return cls(*(f"{namespace.rstrip('/')}/{name}" for name in names))
 
 
-def image_topic(topics: Mapping[str, Topic], wanted: str | None, *others: str | None) -> Topic:
+def image_topic(
+    topics: Mapping[str, Topic],
+    wanted: str | None,
+    *others: str | None,
+    named_by: str = "--topic ",
+) -> Topic:
     """Return the topic of the coded frames.
 
     Parameters
@@ -42,6 +47,8 @@ def image_topic(topics: Mapping[str, Topic], wanted: str | None, *others: str | 
         Its name; by default the only topic of images, or the only one of these called `image_raw`.
     others : str or None
         Topics of images that are something else.
+    named_by : str, optional
+        What a user writes before the topic's name.
 
     Raises
     ------
@@ -61,7 +68,7 @@ def image_topic(topics: Mapping[str, Topic], wanted: str | None, *others: str | 
             return images[fitting[0]]
     if not images:
         raise InputError(f"there are no images in it, {_listed(topics)}")
-    raise InputError(f"which images are the coded frames? Say --topic {' or '.join(images)}")
+    raise InputError(f"which images are the coded frames? Say {named_by}{' or '.join(images)}")
 
 
 def depth_topic(topics: Mapping[str, Topic], wanted: str) -> Topic:

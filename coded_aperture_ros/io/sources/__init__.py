@@ -1,20 +1,30 @@
-"""Where the camera driver gets its frames from. No ROS in here."""
+"""Where frames come from: files, bags, cameras, the simulator. No ROS in here."""
 
 from coded_aperture_ros.io.sources.bag import BagSource
 from coded_aperture_ros.io.sources.device import DeviceConfig, DeviceSource
-from coded_aperture_ros.io.sources.opening import SIMULATOR, open_source
-from coded_aperture_ros.io.sources.sequence import SequenceSource
+from coded_aperture_ros.io.sources.files import (
+    VIDEO_SUFFIXES,
+    FileSource,
+    PictureSource,
+    VideoSource,
+)
+from coded_aperture_ros.io.sources.opening import SIMULATOR, open_files, open_source
 from coded_aperture_ros.io.sources.simulator import SimulatorSource
-from coded_aperture_ros.io.sources.source import Capture, Source
+from coded_aperture_ros.io.sources.source import Capture, Source, captures
 
 __all__ = [
     "SIMULATOR",
+    "VIDEO_SUFFIXES",
     "BagSource",
     "Capture",
     "DeviceConfig",
     "DeviceSource",
-    "SequenceSource",
+    "FileSource",
+    "PictureSource",
     "SimulatorSource",
     "Source",
+    "VideoSource",
+    "captures",
+    "open_files",
     "open_source",
 ]

@@ -1,18 +1,59 @@
 """From the text that names a source to the source."""
 
 import dataclasses
+from pathlib import Path
+from typing import Any
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.bags import is_bag
+from coded_aperture_ros.io.picture_file import picture_files
 from coded_aperture_ros.io.sources.bag import BagSource
 from coded_aperture_ros.io.sources.device import DeviceConfig, DeviceSource
-from coded_aperture_ros.io.sources.sequence import SequenceSource
+from coded_aperture_ros.io.sources.files import (
+    VIDEO_SUFFIXES,
+    FileSource,
+    PictureSource,
+    VideoSource,
+)
 from coded_aperture_ros.io.sources.simulator import SimulatorSource
 from coded_aperture_ros.io.sources.source import Source
 from coded_aperture_ros.optics import Camera
 
 SIMULATOR = "simulator"
 _BAG = "bag:"
+
+
+def open_files(text: str, loop: bool = False) -> FileSource[Any]:
+    """Return the source of the frames in files.
+
+    Parameters
+    ----------
+    text : str
+        Path of a picture, a folder of pictures (in the order of their names), a video or a bag; or
+        `bag:` and the path of a bag, which may end in `#` and the topic of the frames.
+    loop : bool, optional
+        Begin again after the last frame.
+
+    Raises
+    ------
+    InputError
+        Naming the path, if it is missing, a folder without pictures, or not readable. Reading a
+        frame may raise it later.
+    """
+    if text.startswith(_BAG):
+        bag, _, topic = text.removeprefix(_BAG).partition("#")
+        return BagSource(bag, loop, topic or None)
+    path = Path(text)
+    pictures = picture_files(path) if path.is_dir() else ()
+    if not pictures and is_bag(path):
+        return BagSource(path, loop)
+    if path.is_dir() and not pictures:
+        raise InputError(f"{text}: no pictures in this folder")
+    if not path.exists():
+        raise InputError(f"cannot read {text}: no such file or folder")
+    if path.suffix.lower() in VIDEO_SUFFIXES and path.is_file():
+        return VideoSource(path, loop)
+    return PictureSource(tuple(pictures) or (path,), loop)
 
 
 def open_source(
@@ -30,8 +71,7 @@ def open_source(
     ----------
     text : str
         `simulator`; the index of a camera, a device (`/dev/video0`), a URL (`rtsp://...`) or a
-        GStreamer pipeline; the path of a picture, a folder of pictures, a video or a bag; or `bag:`
-        and the path of a bag, which may end in `#` and the topic of the frames.
+        GStreamer pipeline; or files, see `open_files`.
     camera : Camera
         To simulate, or whose image size to ask a device for.
     rate_hz : float
@@ -51,9 +91,6 @@ def open_source(
         return SimulatorSource(camera, rate_hz, noise)
     if not text:
         raise InputError("parameter source is empty: use simulator, a camera index or a path")
-    if text.startswith(_BAG):
-        path, _, topic = text.removeprefix(_BAG).partition("#")
-        return BagSource(path, loop, topic or None)
     if text.isdecimal() or text.startswith("/dev/"):
         address = int(text) if text.isdecimal() else text
         config = device or DeviceConfig()
@@ -63,6 +100,6 @@ def open_source(
             )
         return DeviceSource(address, config, rate_hz)
     # Of a stream, the sender says how large it is and how fast.
-    if "://" in text or " ! " in text:
+    if not text.startswith(_BAG) and ("://" in text or " ! " in text):
         return DeviceSource(text)
-    return BagSource(text, loop) if is_bag(text) else SequenceSource(text, loop)
+    return open_files(text, loop)

@@ -1,5 +1,6 @@
 """What a source of frames is."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -9,24 +10,28 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Capture:
-    """One frame, and what a simulator knows about it.
+    """One frame, and what is known about it.
 
     Attributes
     ----------
     frame : uint8, uint16 or float32, [row, column] or [row, column, RGB]
-        Integers as the sensor counts them, floats in linear light [0, 1].
+        Integers as the sensor counts them, or as a file stores them: undoing a gamma is left to
+        whoever uses the frame. Floats in linear light [0, 1].
     depth_m : float32, [row, column], optional
-        True depth, NaN where unknown.
+        True depth, NaN where unknown; of a simulator.
     sharp : float32, [row, column] or [row, column, RGB], optional
-        The same view all in focus and without noise.
+        The same view all in focus and without noise; of a simulator.
     stamp_ns : int, optional
         When it was taken, if that is known: nanoseconds of the clock of whoever took it.
+    name : str
+        What to call it, and files made of it; empty where no file has it.
     """
 
     frame: NDArray
     depth_m: NDArray[np.float32] | None = None
     sharp: NDArray[np.float32] | None = None
     stamp_ns: int | None = None
+    name: str = ""
 
 
 class Source(Protocol):
@@ -44,4 +49,13 @@ class Source(Protocol):
         """Return the next frame; None at the end. An `InputError` if the source fails."""
 
     def close(self) -> None:
-        """Let go of the device or file."""
+        """Let go of the device or file; the next `read` begins again."""
+
+
+def captures(source: Source) -> Iterator[Capture]:
+    """Go through the frames of a source, and close it in the end."""
+    try:
+        while (capture := source.read()) is not None:
+            yield capture
+    finally:
+        source.close()

@@ -1,0 +1,125 @@
+"""Frames of pictures, videos and other files, once or over and over."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Generator
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import cv2
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.io.picture_file import read_pixels
+from coded_aperture_ros.io.sources.source import Capture
+
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm", ".mpg", ".mpeg", ".mjpeg")
+
+Stored = TypeVar("Stored")
+
+
+class FileSource(ABC, Generic[Stored]):
+    """Frames that files have in a row.
+
+    After an `InputError`, for a frame that cannot be used, the next `read` goes on behind it.
+
+    Parameters
+    ----------
+    files : tuple of pathlib.Path
+    length : int or None
+        Number of frames, if it is known.
+    loop : bool
+        Begin again after the last frame.
+
+    Attributes
+    ----------
+    files, length
+    damage : str
+        What is wrong with the files, in words; empty if nothing is, or nothing was met yet.
+    """
+
+    live = False
+    damage = ""
+
+    def __init__(self, files: tuple[Path, ...], length: int | None, loop: bool) -> None:
+        self.files, self.length, self._loop = files, length, loop
+        self._row: Generator[Stored, None, None] | None = None
+
+    def read(self) -> Capture | None:
+        """Return the next frame, None after the last."""
+        stored = self._next()
+        if stored is None and self._loop:
+            self._rewind()
+            stored = self._next()
+        return None if stored is None else self._capture(stored)
+
+    def close(self) -> None:
+        """Close the files; the next `read` opens them again and begins with the first frame."""
+        self._rewind()
+
+    def _next(self) -> Stored | None:
+        if self._row is None:
+            self._row = self._stored()
+        return next(self._row, None)
+
+    def _rewind(self) -> None:
+        if self._row is not None:
+            self._row.close()
+        self._row = None
+
+    @abstractmethod
+    def _stored(self) -> Generator[Stored, None, None]:
+        """Yield the frames as the files have them."""
+
+    @abstractmethod
+    def _capture(self, stored: Stored) -> Capture:
+        """Return a frame; an `InputError` if it cannot be used."""
+
+
+class PictureSource(FileSource[Path]):
+    """A picture, or several one after the other."""
+
+    def __init__(self, files: tuple[Path, ...], loop: bool = False) -> None:
+        super().__init__(files, len(files), loop)
+
+    def _stored(self) -> Generator[Path, None, None]:
+        yield from self.files
+
+    def _capture(self, stored: Path) -> Capture:
+        return Capture(read_pixels(stored), name=stored.stem)
+
+
+class VideoSource(FileSource[Capture]):
+    """A video; an `InputError` if it is none, or there is no decoder for it."""
+
+    def __init__(self, path: Path, loop: bool = False) -> None:
+        video = _open_video(path)
+        count = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
+        video.release()
+        super().__init__((path,), count if count > 0 else None, loop)
+
+    def _stored(self) -> Generator[Capture, None, None]:
+        (path,) = self.files
+        video, index = _open_video(path), 0
+        try:
+            while (frame := _frame(video)) is not None:
+                yield Capture(frame, name=f"{path.stem}_{index:06d}")
+                index += 1
+        finally:
+            video.release()
+        if index == 0:
+            raise InputError(f"cannot read {path}: the video has no frames")
+
+    def _capture(self, stored: Capture) -> Capture:
+        return stored
+
+
+def _open_video(path: Path) -> cv2.VideoCapture:
+    video = cv2.VideoCapture(str(path))
+    if not video.isOpened():
+        raise InputError(f"cannot read {path}: not a video, or no decoder for it")
+    return video
+
+
+def _frame(video: cv2.VideoCapture) -> NDArray | None:
+    more, frame = video.read()
+    return cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) if more else None
