@@ -1,3 +1,43 @@
-"""Metric depth and all-in-focus frames from a single coded-aperture camera."""
+"""Metric depth and all-in-focus frames from a single coded-aperture camera.
+
+The names below are all that most programs need; they are imported when first used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from coded_aperture_ros.bank import FilterBank, learn_bank
+    from coded_aperture_ros.deblur import Deblurrer
+    from coded_aperture_ros.depth import DepthEstimator
+    from coded_aperture_ros.optics import Camera
+    from coded_aperture_ros.pipeline import FramePipeline
 
 __version__ = "0.1.0"
+
+_ROOMS = {
+    "Camera": "optics",
+    "Deblurrer": "deblur",
+    "DepthEstimator": "depth",
+    "FilterBank": "bank",
+    "FramePipeline": "pipeline",
+    "learn_bank": "bank",
+}
+__all__ = [
+    "Camera",
+    "Deblurrer",
+    "DepthEstimator",
+    "FilterBank",
+    "FramePipeline",
+    "learn_bank",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _ROOMS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_ROOMS[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

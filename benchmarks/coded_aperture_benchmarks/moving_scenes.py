@@ -12,7 +12,6 @@ from coded_aperture_benchmarks.stair import with_noise
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthEstimate
 from coded_aperture_ros.io.textures import TEST_PICTURES, load_textures
-from coded_aperture_ros.methods.motion import MotionEstimate
 from coded_aperture_ros.optics import Camera, Mask, PsfStack
 
 # Rows and columns of the frames, and of the object in their middle.
@@ -146,7 +145,7 @@ def deblurred(
     camera: Camera,
     scene: MovingScene,
     alone: DepthEstimate,
-    together: MotionEstimate,
+    together: DepthEstimate,
 ) -> dict[str, dict[str, float]]:
     """Deblur a scene by defocus alone and by both, with true and with estimated maps.
 
@@ -158,7 +157,7 @@ def deblurred(
     stack : PsfStack
     camera : Camera
     scene : MovingScene
-    alone, together : DepthEstimate, MotionEstimate
+    alone, together : DepthEstimate
         Estimated by defocus alone, and by defocus and motion.
 
     Returns
@@ -175,7 +174,11 @@ def deblurred(
         "defocus, true": exact.deblur(coded, blur),
         "motion, true": exact.deblur(coded, blur, motion_px=truth.motion_px),
         "defocus": safe.deblur(coded, alone.blur_size_px),
-        "motion": safe.deblur(coded, together.blur_size_px, motion_px=together.motion_px),
+        "motion": safe.deblur(
+            coded,
+            together.blur_size_px,
+            motion_px=together.motion.vectors_px if together.motion else None,
+        ),
     }
     return {
         name: {

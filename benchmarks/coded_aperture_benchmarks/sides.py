@@ -171,7 +171,7 @@ class SideEstimators:
         self.both = estimator("both", near_m, far_m, levels)
         self.far = estimator("far", focus_m, far_m, half)
         self.near = estimator("near", near_m, focus_m, half)
-        steps = np.diff(self.both.bank.blur_sizes_px)
+        steps = np.diff(self.both.model.stack.blur_sizes_px)
         self.step_px = float(np.abs(steps).mean())
 
     def estimate(self, frame: SideFrame) -> "SideEstimates":

@@ -114,7 +114,6 @@ class FrameProcessor:
 
     def _result(self, data: bytes) -> FrameResult:
         stages = Stages()
-        stages.start()
         try:
             picture, frame = self._decoded(data)
             stages.lap("decode")
@@ -132,7 +131,7 @@ class FrameProcessor:
         )
         if self._deblur is None:
             return result
-        self._deblurrer = self._deblurrer or Deblurrer(self._estimator.bank.stack, self._deblur)
+        self._deblurrer = self._deblurrer or Deblurrer(self._estimator.model.stack, self._deblur)
         try:
             sharp = self._deblurrer.deblur(frame, estimate.blur_size_px, estimate.noise)
         except InputError as error:

@@ -12,7 +12,7 @@ from coded_aperture_ros.bank.learning import (
     psf_stack_for_camera,
     textures_of,
 )
-from coded_aperture_ros.bank.model import DEFAULT_STRIDE_PX, FilterBank, ProjectedFrame
+from coded_aperture_ros.bank.model import DEFAULT_STRIDE_PX, FilterBank
 from coded_aperture_ros.bank.pattern import LearnedPattern, ThinLens
 from coded_aperture_ros.bank.prior import NaturalImagePrior, image_prior, power_spectrum
 
@@ -24,7 +24,6 @@ __all__ = [
     "LearnConfig",
     "LearnedPattern",
     "NaturalImagePrior",
-    "ProjectedFrame",
     "ThinLens",
     "WindowedFourierBasis",
     "image_prior",

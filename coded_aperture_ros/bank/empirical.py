@@ -123,10 +123,8 @@ def _log_spectra(fourier: WindowedFourierBasis, image: NDArray[np.float32]) -> N
     inside = fourier.multiplicity * (distance < np.log(0.5) + 0.1)
     filters = np.eye(len(edges))[rings] * inside[:, None]
     filters = np.column_stack([filters / filters.sum(axis=0), fourier.multiplicity])
-    means, _ = fourier.project(
-        np.ascontiguousarray(grey, np.float32), _WINDOW_PX // 2, filters.astype(np.float32)
-    )
-    means = means.reshape(-1, filters.shape[1]).astype(np.float64)
+    power, _ = fourier.power(np.ascontiguousarray(grey, np.float32), _WINDOW_PX // 2)
+    means = (power.reshape(-1, fourier.size) @ filters.astype(np.float32)).astype(np.float64)
     means = means[means[:, -1] > _LEAST_CONTRAST**2 * _WINDOW_PX**2, :-1]
     logs = np.log(np.maximum(means, 1e-12))
     return np.asarray(logs - logs.mean(axis=1, keepdims=True))

@@ -19,7 +19,6 @@ from coded_aperture_ros.imaging.patches import PatchGrid
 
 # Blur has removed most of the texture above this frequency, cycles per pixel.
 _HIGH_FREQUENCY = 0.42
-_ROWS_AT_A_TIME = 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,10 +95,10 @@ class WindowedFourierBasis:
         """Number K of frequencies."""
         return self.window_px * (self.window_px // 2 + 1)
 
-    def project(
-        self, image: NDArray[np.float32], stride_px: int, filters: NDArray[np.float32]
+    def power(
+        self, image: NDArray[np.float32], stride_px: int
     ) -> tuple[NDArray[np.float32], PatchGrid]:
-        """Return linear functions of the power spectrum of every window.
+        """Return the power spectrum of every window; slow, for learning and for tests.
 
         Parameters
         ----------
@@ -107,12 +106,10 @@ class WindowedFourierBasis:
             Grey image without NaN.
         stride_px : int
             Distance between windows, px.
-        filters : ndarray, float32 [K, F]
-            One column for every function.
 
         Returns
         -------
-        projected : ndarray, float32 [grid rows, grid columns, F]
+        power : ndarray, float32 [grid rows, grid columns, K]
         grid : PatchGrid
 
         Raises
@@ -122,48 +119,13 @@ class WindowedFourierBasis:
         """
         n = self.window_px
         grid = PatchGrid.covering(image.shape, n, stride_px)
-        image = image[grid.top :, grid.left :]
-        # Horizontal transforms once per pixel row: the windows above each other share them.
-        strips = np.lib.stride_tricks.sliding_window_view(image, n, axis=1)[:, ::stride_px]
-        strips = scipy.fft.rfft(strips * self.window, axis=-1)
-        strips = np.stack([strips.real, strips.imag], axis=1)
-        projected = np.empty((grid.rows, grid.columns, filters.shape[1]), np.float32)
-        # Some rows of windows at a time: few large products, but no more than the cache holds.
-        for start in range(0, grid.rows, _ROWS_AT_A_TIME):
-            rows = range(start, min(start + _ROWS_AT_A_TIME, grid.rows))
-            power = np.empty((len(rows), grid.columns, n, n // 2 + 1), np.float32)
-            for windows, row in zip(power, rows, strict=True):
-                vertical = self._vertical_power(strips[row * stride_px : row * stride_px + n])
-                windows[:] = vertical.transpose(1, 0, 2)
-            flat = power.reshape(-1, self.size) @ filters
-            projected[start : rows.stop] = flat.reshape(len(rows), grid.columns, -1)
-        return projected, grid
-
-    @cached_property
-    def _cosines_and_sines(self) -> NDArray[np.float32]:
-        """Windowed vertical transform [N, N]: cosines of 0 to N/2 cycles, sines of the others."""
-        n = self.window_px
-        angle = 2 * np.pi / n * np.outer(np.arange(n // 2 + 1), np.arange(n))
-        transform = np.vstack([np.cos(angle), np.sin(angle[1:-1])])
-        return (transform * self.window).astype(np.float32)
-
-    def _vertical_power(self, strips: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the power of windows from their horizontal transforms.
-
-        Takes [N, real or imaginary, windows, N/2 + 1], gives [N, windows, N/2 + 1]. At these
-        sizes a product with the cosines and sines is a fifth faster than an FFT: positive and
-        negative frequencies share it.
-        """
-        n, half = self.window_px, self.window_px // 2
-        parts = (self._cosines_and_sines @ strips.reshape(n, -1)).reshape(strips.shape)
-        cosines, sines = parts[: half + 1], parts[half + 1 :]
-        power = np.empty_like(parts[:, 0])
-        for unpaired in (0, half):  # without sine
-            power[unpaired] = np.sum(cosines[unpaired] ** 2, axis=0)
-        real, imaginary = cosines[1:half, 0], cosines[1:half, 1]
-        power[1:half] = (real + sines[:, 1]) ** 2 + (imaginary - sines[:, 0]) ** 2
-        power[:half:-1] = (real - sines[:, 1]) ** 2 + (imaginary + sines[:, 0]) ** 2
-        return power
+        windows = np.lib.stride_tricks.sliding_window_view(image[grid.top :, grid.left :], (n, n))
+        power = np.empty((grid.rows, grid.columns, self.size), np.float32)
+        hann = np.outer(self.window, self.window)
+        for of_row, row in zip(power, windows[::stride_px, ::stride_px], strict=True):
+            spectra = scipy.fft.rfft2(row * hann)
+            of_row[:] = (spectra.real**2 + spectra.imag**2).reshape(grid.columns, -1)
+        return power, grid
 
     def expected_power(
         self,

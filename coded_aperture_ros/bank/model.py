@@ -10,13 +10,8 @@ from numpy.typing import NDArray
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.bank.prior import NaturalImagePrior
-from coded_aperture_ros.imaging.patches import PatchGrid
+from coded_aperture_ros.likelihood import FilterLikelihood, Plan, new_engine
 from coded_aperture_ros.optics import PsfStack
-
-# A patch without any noise of its own is treated as having this share of the variance that was
-# told: without noise, rounding and the rank of the basis would decide.
-OWN_NOISE = np.float32(0.05)
-LEAST_EXCESS = np.float32(1e-3)
 
 # Distance between the patches of a frame, unless something else is asked for.
 DEFAULT_STRIDE_PX = 8
@@ -42,8 +37,8 @@ class FilterBank:
     Only the ratio ``a / s^2`` enters the weights, so one bank serves every noise level; for a
     given ratio the best noise follows in closed form.
 
-    `project` and `energies` say what the energies are; `coded_aperture_ros.engine` computes them
-    at the rate of a camera.
+    A bank is a `LikelihoodModel`: `plan` makes what computes the cost of every level at the rate of
+    a camera; see `coded_aperture_ros.likelihood`.
 
     The weights ``m / V`` of all hypotheses share one basis (thesis 8.3.1).
 
@@ -120,7 +115,7 @@ class FilterBank:
         return int(self.basis.shape[1])
 
     @property
-    def evidence_repetition(self) -> float:
+    def window_correlation(self) -> float:
         """How many windowed frequencies tell one thing: a window spreads each over several."""
         window = self.fourier.window.astype(np.float64)
         return float((len(window) * np.sum(window**4)) ** 2)
@@ -139,96 +134,48 @@ class FilterBank:
         """What is needed of a patch's spectrum: basis and multiplicity [K, R + 1]."""
         return np.column_stack([self.basis, self.fourier.multiplicity])
 
-    def project(self, grey: NDArray[np.float32], stride_px: int) -> "ProjectedFrame":
-        """Project every patch of a frame onto the common basis.
+    @property
+    def window(self) -> NDArray[np.float32]:
+        """The window that patches are multiplied by, along each side [N]."""
+        return self.fourier.window
+
+    @property
+    def contrasts(self) -> Sequence[float]:
+        """The variances of sharp texture that are tried."""
+        return self.prior.contrasts
+
+    @property
+    def fattening(self) -> float:
+        """See `LikelihoodModel`: the windows are Hann windows."""
+        return 1.0
+
+    def plan(
+        self, shape: tuple[int, ...], stride_px: int, backend: str = "numpy", threads: int = 1
+    ) -> FilterLikelihood:
+        """Plan the work on frames of one size; see `LikelihoodModel.plan`."""
+        plan = Plan.of(self, shape, stride_px)
+        engine = new_engine(plan, backend, threads)
+        return FilterLikelihood(engine, plan.grid, self.window_correlation)
+
+    def energies(
+        self, grey: NDArray[np.float32], stride_px: int, noise: float | NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Return the energies of a single frame [rows, columns, L]; `plan` is for many.
 
         Parameters
         ----------
-        grey : ndarray, float32 [rows, columns]
+        grey : ndarray, float32 [height, width]
             Linear light, without NaN.
         stride_px : int
-            Distance between patches, px.
+            Distance between patches.
+        noise : float, or ndarray, float32 [rows, columns]
+            Standard deviation of the noise, linear light, > 0: the frame's, or each patch's.
 
         Raises
         ------
         InputError
             If the frame is smaller than a patch.
         """
-        projected, grid = self.fourier.project(grey, stride_px, self.functions_of_power)
-        return ProjectedFrame(projected[..., :-1], projected[..., -1], grid)
-
-    def energies(
-        self, frame: "ProjectedFrame", noise: float | NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        """Return the energy of every level for every patch.
-
-        Parameters
-        ----------
-        frame : ProjectedFrame
-        noise : float, or ndarray, float32 [rows, columns]
-            Standard deviation ``s_0`` of the noise, linear light, > 0: the frame's, or each
-            patch's.
-
-        Returns
-        -------
-        ndarray, float32 [rows, columns, L]
-            Lower is likelier. A patch that is better explained by noise alone than by any
-            texture has the same energy at every level.
-        """
-        plausible = self.plausible_ratios(float(np.median(noise)))
-        count = self.fourier.multiplicity.sum()
-        precision = 1 / (count * np.broadcast_to(np.square(noise), frame.power.shape))
-        precision = precision.astype(np.float32)
-        projections = frame.projections * precision[..., None]
-        excess = np.tensordot(projections, self.coefficients[:, plausible], axes=1)
-        # The best noise of a hypothesis is its excess, so the best hypothesis has the least product
-        # of that and of its determinant.
-        determinants = np.exp(self.log_determinants[plausible] / count)
-        best = ((excess + OWN_NOISE) * determinants).min(axis=(-3, -2))
-        textureless = frame.power * precision + OWN_NOISE
-        best = np.clip(best, LEAST_EXCESS, textureless[..., None])
-        return np.asarray(count * np.log(best), np.float32)
-
-    def plausible_ratios(self, noise: float) -> slice:
-        """Return which ratios belong to the prior's contrasts under a noise of this deviation."""
-        return plausible_ratios(self.ratios, self.prior.contrasts, noise)
-
-
-def plausible_ratios(
-    ratios: NDArray[np.float64], contrasts: Sequence[float], noise: float
-) -> slice:
-    """Return which of `ratios`, in half decades, belong to contrasts under a noise.
-
-    Parameters
-    ----------
-    ratios : ndarray, float64 [S]
-        Contrast over noise variance, increasing.
-    contrasts : sequence of float
-        Variances in half decades, at most S.
-    noise : float
-        Standard deviation, > 0.
-    """
-    count = len(contrasts)
-    wanted = min(contrasts) / noise**2
-    first = int(np.argmin(np.abs(np.log(ratios / wanted))))
-    first = min(first, len(ratios) - count)
-    return slice(first, first + count)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class ProjectedFrame:
-    """What the bank sees of a frame: its patches in the common basis.
-
-    Attributes
-    ----------
-    projections : ndarray, float32 [rows, columns, R]
-        Coefficients of every patch in the bank's basis.
-    power : ndarray, float32 [rows, columns]
-        Sum of the whole spectrum of every patch, without the mean.
-    grid : PatchGrid
-        Where the patches lie.
-    """
-
-    projections: NDArray[np.float32]
-    power: NDArray[np.float32]
-    grid: PatchGrid
+        engine = new_engine(Plan.of(self, grey.shape, stride_px))
+        engine.project(grey)
+        return engine.energies(noise)

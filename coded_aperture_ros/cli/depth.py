@@ -76,7 +76,6 @@ def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     import numpy as np
 
-    from coded_aperture_ros.depth import has_both_sides
     from coded_aperture_ros.optics import load_camera
 
     check_motion_options(args)
@@ -90,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
             estimator = moving(args, estimator)
     expected = expected_motion_of(args, camera)
     summaries: list[dict[str, Any]] = []
-    both_sides = has_both_sides(estimator.bank)
+    both_sides = estimator.model.stack.has_both_sides
     frames = named_frames(
         args,
         ".npy",
@@ -100,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
     for frame in frames:
         start = time.perf_counter()
         with naming(frame.source):
-            estimate = estimator.estimate(frame.image, **expected)
+            estimate = estimator.estimate(frame.image, prior=expected)
         seconds = time.perf_counter() - start
         values = estimate.level if args.levels or estimate.depth_m is None else estimate.depth_m
         _write(frame.output, values, estimate, args)
@@ -114,8 +113,8 @@ def run(args: argparse.Namespace) -> int:
             "seconds": round(seconds, 3),
         }
         if args.motion:
-            summary["moving"] = _moving_share(estimate.motion_px)
-            summary["searched"] = estimate.searched
+            summary["moving"] = _moving_share(estimate.motion.vectors_px)
+            summary["searched"] = estimate.motion.searched
         summaries.append(summary)
         if not args.json:
             print(f"{frame.output}: {_in_words(summary)}")
@@ -177,7 +176,7 @@ def _write(path: Path, values: Any, estimate: Any, args: argparse.Namespace) -> 
         write_image(others[1], confidence_picture(estimate.confidence))
     if args.motion:
         for output, motion in zip(
-            others[-2:], (estimate.motion_px, estimate.motion_confidence), strict=True
+            others[-2:], (estimate.motion.vectors_px, estimate.motion.confidence), strict=True
         ):
             with atomic_output(output) as unfinished:
                 np.save(unfinished, motion)

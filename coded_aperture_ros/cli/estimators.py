@@ -76,11 +76,9 @@ def estimator_of(args: argparse.Namespace, camera: Any) -> Any:
         Of `--camera`, for the size of the frames.
     """
     from coded_aperture_ros.bank import load_bank
-    from coded_aperture_ros.calibration.noise import with_noise_of
     from coded_aperture_ros.depth import DepthConfig, DepthEstimator, side_warning
     from coded_aperture_ros.methods.two_pixel import (
         SimpleConfig,
-        SimpleEstimator,
         neighbour_model_for_camera,
     )
 
@@ -89,8 +87,8 @@ def estimator_of(args: argparse.Namespace, camera: Any) -> Any:
             near_m, far_m = args.depth_range
             settings = config_from(args, SimpleConfig)
             model = neighbour_model_for_camera(camera, near_m, far_m, args.level_count, settings)
-            config = with_noise_of(camera, config_from(args, DepthConfig))
-            return SimpleEstimator(model, config, camera)
+            config = config_from(args, DepthConfig)
+            return DepthEstimator(model, config, camera)
     bank = load_bank(args.bank)
     if camera is None and bank.stack.depths_m is None and not getattr(args, "levels", False):
         raise InputError(
@@ -98,7 +96,7 @@ def estimator_of(args: argparse.Namespace, camera: Any) -> Any:
             "--levels for level indices"
         )
     with naming(args.camera or args.bank):
-        config = with_noise_of(camera, config_from(args, DepthConfig))
+        config = config_from(args, DepthConfig)
         estimator = DepthEstimator(bank, config, camera)
     if warning := side_warning(bank):
         logging.warning(warning)

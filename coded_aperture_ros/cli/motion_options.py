@@ -51,24 +51,24 @@ def check_motion_options(args: argparse.Namespace) -> None:
 
 def moving(args: argparse.Namespace, estimator: Any) -> Any:
     """Return the estimator of depth and motion that takes the place of one of depth alone."""
-    from coded_aperture_ros.methods.motion import MotionConfig, MotionEstimator, learn_motion_bank
+    from coded_aperture_ros.depth import DepthEstimator
+    from coded_aperture_ros.methods.motion import MotionConfig, MotionModel, learn_motion_bank
 
     settings = config_from(args, MotionConfig)
     motions = settings.motions
     bank = learn_motion_bank(
-        estimator.bank,
+        estimator.model,
         motions,
         settings.motion_rank,
         lambda vectors: progress(vectors, len(motions), "motion"),
     )
-    return MotionEstimator(bank, estimator.config, estimator.camera, settings)
+    return DepthEstimator(MotionModel(bank, settings), estimator.config, estimator.camera)
 
 
-def expected_motion_of(args: argparse.Namespace, camera: Any) -> dict[str, Any]:
-    """Return what is known of the motion beforehand, as an argument of `estimate`."""
+def expected_motion_of(args: argparse.Namespace, camera: Any) -> Any:
+    """Return what is known of the motion beforehand; None for nothing."""
     from coded_aperture_ros.methods.motion import expected_motion
 
     if args.angular_velocity is None:
-        return {}
-    expected = expected_motion(args.angular_velocity, args.exposure, camera.intrinsics)
-    return {"expected": expected}
+        return None
+    return expected_motion(args.angular_velocity, args.exposure, camera.intrinsics)

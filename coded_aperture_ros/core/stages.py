@@ -1,24 +1,20 @@
 """How long the parts of the work on a frame take."""
 
 import time
+from collections.abc import Mapping
 
 
 class Stages:
-    """Times of the stages of one frame, in the order in which they were done.
+    """Times of the stages of one frame, in the order in which they were done; begins at once.
 
     Attributes
     ----------
     seconds : dict
-        Time of every stage of the frame that was begun last, by its name.
+        Time of every stage, by its name.
     """
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
-        self._last_s = 0.0
-
-    def start(self) -> None:
-        """Begin a frame."""
-        self.seconds = {}
         self._last_s = time.perf_counter()
 
     def lap(self, stage: str) -> None:
@@ -26,3 +22,8 @@ class Stages:
         now = time.perf_counter()
         self.seconds[stage] = now - self._last_s
         self._last_s = now
+
+    def take(self, seconds: Mapping[str, float]) -> None:
+        """Take over the stages of a part that has timed itself, just done."""
+        self.seconds.update(seconds)
+        self._last_s = time.perf_counter()

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.imaging import StillAverage
+from coded_aperture_ros.imaging import StaticAverage
 
 # A place that is the mean of more frames than this has not changed.
 _STATIC = 1.5
@@ -26,7 +26,7 @@ class VideoState:
 
     def __init__(self, most_frames: float) -> None:
         self._most_frames = most_frames
-        self._averages: list[StillAverage] = []
+        self._averages: list[StaticAverage] = []
         self._shape: tuple[int, ...] = ()
         self._restored: list[NDArray[np.float32]] | None = None
 
@@ -59,7 +59,7 @@ class VideoState:
             self.reset()
             self._shape = shape
         if not self._averages:
-            self._averages = [StillAverage(self._most_frames) for _ in channels]
+            self._averages = [StaticAverage(self._most_frames) for _ in channels]
         means = [
             average.add(channel, noise)
             for average, channel in zip(self._averages, channels, strict=True)

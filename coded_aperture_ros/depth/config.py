@@ -4,6 +4,8 @@ import dataclasses
 
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.core.threads import check_threads
+from coded_aperture_ros.depth.regularize import REGULARIZERS
+from coded_aperture_ros.depth.unknown import UNKNOWN_RULES
 from coded_aperture_ros.likelihood import BACKENDS, check_backend
 
 # What nodes and bags take instead of a bank's own stride, to keep up with a camera.
@@ -25,7 +27,7 @@ class DepthConfig:
     regularize: str = option(
         "semiglobal",
         "Spatial regularisation of the blur levels: graphcut is the slow reference.",
-        choices=("none", "semiglobal", "tv", "graphcut"),
+        choices=tuple(REGULARIZERS),
     )
     smoothness: float = option(
         1.0,
@@ -67,7 +69,7 @@ class DepthConfig:
         "nothing",
         "What stands where depth is unknown: nothing (NaN), or nearest: the nearest depth that is "
         "plausible, for whoever must not run into anything.",
-        choices=("nothing", "nearest"),
+        choices=tuple(UNKNOWN_RULES),
     )
 
     temporal_frames: float = option(

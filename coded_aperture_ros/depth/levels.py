@@ -1,183 +1,137 @@
-"""From energies to a blur level: the minimum, a parabola through it, and how sure it is."""
+"""The blur levels of a model as blur sizes and depths, and which are as good as each other."""
+
+import dataclasses
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import FilterBank
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.likelihood import LikelihoodModel
+from coded_aperture_ros.optics import Camera
 
-# The likelihood treats the windows' frequencies as independent and the model as perfect. Dividing
-# the evidence by this factor makes up for what that overstates; chosen on ray-traced scenes.
-_TEMPER = 4.0
-# Offset and slope of the logistic calibration of a patch's probability, fitted on ray-traced
-# scenes, and how sure a patch may be.
-_CALIBRATION = (0.7, 0.16)
-_SURE = 1e-3
-# Of ray-traced pixels whose depth is unknown, what is found with this share is farther than the
-# truth by more than 10 % at three in a thousand (47 % without), and by the median at 0.7 of it.
-_PLAUSIBLE = 0.05
+# Steps between two levels that blur sizes and depths are tabulated at: finer than any estimate.
+_STEPS = 128
+# Depths that differ by this share are as good as each other.
+_TOLERANCE = 0.05
 
 
-def refine_level(energies: NDArray[np.float32], level: NDArray[np.intp]) -> NDArray[np.float32]:
-    """Refine whole levels by the parabola through each level's energy and its neighbours'.
+@dataclasses.dataclass(frozen=True, eq=False)
+class Levels:
+    """What a fractional level means.
 
-    At most half a level is added or taken away. At the ends of the range, and where the energy
-    is not convex, the level stays whole.
-    """
-    last = energies.shape[-1] - 1
-    if last < 2:
-        return level.astype(np.float32)
-    inner = np.clip(level, 1, last - 1)[..., None]
-    below, here, above = (
-        np.take_along_axis(energies, inner + step, axis=-1)[..., 0] for step in (-1, 0, 1)
-    )
-    curvature = below - 2 * here + above
-    convex = (curvature > 0) & (inner[..., 0] == level)
-    vertex = np.divide(below - above, 2 * curvature, out=np.zeros_like(here), where=convex)
-    return (level + np.clip(vertex, -0.5, 0.5)).astype(np.float32)
-
-
-def level_evidence(
-    energies: NDArray[np.float32], evidence_repetition: float
-) -> NDArray[np.float32]:
-    """Return the evidence against every level, each patch for itself.
-
-    Parameters
+    Attributes
     ----------
-    energies : ndarray, float32 [rows, columns, L]
-    evidence_repetition : float
-        How far the bank's coefficients repeat each other; see `FilterBank.evidence_repetition`.
-
-    Returns
-    -------
-    ndarray, float32 [rows, columns, L]
-        Negative natural logarithm of the likelihood, 0 for the likeliest level; all 0 where
-        nothing is known.
-    """
-    excess = energies - energies.min(axis=-1, keepdims=True)
-    excess *= np.float32(0.5 / (evidence_repetition * _TEMPER))
-    return excess
-
-
-def level_probability(evidence: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the probability of every level from the evidence against it.
-
-    Takes and gives [rows, columns, L]; sums to one over the levels.
-    """
-    probability = np.exp(-evidence)
-    probability /= probability.sum(axis=-1, keepdims=True)
-    return probability
-
-
-def nearest_plausible_level(
-    probability: NDArray[np.float32], nearest_first: NDArray[np.intp]
-) -> NDArray[np.intp]:
-    """Return the level that a patch's true level is hardly nearer than.
-
-    Parameters
-    ----------
-    probability : ndarray, float32 [rows, columns, L]
-        See `level_probability`.
-    nearest_first : ndarray, intp [L]
-        The levels, ordered by depth.
-
-    Returns
-    -------
-    ndarray, intp [rows, columns]
-        The quantile of 5 % from the near end.
-    """
-    nearer = np.cumsum(probability[..., nearest_first], axis=-1)
-    rank = (nearer < _PLAUSIBLE).sum(axis=-1)
-    return np.asarray(nearest_first[np.minimum(rank, len(nearest_first) - 1)])
-
-
-def confidence_of(
-    level: NDArray[np.float32],
-    probability: NDArray[np.float32],
-    patches: tuple[NDArray[np.intp], NDArray[np.intp]],
-    agreement: NDArray[np.intp],
-) -> NDArray[np.float32]:
-    """Return the probability that the true level agrees with the estimated one.
-
-    The probability that a pixel's own patch gives to the level is calibrated: near depth edges a
-    patch is surer than it should be, and what its neighbours have decided may be right against it.
-
-    Parameters
-    ----------
-    level : ndarray, float32 [rows, columns]
-        Estimated fractional level of every pixel.
-    probability : ndarray, float32 [grid rows, grid columns, L]
-        See `level_probability`. Where a patch knows nothing, the level is its neighbours' alone,
-        and the confidence that of a guess.
-    patches : (ndarray, ndarray)
-        The patch of every row, and of every column, of pixels; see `nearest_patches`.
-    agreement : ndarray, intp [2, L]
-        First and last level that is as good as each level; see `agreeing_levels`.
-
-    Returns
-    -------
-    ndarray, float32 [rows, columns]
-        In [0, 1]; where the patch knows something, between 0.40 and 0.86.
-    """
-    # For every level that a patch may be given, as there are fewer of these than pixels.
-    levels = probability.shape[-1]
-    by_level = np.ascontiguousarray(np.moveaxis(probability, -1, 0))
-    up_to = np.zeros((levels + 1, *by_level.shape[1:]), np.float32)
-    np.cumsum(by_level, axis=0, out=up_to[1:])
-    first, last = agreement
-    mass = up_to[last + 1] - up_to[first]
-    offset, slope = map(np.float32, _CALIBRATION)
-    odds_against = 1 / np.clip(mass, _SURE, 1 - _SURE) - 1
-    odds_against = np.exp(slope * np.log(odds_against) - offset)
-    confidence = 1 / (1 + odds_against)
-    guessed = knows_nothing(probability)
-    if guessed.any():
-        # With few levels a guess is often right; it is still no surer than who knows least.
-        least = 1 / (1 + np.exp(-offset) * (1 / _SURE - 1) ** slope)
-        confidence = np.where(guessed, np.minimum(mass, least), confidence)
-    rows, columns = patches
-    index = np.rint(level).astype(np.int32)
-    index *= guessed.size
-    index += (rows * guessed.shape[1]).astype(np.int32)[:, None]
-    index += columns.astype(np.int32)
-    return np.asarray(confidence.astype(np.float32).reshape(-1)[index], np.float32)
-
-
-def is_unsure(confidence: NDArray[np.float32], threshold: float) -> NDArray[np.bool_]:
-    """Return where the depth counts as unknown: below the threshold, and where nothing is known."""
-    return ~(confidence >= threshold) | ~(confidence > 0)
-
-
-def knows_nothing(probability: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return which patches [rows, columns] find all levels alike."""
-    alike: NDArray[np.bool_] = probability.max(axis=-1) <= 1.0001 / probability.shape[-1]
-    return alike
-
-
-def agreeing_levels(
-    bank: FilterBank, depths_m: NDArray[np.float64] | None, tolerance: float = 0.05
-) -> NDArray[np.intp]:
-    """Return which levels are so near each other that either may stand for the other.
-
-    Parameters
-    ----------
-    bank : FilterBank
+    blur_sizes_px : ndarray, float64 [L]
+        Signed.
     depths_m : ndarray, float64 [L], or None
-        Depth of every level. Levels agree if their depths differ by at most `tolerance`; where
-        depths are not known, neighbouring levels agree.
-    tolerance : float, optional
-        Relative.
-
-    Returns
-    -------
-    ndarray, intp [2, L]
-        First and last of the levels that agree with each level.
+        None if neither a camera nor the model says how far the levels are.
+    in_pixels : bool
+        Whether blur sizes are in pixels, and not only indices.
+    agreement : ndarray, intp [2, L]
+        First and last of the levels that are as good as each level: their depths differ by at most
+        5 %, or, where depths are not known, they are neighbours.
     """
-    index = np.arange(bank.levels)
+
+    blur_sizes_px: NDArray[np.float64]
+    depths_m: NDArray[np.float64] | None
+    in_pixels: bool
+    agreement: NDArray[np.intp]
+    _size_table: NDArray[np.float32]
+    _depth_table: NDArray[np.float32] | None
+
+    @classmethod
+    def of(cls, model: LikelihoodModel, camera: Camera | None = None) -> "Levels":
+        """Return the levels of a model, in metres where a camera or the model itself knows.
+
+        Raises
+        ------
+        InputError
+            If the model is not for the camera.
+        """
+        stack = model.stack
+        by_camera = camera if camera is not None and not depths_are_measured(model) else None
+        depths = stack.depths_m if by_camera is None else _depths_by_camera(model, by_camera)
+        count = len(stack)
+        level = np.linspace(0, count - 1, (count - 1) * _STEPS + 1)
+        size = np.interp(level, np.arange(count), stack.blur_sizes_px)
+        if by_camera is None:
+            depth = stack.depth_at(level)
+        else:
+            depth = by_camera.depth_m(size).astype(np.float32)
+        return cls(
+            stack.blur_sizes_px,
+            depths,
+            stack.in_pixels,
+            _agreement(count, depths),
+            size.astype(np.float32),
+            depth,
+        )
+
+    def __len__(self) -> int:
+        """Return the number L of levels."""
+        return len(self.blur_sizes_px)
+
+    @property
+    def nearest_first(self) -> NDArray[np.intp]:
+        """The levels in the order of their depths, or of their blur sizes [L]."""
+        table = self._size_table if self._depth_table is None else self._depth_table
+        return np.argsort(table[::_STEPS], kind="stable")
+
+    def nearer(self, level: NDArray[np.float32], other: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the nearer one of two maps of levels."""
+        # Depth grows or falls with the level's index.
+        choose = np.minimum if self.nearest_first[0] == 0 else np.maximum
+        return np.asarray(choose(level, other))
+
+    def meaning(
+        self, level: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """Return blur sizes, px, and depths, m, of fractional levels of any shape, without NaN."""
+        index = (level * _STEPS + np.float32(0.5)).astype(np.int32)
+        depth = None if self._depth_table is None else self._depth_table[index]
+        return self._size_table[index], depth
+
+
+def depths_are_measured(model: LikelihoodModel) -> bool:
+    """Return whether a model knows its depths from measurement, better than by a camera file."""
+    return not model.mask_digest and model.stack.depths_m is not None
+
+
+def _agreement(count: int, depths_m: NDArray[np.float64] | None) -> NDArray[np.intp]:
+    index = np.arange(count)
     if depths_m is None:
         near = np.abs(index[:, None] - index) <= 1
     else:
         # By inverse depth, so that levels at or beyond the blur size of infinity agree too.
         inverse = np.abs(1 / depths_m)
-        near = np.abs(inverse[:, None] - inverse) <= tolerance * inverse[:, None]
+        near = np.abs(inverse[:, None] - inverse) <= _TOLERANCE * inverse[:, None]
         near |= index[:, None] == index
-    return np.array([near.argmax(axis=1), bank.levels - 1 - near[:, ::-1].argmax(axis=1)])
+    return np.array([near.argmax(axis=1), count - 1 - near[:, ::-1].argmax(axis=1)])
+
+
+def _depths_by_camera(model: LikelihoodModel, camera: Camera) -> NDArray[np.float64]:
+    sizes = model.stack.blur_sizes_px
+    if not model.stack.in_pixels:
+        raise InputError(
+            "camera: the bank's PSFs were measured without their sizes, so a camera cannot "
+            "tell their depths: learn the bank with the depths (--depths) or sizes_px"
+        )
+    if model.mask_digest not in ("", camera.mask.digest):
+        raise InputError(
+            f"camera: its mask {camera.mask.name} is not the one that the bank was "
+            f"learned for ({model.learned_from}): learn the bank for this camera"
+        )
+    far = {"far": 1, "near": -1, "both": 0}[camera.side]
+    if (sizes * far < 0).any():
+        raise InputError(
+            f"camera: its side is {camera.side}, but the bank has blur sizes of the other "
+            "side of the focal plane: learn the bank for this camera"
+        )
+    depths = camera.depth_m(sizes)
+    if not np.isfinite(depths).any():
+        raise InputError(
+            f"camera: no point gives the bank's blur sizes of {sizes.min():g} to "
+            f"{sizes.max():g} px, its blur at infinity is {camera.blur_at_infinity_px:g} px: "
+            "learn the bank for this camera"
+        )
+    return depths

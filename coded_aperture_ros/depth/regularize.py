@@ -1,21 +1,22 @@
 """Choosing the levels of all patches together: neighbours usually lie on one surface."""
 
+from collections.abc import Callable
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import DEFAULT_STRIDE_PX
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth.config import DepthConfig
-from coded_aperture_ros.depth.levels import refine_level
+from coded_aperture_ros.depth.posterior import refine_level
 from coded_aperture_ros.depth.surface import on_surfaces
 
-# Evidence against a level counts up to here; beyond, it is an outlier (natural logarithm).
-_ENOUGH_EVIDENCE = 7.0
+# The cost of a level counts up to here; beyond, it is an outlier (natural logarithm).
+_MOST_COST = 7.0
 # A step of more levels than this is a depth edge: how large it is no longer matters.
 _EDGE_LEVELS = 4
-# Weights of the smoothness beside natural-logarithm evidence.
-_SLIGHT_STEP = 4.0
-_JUMP = 22.0
+# Weights of the smoothness beside natural-logarithm likelihoods.
+_P1 = 4.0
+_P2 = 22.0
 _CUT_BETA = 1.2
 _TV_BETA = 0.6
 # The coupling of total variation's two variables, and the iterations that take it there.
@@ -26,56 +27,95 @@ _TV_STEPS = 4
 _ACROSS_CONTRAST = 0.3
 
 
-def regularized_level(
-    evidence: NDArray[np.float32],
-    config: DepthConfig,
-    brightness: NDArray[np.float32] | None = None,
-    own: NDArray[np.float32] | None = None,
-    stride_px: int = DEFAULT_STRIDE_PX,
-) -> NDArray[np.float32]:
-    """Return the fractional level of every patch.
+class Regularizer(Protocol):
+    """Chooses the level of every patch, in the light of its neighbours'."""
 
-    A whole level is chosen for each, and with neighbours then a surface through these, see
-    `on_surfaces`; `tv` does both at once.
+    def __call__(
+        self,
+        volume: NDArray[np.float32],
+        own: NDArray[np.float32],
+        brightness: NDArray[np.float32] | None,
+        stride_px: int,
+    ) -> NDArray[np.float32]:
+        """Return the fractional level of every patch.
 
-    Parameters
-    ----------
-    evidence : ndarray, float32 [rows, columns, L]
-        Against every level; see `level_evidence`.
-    config : DepthConfig
-        Says which regularisation, and how strong.
-    brightness : ndarray, float32 [rows, columns], optional
-        Of the frame at every patch: `semiglobal` lets levels jump more easily where it changes.
-    own : ndarray, float32 [rows, columns, L], optional
-        The evidence of one frame, where `evidence` is that of several: it is not cut off and has
-        not drifted, and tells where the minimum is between two levels. Not for `tv`.
-    stride_px : int, optional
-        Distance between patches.
+        Parameters
+        ----------
+        volume : ndarray, float32 [rows, columns, L]
+            Cost of every level, of all frames; see `Cost`.
+        own : ndarray, float32 [rows, columns, L]
+            Cost of this frame alone: it is not cut off and has not drifted, and tells where the
+            minimum is between two levels.
+        brightness : ndarray, float32 [rows, columns], or None
+            Of the frame around every patch.
+        stride_px : int
+            Distance between patches.
 
-    Returns
-    -------
-    ndarray, float32 [rows, columns]
-        In [0, L - 1].
+        Returns
+        -------
+        ndarray, float32 [rows, columns]
+            In [0, L - 1].
+        """
+
+
+def regularizer(name: str, smoothness: float = 1.0) -> Regularizer:
+    """Return one of `REGULARIZERS`, of a strength relative to its default.
 
     Raises
     ------
     InputError
-        If graph cuts are asked for and PyMaxflow is not installed.
+        If there is none of that name.
     """
-    if config.regularize == "tv":
-        return _total_variation(evidence, config.smoothness)
-    own = evidence if own is None else own
-    if config.regularize == "none":
-        return refine_level(own, evidence.argmin(axis=-1))
-    if config.regularize == "graphcut":
-        chosen = _graph_cut(evidence, config.smoothness)
-    else:
-        chosen = _semi_global(evidence, config.smoothness, brightness)
-    return on_surfaces(own, chosen, config.smoothness, stride_px)
+    if name not in REGULARIZERS:
+        raise InputError(f"regularize: {name!r} is not one of {', '.join(REGULARIZERS)}")
+    return REGULARIZERS[name](smoothness)
+
+
+def _by_itself(smoothness: float) -> Regularizer:
+    """Every patch for itself."""
+    return lambda volume, own, brightness, stride_px: refine_level(own, volume.argmin(axis=-1))
+
+
+def _by_total_variation(smoothness: float) -> Regularizer:
+    return lambda volume, own, brightness, stride_px: _total_variation(volume, smoothness)
+
+
+def _by_semi_global_matching(smoothness: float) -> Regularizer:
+    def regularize(
+        volume: NDArray[np.float32],
+        own: NDArray[np.float32],
+        brightness: NDArray[np.float32] | None,
+        stride_px: int,
+    ) -> NDArray[np.float32]:
+        chosen = _semi_global(volume, smoothness, brightness)
+        return on_surfaces(own, chosen, smoothness, stride_px)
+
+    return regularize
+
+
+def _by_graph_cut(smoothness: float) -> Regularizer:
+    def regularize(
+        volume: NDArray[np.float32],
+        own: NDArray[np.float32],
+        brightness: NDArray[np.float32] | None,
+        stride_px: int,
+    ) -> NDArray[np.float32]:
+        return on_surfaces(own, _graph_cut(volume, smoothness), smoothness, stride_px)
+
+    return regularize
+
+
+# A new one is a function from its strength to a `Regularizer`, entered here.
+REGULARIZERS: dict[str, Callable[[float], Regularizer]] = {
+    "none": _by_itself,
+    "semiglobal": _by_semi_global_matching,
+    "tv": _by_total_variation,
+    "graphcut": _by_graph_cut,
+}
 
 
 def _semi_global(
-    evidence: NDArray[np.float32],
+    volume: NDArray[np.float32],
     smoothness: float,
     brightness: NDArray[np.float32] | None,
 ) -> NDArray[np.intp]:
@@ -84,7 +124,7 @@ def _semi_global(
     Each of the four paths through a patch is minimised exactly, with a small cost for steps of
     one level, as of slants, and a larger one for jumps.
     """
-    known = _bounded(evidence)
+    known = _bounded(volume)
     rows, columns = known.shape[:2]
     down = np.full((rows - 1, columns), smoothness, np.float32)
     across = np.full((columns - 1, rows), smoothness, np.float32)
@@ -98,38 +138,38 @@ def _semi_global(
         mean = np.mean(np.concatenate([weight.ravel() for weight in weights]))
         down *= weights[0] / mean
         across *= weights[1].T / mean
-    # Every path counts the evidence of its patch.
+    # Every path counts the cost of its patch.
     total = _both_ways(known, down) - 3 * known
     total += _both_ways(known.swapaxes(0, 1), across).swapaxes(0, 1)
     return np.asarray(total.argmin(axis=-1))
 
 
-def _both_ways(evidence: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[np.float32]:
+def _both_ways(volume: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[np.float32]:
     """Add up the costs of the best paths that reach each patch along the first axis.
 
     Takes [n, m, L] and the weight of the smoothness between neighbours [n - 1, m].
     """
     # Levels before patches: all that is done to every level is then one long run of numbers.
-    costs = np.empty((len(evidence), 2, evidence.shape[2], evidence.shape[1]), np.float32)
-    costs[:, 0] = evidence.swapaxes(1, 2)
+    costs = np.empty((len(volume), 2, volume.shape[2], volume.shape[1]), np.float32)
+    costs[:, 0] = volume.swapaxes(1, 2)
     costs[:, 1] = costs[::-1, 0]
-    slight = _SLIGHT_STEP * np.stack([weights, weights[::-1]], axis=1)[:, :, None]
-    jump = _JUMP / _SLIGHT_STEP * slight
+    p1 = _P1 * np.stack([weights, weights[::-1]], axis=1)[:, :, None]
+    p2 = _P2 / _P1 * p1
     step, best = np.empty_like(costs[0]), np.empty_like(costs[0])
     least = np.empty_like(costs[0, :, :1])
     for i in range(1, len(costs)):
         previous = costs[i - 1]
         np.minimum.reduce(previous, axis=1, keepdims=True, out=least)
         np.subtract(previous, least, out=previous)  # so that costs do not grow along the path
-        np.minimum(previous, jump[i - 1], out=best)
-        np.add(previous, slight[i - 1], out=step)
+        np.minimum(previous, p2[i - 1], out=best)
+        np.add(previous, p1[i - 1], out=step)
         np.minimum(best[:, 1:], step[:, :-1], out=best[:, 1:])
         np.minimum(best[:, :-1], step[:, 1:], out=best[:, :-1])
         np.add(costs[i], best, out=costs[i])
     return (costs[:, 0] + costs[::-1, 1]).swapaxes(1, 2)
 
 
-def _graph_cut(evidence: NDArray[np.float32], smoothness: float) -> NDArray[np.intp]:
+def _graph_cut(volume: NDArray[np.float32], smoothness: float) -> NDArray[np.intp]:
     """Alpha expansion of ``-log p + beta min(|d_p - d_q|, edge)`` (thesis eq. 6.25 and 5.24)."""
     try:
         from maxflow.fastmin import aexpansion_grid
@@ -138,27 +178,27 @@ def _graph_cut(evidence: NDArray[np.float32], smoothness: float) -> NDArray[np.i
             "regularize: graphcut needs PyMaxflow (pip install PyMaxflow), or choose "
             "semiglobal, tv or none"
         ) from error
-    index = np.arange(evidence.shape[-1])
+    index = np.arange(volume.shape[-1])
     step = np.minimum(np.abs(index[:, None] - index), _EDGE_LEVELS)
     labels = aexpansion_grid(
-        np.ascontiguousarray(_bounded(evidence), np.float64),
+        np.ascontiguousarray(_bounded(volume), np.float64),
         _CUT_BETA * smoothness * step.astype(np.float64),
     )
     return np.asarray(labels, np.intp)
 
 
-def _total_variation(evidence: NDArray[np.float32], smoothness: float) -> NDArray[np.float32]:
+def _total_variation(volume: NDArray[np.float32], smoothness: float) -> NDArray[np.float32]:
     """Minimise ``sum -log p(v) + (u - v)^2 / (2 theta) + beta |grad u|`` with theta shrinking.
 
-    The evidence is not convex in the level, total variation is: they get a variable each, which
+    The cost is not convex in the level, total variation is: they get a variable each, which
     the coupling draws together. ``v`` is found by trying all levels, ``u`` by the primal-dual
     steps of Chambolle and Pock (2011).
     """
-    index = np.arange(evidence.shape[-1], dtype=np.float32)
-    known = _bounded(evidence)
+    index = np.arange(volume.shape[-1], dtype=np.float32)
+    known = _bounded(volume)
     beta = np.float32(max(_TV_BETA * smoothness, 1e-6))
     step = np.float32(1 / np.sqrt(8))  # the norm of the gradient is at most the root of 8
-    smooth = relaxed = evidence.argmin(axis=-1).astype(np.float32)
+    smooth = relaxed = volume.argmin(axis=-1).astype(np.float32)
     dual_rows, dual_columns = np.zeros_like(smooth), np.zeros_like(smooth)
     for theta in np.geomspace(*_TV_THETA, _TV_ITERATIONS, dtype=np.float32):
         coupled = known + (index - smooth[..., None]) ** 2 / (2 * theta)
@@ -178,7 +218,7 @@ def _total_variation(evidence: NDArray[np.float32], smoothness: float) -> NDArra
     return np.clip(smooth, 0, index[-1])
 
 
-def _bounded(evidence: NDArray[np.float32]) -> NDArray[np.float32]:
+def _bounded(volume: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the negative logarithm of the probability, up to where it is an outlier's."""
-    of_all = np.log(np.exp(-evidence).sum(axis=-1, keepdims=True))
-    return np.minimum(evidence + of_all, np.float32(_ENOUGH_EVIDENCE))
+    of_all = np.log(np.exp(-volume).sum(axis=-1, keepdims=True))
+    return np.minimum(volume + of_all, np.float32(_MOST_COST))

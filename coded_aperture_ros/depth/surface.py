@@ -4,13 +4,13 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
 
-from coded_aperture_ros.depth.levels import refine_level
+from coded_aperture_ros.depth.posterior import refine_level
 
-# What a bend of one level costs, beside evidence in natural logarithms, for patches of
+# What a bend of one level costs, beside costs in natural logarithms, for patches of
 # `_AT_STRIDE_PX`: the same surface bends less from patch to patch if these are nearer.
 _STIFFNESS = 4.0
 _AT_STRIDE_PX = 8
-# Second differences of the evidence are at least this: where a patch knows nothing, the surface of
+# Second differences of the cost are at least this: where a patch is uninformative, the surface of
 # its neighbours goes on.
 _LEAST_CURVATURE = 1e-3
 # Patches that differ by many more levels than this are not on one surface.
@@ -26,19 +26,19 @@ def on_surfaces(
 ) -> NDArray[np.float32]:
     """Return fractional levels next to the whole ones that were chosen.
 
-    As in thesis 8.3.2 the evidence of each patch is expanded to second order (eq. 8.22), around its
+    As in thesis 8.3.2 the cost of each patch is expanded to second order (eq. 8.22), around its
     minimum ``d_0`` next to the chosen level. The sum that is minimised is quadratic::
 
         sum h (d - d_0)^2  +  stiffness  sum w (d_before - 2 d + d_after)^2
 
-    with the second difference ``h`` of the evidence, which is made positive, and the weight ``w``
+    with the second difference ``h`` of the cost, which is made positive, and the weight ``w``
     of three patches in a row or a column, next to nothing where levels jump. The thesis draws
     neighbours to one depth (eq. 8.12); here slants cost nothing.
 
     Parameters
     ----------
     own : ndarray, float32 [rows, columns, L]
-        Evidence against every level, not cut off; see `level_evidence`.
+        Cost of every level, not cut off; see `Cost`.
     chosen : ndarray of int [rows, columns]
         Levels that the regularisation has chosen.
     smoothness : float
@@ -68,7 +68,7 @@ def on_surfaces(
 def _bending_beside(
     curvature: NDArray[np.float32], chosen: NDArray[np.intp], stiffness: float
 ) -> scipy.sparse.dia_matrix:
-    """Return the matrix of the quadratic form of evidence and bends [patches, patches]."""
+    """Return the matrix of the quadratic form of costs and bends [patches, patches]."""
     size, columns = chosen.size, chosen.shape[1]
     # What couples each patch with the one so many places after it, in the order of memory.
     couplings = {

@@ -1,4 +1,4 @@
-"""Evidence of the past frames of a video: where the same texture was, depth was the same."""
+"""Costs from the past frames of a video: where the same texture was, depth was the same."""
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ _REACH = 2
 _SIGMA = 1.0
 # tau_1 of thesis eq. 8.9, as a share of the local variance of the frame.
 _BANDWIDTH = 0.1
-# Evidence of one frame counts up to the first, that of all past frames up to the second.
+# The cost of one frame counts up to the first, that of all past frames up to the second.
 _OF_A_FRAME = 12.0
 _OF_THE_PAST = 20.0
 # Against a level's neighbour, per frame: surfaces come nearer and go away.
@@ -26,23 +26,23 @@ _SHIFT_TO_PATCHES = np.array(
 
 
 class TemporalFilter:
-    """Adds up the evidence of a video's frames, along the best matches between them.
+    """Adds up the costs of a video's frames, along the best matches between them.
 
     The thesis couples the depths of pixels ``p`` of one frame and ``q`` of another by the weights
     (eq. 8.11)::
 
         W(p, t_0, q, t) = exp(-|t - t_0| / tau_2) exp(-G * |g_t0(p) - g_t(q)|^2 / tau_1)
 
-    Here they carry the evidence against every level, not a depth that was made of it: what one
-    frame leaves open the next may decide, and what it gets wrong with little evidence weighs
-    little. The sum over all past frames is a recursion over the last one, as ``exp(-|t - t_0| /
-    tau_2)`` is. There is no flow: several places of the last frame may match, or none, where an
-    object has moved away. There the past is forgotten.
+    Here they carry the cost of every level, not a depth that was made of it: what one frame leaves
+    open the next may decide, and what it gets wrong by a small difference of costs weighs little.
+    The sum over all past frames is a recursion over the last one, as ``exp(-|t - t_0| / tau_2)``
+    is. There is no flow: several places of the last frame may match, or none, where an object has
+    moved away. There the past is forgotten.
 
     Parameters
     ----------
     frames : float
-        ``tau_2``: the number of frames after which evidence has lost most of its weight, > 0.
+        ``tau_2``: the number of frames after which costs have lost most of its weight, > 0.
     """
 
     def __init__(self, frames: float) -> None:
@@ -56,17 +56,17 @@ class TemporalFilter:
 
     def add(
         self,
-        evidence: NDArray[np.float32],
+        volume: NDArray[np.float32],
         grey: NDArray[np.float32],
         grid: PatchGrid,
         noise: float,
     ) -> NDArray[np.float32]:
-        """Return the evidence of a frame and of what is alike in those before it.
+        """Return the cost of every level by a frame and by what is alike in those before it.
 
         Parameters
         ----------
-        evidence : ndarray, float32 [rows, columns, L]
-            Of the frame alone, see `level_evidence`.
+        volume : ndarray, float32 [rows, columns, L]
+            Cost of every level by the frame alone, see `Cost`.
         grey : ndarray, float32 [height, width]
             The frame.
         grid : PatchGrid
@@ -80,7 +80,7 @@ class TemporalFilter:
             0 for the likeliest level.
         """
         samples = _sampled(grey, grid)
-        total = np.moveaxis(bounded(evidence), -1, 0)
+        total = np.moveaxis(bounded(volume), -1, 0)
         if self._past is not None and self._samples is not None:
             variance = 2 * (noise * _SAMPLES / grid.stride_px) ** 2
             weights, match = _matches(samples, self._samples, variance)
@@ -95,9 +95,9 @@ class TemporalFilter:
         return np.moveaxis(total, 0, -1)
 
 
-def bounded(evidence: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the evidence of one frame as far as it counts."""
-    return np.minimum(evidence, np.float32(_OF_A_FRAME))
+def bounded(volume: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the cost of one frame as far as it counts."""
+    return np.minimum(volume, np.float32(_OF_A_FRAME))
 
 
 def _sampled(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.float32]:
@@ -154,7 +154,7 @@ def _smoothed(samples: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _gathered(past: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the weighted mean of the neighbours' evidence [L, rows, columns]."""
+    """Return the weighted mean of the neighbours' costs [L, rows, columns]."""
     levels, rows, columns = past.shape
     around = np.empty((levels, rows + 2, columns + 2), np.float32)
     around[:, 1:-1, 1:-1] = past

@@ -12,7 +12,7 @@ from scipy.signal import fftconvolve
 from coded_aperture_ros.bank import FilterBank, LearnConfig, power_spectrum
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.config import DepthConfig
-from coded_aperture_ros.depth.estimate import DepthEstimator
+from coded_aperture_ros.depth.estimator import DepthEstimator
 
 # Windows that are tried, and strides as shares of a window.
 _WINDOWS_PX = (48, 64, 96)

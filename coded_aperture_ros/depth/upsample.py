@@ -1,5 +1,7 @@
 """From the coarse grid of patches to a map of the wanted size, without mixing across edges."""
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,6 +10,57 @@ from coded_aperture_ros.imaging import PatchGrid
 # Where the levels of the four patches around a pixel differ by more, there is a depth edge between
 # them, and they are not averaged.
 _ONE_SURFACE = 3.0
+# Patches so far apart, in px, are worth one pixel of the map for each this many.
+_MAP_PX_PER_PATCH = 5
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MapGrid:
+    """Where the pixels of a map lie among the patches of a frame.
+
+    Attributes
+    ----------
+    grid : PatchGrid
+    frame_shape : (int, int)
+        Rows and columns of the frame that the grid covers.
+    size : (int, int)
+        Rows and columns of the map, which covers the whole frame.
+    patches : (ndarray, ndarray), intp
+        Row and column of the patch nearest to every row and column of the map.
+    """
+
+    grid: PatchGrid
+    frame_shape: tuple[int, ...]
+    size: tuple[int, int]
+    patches: tuple[NDArray[np.intp], NDArray[np.intp]]
+
+    @classmethod
+    def of(cls, grid: PatchGrid, frame_shape: tuple[int, ...], size: tuple[int, int]) -> "MapGrid":
+        """Return the grid of a map of `size`."""
+        return cls(grid, frame_shape, size, nearest_patches(grid, frame_shape, size))
+
+    @classmethod
+    def worthwhile(
+        cls, grid: PatchGrid, frame_shape: tuple[int, ...], size: tuple[int, int]
+    ) -> "MapGrid":
+        """Return the grid of a map that is at most as large as the patches are worth."""
+        finest = -(-np.array(frame_shape) // max(grid.stride_px // _MAP_PX_PER_PATCH, 1))
+        drawn = (min(size[0], int(finest[0])), min(size[1], int(finest[1])))
+        return cls.of(grid, frame_shape, drawn)
+
+    @property
+    def scale(self) -> float:
+        """Pixels of the map per pixel of the frame."""
+        return self.size[1] / self.frame_shape[1]
+
+    def interpolated(self, level: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the map of the patches' levels [rows, columns]; see `upsample`."""
+        return upsample(level, self.grid, self.frame_shape, self.size)
+
+    def nearest(self, values: NDArray) -> NDArray:
+        """Return the value of the nearest patch at every pixel; takes [rows, columns, ...]."""
+        rows, columns = self.patches
+        return np.take(np.take(values, columns, axis=1), rows, axis=0)
 
 
 def upsample(

@@ -7,14 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth.estimate import (
-    DepthEstimate,
-    DepthEstimator,
-    Observation,
-    check_map_size,
-)
+from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
+from coded_aperture_ros.depth.estimator import DepthEstimator
+from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.temporal import TemporalFilter, bounded
-from coded_aperture_ros.imaging.static_average import StillAverage, joined
+from coded_aperture_ros.imaging.static_average import StaticAverage, joined
+from coded_aperture_ros.likelihood import Cost
 
 # After this many times the length of the memory, a frame no longer counts.
 _AHEAD = 2.0
@@ -30,7 +28,7 @@ def estimate_video(
     """Estimate the depth of a video's frames from the past and the future.
 
     What `DepthEstimator.estimate` does for a camera that runs, with as much of the future as of the
-    past: frames are averaged where nothing moves and evidence is carried, both ways, and what two
+    past: frames are averaged where nothing moves and costs are carried, both ways, and what two
     ways tell of one frame is added up.
 
     Parameters
@@ -57,55 +55,53 @@ def estimate_video(
         raise InputError("temporal_frames: a video with past and future needs more than 0")
     check_map_size(size)
     ahead = int(np.ceil(_AHEAD * memory))
-    estimator.stages.start()
     remaining = (estimator.observe(frame) for frame in frames)
-    forward_mean, forward_evidence = StillAverage(2 * memory), TemporalFilter(memory)
+    forward_mean, forward_cost = StaticAverage(2 * memory), TemporalFilter(memory)
     means: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
     waiting: list[Observation] = []
     while True:
         new = list(islice(remaining, (_BLOCK + 1) * ahead - len(waiting)))
         for seen in new:
             _check_size(seen, (waiting or new)[0])
-            mean, frames_of_mean = forward_mean.add(seen.grey, seen.noise)
+            mean, frames_of_mean = forward_mean.add(seen.grey, seen.noise.sigma)
             means.append((mean.copy(), frames_of_mean))
         waiting += new
         if not waiting:
             return
         at_the_end = len(waiting) < (_BLOCK + 1) * ahead
         done = len(waiting) if at_the_end else len(waiting) - ahead
-        evidence = _evidence_both_ways(estimator, waiting, means)
-        later = _carried_back(waiting, evidence, memory)
-        for seen, own, after in zip(waiting[:done], evidence, later, strict=False):
-            until = forward_evidence.add(own, seen.grey, seen.grid, seen.noise)
-            together = until + after - bounded(own)
+        costs = _costs_both_ways(estimator, waiting, means)
+        later = _carried_back(waiting, costs, memory)
+        for seen, own, after in zip(waiting[:done], costs, later, strict=False):
+            until = forward_cost.add(own.volume, seen.grey, seen.grid, seen.noise.sigma)
+            together = until + after - bounded(own.volume)
             together -= together.min(axis=-1, keepdims=True)
             yield estimator.decide(seen, together, own, size)
         waiting, means = waiting[done:], means[done:]
 
 
-def _evidence_both_ways(
+def _costs_both_ways(
     estimator: DepthEstimator,
     waiting: list[Observation],
     means: list[tuple[NDArray[np.float32], NDArray[np.float32]]],
-) -> list[NDArray[np.float32]]:
-    """Return the evidence of every frame, from the mean of what is like it before and after."""
-    backward = StillAverage(2 * estimator.config.temporal_frames)
-    evidence = []
+) -> list[Cost]:
+    """Return the cost of every frame, from the mean of what is like it before and after."""
+    backward = StaticAverage(2 * estimator.config.temporal_frames)
+    costs = []
     for seen, until in zip(reversed(waiting), reversed(means), strict=True):
-        grey, frames = joined(until, backward.add(seen.grey, seen.noise), seen.grey)
-        # The engine's energies are overwritten by those of the next frame.
-        evidence.append(estimator.evidence_of(seen, grey, frames).copy())
-    return evidence[::-1]
+        grey, frames = joined(until, backward.add(seen.grey, seen.noise.sigma), seen.grey)
+        costs.append(estimator.cost(seen, grey, frames))
+    return costs[::-1]
 
 
 def _carried_back(
-    waiting: list[Observation], evidence: list[NDArray[np.float32]], memory: float
+    waiting: list[Observation], costs: list[Cost], memory: float
 ) -> list[NDArray[np.float32]]:
-    """Return the evidence of every frame and of those after it."""
+    """Return the cost of every frame and of those after it."""
     backward = TemporalFilter(memory)
     carried = [
-        backward.add(own, seen.grey, seen.grid, seen.noise).copy()
-        for seen, own in zip(reversed(waiting), reversed(evidence), strict=True)
+        backward.add(own.volume, seen.grey, seen.grid, seen.noise.sigma).copy()
+        for seen, own in zip(reversed(waiting), reversed(costs), strict=True)
     ]
     return carried[::-1]
 

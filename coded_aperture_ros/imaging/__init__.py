@@ -11,18 +11,28 @@ from coded_aperture_ros.imaging.light import (
     linear_from_pixels,
     pixels_from_linear,
 )
-from coded_aperture_ros.imaging.noise import estimate_noise, high_power
+from coded_aperture_ros.imaging.noise import (
+    GreyNoise,
+    KnownNoise,
+    channel_noise,
+    estimate_noise,
+    grey_noise,
+    high_power,
+)
 from coded_aperture_ros.imaging.patches import PatchGrid, brightness_at, mean_at, usable_windows
 from coded_aperture_ros.imaging.periodic import periodic, periodic_shape, transfer_function
-from coded_aperture_ros.imaging.static_average import StillAverage, frames_of_patches
+from coded_aperture_ros.imaging.static_average import StaticAverage, frames_of_patches
 
 __all__ = [
     "SRGB",
     "Gamma",
+    "GreyNoise",
+    "KnownNoise",
     "PatchGrid",
-    "StillAverage",
+    "StaticAverage",
     "brightness_at",
     "channel_mean",
+    "channel_noise",
     "check_frame",
     "decode",
     "decode_picture",
@@ -32,6 +42,7 @@ __all__ = [
     "frames_of_patches",
     "gamma_from_text",
     "grey_image",
+    "grey_noise",
     "high_power",
     "linear_from_pixels",
     "mean_at",

@@ -1,9 +1,17 @@
-"""The noise of a frame, from the top of its spectrum, where a blurred texture has little left."""
+"""The noise of a frame: what is known of it beforehand, or else the top of its spectrum.
+
+A blurred texture has next to nothing at the highest frequencies; what is there is noise.
+"""
+
+import dataclasses
+from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.imaging.frame import grey_image
 from coded_aperture_ros.imaging.patches import PatchGrid, mean_at
 
 # Passes what alternates from pixel to pixel along rows and columns both, and white noise with its
@@ -16,6 +24,9 @@ _QUANTILE = 0.05
 _DARKEST = 0.25
 # Noise that is taken too low is fatal for the estimate, too high only costs a little.
 _MARGIN = 1.2
+# Of whole frames, sparse windows tell enough; saturation does not matter to their noise.
+_WINDOW_PX, _LEAST_WINDOW_PX = 32, 8
+_NEVER_SATURATED = 1e9
 # Real frames are not cleaner than this, whatever their spectrum says.
 NOISE_FLOOR = 2e-4
 
@@ -63,3 +74,136 @@ def estimate_noise(
         darkest = shot_variance <= np.quantile(shot_variance, _DARKEST)
         variance = (variance - shot_variance)[darkest]
     return float(np.sqrt(max(np.quantile(variance, _QUANTILE), NOISE_FLOOR**2)))
+
+
+class HasNoise(Protocol):
+    """Settings, a camera or a model that may know the noise; `noise_gain` is optional."""
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of one channel's noise in the dark; 0: not known."""
+
+
+@dataclasses.dataclass(frozen=True)
+class KnownNoise:
+    """Noise of one channel, linear light, as far as it is known before a frame is seen.
+
+    Attributes
+    ----------
+    noise : float
+        Standard deviation in the dark; 0: it is estimated in each frame.
+    noise_gain : float
+        Variance of shot noise per unit of light; 0: none.
+    """
+
+    noise: float = 0.0
+    noise_gain: float = 0.0
+
+    @classmethod
+    def of(cls, *sources: HasNoise | None) -> "KnownNoise":
+        """Take each value from the first source that has it.
+
+        This is the one precedence of the whole package: options that were set, then the camera
+        file, then the filter bank; and what none of them knows is estimated.
+        """
+        values = [
+            next((found for source in sources if (found := getattr(source, name, 0.0))), 0.0)
+            for name in ("noise", "noise_gain")
+        ]
+        return cls(*values)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class GreyNoise:
+    """Noise of the mean of a frame's channels.
+
+    Attributes
+    ----------
+    sigma : float
+        Standard deviation, without shot noise.
+    shot_variance : ndarray, float32 [rows, columns], or None
+        Variance of the shot noise around every patch, if it is known.
+    """
+
+    sigma: float
+    shot_variance: NDArray[np.float32] | None = None
+
+    @property
+    def deviation(self) -> float | NDArray[np.float32]:
+        """Standard deviation with shot noise, of the frame or around every patch."""
+        if self.shot_variance is None:
+            return self.sigma
+        return np.sqrt(self.sigma**2 + self.shot_variance, dtype=np.float32)
+
+    @property
+    def typical(self) -> float:
+        """Standard deviation of the frame as a whole, with shot noise."""
+        if self.shot_variance is None:
+            return self.sigma
+        return float(np.sqrt(self.sigma**2 + np.median(self.shot_variance)))
+
+
+def grey_noise(
+    grey: NDArray[np.float32],
+    grid: PatchGrid,
+    known: KnownNoise,
+    channels: int = 1,
+    brightness: NDArray[np.float32] | None = None,
+    usable: NDArray[np.bool_] | None = None,
+) -> GreyNoise:
+    """Return the noise of a frame: what is known of it, and an estimate of the rest.
+
+    Parameters
+    ----------
+    grey : ndarray, float32 [height, width]
+        Mean of the channels, which has less noise than each of them.
+    grid : PatchGrid
+        Where to look.
+    known : KnownNoise
+    channels : int
+        That the frame had.
+    brightness : ndarray, float32 [rows, columns], optional
+        Around every patch; needed for shot noise.
+    usable : ndarray, bool [rows, columns], optional
+        Patches without pixels that were filled in: these have no noise.
+    """
+    shot_variance = None
+    if known.noise_gain and brightness is not None:
+        shot_variance = np.float32(known.noise_gain / channels) * np.maximum(brightness, 0)
+    if known.noise:
+        return GreyNoise(known.noise / float(np.sqrt(channels)), shot_variance)
+    telling = np.ones((grid.rows, grid.columns), np.bool_)
+    if usable is not None:
+        telling = usable if usable.any() else ~usable
+    shot = None if shot_variance is None else shot_variance[telling]
+    return GreyNoise(estimate_noise(high_power(grey, grid)[telling], shot), shot_variance)
+
+
+def channel_noise(frame: NDArray[np.float32], known: KnownNoise) -> float:
+    """Return the standard deviation of one channel's noise in a frame, with its shot noise.
+
+    Parameters
+    ----------
+    frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
+        Linear light; NaN where unknown.
+    known : KnownNoise
+
+    Raises
+    ------
+    InputError
+        If the noise has to be estimated and the frame is too small for that.
+    """
+    grey, _ = grey_image(frame, _NEVER_SATURATED)
+    channels = 1 if frame.ndim == 2 else frame.shape[2]
+    sigma = known.noise
+    if not sigma:
+        height, width = grey.shape
+        window_px = min(_WINDOW_PX, 2 * (min(height, width) // 2))
+        if window_px < _LEAST_WINDOW_PX:
+            raise InputError(
+                f"frame of {width}x{height} px is too small to estimate its noise, give the noise"
+            )
+        grid = PatchGrid.covering(grey.shape, window_px, window_px)
+        sigma = grey_noise(grey, grid, known, channels).sigma * float(np.sqrt(channels))
+    light = max(float(grey.mean()), 0.0) if known.noise_gain else 0.0
+    return float(np.sqrt(sigma**2 + known.noise_gain * light))

@@ -21,7 +21,7 @@ _STILL_QUANTILE = 0.2
 _CLIPPED = 0.1
 
 
-class StillAverage:
+class StaticAverage:
     """Averages the frames of a video where they are alike but for their noise.
 
     It is the temporal part of a non-local mean (thesis eq. 8.11) at one place: a frame ``g_t``

@@ -1,21 +1,32 @@
-"""The filter bank at the rate of a camera: planned once for a frame size, run on every frame."""
+"""From a frame to the cost of every blur level: the interface, scoring, and what computes it."""
 
-from coded_aperture_ros.likelihood.engine import (
+from coded_aperture_ros.likelihood.backends import (
     BACKENDS,
     Engine,
     check_backend,
-    plan_engine,
+    new_engine,
     torch_device,
 )
+from coded_aperture_ros.likelihood.filters import FilterLikelihood
 from coded_aperture_ros.likelihood.numpy_engine import NumpyEngine
 from coded_aperture_ros.likelihood.plan import Plan
+from coded_aperture_ros.likelihood.protocol import Cost, Likelihood, LikelihoodModel, MotionField
+from coded_aperture_ros.likelihood.scoring import plausible_ratios, relative_cost, take_logarithm
 
 __all__ = [
     "BACKENDS",
+    "Cost",
     "Engine",
+    "FilterLikelihood",
+    "Likelihood",
+    "LikelihoodModel",
+    "MotionField",
     "NumpyEngine",
     "Plan",
     "check_backend",
-    "plan_engine",
+    "new_engine",
+    "plausible_ratios",
+    "relative_cost",
+    "take_logarithm",
     "torch_device",
 ]

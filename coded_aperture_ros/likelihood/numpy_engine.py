@@ -6,11 +6,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import FilterBank
-from coded_aperture_ros.bank.model import LEAST_EXCESS, OWN_NOISE
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.likelihood.plan import Plan
+from coded_aperture_ros.likelihood.scoring import OWN_NOISE, take_logarithm
 
 # Rows of pixels that are transformed, and patches whose hypotheses are tried, at a time: few
 # large calls, but no more than a core's cache holds.
@@ -32,24 +31,28 @@ class _Scratch:
 
 
 class NumpyEngine:
-    """Energies of every patch of frames of one size; see `Engine`."""
+    """Energies of every patch of frames of one size; see `Engine`.
+
+    Parameters
+    ----------
+    plan : Plan
+    threads : int, optional
+        Of the processor.
+    """
 
     name = "numpy"
 
-    def __init__(
-        self, bank: FilterBank, shape: tuple[int, ...], stride_px: int, threads: int = 1
-    ) -> None:
-        plan = Plan.of(bank, shape, stride_px)
+    def __init__(self, plan: Plan, threads: int = 1) -> None:
         grid, n = plan.grid, plan.grid.window_px
-        self._bank, self._plan = bank, plan
+        self._plan = plan
         self._workers = Workers(threads)
         width = len(plan.horizontal) * grid.columns  # both parts of all frequencies and columns
         self._horizontal = np.empty((plan.pixel_rows, width), np.float32)
         self._functions = np.empty((len(plan.features), grid.rows, grid.columns), np.float32)
-        self._energies = np.empty((bank.levels, grid.rows * grid.columns), np.float32)
+        self._energies = np.empty((plan.levels, grid.rows * grid.columns), np.float32)
         self._precision = np.empty((grid.rows, grid.columns), np.float32)
         half = width // 2
-        tried = len(bank.prior.contrasts) * len(bank.prior.slopes) * bank.levels
+        tried = len(plan.hypotheses) // len(plan.ratios) * len(plan.contrasts)
         rank = plan.hypotheses.shape[1]
         self._scratch = [
             _Scratch(
@@ -96,15 +99,13 @@ class NumpyEngine:
 
     def energies(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the energies of the frame taken last [rows, columns, L]."""
-        plan, bank = self._plan, self._bank
-        plausible = bank.plausible_ratios(float(np.median(noise)))
-        per_ratio = len(bank.prior.slopes) * bank.levels
-        tried = slice(plausible.start * per_ratio, plausible.stop * per_ratio)
+        plan = self._plan
+        tried = plan.hypotheses_of(plan.tried(noise))
         self._precision[:] = 1 / (plan.count * np.square(noise))
         functions = self._functions.reshape(len(self._functions), -1)
         starts = range(0, functions.shape[1], _PATCHES)
         self._workers.each(partial(self._try_hypotheses, functions, tried), starts)
-        return np.moveaxis(self._energies.reshape(bank.levels, *self._precision.shape), 0, -1)
+        return np.moveaxis(self._energies.reshape(plan.levels, *self._precision.shape), 0, -1)
 
     def close(self) -> None:
         """End the engine's threads."""
@@ -166,7 +167,4 @@ class NumpyEngine:
         np.matmul(coefficients, patches, out=excess)
         energies = self._energies[:, some]
         np.minimum.reduce(excess.reshape(-1, len(energies), count), axis=0, out=energies)
-        textureless = functions[-1, some] * precision + OWN_NOISE
-        np.clip(energies, LEAST_EXCESS, textureless, out=energies)
-        np.log(energies, out=energies)
-        np.multiply(energies, np.float32(plan.count), out=energies)
+        take_logarithm(energies, functions[-1, some] * precision + OWN_NOISE, plan.count)

@@ -12,13 +12,46 @@ common basis), these act on ``q`` and ``x`` directly.
 """
 
 import dataclasses
+from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import FilterBank
-from coded_aperture_ros.bank.model import OWN_NOISE
 from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.likelihood.scoring import OWN_NOISE, plausible_ratios
+
+
+class Filters(Protocol):
+    """What a plan needs of a filter bank; see `FilterBank`."""
+
+    @property
+    def window_px(self) -> int:
+        """Side of the patches."""
+
+    @property
+    def ratios(self) -> NDArray[np.float64]:
+        """Contrast over noise variance [S]."""
+
+    @property
+    def coefficients(self) -> NDArray[np.float32]:
+        """Weights in the common basis [R, S, slopes, L]."""
+
+    @property
+    def log_determinants(self) -> NDArray[np.float32]:
+        """Of every hypothesis [S, slopes, L]."""
+
+    @property
+    def window(self) -> NDArray[np.float32]:
+        """The window that patches are multiplied by [N]."""
+
+    @property
+    def functions_of_power(self) -> NDArray[np.float32]:
+        """Basis and multiplicity [K, R + 1]."""
+
+    @property
+    def contrasts(self) -> Sequence[float]:
+        """The variances of texture that are tried."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -44,6 +77,12 @@ class Plan:
         and one logarithm does for all.
     count : float
         ``sum m``.
+    levels : int
+        L.
+    ratios : ndarray, float64 [S]
+        Contrast over noise variance of the hypotheses.
+    contrasts : sequence of float
+        The variances of texture that are tried under any noise.
     """
 
     grid: PatchGrid
@@ -53,9 +92,12 @@ class Plan:
     features: NDArray[np.float32]
     hypotheses: NDArray[np.float32]
     count: float
+    levels: int
+    ratios: NDArray[np.float64]
+    contrasts: Sequence[float]
 
     @classmethod
-    def of(cls, bank: FilterBank, shape: tuple[int, ...], stride_px: int) -> "Plan":
+    def of(cls, bank: Filters, shape: tuple[int, ...], stride_px: int) -> "Plan":
         """Plan for frames of `shape` (rows, columns) with patches every `stride_px`.
 
         Raises
@@ -74,15 +116,14 @@ class Plan:
         unpaired = [0] if highest < half else [0, half]
 
         angle = 2 * np.pi / n * np.outer(np.arange(half + 1), np.arange(n))
-        cosines, sines = np.cos(angle) * bank.fourier.window, np.sin(angle) * bank.fourier.window
+        cosines, sines = np.cos(angle) * bank.window, np.sin(angle) * bank.window
         pairs = slice(1, paired + 1)
 
         features = _of_products(functions, n, columns, paired, unpaired)
 
-        count = float(bank.fourier.multiplicity.sum())
+        count = float(functions[:, -1].sum())
         gains = np.exp(bank.log_determinants.astype(np.float64).reshape(-1, 1) / count)
-        rank = bank.basis_vectors
-        weights = bank.coefficients.reshape(rank, -1).T
+        weights = bank.coefficients.reshape(len(bank.coefficients), -1).T
         own_noise = np.full_like(gains, OWN_NOISE)
         return cls(
             grid=grid,
@@ -92,7 +133,19 @@ class Plan:
             features=_float32(features.T),
             hypotheses=_float32(np.hstack([weights, own_noise]) * gains),
             count=count,
+            levels=int(bank.log_determinants.shape[-1]),
+            ratios=bank.ratios,
+            contrasts=bank.contrasts,
         )
+
+    def tried(self, noise: float | NDArray[np.float32]) -> slice:
+        """Return which ratios are tried under a noise of this standard deviation."""
+        return plausible_ratios(self.ratios, self.contrasts, float(np.median(noise)))
+
+    def hypotheses_of(self, ratios: slice) -> slice:
+        """Return which hypotheses belong to some ratios."""
+        each = len(self.hypotheses) // len(self.ratios)
+        return slice(ratios.start * each, ratios.stop * each)
 
     def of_products(self, functions: NDArray[np.floating]) -> NDArray[np.floating]:
         """Return linear functions of power as functions of the products of transforms.
@@ -134,10 +187,11 @@ class Plan:
             + patches * self.features.size
         )
 
-    def flop_of_hypotheses(self, ratios: int, of: int) -> float:
-        """Floating-point operations of the energies where `ratios` of `of` ratios are tried."""
+    @property
+    def flop_of_hypotheses(self) -> float:
+        """Floating-point operations of the energies of one frame."""
         patches = self.grid.rows * self.grid.columns
-        return 2.0 * patches * self.hypotheses.size * ratios / of
+        return 2.0 * patches * self.hypotheses.size * len(self.contrasts) / len(self.ratios)
 
 
 def _of_products(

@@ -6,11 +6,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import FilterBank
-from coded_aperture_ros.bank.model import LEAST_EXCESS, OWN_NOISE
 from coded_aperture_ros.core.threads import check_threads
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.likelihood.plan import Plan
+from coded_aperture_ros.likelihood.scoring import LEAST_EXCESS, OWN_NOISE
 
 # Rows of windows are worked on in groups whose intermediate arrays fit in here.
 _GROUP_BYTES = 256 * 2**20
@@ -27,41 +26,34 @@ class TorchEngine:
 
     Parameters
     ----------
-    bank, shape, stride_px, threads
-        See `plan_engine`.
+    plan : Plan
+    threads : int, optional
+        Of the processor.
     device : str
         `cpu` or `cuda`.
 
     Raises
     ------
     InputError
-        If the frame is smaller than a patch, or there are fewer processors than threads.
+        If there are fewer processors than threads.
     """
 
-    def __init__(
-        self,
-        bank: FilterBank,
-        shape: tuple[int, ...],
-        stride_px: int,
-        threads: int = 1,
-        device: str = "cpu",
-    ) -> None:
+    def __init__(self, plan: Plan, threads: int = 1, device: str = "cpu") -> None:
         check_threads(threads)
-        plan = Plan.of(bank, shape, stride_px)
         # Both are PyTorch's for the whole process: the engine that is planned last decides.
         torch.set_num_threads(threads)
         torch.set_float32_matmul_precision(_PRECISION)
         self.name = "cuda" if device == "cuda" else "torch"
-        self._bank, self._plan = bank, plan
+        self._plan = plan
 
         grid, n, columns = plan.grid, plan.grid.window_px, plan.grid.columns
         vertical, horizontal = len(plan.vertical), len(plan.horizontal)
         weights = plan.hypotheses.shape[1]
-        tried = len(bank.prior.contrasts) * len(bank.prior.slopes) * bank.levels
+        tried = len(plan.hypotheses) // len(plan.ratios) * len(plan.contrasts)
         per_pixel_row = (n + horizontal) * columns
         per_row = (vertical * horizontal * 3 // 2 + weights + tried) * columns
-        spare = _GROUP_BYTES // 4 - (n - stride_px) * per_pixel_row
-        rows = int(np.clip(spare // (per_row + stride_px * per_pixel_row), 1, grid.rows))
+        spare = _GROUP_BYTES // 4 - (n - grid.stride_px) * per_pixel_row
+        rows = int(np.clip(spare // (per_row + grid.stride_px * per_pixel_row), 1, grid.rows))
         self._groups = [
             slice(first, min(first + rows, grid.rows)) for first in range(0, grid.rows, rows)
         ]
@@ -77,16 +69,16 @@ class TorchEngine:
             here = torch.empty(shape, dtype=torch.float32, pin_memory=device == "cuda")
             return here, here.to(device)
 
-        pixel_rows = (rows - 1) * stride_px + n
+        pixel_rows = (rows - 1) * grid.stride_px + n
         self._buffers = SimpleNamespace(
             horizontal=constant(plan.horizontal),
             vertical=constant(plan.vertical),
             features=constant(plan.features),
             hypotheses=constant(plan.hypotheses),
             # Of the frame.
-            frame=both(plan.pixel_rows, (columns - 1) * stride_px + n),
+            frame=both(plan.pixel_rows, (columns - 1) * grid.stride_px + n),
             precision=both(grid.rows, 1, columns),
-            energies=both(grid.rows, bank.levels, columns),
+            energies=both(grid.rows, plan.levels, columns),
             functions=room(grid.rows, len(plan.features), columns),
             # Of a group.
             windows=room(pixel_rows, columns, n),
@@ -114,10 +106,7 @@ class TorchEngine:
     @torch.inference_mode()
     def energies(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the energies of the frame taken last [rows, columns, L]."""
-        bank = self._bank
-        plausible = bank.plausible_ratios(float(np.median(noise)))
-        per_ratio = len(bank.prior.slopes) * bank.levels
-        tried = slice(plausible.start * per_ratio, plausible.stop * per_ratio)
+        tried = self._plan.hypotheses_of(self._plan.tried(noise))
         here, precision = self._buffers.precision
         here.numpy()[:, 0] = 1 / (self._plan.count * np.square(noise))
         precision.copy_(here)

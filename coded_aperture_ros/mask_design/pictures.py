@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.learning import RATIOS
-from coded_aperture_ros.bank.model import LEAST_EXCESS, OWN_NOISE, plausible_ratios
 from coded_aperture_ros.bank.prior import NaturalImagePrior, power_spectrum
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.textures import Textures
+from coded_aperture_ros.likelihood.scoring import LEAST_EXCESS, OWN_NOISE, plausible_ratios
 from coded_aperture_ros.mask_design.predict import SIGMAS, check_sigmas, check_two_colours
 from coded_aperture_ros.mask_design.spectra import SceneConfig
 from coded_aperture_ros.optics import Mask, render_psf_stack

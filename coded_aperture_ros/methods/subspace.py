@@ -27,6 +27,7 @@ from coded_aperture_ros.bank.learning import check_levels
 from coded_aperture_ros.bank.prior import power_spectrum
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging.patches import PatchGrid
+from coded_aperture_ros.likelihood import Cost, relative_cost
 from coded_aperture_ros.optics import Mask, PsfStack
 
 BASES = ("svd", "joint")
@@ -35,7 +36,7 @@ _SLOPE = 2.4
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SubspaceBank:
-    """Projectors onto what the patches of every blur level span; stands in for a `FilterBank`.
+    """Projectors onto what the patches of every blur level span; a `LikelihoodModel`.
 
     With the patch ``g`` without its mean and orthonormal ``Q_d``, which span the patches of level
     ``d``, the energy is the distance to that subspace (thesis eq. 6.22 and 6.24)::
@@ -104,70 +105,86 @@ class SubspaceBank:
         return int(self.basis.shape[1])
 
     @property
-    def evidence_repetition(self) -> float:
-        """How many of the patch's values tell one thing: without a window, none repeats another."""
+    def fattening(self) -> float:
+        """See `LikelihoodModel`."""
         return 1.0
 
-    def project(self, grey: NDArray[np.float32], stride_px: int) -> "SubspaceFrame":
-        """Project every patch of a frame onto the common basis; see `FilterBank.project`.
-
-        Raises
-        ------
-        InputError
-            If the frame is smaller than a patch.
-        """
-        grid = PatchGrid.covering(grey.shape, self.patch_px, stride_px)
-        windows = np.lib.stride_tricks.sliding_window_view(
-            grey[grid.top :, grid.left :], (self.patch_px, self.patch_px)
-        )[::stride_px, ::stride_px]
-        coefficients = np.empty((grid.rows, grid.columns, self.basis_vectors), np.float32)
-        for of_row, row in zip(coefficients, windows, strict=True):
-            patches = row.reshape(grid.columns, -1)
-            of_row[:] = (patches - patches.mean(axis=1, keepdims=True)) @ self.basis
-        return SubspaceFrame(coefficients, grid)
+    def plan(
+        self, shape: tuple[int, ...], stride_px: int, backend: str = "numpy", threads: int = 1
+    ) -> "SubspaceLikelihood":
+        """Plan for frames of one size; one thread of the processor computes, whatever is asked."""
+        return SubspaceLikelihood(self, PatchGrid.covering(shape, self.patch_px, stride_px))
 
     def energies(
-        self, frame: "SubspaceFrame", noise: float | NDArray[np.float32]
+        self, grey: NDArray[np.float32], stride_px: int, noise: float | NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Return the energy of every level for every patch.
+        """Return the energies of a frame [rows, columns, L]; see `FilterBank.energies`.
 
-        Parameters
-        ----------
-        frame : SubspaceFrame
-        noise : float, or ndarray, float32 [rows, columns]
-            Standard deviation of the noise, > 0, the frame's or each patch's: it only sets the
-            unit, so that the energy is like twice a negative log-likelihood.
-
-        Returns
-        -------
-        ndarray, float32 [rows, columns, L]
-            Lower is likelier.
+        The noise only sets the unit, so that the energy is like twice a negative log-likelihood.
         """
-        flat = frame.projections.reshape(-1, self.basis_vectors)
-        energies = np.empty((len(flat), self.levels), np.float32)
-        power = np.sum(flat**2, axis=1)
-        for level, form in enumerate(self.forms):
-            energies[:, level] = power - np.sum((flat @ form) * flat, axis=1)
-        precision = np.float32(1) / np.square(noise, dtype=np.float32)
-        precision = np.broadcast_to(precision, frame.projections.shape[:2])
-        weighted = energies.reshape(*precision.shape, self.levels) * precision[..., None]
-        return weighted.astype(np.float32, copy=False)
+        return self.plan(grey.shape, stride_px).energies(grey, noise)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class SubspaceFrame:
-    """What a subspace bank sees of a frame.
+class SubspaceLikelihood:
+    """Cost volumes of frames of one size by distances to subspaces; see `Likelihood`.
 
-    Attributes
+    Parameters
     ----------
-    projections : ndarray, float32 [rows, columns, B]
-        Coefficients of every patch in the bank's basis.
+    bank : SubspaceBank
     grid : PatchGrid
         Where the patches lie.
     """
 
-    projections: NDArray[np.float32]
-    grid: PatchGrid
+    def __init__(self, bank: SubspaceBank, grid: PatchGrid) -> None:
+        self.grid = grid
+        self._bank = bank
+
+    def cost(
+        self,
+        grey: NDArray[np.float32],
+        noise: float | NDArray[np.float32],
+        usable: NDArray[np.bool_] | None = None,
+        prior: object = None,
+    ) -> Cost:
+        """Return the cost volume of a frame; see `Likelihood.cost`."""
+        # Without a window, none of a patch's values repeats another.
+        return Cost(relative_cost(self.energies(grey, noise), 1.0, usable))
+
+    def energies(
+        self, grey: NDArray[np.float32], noise: float | NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Return the energies of a frame [rows, columns, L]; see `SubspaceBank.energies`."""
+        return self.energies_of(self.project(grey), noise)
+
+    def energies_of(
+        self, projections: NDArray[np.float32], noise: float | NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Return the energies of what `project` has returned [rows, columns, L]."""
+        flat = projections.reshape(-1, self._bank.basis_vectors)
+        energies = np.empty((len(flat), self._bank.levels), np.float32)
+        power = np.sum(flat**2, axis=1)
+        for level, form in enumerate(self._bank.forms):
+            energies[:, level] = power - np.sum((flat @ form) * flat, axis=1)
+        precision = np.float32(1) / np.square(noise, dtype=np.float32)
+        precision = np.broadcast_to(precision, projections.shape[:2])
+        weighted = energies.reshape(*precision.shape, -1) * precision[..., None]
+        return weighted.astype(np.float32, copy=False)
+
+    def project(self, grey: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the coefficients of every patch in the common basis [rows, columns, B]."""
+        grid, size = self.grid, self._bank.patch_px
+        windows = np.lib.stride_tricks.sliding_window_view(
+            grey[grid.top :, grid.left :], (size, size)
+        )[:: grid.stride_px, :: grid.stride_px]
+        shape = (grid.rows, grid.columns, self._bank.basis_vectors)
+        coefficients = np.empty(shape, np.float32)
+        for of_row, row in zip(coefficients, windows, strict=True):
+            patches = row.reshape(grid.columns, -1)
+            of_row[:] = (patches - patches.mean(axis=1, keepdims=True)) @ self._bank.basis
+        return coefficients
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to let go of."""
 
 
 def learn_subspace_bank(

@@ -145,6 +145,12 @@ class PsfStack:
     def __len__(self) -> int:
         return len(self.psfs)
 
+    @property
+    def has_both_sides(self) -> bool:
+        """Whether there are levels in front of and behind the focal plane."""
+        sizes = self.blur_sizes_px
+        return bool(self.in_pixels and (sizes < 0).any() and (sizes > 0).any())
+
     def depth_at(self, level: NDArray[np.floating]) -> NDArray[np.float32] | None:
         """Depth in metres at fractional levels; None if the stack does not know depths.
 

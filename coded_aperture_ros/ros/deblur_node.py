@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image
 
 from coded_aperture_ros.bank import LearnConfig
+from coded_aperture_ros.core.stamp_order import StampOrder
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, covers_frame
 from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
@@ -23,7 +24,6 @@ from coded_aperture_ros.ros.messages import (
 )
 from coded_aperture_ros.ros.pairing import StampPairs
 from coded_aperture_ros.ros.running import run_nodes
-from coded_aperture_ros.ros.stamp_order import StampOrder
 
 # Frames to keep while depth_node works on them. Those that come meanwhile must not push out the one
 # in work, however fast they come: there would never be a pair. Two seconds at 100 Hz.

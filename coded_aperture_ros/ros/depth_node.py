@@ -11,10 +11,10 @@ from sensor_msgs.msg import CameraInfo, Image, Imu, PointCloud2
 from std_msgs.msg import Header
 
 from coded_aperture_ros.bank import FilterBank, LearnConfig
-from coded_aperture_ros.calibration.noise import with_noise_of
 from coded_aperture_ros.core.blas import slow_blas_warning
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.core.stamp_order import StampOrder
 from coded_aperture_ros.depth import (
     MAP_SIZES,
     DepthConfig,
@@ -26,17 +26,14 @@ from coded_aperture_ros.depth import (
     side_warning,
 )
 from coded_aperture_ros.depth.config import REAL_TIME_STRIDE_PX
+from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.methods.motion import (
-    MotionBank,
     MotionConfig,
-    MotionEstimate,
-    MotionEstimator,
+    MotionModel,
     learn_motion_bank,
 )
 from coded_aperture_ros.methods.two_pixel import (
-    NeighbourModel,
     SimpleConfig,
-    SimpleEstimator,
     neighbour_model_for_camera,
 )
 from coded_aperture_ros.optics import Camera
@@ -55,7 +52,6 @@ from coded_aperture_ros.ros.messages import (
     stamp_ns,
 )
 from coded_aperture_ros.ros.running import run_nodes
-from coded_aperture_ros.ros.stamp_order import StampOrder
 
 # What a camera's rate needs on two processors; a bank from a file brings its own rank.
 _RANK = 64
@@ -129,7 +125,7 @@ class DepthNode(FrameNode[Image]):
         self._gyro = Gyro()
         self._searched = ""
         self._restarting = False
-        self._motions: MotionBank | None = None
+        self._motions: MotionModel | None = None
         self._estimator: DepthEstimator | None = None
         self.listen_to_frames("image_raw", self._on_image)
         self.listen("camera_info", CameraInfo, self._info.receive)
@@ -207,10 +203,10 @@ class DepthNode(FrameNode[Image]):
                     depth_m, estimate.confidence, info.p, self._range.near_m, config.points_far_m
                 )
                 self.send("depth/points", cloud_from_points(points, header))
-        if isinstance(estimate, MotionEstimate) and self.wants("depth/motion"):
-            self.send("depth/motion", image_from_motion(estimate.motion_px, header))
+        if estimate.motion is not None and self.wants("depth/motion"):
+            self.send("depth/motion", image_from_motion(estimate.motion.vectors_px, header))
         obstacle_m = nearest_obstacle_m(depth_m, config.obstacle_share)
-        self.sent(header, estimator.stages.seconds, {"nearest_obstacle_m": obstacle_m})
+        self.sent(header, estimate.seconds, {"nearest_obstacle_m": obstacle_m})
 
     def _estimate(
         self,
@@ -219,12 +215,13 @@ class DepthNode(FrameNode[Image]):
         size: tuple[int, int],
         header: Header,
     ) -> DepthEstimate:
-        if not isinstance(estimator, MotionEstimator):
+        if not self._finds_motion:
             return estimator.estimate(frame, size)
         intrinsics = self._model.camera.intrinsics
         expected = self._gyro.expected(header, self.configs[GyroConfig], intrinsics)
         estimate = estimator.estimate(frame, size, expected)
-        self._searched = estimate.searched
+        if estimate.motion is not None:
+            self._searched = estimate.motion.searched
         return estimate
 
     def _keep_order(self, item: Image, estimator: DepthEstimator) -> None:
@@ -249,7 +246,7 @@ class DepthNode(FrameNode[Image]):
         if made is None:  # cleaned up while this frame was in work
             raise InputError("the node is being cleaned up")
         if (
-            made.bank is not model.bank
+            self._made_for_bank is not model.bank
             or made.camera is not model.camera
             or self._made_for is not self.configs[DepthConfig]
             or self._made_for_motion is not self.configs[MotionConfig]
@@ -260,22 +257,22 @@ class DepthNode(FrameNode[Image]):
         return made
 
     def _new_estimator(self) -> DepthEstimator:
-        # The estimator's own configuration may be another one: with the camera file's noise.
         self._made_for, camera = self.configs[DepthConfig], self._model.camera
         self._made_for_motion = self.configs[MotionConfig]
-        config, bank = with_noise_of(camera, self._made_for), self._model.bank
-        if isinstance(bank, NeighbourModel):
-            return SimpleEstimator(bank, config, camera)
+        self._made_for_bank = bank = self._model.bank
+        model: LikelihoodModel = bank
         if self._finds_motion:
-            return MotionEstimator(self._motion_bank(bank), config, camera, self._made_for_motion)
-        return DepthEstimator(bank, config, camera)
+            model = self._motion_model(bank)
+        return DepthEstimator(model, self._made_for, camera)
 
-    def _motion_bank(self, bank: FilterBank) -> MotionBank:
-        """Return the bank of motions that belongs to a bank; made anew only for another one."""
-        if self._motions is None or self._motions.still is not bank:
+    def _motion_model(self, bank: FilterBank) -> MotionModel:
+        """Return the model of motions that belongs to a bank; learned anew only for another one."""
+        config = self._made_for_motion
+        if self._motions is None or self._motions.bank.defocus is not bank:
             self.get_logger().info("learning the filters of motions")
-            config = self._made_for_motion
-            self._motions = learn_motion_bank(bank, config.motions, config.motion_rank)
+            motions = learn_motion_bank(bank, config.motions, config.motion_rank)
+            self._motions = MotionModel(motions, config)
+        self._motions = dataclasses.replace(self._motions, config=config)
         return self._motions
 
     def _neighbour_model(

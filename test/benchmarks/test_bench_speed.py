@@ -65,7 +65,7 @@ def test_everything_is_measured_in_one_run(small, capsys, tmp_path):
     main = results["main"]
     assert (main["size"], main["map_size"]) == ([80, 96], [80, 96])
     assert list(main["stages"]) == [
-        *("prepare", "still", "spectra", "energies", "temporal", "regularise", "map"),
+        *("prepare", "average", "spectra", "energies", "temporal", "regularise", "map"),
     ]
     for times in (*main["stages"].values(), main["engine"], main["total"]):
         assert times["samples"] == 5
@@ -91,7 +91,7 @@ def test_everything_is_measured_in_one_run(small, capsys, tmp_path):
 def test_tables_name_what_was_measured(small, capsys, monkeypatch):
     monkeypatch.setattr(rivals, "find_spec", lambda name: None)  # PyMaxflow is not everywhere
     results = results_of(capsys, "--temporal", 0, "--full-size")
-    assert not {"still", "temporal"} & set(results["main"]["stages"])
+    assert not {"average", "temporal"} & set(results["main"]["stages"])
     assert results["comparison"]["denoising"] is None
     assert results["comparison"]["graph_cut"] is None
     text = _tables(results)
@@ -127,9 +127,7 @@ def test_all_filters_are_those_of_the_largest_rank():
     full = learn_bank(stack, LearnConfig(window_px=32, rank=4096))
     exact = accuracy.with_all_filters(learn_bank(stack, LearnConfig(window_px=32, rank=1)))
     (frame,) = frames.moving_frames(stack, (96, 96), count=1)
-    expected, found = (
-        bank.energies(bank.project(frame, 16), frames.NOISE) for bank in (full, exact)
-    )
+    expected, found = (bank.energies(frame, 16, frames.NOISE) for bank in (full, exact))
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=0.05)
 
 

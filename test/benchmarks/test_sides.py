@@ -9,13 +9,13 @@ import yaml
 from cli_scene import call
 from coded_aperture_benchmarks import load_textures
 from coded_aperture_benchmarks.sides import SideEstimates, SideFrame, SideScore
+from coded_aperture_ros.depth.both_sides import far_log_odds, given_side, side_confidence
+from coded_aperture_ros.depth.side import SideFinder
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator, has_both_sides, side_warning
-from coded_aperture_ros.depth.both_sides import far_log_odds, given_side, side_confidence
-from coded_aperture_ros.depth.side import SideFinder
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator, side_warning
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.methods.motion import MotionConfig, learn_motion_bank
@@ -101,7 +101,7 @@ def test_levels_mirror_each_other(camera, near_m, far_m):
 
 def test_the_power_alone_does_not_tell_the_side(bank, camera, picture):
     frame = coded(picture[0], camera.mask, -7.0)
-    energies = bank.energies(bank.project(frame, 16), NOISE)
+    energies = bank.energies(frame, 16, NOISE)
     assert energies == pytest.approx(energies[..., ::-1], rel=1e-3)
 
 
@@ -153,7 +153,7 @@ def test_texture_without_phases_tells_nothing(bank, camera):
 
 def test_depth_on_both_sides(bank, camera, picture):
     estimator = DepthEstimator(bank, DepthConfig(), camera)
-    assert has_both_sides(bank) and side_warning(bank) is None
+    assert bank.stack.has_both_sides and side_warning(bank) is None
     for size in (-8.5, -4.5, 4.5, 8.5):
         for texture in picture[:2]:
             estimate = estimator.estimate(coded(texture, camera.mask, size))
@@ -165,7 +165,7 @@ def test_depth_on_both_sides(bank, camera, picture):
             assert np.median(estimate.depth_m[known]) == pytest.approx(depth_m, rel=0.04)
             assert estimate.side_confidence.shape == estimate.confidence.shape
             assert (estimate.confidence <= estimate.side_confidence + 1e-6)[known].all()
-    assert "side" in estimator.stages.seconds
+    assert "side" in estimate.seconds
 
 
 def test_a_scene_across_the_focal_plane(bank, camera, picture):
@@ -195,9 +195,9 @@ def test_one_side_is_as_before(camera, picture):
     bank = learn_bank_for_camera(one, 2.1, FAR_M, 12, LearnConfig(rank=64))
     estimator = DepthEstimator(bank, DepthConfig(), one)
     estimate = estimator.estimate(coded(picture[0], camera.mask, 6.0))
-    assert not has_both_sides(bank)
+    assert not bank.stack.has_both_sides
     assert estimate.side_confidence is None
-    assert "side" not in estimator.stages.seconds
+    assert "side" not in estimate.seconds
 
 
 @pytest.mark.parametrize("mask", ["levin", "disc", "annulus", "four_hole", "two_hole"])

@@ -24,6 +24,7 @@ from std_msgs.msg import Header
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank, load_bank, save_bank
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.stamp_order import StampOrder
 from coded_aperture_ros.optics import Mask, load_camera, load_intrinsics, render_psf_stack
 from coded_aperture_ros.ros.camera_info_store import camera_info_path, intrinsics_of
 from coded_aperture_ros.ros.camera_model import CameraModel
@@ -38,7 +39,6 @@ from coded_aperture_ros.ros.messages import (
 )
 from coded_aperture_ros.ros.pairing import StampPairs
 from coded_aperture_ros.ros.rgbd_source import depth_in_metres
-from coded_aperture_ros.ros.stamp_order import StampOrder
 
 TIMES = float(os.environ.get("FUZZ_TIMES", "0.1"))
 # The cases of a test may take no more memory than the tests before, and this.

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from coded_aperture_ros.depth.rims import trim_foreground
 from scipy import ndimage
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
@@ -9,7 +10,6 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.levels import refine_level
 from coded_aperture_ros.depth.regularize import regularized_level
-from coded_aperture_ros.depth.rims import trim_foreground
 from coded_aperture_ros.depth.upsample import nearest_patches, upsample
 from coded_aperture_ros.imaging import PatchGrid, estimate_noise
 from coded_aperture_ros.imaging.frame import grey_image

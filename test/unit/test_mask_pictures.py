@@ -83,8 +83,7 @@ def test_energies_are_those_of_the_filter_bank(patches, name):
 
     every = WINDOW_PX * (WINDOW_PX // 2 + 1)
     bank = learn_bank(stack, LearnConfig(WINDOW_PX, every, highest_frequency=0.35))
-    frame = bank.project(windows.reshape(-1, WINDOW_PX), WINDOW_PX)
-    of_bank = bank.energies(frame, noise)[:, 0]
+    of_bank = bank.energies(windows.reshape(-1, WINDOW_PX), WINDOW_PX, noise)[:, 0].copy()
 
     spectra = WindowSpectra(WINDOW_PX)
     power = np.abs(spectra.of_windows(windows)) ** 2

@@ -10,10 +10,10 @@ from scipy.signal import fftconvolve
 from coded_aperture_ros.bank import LearnConfig, learn_bank, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.likelihood import NumpyEngine
+from coded_aperture_ros.likelihood import NumpyEngine, Plan
 from coded_aperture_ros.methods.motion import (
     MotionConfig,
-    MotionEstimator,
+    MotionModel,
     Motions,
     blurred_psf,
     expected_motion,
@@ -132,14 +132,14 @@ def testexpected_powers_are_those_of_the_basis(bank):
 def test_defocus_and_motion_are_identified_together(bank, level, motion):
     vector = bank.motions.vectors_px[motion]
     frame = moving_plane(level, tuple(vector), seed=motion)
-    found = MotionEstimator(bank, CONFIG, motion=MOTION).estimate(frame)
+    found = DepthEstimator(MotionModel(bank, MOTION), CONFIG).estimate(frame)
     assert np.abs(found.level - level).mean() < 0.3
-    apart = np.hypot(*np.moveaxis(found.motion_px - vector, -1, 0))
+    apart = np.hypot(*np.moveaxis(found.motion.vectors_px - vector, -1, 0))
     assert (apart < 0.3).mean() > 0.9
-    assert found.motion_px.shape == (*frame.shape, 2)
-    assert found.motion_confidence[apart < 0.3].mean() > 0.5
-    assert 0 <= found.motion_confidence.min() <= found.motion_confidence.max() <= 1 + 1e-6
-    assert found.searched == "nothing expected"
+    assert found.motion.vectors_px.shape == (*frame.shape, 2)
+    assert found.motion.confidence[apart < 0.3].mean() > 0.5
+    assert 0 <= found.motion.confidence.min() <= found.motion.confidence.max() <= 1 + 1e-6
+    assert found.motion.searched == "nothing expected"
 
 
 def test_depth_of_what_moves_in_front_of_a_scene():
@@ -151,11 +151,11 @@ def test_depth_of_what_moves_in_front_of_a_scene():
     together = learn_motion_bank(still, MotionConfig().motions, MotionConfig().motion_rank)
     config = DepthConfig(confidence_threshold=0.0, saturation=2.0)
     alone = scenes.depth_error(DepthEstimator(still, config, camera).estimate(scene.coded), scene)
-    found = MotionEstimator(together, config, camera).estimate(scene.coded)
+    found = DepthEstimator(MotionModel(together), config, camera).estimate(scene.coded)
     error = scenes.depth_error(found, scene)
     assert error["mean_object"] < 0.5 * alone["mean_object"]
     assert error["mean_scene"] < 1.1 * alone["mean_scene"]
-    apart = scenes.motion_error_px(found.motion_px, scene)
+    apart = scenes.motion_error_px(found.motion.vectors_px, scene)
     assert apart["motion_object"] < 3  # of 8.5 px
     assert apart["motion_scene"] < 0.5
 
@@ -167,7 +167,7 @@ def test_a_full_basis_is_exact(bank):
     assert exact.basis_vectors == np.count_nonzero(still.fourier.multiplicity)
     low = learn_motion_bank(still, few, 300).product
     frame = moving_plane(2, (4.0, 0.0))
-    energies = [each.energies(each.project(frame, 16), 0.003) for each in (exact, low)]
+    energies = [each.energies(frame, 16, 0.003) for each in (exact, low)]
     assert energies[0] == pytest.approx(energies[1], abs=0.02 * float(np.ptp(energies[0])))
 
 
@@ -219,20 +219,20 @@ def test_without_a_usable_gyroscope_all_motions_are_tried(bank, rate, exposure, 
     expected = expected_motion(rate, exposure, INTRINSICS, late)
     vector = bank.motions.vectors_px[6]
     frame = moving_plane(2, tuple(vector))
-    found = MotionEstimator(bank, CONFIG, motion=MOTION).estimate(frame, expected=expected)
-    assert reason in found.searched
-    assert np.median(found.motion_px, axis=(0, 1)) == pytest.approx(vector, abs=1e-3)
+    found = DepthEstimator(MotionModel(bank, MOTION), CONFIG).estimate(frame, prior=expected)
+    assert reason in found.motion.searched
+    assert np.median(found.motion.vectors_px, axis=(0, 1)) == pytest.approx(vector, abs=1e-3)
 
 
 def test_expected_motions_are_enough_and_tell_the_way_round(bank):
     frame = moving_plane(3, (6.0, 0.0))
     # 200 px of focal length, 6 px to the left.
     turning = expected_motion((0.0, 0.6, 0.0), 0.05, INTRINSICS)
-    estimator = MotionEstimator(bank, CONFIG, motion=MOTION)
+    estimator = DepthEstimator(MotionModel(bank, MOTION), CONFIG)
     found = estimator.estimate(frame, expected=turning)
-    assert found.searched == ""
+    assert found.motion.searched == ""
     assert np.abs(found.level - 3).mean() < 0.3
-    assert np.median(found.motion_px, axis=(0, 1)) == pytest.approx((-6, 0), abs=1e-3)
+    assert np.median(found.motion.vectors_px, axis=(0, 1)) == pytest.approx((-6, 0), abs=1e-3)
     # What is wrongly expected leaves no way to the truth.
     wrong = expected_motion((0.6, 0.0, 0.0), 0.05, INTRINSICS)
     amiss = estimator.estimate(frame, expected=wrong)
@@ -244,18 +244,18 @@ def test_expected_motions_are_enough_and_tell_the_way_round(bank):
 def test_unusable_patches_have_no_motion(bank):
     frame = moving_plane(2, (6.0, 0.0))
     frame[:, :80] = 1.0
-    found = MotionEstimator(bank, CONFIG, motion=MOTION).estimate(frame)
-    assert np.isnan(found.motion_px[:, :50]).all()
-    assert (found.motion_confidence[:, :50] == 0).all()
-    assert np.isfinite(found.motion_px[:, 120:]).all()
+    found = DepthEstimator(MotionModel(bank, MOTION), CONFIG).estimate(frame)
+    assert np.isnan(found.motion.vectors_px[:, :50]).all()
+    assert (found.motion.confidence[:, :50] == 0).all()
+    assert np.isfinite(found.motion.vectors_px[:, 120:]).all()
 
 
 def test_maps_of_another_size(bank):
     frame = moving_plane(2, (6.0, 0.0))
-    found = MotionEstimator(bank, CONFIG, motion=MOTION).estimate(frame, (64, 80))
-    assert found.level.shape == found.motion_confidence.shape == (64, 80)
+    found = DepthEstimator(MotionModel(bank, MOTION), CONFIG).estimate(frame, (64, 80))
+    assert found.level.shape == found.motion.confidence.shape == (64, 80)
     # In pixels of the frame all the same.
-    assert np.median(found.motion_px[..., 0]) == pytest.approx(6, abs=0.2)
+    assert np.median(found.motion.vectors_px[..., 0]) == pytest.approx(6, abs=0.2)
 
 
 def test_threads_and_subsets_change_nothing(bank):
@@ -264,7 +264,7 @@ def test_threads_and_subsets_change_nothing(bank):
     engine.project(frame)
     every = engine.of_all(0.002).copy()
     product = bank.product
-    plain = product.energies(product.project(frame, 16), 0.002)
+    plain = product.energies(frame, 16, 0.002)
     plain = np.moveaxis(plain, -1, 0).reshape(every.shape)
     assert every == pytest.approx(plain, abs=1e-3 * float(np.ptp(plain)))
     assert np.moveaxis(engine.energies(0.002), -1, 0) == pytest.approx(every.min(axis=0))
@@ -314,7 +314,7 @@ def test_products_of_another_engine_do_for_defocus_alone(bank):
     frame = moving_plane(1, (0.0, 0.0))
     moving = MotionEngine(bank, frame.shape, 16)
     moving.project(frame)
-    alone = NumpyEngine(bank.still, frame.shape, 16)
+    alone = NumpyEngine(Plan.of(bank.defocus, frame.shape, 16))
     alone.project(frame)
     energies = np.moveaxis(alone.energies(0.002), -1, 0)
     assert moving.of_still(0.002) == pytest.approx(energies, abs=1e-4 * float(np.ptp(energies)))
@@ -350,5 +350,7 @@ def test_a_motion_between_those_that_are_told_apart_is_searched_for(bank):
     config = dataclasses.replace(MOTION, refinement_px=0.1)
     true = np.array([6.9, 1.9])
     assert bank.motions.distances_px(true).min() > 2
-    found = MotionEstimator(bank, CONFIG, motion=config).estimate(moving_plane(3, tuple(true), 2))
-    assert np.median(np.hypot(*np.moveaxis(found.motion_px - true, -1, 0))) < 0.3
+    found = DepthEstimator(MotionModel(bank, config), CONFIG).estimate(
+        moving_plane(3, tuple(true), 2)
+    )
+    assert np.median(np.hypot(*np.moveaxis(found.motion.vectors_px - true, -1, 0))) < 0.3

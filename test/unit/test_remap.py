@@ -50,7 +50,7 @@ def bank():
 
 
 def found_depth_m(bank, image):
-    energies = bank.energies(bank.project(image, 6), 0.0011).mean(axis=(0, 1))
+    energies = bank.energies(image, 6, 0.0011).mean(axis=(0, 1))
     return float(bank.stack.depth_at(np.array([float(energies.argmin())]))[0])
 
 

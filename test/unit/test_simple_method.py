@@ -10,11 +10,10 @@ from coded_aperture_benchmarks.stair import blur_stack
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth import DepthConfig
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.io.textures import load_textures
 from coded_aperture_ros.methods.two_pixel import (
     SimpleConfig,
-    SimpleEstimator,
     conditional_levels,
     find_holes,
     neighbour_lines,
@@ -22,7 +21,7 @@ from coded_aperture_ros.methods.two_pixel import (
     neighbour_model_for_camera,
 )
 from coded_aperture_ros.methods.two_pixel.derivatives import channel_kernel, passed_power
-from coded_aperture_ros.methods.two_pixel.engine import SimpleEngine
+from coded_aperture_ros.methods.two_pixel.likelihood import TwoPixelLikelihood
 from coded_aperture_ros.optics import Mask, load_camera, render_psf, render_psf_stack
 
 BARE = DepthConfig(regularize="none", rim=0.0, confidence_threshold=0.0, saturation=2.0)
@@ -114,7 +113,7 @@ def test_measured_covariances_are_the_mean_products_of_the_window():
     mask = Mask.named("three_hole")
     model = neighbour_model(render_psf_stack(mask, [8.0, 12.0]), mask, SimpleConfig(window_px=32))
     grey = np.random.default_rng(0).random((80, 96), dtype=np.float32)
-    engine = SimpleEngine(model, grey.shape, 16)
+    engine = TwoPixelLikelihood(model, grey.shape, 16)
     engine.project(grey)
     half = 16
     # What the widest kernel sees only in part does not count.
@@ -143,7 +142,7 @@ def test_two_threads_and_another_window_grid_give_the_same_energies():
     mask = Mask.named("four_hole")
     model = neighbour_model(blur_stack(mask, 6), mask, SimpleConfig(window_px=48))
     grey = texture(128, 176)
-    one, fine = SimpleEngine(model, grey.shape, 16), SimpleEngine(model, grey.shape, 4)
+    one, fine = TwoPixelLikelihood(model, grey.shape, 16), TwoPixelLikelihood(model, grey.shape, 4)
     for engine in (one, fine):
         engine.project(grey)
     # The windows of both lie at the same pixels, 16 and 4 apart.
@@ -154,7 +153,7 @@ def test_two_threads_and_another_window_grid_give_the_same_energies():
 
 def planes_error(mask, planes, levels, window_px):
     model = neighbour_model(blur_stack(mask, levels), mask, SimpleConfig(window_px=window_px))
-    estimator = SimpleEstimator(model, BARE)
+    estimator = DepthEstimator(model, BARE)
     inner = (slice(30, -30), slice(30, -30))
     estimates = [estimator.estimate(coded).level[inner] for coded in planes.coded]
     return float(np.mean([np.abs(level - i).mean() for i, level in enumerate(estimates)]))
@@ -180,7 +179,7 @@ def test_fractional_disparities_are_told_apart():
     # A level is a fifth of a pixel of disparity.
     sizes = np.linspace(14, 16.6, 11)
     model = neighbour_model(render_psf_stack(mask, sizes), mask, SimpleConfig(window_px=64))
-    estimator = SimpleEstimator(model, BARE)
+    estimator = DepthEstimator(model, BARE)
     sharp = load_textures("random").crops(1, 140, 140, np.random.default_rng(0))[0]
     for level in (2, 5, 8):
         coded = fftconvolve(sharp, render_psf(mask, sizes[level], 19), mode="valid")
@@ -205,7 +204,7 @@ def test_the_data_term_of_the_thesis_finds_white_texture_behind_two_holes():
 def test_metric_depth_of_a_wall_and_the_same_confidence(tmp_path):
     camera = load_camera(camera_file(tmp_path, mask={"name": "two_hole"}))
     model = neighbour_model_for_camera(camera, 1.6, 3.0, 12)
-    estimator = SimpleEstimator(model, DepthConfig(), camera)
+    estimator = DepthEstimator(model, DepthConfig(), camera)
     psf = render_psf(camera.mask, float(camera.blur_size_px(2.0)))
     coded = fftconvolve(texture(160, 200), psf, mode="valid").astype(np.float32)
     coded += 0.001 * np.random.default_rng(0).standard_normal(coded.shape, dtype=np.float32)

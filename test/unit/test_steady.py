@@ -108,7 +108,7 @@ def test_backend_that_is_not_there_is_refused(backend):
 
 @pytest.mark.parametrize("backend", ["torch", "cuda"])
 def test_missing_pytorch_is_found_before_the_first_frame(backend, monkeypatch):
-    monkeypatch.setattr("coded_aperture_ros.likelihood.engine.find_spec", lambda _: None)
+    monkeypatch.setattr("coded_aperture_ros.likelihood.backends.find_spec", lambda _: None)
     with pytest.raises(InputError, match=f"{backend} needs PyTorch"):
         DepthConfig(backend=backend)
 

@@ -8,6 +8,7 @@ from textures import blurred_texture
 from coded_aperture_ros.bank import LearnConfig, learn_bank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.methods.subspace import learn_subspace_bank
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
@@ -26,7 +27,7 @@ def exact(stack):
 
 
 def found(bank, image, noise=1e-3):
-    return bank.energies(bank.project(image, 5), noise).argmin(axis=-1)
+    return bank.energies(image, 5, noise).argmin(axis=-1)
 
 
 def test_energy_is_the_distance_to_the_subspace_of_the_level(stack):
@@ -35,25 +36,25 @@ def test_energy_is_the_distance_to_the_subspace_of_the_level(stack):
     bank = learn_subspace_bank(stack, PATCH, RANK, basis=None, images=[sharp])
     image = random.random((40, 46)).astype(np.float32)
     noise = 0.01
-    frame = bank.project(image, 7)
-    energies = bank.energies(frame, noise)
+    grid = PatchGrid.covering(image.shape, PATCH, 7)
+    energies = bank.energies(image, 7, noise)
     assert energies.shape == (4, 5, 5)
     blurred = fftconvolve(sharp, stack.psfs[2], "valid")
     windows = np.lib.stride_tricks.sliding_window_view(blurred, (PATCH, PATCH))
     patches = windows[::3, ::3].reshape(-1, PATCH**2)
     left, _, _ = np.linalg.svd((patches - patches.mean(axis=1, keepdims=True)).T)
     outside = left[:, RANK:]
-    row, column = frame.grid.row_centres[1], frame.grid.column_centres[3]
+    row, column = grid.row_centres[1], grid.column_centres[3]
     patch = image[row - 7 : row + 8, column - 7 : column + 8].ravel().astype(float)
     distance = np.sum((outside.T @ (patch - patch.mean())) ** 2)
     assert energies[1, 3, 2] * noise**2 == pytest.approx(distance, rel=1e-3)
 
 
 def test_noise_of_each_patch_sets_the_unit(exact):
-    frame = exact.project(np.random.default_rng(1).random((30, 33)).astype(np.float32), 7)
-    noise = np.full(frame.projections.shape[:2], 0.01, np.float32)
+    frame = np.random.default_rng(1).random((30, 33)).astype(np.float32)
+    noise = np.full(exact.energies(frame, 7, 0.01).shape[:2], 0.01, np.float32)
     noise[1, 2] = 0.02
-    same, each = exact.energies(frame, 0.01), exact.energies(frame, noise)
+    same, each = exact.energies(frame, 7, 0.01), exact.energies(frame, 7, noise)
     assert each[1, 2] == pytest.approx(same[1, 2] / 4, rel=1e-5)
     assert each[0] == pytest.approx(same[0], rel=1e-5)
 

@@ -11,7 +11,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video
 from coded_aperture_ros.depth.temporal import TemporalFilter
 from coded_aperture_ros.imaging import PatchGrid
-from coded_aperture_ros.imaging.static_average import StillAverage, frames_of_patches, joined
+from coded_aperture_ros.imaging.static_average import StaticAverage, frames_of_patches, joined
 from coded_aperture_ros.optics import Camera, Mask
 from coded_aperture_ros.simulation import render_coded_frame
 
@@ -70,7 +70,7 @@ def frames_of_pixels(frames):
 @pytest.mark.parametrize("most", [4, 12])
 def test_noise_of_a_still_scene_falls_with_the_root_of_the_frames(most, told):
     """Also where its noise was estimated too high; by chance some places start anew."""
-    scene, average = fine_texture(), StillAverage(most)
+    scene, average = fine_texture(), StaticAverage(most)
     for n, frame in enumerate(noisy(scene, 2 * most), 1):
         mean, frames = average.add(frame, told * NOISE)
         n = min(n, most)
@@ -90,7 +90,7 @@ def test_noise_of_a_still_scene_falls_with_the_root_of_the_frames(most, told):
 @pytest.mark.parametrize("step_px", [1, 2, 3])
 def test_what_moves_is_not_smeared(step_px):
     scene, patch = fine_texture(), fine_texture((64, 64), seed=5)
-    average = StillAverage(16)
+    average = StaticAverage(16)
     for i, frame in enumerate(noisy(scene, 10)):
         left = 60 + step_px * i
         random = np.random.default_rng(i)
@@ -106,7 +106,7 @@ def test_what_moves_is_not_smeared(step_px):
 
 
 def test_average_forgets_when_told():
-    average, first, second = StillAverage(8), fine_texture(), fine_texture((96, 128), seed=1)
+    average, first, second = StaticAverage(8), fine_texture(), fine_texture((96, 128), seed=1)
     for frame in noisy(first, 3):
         average.add(frame, NOISE)
     average.reset()
@@ -129,7 +129,7 @@ def test_means_of_past_and_future_join_without_counting_a_frame_twice():
 def test_joined_means_of_a_still_scene_have_less_noise_than_each():
     scene = fine_texture()
     video = noisy(scene, 8)
-    forward, backward = StillAverage(100), StillAverage(100)
+    forward, backward = StaticAverage(100), StaticAverage(100)
     for frame in video[:4]:
         until = forward.add(frame, NOISE)
     for frame in video[:2:-1]:
@@ -363,12 +363,12 @@ def test_refused_frame_leaves_the_memory_as_it_is(bank, weak_scene, frame, size)
 def test_stages_are_timed_in_order(bank, weak_scene, frames):
     estimator = DepthEstimator(bank, with_memory(frames))
     for frame in weak_scene[0][:2]:
-        estimator.estimate(frame)
-        stages = ["prepare", "still", "spectra", "energies", "temporal", "regularise", "map"]
+        estimate = estimator.estimate(frame)
+        stages = ["prepare", "average", "spectra", "energies", "temporal", "regularise", "map"]
         if not frames:
-            stages = [stage for stage in stages if stage not in ("still", "temporal")]
-        assert list(estimator.stages.seconds) == stages
-        assert all(0 <= seconds < 60 for seconds in estimator.stages.seconds.values())
+            stages = [stage for stage in stages if stage not in ("average", "temporal")]
+        assert list(estimate.seconds) == stages
+        assert all(0 <= seconds < 60 for seconds in estimate.seconds.values())
 
 
 @pytest.fixture(scope="module")

@@ -171,7 +171,6 @@ def _by_bank(
 ) -> Identified:
     from coded_aperture_ros.depth import DepthConfig, DepthEstimator
     from coded_aperture_ros.imaging.noise import NOISE_FLOOR
-    from coded_aperture_ros.methods.two_pixel import NeighbourModel, SimpleEstimator
 
     # Every pixel is scored, so none is left out for lack of confidence. Nothing is clipped.
     config = DepthConfig(confidence_threshold=0.0, saturation=2.0, **options)
@@ -180,8 +179,7 @@ def _by_bank(
     if setting.noise is not None:
         # To the estimator, 0 means that it is not known.
         config = dataclasses.replace(config, noise=max(setting.noise, NOISE_FLOOR))
-    simple = isinstance(bank, NeighbourModel)
-    estimator = SimpleEstimator(bank, config) if simple else DepthEstimator(bank, config)
+    estimator = DepthEstimator(bank, config)
 
     def run() -> Any:
         estimate = estimator.estimate(coded)

@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.bank import learn_bank_for_camera
     from coded_aperture_ros.deblur import DeblurConfig
     from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-    from coded_aperture_ros.methods.motion import MotionConfig, MotionEstimator, learn_motion_bank
+    from coded_aperture_ros.methods.motion import MotionConfig, MotionModel, learn_motion_bank
 
     if args.scenes > len(frames.SCENES):
         args.usage_error(f"--scenes: there are {len(frames.SCENES)}, got {args.scenes}")
@@ -85,18 +85,19 @@ def run(args: argparse.Namespace) -> int:
     motion_bank = learn_motion_bank(bank, settings.motions, settings.motion_rank)
     config = DepthConfig(confidence_threshold=0.0, saturation=2.0, stride_px=8)
     alone = DepthEstimator(bank, config, camera)
-    together = MotionEstimator(motion_bank, config, camera, settings)
+    together = DepthEstimator(MotionModel(motion_bank, settings), config, camera)
     rows = []
     for number in progress(range(args.scenes), args.scenes, "scene"):
         (scene,) = frames.make_moving_scenes(mask, args.sigma, args.seed, [number])
         first, second = alone.estimate(scene.coded), together.estimate(scene.coded)
+        assert second.motion is not None  # that is what the method finds
         row: dict[str, Any] = {
             "scene": scene.name,
             "motion_px": list(frames.SCENES[number][2]),
             "defocus": frames.depth_error(first, scene),
             "motion": {
                 **frames.depth_error(second, scene),
-                **frames.motion_error_px(second.motion_px, scene),
+                **frames.motion_error_px(second.motion.vectors_px, scene),
             },
         }
         if args.deblur != "none":

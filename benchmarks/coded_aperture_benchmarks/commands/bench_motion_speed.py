@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.io.textures import load_textures
     from coded_aperture_ros.methods.motion import (
         MotionConfig,
-        MotionEstimator,
+        MotionModel,
         expected_motion,
         learn_motion_bank,
     )
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     motion_bank = learn_motion_bank(bank, settings.motions, settings.motion_rank)
     config = DepthConfig(stride_px=args.stride)
     alone = DepthEstimator(bank, config, camera)
-    together = MotionEstimator(motion_bank, config, camera, settings)
+    together = DepthEstimator(MotionModel(motion_bank, settings), config, camera)
     expected = expected_motion(_RATE, _EXPOSURE_S, camera.intrinsics)
     random = np.random.default_rng(0)
     picture = load_textures("natural").crops(1, 300, 300, random)[0]
@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     ways = {
         "defocus alone": lambda: alone.estimate(frame),
         f"{len(motion_bank.motions) - 1} motions": lambda: together.estimate(frame),
-        "expected motions": lambda: together.estimate(frame, expected=expected),
+        "expected motions": lambda: together.estimate(frame, prior=expected),
     }
     times: dict[str, list[float]] = {name: [] for name in ways}
     for _ in progress(range(args.repeats + 1), args.repeats + 1, "frame"):

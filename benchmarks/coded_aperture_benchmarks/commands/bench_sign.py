@@ -145,7 +145,7 @@ def measure_cell(cell: Cell) -> Measured:
     estimates, seconds = [], []
     for frame in frames:
         estimates.append(estimators.estimate(frame))
-        seconds.append(estimators.both.stages.seconds["side"])
+        seconds.append(estimates[-1].both.seconds["side"])
     threshold = estimators.threshold
     score = SideScore.of(estimates, estimators.step_px, threshold)
     row = {

@@ -112,14 +112,14 @@ def _times(args: argparse.Namespace, mask: Any, window_px: int, regularize: str)
     from coded_aperture_benchmarks.speed.frames import moving_frames
     from coded_aperture_benchmarks.speed.setting import published_size
     from coded_aperture_benchmarks.stair import blur_stack
-    from coded_aperture_ros.depth import DepthConfig
-    from coded_aperture_ros.methods.two_pixel import SimpleConfig, SimpleEstimator, neighbour_model
+    from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+    from coded_aperture_ros.methods.two_pixel import SimpleConfig, neighbour_model
     from coded_aperture_ros.metrics.times import Times
 
     stack = blur_stack(mask, args.levels)
     model = neighbour_model(stack, mask, SimpleConfig(window_px=window_px))
     config = DepthConfig(stride_px=args.stride, threads=args.threads, regularize=regularize)
-    estimator = SimpleEstimator(model, config)
+    estimator = DepthEstimator(model, config)
     frames = moving_frames(stack, args.size)
     size = published_size(args.size, args.full_size)
     estimator.estimate(frames[0], size)  # plans
@@ -127,9 +127,9 @@ def _times(args: argparse.Namespace, mask: Any, window_px: int, regularize: str)
     stages: dict[str, list[float]] = {}
     for number in range(args.frames):
         start = time.perf_counter()
-        estimator.estimate(frames[number % len(frames)], size)
+        estimate = estimator.estimate(frames[number % len(frames)], size)
         seconds.append(time.perf_counter() - start)
-        for stage, taken in estimator.stages.seconds.items():
+        for stage, taken in estimate.seconds.items():
             stages.setdefault(stage, []).append(taken)
     estimator.close()
     times = Times.of(seconds)

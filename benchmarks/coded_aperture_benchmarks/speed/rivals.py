@@ -8,12 +8,13 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from coded_aperture_benchmarks.speed.frames import NOISE, moving_frames
 from coded_aperture_benchmarks.speed.machine import opencv_threads, seconds_in_threads
 from coded_aperture_benchmarks.speed.setting import Setting
 from coded_aperture_ros.imaging import PatchGrid
-from coded_aperture_ros.methods.subspace import SubspaceBank, SubspaceFrame
+from coded_aperture_ros.methods.subspace import SubspaceBank, SubspaceLikelihood
 from coded_aperture_ros.metrics.times import Times
 from coded_aperture_ros.optics import PsfStack
 
@@ -62,10 +63,10 @@ class ThesisFilters:
 
     def measure_places(self) -> None:
         """Find the energies of some places from a common basis as large as the thesis'."""
-        bank, frame = _some_subspaces(self._stack)
+        likelihood, projections = _some_subspaces(self._stack)
 
         def energies(thread: int) -> None:
-            bank.energies(frame, NOISE)
+            likelihood.energies_of(projections, NOISE)
 
         self._place_s += seconds_in_threads(energies, self._setting.threads, _TRIES)
 
@@ -161,8 +162,8 @@ def graph_cut_results(times: Mapping[str, Times]) -> dict[str, Any] | None:
     }
 
 
-def _some_subspaces(stack: PsfStack) -> tuple[SubspaceBank, SubspaceFrame]:
-    """Return a bank of the thesis' size and projections: what the numbers are takes no time."""
+def _some_subspaces(stack: PsfStack) -> tuple[SubspaceLikelihood, NDArray[np.float32]]:
+    """Return filters of the thesis' size and projections: what the numbers are takes no time."""
     random = np.random.default_rng(0)
     size = (_BASIS, _BASIS)
     form = random.standard_normal(size).astype(np.float32)
@@ -179,4 +180,4 @@ def _some_subspaces(stack: PsfStack) -> tuple[SubspaceBank, SubspaceFrame]:
     )
     shape = tuple(side + _PATCH_PX for side in _PLACES)
     projections = random.standard_normal((*_PLACES, _BASIS)).astype(np.float32)
-    return bank, SubspaceFrame(projections, PatchGrid.covering(shape, _PATCH_PX, 1))
+    return bank.plan(shape, 1), projections

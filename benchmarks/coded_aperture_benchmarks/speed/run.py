@@ -27,7 +27,6 @@ from coded_aperture_benchmarks.speed.work import (
 from coded_aperture_benchmarks.stair import blur_stack
 from coded_aperture_ros.bank import FilterBank, learn_bank
 from coded_aperture_ros.core.threads import processors
-from coded_aperture_ros.likelihood import plan_engine
 from coded_aperture_ros.metrics.times import fitted_slope
 from coded_aperture_ros.optics import Mask
 
@@ -179,11 +178,11 @@ class SpeedBenchmark:
         """Return whether a GPU computes, about which the rates of the processor say nothing."""
         setting = self.setting
         side = setting.window_px
-        engine = plan_engine(
-            self._banks[setting.levels], (side, side), setting.stride_px, setting.backend
+        likelihood = self._banks[setting.levels].plan(
+            (side, side), setting.stride_px, setting.backend
         )
-        engine.close()
-        return engine.name == "cuda"
+        likelihood.close()
+        return likelihood.backend == "cuda"
 
     def _size_results(self) -> dict[str, Any]:
         sizes = self.extent.sizes

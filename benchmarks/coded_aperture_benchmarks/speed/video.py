@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -70,8 +70,9 @@ class VideoRun:
             if not self.totals:
                 self._warm_up()
             for _ in range(count):
-                self.totals.append(self._estimate())
-                for stage, seconds in self._estimator.stages.seconds.items():
+                total, stages = self._estimate()
+                self.totals.append(total)
+                for stage, seconds in stages.items():
                     self.stages.setdefault(stage, []).append(seconds)
         before, planned = self._planned
         now = memory_mib("VmRSS")
@@ -90,12 +91,12 @@ class VideoRun:
         self._estimator.close()
         self._frames = []
 
-    def _estimate(self) -> float:
+    def _estimate(self) -> tuple[float, Mapping[str, float]]:
         frame = self._frames[self._next]
         self._next = (self._next + 1) % len(self._frames)
         start = time.perf_counter()
-        self._estimator.estimate(frame, self.map_size)
-        return time.perf_counter() - start
+        estimate = self._estimator.estimate(frame, self.map_size)
+        return time.perf_counter() - start, estimate.seconds
 
     def _warm_up(self) -> None:
         forget_peak()

@@ -19,7 +19,7 @@ from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.likelihood import Plan
 
 ENGINE_STAGES = ("spectra", "energies")
-TEMPORAL_STAGES = ("still", "temporal")
+TEMPORAL_STAGES = ("average", "temporal")
 # The stages whose work grows with the levels.
 LEVEL_STAGES = ("energies", "temporal", "regularise")
 
@@ -55,7 +55,7 @@ class FrameWork:
         maps = 4 * floats * size[0] * size[1]  # level, blur size, depth, confidence
         stages = {
             "prepare": frame,
-            "still": 3 * frame,  # with the mean, before and after
+            "average": 3 * frame,  # with the mean, before and after
             "spectra": frame + 2 * horizontal + functions,
             "energies": frame + functions + evidence,  # with the noise of the frame
             "temporal": 4 * evidence,  # with that of the past, before and after
@@ -67,7 +67,7 @@ class FrameWork:
         return cls(
             pixels=shape[0] * shape[1],
             flop_spectra=plan.flop_per_frame,
-            flop_hypotheses=plan.flop_of_hypotheses(len(bank.prior.contrasts), len(bank.ratios)),
+            flop_hypotheses=plan.flop_of_hypotheses,
             stage_bytes={name: float(count) for name, count in stages.items()},
         )
 

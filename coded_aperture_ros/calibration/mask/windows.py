@@ -20,8 +20,7 @@ def window_powers(image: NDArray[np.float32], fourier: WindowedFourierBasis) -> 
     InputError
         If the picture is smaller than a window.
     """
-    every = np.eye(fourier.size, dtype=np.float32)
-    power, _ = fourier.project(channel_mean(image), fourier.window_px // 4, every)
+    power, _ = fourier.power(channel_mean(image), fourier.window_px // 4)
     return power.reshape(-1, fourier.size)
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import LearnConfig, LearnedPattern, learn_bank
 from coded_aperture_ros.calibration.planes.pictures import Planes
-from coded_aperture_ros.depth.levels import refine_level
-from coded_aperture_ros.imaging import channel_mean
+from coded_aperture_ros.depth.posterior import refine_level
+from coded_aperture_ros.imaging import PatchGrid, channel_mean
 from coded_aperture_ros.imaging.noise import estimate_noise, high_power
 from coded_aperture_ros.optics import render_psf_stack
 
@@ -92,8 +92,9 @@ def measured_planes(
     measured = []
     for image in planes.images:
         grey = channel_mean(image)
-        frame = bank.project(grey, config.window_px // 4)
-        energies = bank.energies(frame, estimate_noise(high_power(grey, frame.grid)))
+        stride_px = config.window_px // 4
+        grid = PatchGrid.covering(grey.shape, config.window_px, stride_px)
+        energies = bank.energies(grey, stride_px, estimate_noise(high_power(grey, grid)))
         whole = energies.mean(axis=(0, 1), keepdims=True)
 
         def sizes_of(energies: NDArray[np.float32]) -> NDArray[np.float64]:

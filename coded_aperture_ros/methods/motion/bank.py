@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from coded_aperture_ros.bank import EmpiricalPrior, FilterBank, WindowedFourierBasis, power_spectrum
 from coded_aperture_ros.bank.factoring import common_basis, fitted_coefficients
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth import has_both_sides
 from coded_aperture_ros.methods.motion.kernels import Motions, blurred_psf, motion_kernel
 from coded_aperture_ros.optics import PsfStack
 
@@ -32,7 +31,7 @@ class MotionBank:
 
     Attributes
     ----------
-    still : FilterBank
+    defocus : FilterBank
         Of defocus alone.
     motions : Motions
     product : FilterBank
@@ -42,7 +41,7 @@ class MotionBank:
         of `product` without a common basis are made of it.
     """
 
-    still: FilterBank
+    defocus: FilterBank
     motions: Motions
     product: FilterBank
     expected: NDArray[np.float32]
@@ -50,13 +49,13 @@ class MotionBank:
     @property
     def exact(self) -> bool:
         """Whether the common basis is that of all frequencies."""
-        counts = np.count_nonzero(self.still.fourier.multiplicity)
+        counts = np.count_nonzero(self.defocus.fourier.multiplicity)
         return self.product.basis_vectors >= int(counts)
 
     @property
     def levels(self) -> int:
         """Number L of blur levels."""
-        return self.still.levels
+        return self.defocus.levels
 
 
 def learn_motion_bank(
@@ -84,7 +83,7 @@ def learn_motion_bank(
         If the longest motion and the largest PSF together do not fit the bank's window, or the
         bank has levels on both sides of the focal plane.
     """
-    if has_both_sides(bank):
+    if bank.stack.has_both_sides:
         raise InputError(
             "motion: the bank has levels on both sides of the focal plane, which are not told "
             "apart where things move: learn a bank for one side"

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank.model import LEAST_EXCESS, OWN_NOISE
-from coded_aperture_ros.likelihood import NumpyEngine
+from coded_aperture_ros.likelihood import NumpyEngine, Plan, take_logarithm
+from coded_aperture_ros.likelihood.scoring import OWN_NOISE
 from coded_aperture_ros.methods.motion.bank import MotionBank
 from coded_aperture_ros.methods.motion.exact import ExactEnergies
 from coded_aperture_ros.methods.motion.refine import most_likely_motion
@@ -55,7 +55,7 @@ class MotionEngine(NumpyEngine):
         threads: int = 1,
         finalists: int = 0,
     ) -> None:
-        super().__init__(bank.product, shape, stride_px, threads)
+        super().__init__(Plan.of(bank.product, shape, stride_px), threads)
         self._motion_bank = bank
         self._motions, self._levels = len(bank.motions), bank.levels
         ratios = len(bank.product.ratios)
@@ -68,7 +68,7 @@ class MotionEngine(NumpyEngine):
         patches = self.grid.rows * self.grid.columns
         self._of_all = np.empty((self._motions, self._levels, patches), np.float32)
         # The bank of defocus alone has contrasts in smaller steps: it says what no motion explains.
-        self._alone = NumpyEngine(bank.still, shape, stride_px, threads)
+        self._alone = NumpyEngine(Plan.of(bank.defocus, shape, stride_px), threads)
         self._still = np.hypot(*bank.motions.vectors_px.T) == 0
         self._finalists = finalists
         self._exact: ExactEnergies | None = None
@@ -76,7 +76,7 @@ class MotionEngine(NumpyEngine):
             self._exact = ExactEnergies(bank, self._plan, self._workers)
         # Of the transforms, and 1.
         self._products = np.ones((patches, self._plan.features.shape[1] + 1), np.float32)
-        tried = len(bank.product.prior.contrasts) * self._by_motion.shape[2]
+        tried = len(self._plan.contrasts) * self._by_motion.shape[2]
         self._excess = [np.empty(tried * _PATCHES, np.float32) for _ in range(threads)]
 
     @property
@@ -155,19 +155,15 @@ class MotionEngine(NumpyEngine):
         self, noise: float | NDArray[np.float32], energies: NDArray[np.float32], tasks: list[_Task]
     ) -> None:
         """Find the energies of some patches under some motions; see `FilterBank`."""
-        measured, tried = self._measured(noise), self._tried(noise)
+        measured, tried = self._measured(noise), self._plan.tried(noise)
 
         def compete(task: _Task, thread: int) -> None:
             motions, patches = task
             seen = measured[:, patches]
-            textureless = np.maximum(seen[-1], LEAST_EXCESS)
             found = np.empty((len(motions), self._levels, len(patches)), np.float32)
             for motion, out in zip(motions, found, strict=True):
                 self._excess_of(motion, tried, seen[:-1], thread).min(axis=0, out=out)
-            np.clip(found, LEAST_EXCESS, textureless, out=found)
-            np.log(found, out=found)
-            found *= np.float32(self._plan.count)
-            energies[..., patches] = found
+            energies[..., patches] = take_logarithm(found, seen[-1], self._plan.count)
 
         self._workers.each(compete, tasks)
 
@@ -175,7 +171,7 @@ class MotionEngine(NumpyEngine):
         self, exact: ExactEnergies, noise: float | NDArray[np.float32], tasks: list[_Task]
     ) -> None:
         """Find which texture suits each patch under some motions, and go on with it."""
-        measured, tried = self._measured(noise), self._tried(noise)
+        measured, tried = self._measured(noise), self._plan.tried(noise)
         texture = np.empty(self._precision.size, np.intp)
 
         def find(task: _Task, thread: int) -> None:
@@ -205,7 +201,7 @@ class MotionEngine(NumpyEngine):
         Of the frame, and with the noise, that `of_all` took last.
         """
         spectra = self._spectra()[patches.ravel()]
-        tried = self._tried(noise)
+        tried = self._plan.tried(noise)
         return most_likely_motion(
             self._motion_bank, self._plan, spectra, tried, start_px, tolerance_px
         )
@@ -219,9 +215,6 @@ class MotionEngine(NumpyEngine):
         excess = self._excess[thread][: len(hypotheses) * count].reshape(len(hypotheses), count)
         np.matmul(hypotheses, seen, out=excess)
         return excess.reshape(-1, self._levels, count)
-
-    def _tried(self, noise: float | NDArray[np.float32]) -> slice:
-        return self._bank.plausible_ratios(float(np.median(noise)))
 
     def _measured(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
         """Return what all patches are known by, in units of the noise, and what noise explains.

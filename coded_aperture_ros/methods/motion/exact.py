@@ -9,9 +9,10 @@ under other textures.
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank.model import LEAST_EXCESS, OWN_NOISE
 from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.likelihood import take_logarithm
 from coded_aperture_ros.likelihood.plan import Plan
+from coded_aperture_ros.likelihood.scoring import OWN_NOISE
 from coded_aperture_ros.methods.motion.bank import MotionBank
 
 # The last few of each patch are compared under so many contrasts, around the one that suits it.
@@ -152,10 +153,7 @@ class ExactEnergies:
         for block, out in zip(blocks, excess, strict=True):
             np.matmul(block, seen.T, out=out)
         least = excess[0] if len(blocks) == 1 else excess.min(axis=0)
-        np.clip(least, LEAST_EXCESS, self._textureless[patches], out=least)
-        np.log(least, out=least)
-        least *= np.float32(self._plan.count)
-        return least
+        return take_logarithm(least, self._textureless[patches], self._plan.count)
 
     def _make_weights(self) -> None:
         needed = range(self._tried.start, self._tried.stop)

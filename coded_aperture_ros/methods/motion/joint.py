@@ -33,7 +33,7 @@ class Separated:
         The motions that were tried.
     probability : ndarray, float32 [k, rows, columns]
         Of each of them, by the patch alone.
-    level_evidence : ndarray, float32 [rows, columns, L]
+    level_cost : ndarray, float32 [rows, columns, L]
         Against every blur level, motions weighed by how likely they are beside the neighbours'.
     vectors_px : ndarray of float64 [M, 2]
         What the motions exactly are, where they occur.
@@ -42,7 +42,7 @@ class Separated:
     motion: NDArray[np.intp]
     candidates: NDArray[np.intp]
     probability: NDArray[np.float32]
-    level_evidence: NDArray[np.float32]
+    level_cost: NDArray[np.float32]
     vectors_px: NDArray[np.float64]
 
 

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import FilterBank
-from coded_aperture_ros.bank.model import LEAST_EXCESS, OWN_NOISE
 from coded_aperture_ros.likelihood.plan import Plan
+from coded_aperture_ros.likelihood.scoring import LEAST_EXCESS, OWN_NOISE
 from coded_aperture_ros.methods.motion.bank import MotionBank, expected_powers
 from coded_aperture_ros.methods.motion.kernels import Motions
 
@@ -49,7 +49,7 @@ def most_likely_motion(
     def energy(motion: NDArray[np.float64]) -> float:
         if np.hypot(*motion) > bank.motions.longest_px + 1e-6:
             return np.inf
-        return _energy(bank.still, plan, some, ratios, motion)
+        return _energy(bank.defocus, plan, some, ratios, motion)
 
     along = start_px / np.hypot(*start_px)
     across = np.array([-along[1], along[0]])
@@ -67,16 +67,16 @@ def most_likely_motion(
 
 
 def _energy(
-    still: FilterBank,
+    defocus: FilterBank,
     plan: Plan,
     spectra: NDArray[np.float32],
     ratios: NDArray[np.float64],
     motion: NDArray[np.float64],
 ) -> float:
     """Return the energy of all patches, each at its likeliest level and texture."""
-    multiplicity = still.fourier.multiplicity
-    expected = expected_powers(still, Motions(motion[None])).reshape(-1, still.fourier.size)
-    expected += np.float32(still.prior.model_error**2)
+    multiplicity = defocus.fourier.multiplicity
+    expected = expected_powers(defocus, Motions(motion[None])).reshape(-1, defocus.fourier.size)
+    expected += np.float32(defocus.prior.model_error**2)
     least = np.full(len(spectra), np.inf, np.float32)
     for ratio in ratios:
         variance = np.float32(ratio) * expected + 1

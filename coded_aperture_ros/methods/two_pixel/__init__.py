@@ -2,21 +2,17 @@
 
 from coded_aperture_ros.methods.two_pixel.conditional import conditional_levels
 from coded_aperture_ros.methods.two_pixel.config import SimpleConfig
-from coded_aperture_ros.methods.two_pixel.estimator import SimpleEstimator
 from coded_aperture_ros.methods.two_pixel.holes import Holes, find_holes
+from coded_aperture_ros.methods.two_pixel.likelihood import NeighbourModel, TwoPixelLikelihood
 from coded_aperture_ros.methods.two_pixel.lines import NeighbourLine, neighbour_lines
-from coded_aperture_ros.methods.two_pixel.model import (
-    NeighbourModel,
-    neighbour_model,
-    neighbour_model_for_camera,
-)
+from coded_aperture_ros.methods.two_pixel.model import neighbour_model, neighbour_model_for_camera
 
 __all__ = [
     "Holes",
     "NeighbourLine",
     "NeighbourModel",
     "SimpleConfig",
-    "SimpleEstimator",
+    "TwoPixelLikelihood",
     "conditional_levels",
     "find_holes",
     "neighbour_lines",

@@ -1,24 +1,21 @@
 """The Gaussian model of a pixel and its neighbours, for every blur level."""
 
-import dataclasses
-
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import DEFAULT_STRIDE_PX, NaturalImagePrior, power_spectrum
+from coded_aperture_ros.bank import NaturalImagePrior, power_spectrum
 from coded_aperture_ros.bank.learning import RATIOS, check_levels, psf_stack_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.methods.two_pixel.config import SimpleConfig
 from coded_aperture_ros.methods.two_pixel.derivatives import channel_kernel, passed_power
-from coded_aperture_ros.methods.two_pixel.holes import Holes, find_holes
+from coded_aperture_ros.methods.two_pixel.holes import find_holes
+from coded_aperture_ros.methods.two_pixel.likelihood import BLOCK_PX, NeighbourModel
 from coded_aperture_ros.methods.two_pixel.lines import NeighbourLine, neighbour_lines
 from coded_aperture_ros.optics import Camera, Mask, PsfStack
 
 # White texture, as thesis eq. 5.4 has it, and photographs' fall-offs of power with frequency.
 _SLOPES = (0.0, 1.6, 2.4, 3.2)
-# Statistics are sums over blocks of pixels of this side, or of its common divisor with the stride.
-BLOCK_PX = 8
 _SMALLEST_PERIOD = 256
 # What the model leaves unexplained, shading and slants and the covariance of lines with each other,
 # acts like this share of the texture's contrast (standard deviation) in white noise. Planes of
@@ -31,102 +28,6 @@ _JITTER = 1e-6
 # 96 px: 0.93 levels without and 0.82 with it for two_hole, 0.69 and 0.63 for four_hole; 4 times is
 # no better.
 _SMOOTHING = 2
-# The pixels of a window repeat each other, and so do the lines through them: by how much the
-# likelihood overstates the evidence. Chosen so that confidence is right on planes.
-_EVIDENCE_REPETITION = 4.0
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class NeighbourModel:
-    """What depth estimation needs to know of a simple mask; stands in for a `FilterBank`.
-
-    A pixel ``p`` of a high-pass channel and its neighbours on a line are a Gaussian vector ``v`` of
-    n numbers (thesis eq. 5.9 to 5.11). Its covariance at level ``d`` is ``a S_d + s^2 N``: ``S_d``
-    is the autocovariance of unit-contrast texture seen through the channel and the level's PSF, at
-    the lags between the pixels, and ``N`` that of white noise seen through the channel. The vector
-    holds the neighbours ``N_p`` (eq. 5.18) of all levels, so that the levels explain the same
-    numbers. Twice the negative logarithm of its likelihood is, averaged over a window, ::
-
-        E_d = min over a, slope of  sum  [ tr( (a S_d + s^2 N)^-1 C ) + log det(a S_d + s^2 N) ]
-
-    summed over channels and lines, where ``C`` is the *measured* covariance: linear in what the
-    window shows at the lags. By the chain rule this is eq. 5.14 with the conditional mean and
-    variance of eq. 5.15 and 5.16, one pixel of the line after the other. As in `FilterBank`, only
-    ``a / s^2`` enters the weights, and the best noise of a hypothesis is found in closed form.
-
-    Attributes
-    ----------
-    stack : PsfStack
-        The L levels.
-    holes : Holes
-    lines : tuple of NeighbourLine
-    window_px : int
-        Side of the window of the statistics.
-    derivatives : int
-        Number P of channels.
-    lags : ndarray, intp [F, 2]
-        The lags of all lines, one after the other; measured for every channel.
-    kernels : tuple of tuples of ndarray, float32 [k, k]
-        That of every channel, for every line: smoothed across the line.
-    contrasts : int
-        How many of the ratios are tried for one noise.
-    ratios : ndarray, float64 [S]
-        Grid of ``a / s^2``, in half decades.
-    weights : ndarray, float32 [S, slopes, L, P * F]
-        What multiplies the measured covariances over ``s^2``, for the mean of ``v^T V^-1 v``.
-    log_determinants : ndarray, float32 [S, slopes, L]
-        Of ``a / s^2 S_d N^-1 + 1``, per number of the vectors.
-    noise_weights : ndarray, float32 [P * F]
-        As `weights`, without texture.
-    mask_digest : str
-        Digest of the mask's pattern.
-    learned_from : str
-        What the model is of, for a person to read.
-    noise : float
-        0: the noise of a frame is estimated, unless it is given.
-    stride_px : int
-        Distance between the windows, unless another is asked for.
-    """
-
-    stack: PsfStack
-    holes: Holes
-    lines: tuple[NeighbourLine, ...]
-    window_px: int
-    derivatives: int
-    lags: NDArray[np.intp]
-    kernels: tuple[tuple[NDArray[np.float32], ...], ...]
-    contrasts: int
-    ratios: NDArray[np.float64]
-    weights: NDArray[np.float32]
-    log_determinants: NDArray[np.float32]
-    noise_weights: NDArray[np.float32]
-    mask_digest: str
-    learned_from: str
-    noise: float = 0.0
-    stride_px: int = DEFAULT_STRIDE_PX
-    pattern: None = None
-
-    @property
-    def blur_sizes_px(self) -> NDArray[np.float64]:
-        """Signed blur size of every level [L], px."""
-        return self.stack.blur_sizes_px
-
-    @property
-    def levels(self) -> int:
-        """Number L of levels."""
-        return len(self.stack.blur_sizes_px)
-
-    @property
-    def evidence_repetition(self) -> float:
-        """How many numbers of a window tell one thing; see `FilterBank.evidence_repetition`."""
-        return _EVIDENCE_REPETITION
-
-    def plausible_ratios(self, noise: float) -> slice:
-        """Return which ratios belong to textures' contrasts under a noise of this deviation."""
-        wanted = min(NaturalImagePrior().contrasts) / noise**2
-        first = int(np.argmin(np.abs(np.log(self.ratios / wanted))))
-        first = min(first, len(self.ratios) - self.contrasts)
-        return slice(first, first + self.contrasts)
 
 
 def neighbour_model_for_camera(
@@ -230,7 +131,7 @@ def neighbour_model(
         derivatives=config.derivatives,
         lags=lags,
         kernels=kernels,
-        contrasts=len(NaturalImagePrior().contrasts),
+        contrasts=tuple(NaturalImagePrior().contrasts),
         ratios=RATIOS,
         weights=weights.reshape(*shape, -1).astype(np.float32),
         log_determinants=determinants.astype(np.float32),

@@ -1,17 +1,58 @@
 """Foreground fattening at occluding edges, as of windows in stereo, and how it is undone."""
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from coded_aperture_ros.likelihood import LikelihoodModel
 
 # Surfaces whose blur sizes differ by more than this, within a window, are not one slant.
 DEPTH_EDGE_PX = 2.3
 
 
-def trim_foreground(
+# A map of levels and its scale, map pixels per frame pixel, to the corrected map.
+EdgeCorrection = Callable[[NDArray[np.float32], float], NDArray[np.float32]]
+
+
+def edge_correction(model: LikelihoodModel, strength: float) -> EdgeCorrection:
+    """Return what takes the foreground fattening of a model's windows back.
+
+    Parameters
+    ----------
+    model : LikelihoodModel
+    strength : float
+        Width that is taken off foregrounds, as a share of a Hann window; 0 takes none.
+
+    Returns
+    -------
+    callable
+        Where the model has levels in front of the focal plane it changes nothing: there the nearer
+        surface is the more blurred one, and which of two a window takes is another matter.
+    """
+    sizes = model.stack.blur_sizes_px
+    if (sizes < 0).any() or not model.stack.in_pixels:
+        return lambda level, scale: level
+    steps = np.diff(sizes)
+    behind = np.float32(np.sign(steps[0]))
+    share = min(model.fattening * strength, 1.0)
+    jump_levels = DEPTH_EDGE_PX / float(np.abs(steps).mean())
+
+    def correct(level: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
+        window_px = model.window_px * scale
+        speck_px = 2 * round(window_px / 4) - 1  # odd: centred on its pixel
+        return behind * slimmed_foreground(
+            behind * level, round(share * window_px), speck_px, jump_levels
+        )
+
+    return correct
+
+
+def slimmed_foreground(
     level: NDArray[np.float32], reach_px: int, speck_px: int, jump_levels: float
 ) -> NDArray[np.float32]:
-    """Take the rims off foregrounds that windows have made too wide.
+    """Undo foreground fattening: make foregrounds slimmer that windows have made too wide.
 
     A window that sees a sharper and a more blurred surface takes the level of the sharper, whose
     high frequencies the other's level forbids, even where it covers little of the window. So
@@ -33,8 +74,8 @@ def trim_foreground(
     Returns
     -------
     ndarray, float32 [rows, columns]
-        A foreground narrower than its two rims is left as wide as it was found: an obstacle must
-        not vanish.
+        A foreground narrower than what would be taken off is left as wide as it was found: an
+        obstacle must not vanish.
     """
     if reach_px < 1:
         return level

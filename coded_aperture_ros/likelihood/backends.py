@@ -1,4 +1,4 @@
-"""The narrow interface between depth estimation and what computes the energies, and the choice."""
+"""What computes the energies of a plan: NumPy, or PyTorch on the processor or a GPU."""
 
 from importlib.util import find_spec
 from typing import Protocol
@@ -6,27 +6,20 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.likelihood.numpy_engine import NumpyEngine
-from coded_aperture_ros.likelihood.plain import PlainEngine
-from coded_aperture_ros.methods.subspace import SubspaceBank
+from coded_aperture_ros.likelihood.plan import Plan
 
 BACKENDS = ("numpy", "torch", "cuda", "auto")
 
 
 class Engine(Protocol):
-    """Computes the energies of `FilterBank` for frames of one size, planned beforehand.
+    """Computes the energies of a plan.
 
     All maps are those of the frame that `project` took last; they are overwritten by the next.
     """
 
     name: str
-
-    @property
-    def grid(self) -> PatchGrid:
-        """Where the patches lie."""
 
     def project(self, grey: NDArray[np.float32]) -> None:
         """Take a frame [rows, columns] of the planned size, linear light, without NaN."""
@@ -41,23 +34,12 @@ class Engine(Protocol):
         """Let go of threads and device memory."""
 
 
-def plan_engine(
-    bank: FilterBank | SubspaceBank,
-    shape: tuple[int, ...],
-    stride_px: int,
-    backend: str = "numpy",
-    threads: int = 1,
-) -> Engine:
-    """Plan the work on frames of one size.
+def new_engine(plan: Plan, backend: str = "numpy", threads: int = 1) -> Engine:
+    """Return what computes the energies of a plan.
 
     Parameters
     ----------
-    bank : FilterBank
-        Or a `SubspaceBank`, which computes its energies by itself.
-    shape : (int, int)
-        Rows and columns of the frames.
-    stride_px : int
-        Distance between patches, px.
+    plan : Plan
     backend : str
         One of `BACKENDS`: `numpy`; `torch`, on the processor; `cuda`, which is torch on a GPU;
         `auto` takes the GPU where there is one, and NumPy elsewhere.
@@ -67,18 +49,15 @@ def plan_engine(
     Raises
     ------
     InputError
-        If the frame is smaller than a patch, the backend is not there, or there are fewer
-        processors than threads.
+        If the backend is not there, or there are fewer processors than threads.
     """
     check_backend(backend)
-    if not isinstance(bank, FilterBank):
-        return PlainEngine(bank, shape, stride_px)
     device = torch_device(backend)
     if device is None:
-        return NumpyEngine(bank, shape, stride_px, threads)
+        return NumpyEngine(plan, threads)
     from coded_aperture_ros.likelihood.torch_engine import TorchEngine
 
-    return TorchEngine(bank, shape, stride_px, threads, device)
+    return TorchEngine(plan, threads, device)
 
 
 def torch_device(backend: str) -> str | None:

@@ -1,0 +1,274 @@
+"""Depth from coded frames: cost -> temporal -> regularise -> level -> confidence -> map."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.stages import Stages
+from coded_aperture_ros.depth.config import DepthConfig
+from coded_aperture_ros.depth.edges import edge_correction
+from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
+from coded_aperture_ros.depth.levels import Levels
+from coded_aperture_ros.depth.observation import Observation, observe
+from coded_aperture_ros.depth.posterior import (
+    confidence_of,
+    is_uninformative,
+    is_unsure,
+    level_probability,
+)
+from coded_aperture_ros.depth.regularize import Regularizer, regularizer
+from coded_aperture_ros.depth.sides import FocalSides
+from coded_aperture_ros.depth.temporal import TemporalFilter
+from coded_aperture_ros.depth.unknown import UNKNOWN_RULES
+from coded_aperture_ros.depth.upsample import MapGrid
+from coded_aperture_ros.imaging import (
+    KnownNoise,
+    StaticAverage,
+    frames_of_patches,
+    grey_image,
+)
+from coded_aperture_ros.likelihood import Cost, Likelihood, LikelihoodModel, MotionField
+from coded_aperture_ros.methods.motion import ExpectedMotion
+from coded_aperture_ros.optics import Camera
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Planned:
+    """What was made for frames of one size."""
+
+    shape: tuple[int, ...]
+    likelihood: Likelihood
+    sides: FocalSides | None
+
+
+class DepthEstimator:
+    """Turns coded frames into depth; the whole method is `estimate`.
+
+    The work is planned for the size of the first frame, and anew when the size changes. With
+    `DepthConfig.temporal_frames` the frames are those of a video, in order; `reset` starts another.
+
+    Parameters
+    ----------
+    model : LikelihoodModel
+        A filter bank, or what another method knows about the mask.
+    config : DepthConfig, optional
+    camera : Camera, optional
+        Turns blur sizes into metres, unless the model was learned from PSFs or planes of measured
+        depths, which say it themselves. Its noise stands in for that of the configuration.
+    regularize : Regularizer, optional
+        In place of the one that the configuration names.
+
+    Raises
+    ------
+    InputError
+        If the model is not for the camera.
+    """
+
+    def __init__(
+        self,
+        model: LikelihoodModel,
+        config: DepthConfig | None = None,
+        camera: Camera | None = None,
+        *,
+        regularize: Regularizer | None = None,
+    ) -> None:
+        self.config = config = config or DepthConfig()
+        self.model, self.camera = model, camera
+        self.known_noise = KnownNoise.of(config, camera, model)
+        self._levels = Levels.of(model, camera)
+        self._regularize = regularize or regularizer(config.regularize, config.smoothness)
+        self._neighbours_decide = regularize is not None or config.regularize != "none"
+        self._correct_edges = edge_correction(model, config.rim)
+        self._at_unknown = UNKNOWN_RULES[config.unknown]
+        frames = config.temporal_frames
+        self._average = StaticAverage(2 * frames) if frames else None
+        self._temporal = TemporalFilter(frames) if frames else None
+        self._planned: _Planned | None = None
+
+    def reset(self) -> None:
+        """Forget the frames so far: the next one begins another video."""
+        for memory in (self._average, self._temporal):
+            if memory is not None:
+                memory.reset()
+
+    def close(self) -> None:
+        """End the threads that the work was shared among."""
+        if self._planned is not None:
+            self._planned.likelihood.close()
+            self._planned = None
+
+    def estimate(
+        self,
+        frame: NDArray[np.float32],
+        size: tuple[int, int] | None = None,
+        prior: ExpectedMotion | None = None,
+    ) -> DepthEstimate:
+        """Estimate the depth of every pixel of a frame.
+
+        Parameters
+        ----------
+        frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
+            Linear light in [0, 1]; NaN and saturated pixels are left out.
+        size : (int, int), optional
+            Rows and columns of the maps, which cover the whole frame; the frame's by default.
+        prior : ExpectedMotion, optional
+            Of the picture during the exposure, for methods that find motion.
+
+        Returns
+        -------
+        DepthEstimate
+
+        Raises
+        ------
+        InputError
+            If the frame has a wrong shape or type, or is smaller than the model's window, or `size`
+            is not that of a map.
+        """
+        check_map_size(size)
+        stages = Stages()
+        seen = self.observe(frame)
+        stages.lap("prepare")
+        grey, frames = seen.grey, None
+        if self._average is not None:
+            grey, frames = self._average.add(seen.grey, seen.noise.sigma)
+            stages.lap("average")
+        own = self.cost(seen, grey, frames, prior)
+        stages.take(own.seconds)
+        volume = own.volume
+        if self._temporal is not None:
+            volume = self._temporal.add(volume, grey, seen.grid, seen.noise.sigma)
+            stages.lap("temporal")
+        return self.decide(seen, volume, own, size, stages)
+
+    def observe(self, frame: NDArray[np.float32]) -> Observation:
+        """Look at a frame by itself; the first step of `estimate`.
+
+        Raises
+        ------
+        InputError
+            If it has a wrong shape or type, or is smaller than the model's window.
+        """
+        grey, unusable = grey_image(frame, self.config.saturation)
+        channels = 1 if frame.ndim == 2 else frame.shape[2]
+        grid = self._plan_for(grey.shape).likelihood.grid
+        return observe(grey, unusable, grid, self.known_noise, channels)
+
+    def cost(
+        self,
+        seen: Observation,
+        grey: NDArray[np.float32],
+        frames: NDArray[np.float32] | None = None,
+        prior: ExpectedMotion | None = None,
+    ) -> Cost:
+        """Return the cost of every level for every patch.
+
+        Parameters
+        ----------
+        seen : Observation
+        grey : ndarray, float32 [height, width]
+            The frame, or a mean of frames.
+        frames : ndarray, float32 [squares down, squares across], optional
+            How many frames it is the mean of; see `StaticAverage`.
+        prior : ExpectedMotion, optional
+        """
+        planned = self._plan_for(grey.shape)
+        noise: Any = seen.noise.deviation
+        if frames is not None:
+            noise = noise / np.sqrt(frames_of_patches(frames, seen.grid))
+        cost = planned.likelihood.cost(grey, noise, seen.usable, prior)
+        if planned.sides is None:
+            return cost
+        stages = Stages()
+        volume = planned.sides.weigh(cost.volume, seen, grey)
+        stages.lap("side")
+        return dataclasses.replace(cost, volume=volume, seconds={**cost.seconds, **stages.seconds})
+
+    def decide(
+        self,
+        seen: Observation,
+        volume: NDArray[np.float32],
+        own: Cost,
+        size: tuple[int, int] | None = None,
+        stages: Stages | None = None,
+    ) -> DepthEstimate:
+        """Choose the levels of all patches and draw the maps; the last step of `estimate`.
+
+        By the cost of all frames; `own`, of this frame, says where between two levels.
+        """
+        stages = stages or Stages()
+        levels, shape, config = self._levels, seen.grey.shape, self.config
+        size = size or (shape[0], shape[1])
+        of_patches = self._regularize(volume, own.volume, seen.brightness, seen.grid.stride_px)
+        stages.lap("regularise")
+        at = MapGrid.worthwhile(seen.grid, shape, size)
+        level = self._correct_edges(at.interpolated(of_patches), at.scale)
+        probability = level_probability(volume)
+        confidence, of_side = self._confidence(level, of_patches, volume, probability, at)
+        nothing_known = ~seen.usable | self._left_open(probability)
+        if nothing_known.any():
+            confidence[at.nearest(nothing_known)] = 0
+        unsure = is_unsure(confidence, config.confidence_threshold)
+        level, unknown = self._at_unknown(level, unsure, probability, levels, at)
+        blur_size_px, depth_m = levels.meaning(level)
+        estimate = DepthEstimate(
+            level, blur_size_px, depth_m, confidence, seen.channel_noise, of_side
+        )
+        if unknown is not None:
+            estimate = estimate.without(unknown)
+        estimate = estimate.enlarged(size)
+        if own.motion is not None:
+            estimate = dataclasses.replace(
+                estimate, motion=_drawn(own.motion, MapGrid.of(seen.grid, shape, size))
+            )
+        stages.lap("map")
+        return dataclasses.replace(estimate, seconds=stages.seconds)
+
+    def _confidence(
+        self,
+        level: NDArray[np.float32],
+        of_patches: NDArray[np.float32],
+        volume: NDArray[np.float32],
+        probability: NDArray[np.float32],
+        at: MapGrid,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """Return how likely each pixel's level is right, and how likely its side is."""
+        agreement = self._levels.agreement
+        sides = self._plan_for(at.frame_shape).sides
+        if sides is None:
+            return confidence_of(level, probability, at.patches, agreement), None
+        of_side = at.nearest(sides.confidence(of_patches, volume, at.grid))
+        confidence = confidence_of(level, sides.given(probability), at.patches, agreement)
+        # Where both sides' depths are about the same, either is right.
+        confidence *= np.where(sides.agree(level), 1, of_side)
+        return confidence, of_side
+
+    def _left_open(self, probability: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Return which patches nothing is known of; others have the level of their neighbours."""
+        alone = is_uninformative(probability)
+        if self._neighbours_decide and not alone.all():
+            return np.zeros_like(alone)
+        return alone
+
+    def _plan_for(self, shape: tuple[int, ...]) -> _Planned:
+        """Return the plan for frames of a size; another size starts another video."""
+        if self._planned is None or shape != self._planned.shape:
+            config, model = self.config, self.model
+            stride_px = config.stride_px or model.stride_px
+            likelihood = model.plan(shape, stride_px, config.backend, config.threads)
+            # Only now: a frame that does not suit leaves the old plan as it is.
+            self.close()
+            self.reset()
+            sides = None
+            if model.stack.has_both_sides:
+                sides = FocalSides(model.stack, self._levels, shape, self._regularize)
+            self._planned = _Planned(shape, likelihood, sides)
+        return self._planned
+
+
+def _drawn(motion: MotionField, at: MapGrid) -> MotionField:
+    """Return the motion of the nearest patch at every pixel."""
+    return MotionField(
+        at.nearest(motion.vectors_px), at.nearest(motion.confidence), motion.searched
+    )

@@ -1,0 +1,74 @@
+"""What is seen of one frame before its depth is estimated."""
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.imaging import (
+    GreyNoise,
+    KnownNoise,
+    PatchGrid,
+    brightness_at,
+    grey_noise,
+    usable_windows,
+)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Observation:
+    """One frame, patch by patch.
+
+    Attributes
+    ----------
+    grey : ndarray, float32 [height, width]
+        Mean of the channels, without NaN.
+    grid : PatchGrid
+        Where the patches lie, rows by columns.
+    brightness : ndarray, float32 [rows, columns]
+    usable : ndarray, bool [rows, columns]
+        Patches with next to no saturated and missing pixels.
+    noise : GreyNoise
+        Of `grey`.
+    channels : int
+        Of the frame.
+    """
+
+    grey: NDArray[np.float32]
+    grid: PatchGrid
+    brightness: NDArray[np.float32]
+    usable: NDArray[np.bool_]
+    noise: GreyNoise
+    channels: int
+
+    @property
+    def channel_noise(self) -> float:
+        """Standard deviation of one channel's noise, without shot noise."""
+        return self.noise.sigma * float(np.sqrt(self.channels))
+
+
+def observe(
+    grey: NDArray[np.float32],
+    unusable: NDArray[np.bool_] | None,
+    grid: PatchGrid,
+    known: KnownNoise,
+    channels: int,
+) -> Observation:
+    """Look at a frame by itself.
+
+    Parameters
+    ----------
+    grey : ndarray, float32 [height, width]
+        See `grey_image`.
+    unusable : ndarray, bool [height, width], or None
+    grid : PatchGrid
+    known : KnownNoise
+        Of one channel.
+    channels : int
+    """
+    brightness = brightness_at(grey, grid)
+    usable = np.full(brightness.shape, True)
+    if unusable is not None:
+        usable = usable_windows(unusable, grid)
+    noise = grey_noise(grey, grid, known, channels, brightness, usable)
+    return Observation(grey, grid, brightness, usable, noise, channels)

@@ -1,0 +1,206 @@
+"""Levels on both sides of the focal plane: the cost of the two, and how sure the side is."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.depth.levels import Levels
+from coded_aperture_ros.depth.observation import Observation
+from coded_aperture_ros.depth.posterior import is_uninformative, level_probability
+from coded_aperture_ros.depth.regularize import Regularizer
+from coded_aperture_ros.depth.side_finder import MOST_LOG_ODDS, SideFinder
+from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.likelihood import LikelihoodModel
+from coded_aperture_ros.optics import PsfStack
+
+# Neighbours within a window's side whose levels differ by at most so many are one surface.
+_ONE_SURFACE = 3.0
+# A patch's odds of the sides count with this share beside what its spectrum says: windows
+# overlap, and a texture that looks like one of the other side does so in many of them. From
+# simulated scenes; with it, the confidence of the side is about how often it is right.
+_SHARE = 0.15
+# A mask with less asymmetry, as `Mask.asymmetry` has it, does not tell the sides.
+_LEAST_ASYMMETRY = 0.05
+
+
+def side_warning(model: LikelihoodModel) -> str | None:
+    """Return one line if a model has levels on both sides that its mask does not tell apart."""
+    stack = model.stack
+    if not stack.has_both_sides:
+        return None
+    psf = stack.psfs[np.abs(stack.blur_sizes_px).argmax()]
+    if np.abs(psf - psf[::-1, ::-1]).sum() / 2 >= _LEAST_ASYMMETRY:
+        return None
+    return (
+        "side: the mask is nearly the same after half a turn, so the blur does not tell the two "
+        "sides of the focal plane apart: use an asymmetric mask such as three_wide or zhou, or "
+        "focus before or beyond the scene"
+    )
+
+
+class FocalSides:
+    """Tells the levels of the two sides of the focal plane apart, for frames of one size.
+
+    Parameters
+    ----------
+    stack : PsfStack
+        With levels of both sides.
+    levels : Levels
+        Of the same.
+    shape : (int, int)
+        Rows and columns of the frames.
+    regularize : Regularizer
+        Chooses the blur sizes that frames are deconvolved with.
+    """
+
+    def __init__(
+        self, stack: PsfStack, levels: Levels, shape: tuple[int, ...], regularize: Regularizer
+    ) -> None:
+        self._finder = SideFinder(stack, shape)
+        self._sizes_px = stack.blur_sizes_px
+        self._regularize = regularize
+        self._ambiguous = _ambiguous_levels(levels)
+
+    def weigh(
+        self, volume: NDArray[np.float32], seen: Observation, grey: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Return the cost of every level by spectrum and phase, from that by the spectrum alone.
+
+        Spectra tell the size of the blur. With the PSF of that size, and with the same turned by
+        180 degrees, the frame is deconvolved, and the levels of the less likely side cost more: by
+        the mean of the patch and its neighbours with about the same blur.
+
+        Parameters
+        ----------
+        volume : ndarray, float32 [rows, columns, L]
+            See `Cost`; the same for both sides.
+        seen : Observation
+        grey : ndarray, float32 [height, width]
+            The frame, or a mean of frames.
+        """
+        sizes, grid = self._sizes_px, seen.grid
+        longer = np.sign(sizes[np.abs(sizes).argmax()])
+        one_side = np.flatnonzero(sizes * longer >= 0)
+        of_sizes = volume[..., one_side]
+        levels = self._regularize(of_sizes, of_sizes, seen.brightness, grid.stride_px)
+        chosen = np.rint(levels).astype(np.intp)
+        far = self._finder.log_odds(grey, grid, one_side[chosen], seen.noise.typical)
+        far[is_uninformative(level_probability(volume))] = 0
+        levels = chosen.astype(np.float32)
+        far = _around(far, levels, grid) / _around(np.ones_like(far), levels, grid)
+        far *= np.float32(_SHARE)
+        # -log p of each level's side.
+        both = volume + np.logaddexp(0, -np.sign(sizes).astype(np.float32) * far[..., None])
+        both -= both.min(axis=-1, keepdims=True)
+        return np.asarray(both, np.float32)
+
+    def given(self, probability: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the probability of every level if its side is the right one; see `given_side`."""
+        return given_side(probability, self._sizes_px)
+
+    def confidence(
+        self, level: NDArray[np.float32], volume: NDArray[np.float32], grid: PatchGrid
+    ) -> NDArray[np.float32]:
+        """Return how likely each patch is on the side of its level; see `side_confidence`."""
+        log_odds = far_log_odds(volume, self._sizes_px)
+        return side_confidence(level, log_odds, grid, self._sizes_px)
+
+    def agree(self, level: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Return where the level of the other side with the same blur is as good."""
+        return np.asarray(self._ambiguous[np.rint(level).astype(np.intp)])
+
+
+def _ambiguous_levels(levels: Levels) -> NDArray[np.bool_]:
+    """Return for which levels that of the same blur on the other side is as good [L]."""
+    sizes, index = levels.blur_sizes_px, np.arange(len(levels))
+    order = np.argsort(sizes)
+    mirrored = np.rint(np.interp(-sizes, sizes[order], index[order]))
+    first, last = levels.agreement
+    # A size that the other side does not have is on this one.
+    agree = (-sizes >= sizes.min()) & (-sizes <= sizes.max())
+    return np.asarray(agree & (first <= mirrored) & (mirrored <= last))
+
+
+def given_side(
+    probability: NDArray[np.float32], blur_sizes_px: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Return the probability of every level if its side of the focal plane is the right one.
+
+    Takes and gives [rows, columns, L]. Patches that are uninformative are left as they are.
+    """
+    given = probability.copy()
+    for side in (blur_sizes_px > 0, blur_sizes_px <= 0):
+        total = given[..., side].sum(axis=-1, keepdims=True)
+        given[..., side] /= np.maximum(total, np.float32(1e-12))
+    known = ~is_uninformative(probability)
+    return np.where(known[..., None], given, probability)
+
+
+def far_log_odds(
+    volume: NDArray[np.float32], blur_sizes_px: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Return the logarithm of the odds that a patch is beyond the focal plane [rows, columns].
+
+    From the cost of all levels [rows, columns, L]: a blur size that only one side has
+    tells it too.
+    """
+    probability = level_probability(volume)
+    far, near = (
+        probability[..., side].sum(axis=-1) + np.float32(1e-6)
+        for side in (blur_sizes_px > 0, blur_sizes_px < 0)
+    )
+    # A size mistaken for one that only one side has must not outweigh all that phases tell.
+    surest = np.float32(_SHARE * MOST_LOG_ODDS)
+    return np.asarray(np.clip(np.log(far / near), -surest, surest), np.float32)
+
+
+def side_confidence(
+    level: NDArray[np.float32],
+    log_odds: NDArray[np.float32],
+    grid: PatchGrid,
+    blur_sizes_px: NDArray[np.float64],
+) -> NDArray[np.float32]:
+    """Return how likely it is that each patch is on the side of its level.
+
+    What the patch and its neighbours on the same surface tell, together.
+
+    Parameters
+    ----------
+    level : ndarray, float32 [rows, columns]
+        Chosen fractional levels.
+    log_odds : ndarray, float32 [rows, columns]
+        See `far_log_odds`.
+    grid : PatchGrid
+    blur_sizes_px : ndarray, float64 [L]
+        Signed.
+
+    Returns
+    -------
+    ndarray, float32 [rows, columns]
+        Probability.
+    """
+    # Windows that overlap tell the same again.
+    independent = _around(log_odds, level, grid) / _reach(grid) ** 2
+    side = np.sign(np.interp(level, np.arange(len(blur_sizes_px)), blur_sizes_px))
+    return np.asarray(1 / (1 + np.exp(-side * independent)), np.float32)
+
+
+def _reach(grid: PatchGrid) -> int:
+    """Return how many patches away the next window begins."""
+    return max(round(grid.window_px / grid.stride_px), 1)
+
+
+def _around(
+    values: NDArray[np.float32], level: NDArray[np.float32], grid: PatchGrid
+) -> NDArray[np.float32]:
+    """Return the sum over each patch and its neighbours on the same surface [rows, columns]."""
+    reach = _reach(grid)
+    rows, columns = values.shape
+    other_levels = np.pad(level, reach, constant_values=np.float32(np.inf))
+    others = np.pad(values, reach)
+    total = np.zeros_like(values)
+    for down in range(2 * reach + 1):
+        for right in range(2 * reach + 1):
+            shifted = slice(down, down + rows), slice(right, right + columns)
+            same = np.abs(other_levels[shifted] - level) <= _ONE_SURFACE
+            total += np.where(same, others[shifted], 0)
+    return total

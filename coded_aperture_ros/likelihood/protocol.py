@@ -1,0 +1,144 @@
+"""The interface between a method and the depth estimator: a model, planned for frames of one size.
+
+A *model* knows the mask: what a patch looks like at every blur level. Its `plan` makes a
+*likelihood* for frames of one size, which holds threads and buffers and turns each frame into a
+`Cost`. Everything after the cost volume is common to all methods.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.optics import PsfStack
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MotionField:
+    """What a method found out about motion during the exposure, patch by patch.
+
+    Attributes
+    ----------
+    vectors_px : ndarray, float32 [rows, columns, 2]
+        Way during the exposure in pixels of the frame, to the right, and down. Blur does not tell
+        which way along its line: where no motion was expected, it is to the right, or down where
+        it is upright. NaN where unknown.
+    confidence : ndarray, float32 [rows, columns]
+        Probability, in [0, 1], that a patch by itself gives to about this motion.
+    searched : str
+        Why all motions were tried and not only expected ones; empty where these were enough.
+    """
+
+    vectors_px: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    searched: str = ""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Cost:
+    """What a frame says about every patch's level.
+
+    Attributes
+    ----------
+    volume : ndarray, float32 [rows, columns, L]
+        Negative natural logarithm of the likelihood, 0 for the likeliest level; all 0 where
+        nothing is known. Never overwritten by the next frame.
+    motion : MotionField or None
+        From methods that tell motion from defocus.
+    seconds : mapping of str to float
+        How long the parts of the work took, in their order.
+    """
+
+    volume: NDArray[np.float32]
+    motion: MotionField | None = None
+    seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+
+class Likelihood(Protocol):
+    """Turns frames of one size into cost volumes."""
+
+    @property
+    def grid(self) -> PatchGrid:
+        """Where the patches lie."""
+
+    def cost(
+        self,
+        grey: NDArray[np.float32],
+        noise: float | NDArray[np.float32],
+        usable: NDArray[np.bool_] | None = None,
+        prior: Any = None,
+    ) -> Cost:
+        """Return the cost of every level for every patch.
+
+        Parameters
+        ----------
+        grey : ndarray, float32 [height, width]
+            A frame of the planned size, linear light, without NaN.
+        noise : float, or ndarray, float32 [rows, columns]
+            Standard deviation of its noise, > 0; of the frame, or around each patch.
+        usable : ndarray, bool [rows, columns], optional
+            Which patches say anything; by default all.
+        prior : ExpectedMotion, optional
+            What is known beforehand; methods without a use for it ignore it.
+        """
+
+    def close(self) -> None:
+        """Let go of threads and device memory."""
+
+
+class LikelihoodModel(Protocol):
+    """What depth estimation needs to know about a mask: the blur levels, and how to plan."""
+
+    @property
+    def stack(self) -> PsfStack:
+        """The L blur levels: sizes, PSFs and, where they were measured, depths."""
+
+    @property
+    def window_px(self) -> int:
+        """Side of the patches."""
+
+    @property
+    def stride_px(self) -> int:
+        """Distance between patches, unless another is asked for."""
+
+    @property
+    def fattening(self) -> float:
+        """How far foregrounds are too wide, relative to Hann windows of `window_px`."""
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of one channel's noise; 0: it is estimated in each frame."""
+
+    @property
+    def mask_digest(self) -> str:
+        """Digest of the mask's pattern; empty where it is not known."""
+
+    @property
+    def learned_from(self) -> str:
+        """How the model came to be, for a person to read."""
+
+    def plan(
+        self, shape: tuple[int, ...], stride_px: int, backend: str = "numpy", threads: int = 1
+    ) -> Likelihood:
+        """Plan the work on frames of one size.
+
+        Parameters
+        ----------
+        shape : (int, int)
+            Rows and columns of the frames.
+        stride_px : int
+            Distance between patches.
+        backend : str
+            One of `BACKENDS`; methods that know only one ignore it.
+        threads : int
+            Of the processor.
+
+        Raises
+        ------
+        InputError
+            If the frame is smaller than a patch, the backend is not there, or there are fewer
+            processors than threads.
+        """

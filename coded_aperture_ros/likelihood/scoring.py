@@ -1,0 +1,84 @@
+"""From what hypotheses leave unexplained to the cost of every level: the clip and the logarithm."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+# A patch without any noise of its own is treated as having this share of the variance that was
+# expected: without noise, rounding and the rank of the basis would decide.
+OWN_NOISE = np.float32(0.05)
+LEAST_EXCESS = np.float32(1e-3)
+# The likelihood treats the windows' frequencies as independent and the model as perfect: the
+# temperature of the posterior makes up for what that overstates; chosen on ray-traced scenes.
+TEMPERATURE = 4.0
+
+
+def take_logarithm(
+    excess: NDArray[np.float32], textureless: NDArray[np.float32], count: float
+) -> NDArray[np.float32]:
+    """Turn the least excess of every level into its energy, in place.
+
+    The energy is twice the negative log-likelihood, with the patch's own noise at its best value.
+
+    Parameters
+    ----------
+    excess : ndarray, float32 [..., patches]
+        What the best hypothesis of a level leaves of a patch, over the expected noise.
+    textureless : ndarray, float32 [patches]
+        The same without any texture: what noise alone explains better says nothing about the level.
+    count : float
+        How many numbers a patch is known by.
+    """
+    np.clip(excess, LEAST_EXCESS, np.maximum(textureless, LEAST_EXCESS), out=excess)
+    np.log(excess, out=excess)
+    excess *= np.float32(count)
+    return excess
+
+
+def relative_cost(
+    energies: NDArray[np.float32],
+    window_correlation: float,
+    usable: NDArray[np.bool_] | None = None,
+) -> NDArray[np.float32]:
+    """Return the cost volume: the negative log-likelihood of every level, 0 for the likeliest.
+
+    Parameters
+    ----------
+    energies : ndarray, float32 [rows, columns, L]
+        See `take_logarithm`.
+    window_correlation : float
+        How many of a patch's numbers tell one thing, for windows correlate them.
+    usable : ndarray, bool [rows, columns], optional
+        Where it is False, nothing is known: all levels cost 0.
+
+    Returns
+    -------
+    ndarray, float32 [rows, columns, L]
+    """
+    cost = energies - energies.min(axis=-1, keepdims=True)
+    cost *= np.float32(0.5 / (window_correlation * TEMPERATURE))
+    if usable is not None:
+        cost[~usable] = 0
+    return cost
+
+
+def plausible_ratios(
+    ratios: NDArray[np.float64], contrasts: Sequence[float], noise: float
+) -> slice:
+    """Return which of `ratios`, in half decades, belong to contrasts under a noise.
+
+    Parameters
+    ----------
+    ratios : ndarray, float64 [S]
+        Contrast over noise variance, increasing.
+    contrasts : sequence of float
+        Variances in the steps of `ratios`, at most S.
+    noise : float
+        Standard deviation, > 0.
+    """
+    count = len(contrasts)
+    wanted = min(contrasts) / noise**2
+    first = int(np.argmin(np.abs(np.log(ratios / wanted))))
+    first = min(first, len(ratios) - count)
+    return slice(first, first + count)

@@ -1,0 +1,214 @@
+"""A frame goes in; depth, confidence and the all-in-focus picture come out.
+
+This is where a reader begins. The nodes, the commands, recorded bags and Python programs all go
+through `FramePipeline`; `docs/architecture.md` walks on from here.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.stamp_order import StampOrder
+from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
+from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator, estimate_video
+from coded_aperture_ros.imaging import KnownNoise, channel_noise
+from coded_aperture_ros.likelihood import LikelihoodModel
+from coded_aperture_ros.methods.motion import ExpectedMotion
+from coded_aperture_ros.optics import Camera
+
+
+class LateFrameError(InputError):
+    """A frame of a video is older than the one before it."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FrameResult:
+    """What was made of a frame.
+
+    Attributes
+    ----------
+    depth : DepthEstimate
+        Level, blur size, depth in metres, confidence and, where the method finds it, motion.
+    stamp : int or None
+        Of the frame.
+    """
+
+    depth: DepthEstimate
+    stamp: int | None
+    _deblur: Callable[[], NDArray[np.float32]] = dataclasses.field(repr=False)
+
+    @cached_property
+    def all_in_focus(self) -> NDArray[np.float32]:
+        """The frame without its blur, float32 in [0, 1], like the frame; made when first asked for.
+
+        With `DeblurConfig.temporal_frames` ask for it frame by frame, in order.
+
+        Raises
+        ------
+        InputError
+            If the pipeline does not deblur, or no depth is known in the whole frame.
+        """
+        return self._deblur()
+
+
+class FramePipeline:
+    """Turns the coded frames of one camera into depth and all-in-focus pictures.
+
+    Parameters
+    ----------
+    model : LikelihoodModel
+        A filter bank, or what another method knows about the mask; see `new_model`.
+    camera : Camera, optional
+        Turns blur sizes into metres, and may know its noise.
+    depth : DepthConfig, optional
+    deblur : DeblurConfig or None, optional
+        None: no all-in-focus pictures.
+
+    Raises
+    ------
+    InputError
+        If the model is not for the camera.
+    """
+
+    def __init__(
+        self,
+        model: LikelihoodModel,
+        camera: Camera | None = None,
+        depth: DepthConfig | None = None,
+        deblur: DeblurConfig | None = DeblurConfig(),  # noqa: B008  frozen
+    ) -> None:
+        self.estimator = DepthEstimator(model, depth, camera)
+        self._deblurrer = None if deblur is None else Deblurrer(model.stack, deblur)
+        self._order = StampOrder()
+
+    def __call__(
+        self,
+        frame: NDArray[np.float32],
+        stamp: int | None = None,
+        *,
+        size: tuple[int, int] | None = None,
+        prior: ExpectedMotion | None = None,
+    ) -> FrameResult:
+        """Work on one frame.
+
+        Parameters
+        ----------
+        frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
+            Coded frame, linear light in [0, 1]; NaN and saturated pixels are left out.
+        stamp : int, optional
+            Time of the frame, ns. Where time has gone back, another video begins.
+        size : (int, int), optional
+            Rows and columns of the maps, which cover the whole frame; the frame's by default.
+        prior : ExpectedMotion, optional
+            What a gyroscope says; for methods that find motion.
+
+        Raises
+        ------
+        LateFrameError
+            If the stamp is a little older than the last one, and frames depend on those before.
+        InputError
+            If the frame has a wrong shape or type, or is smaller than the model's window.
+        """
+        self._follow(stamp)
+        estimate = self.estimator.estimate(frame, size, prior)
+        return self._result(frame, estimate, stamp)
+
+    def video(
+        self, frames: Iterable[NDArray[np.float32]], size: tuple[int, int] | None = None
+    ) -> Iterator[FrameResult]:
+        """Work on a recorded video, each frame in the light of those before and after it.
+
+        Needs `DepthConfig.temporal_frames` above 0; see `estimate_video`.
+        """
+        waiting: list[NDArray[np.float32]] = []
+
+        def kept() -> Iterator[NDArray[np.float32]]:
+            for frame in frames:
+                waiting.append(frame)
+                yield frame
+
+        for estimate in estimate_video(self.estimator, kept(), size):
+            yield self._result(waiting.pop(0), estimate, None)
+
+    def reset(self) -> None:
+        """Forget the frames so far: the next one begins another video."""
+        self._order.forget()
+        self._forget_video()
+
+    def reconfigure(
+        self,
+        *,
+        model: LikelihoodModel | None = None,
+        camera: Camera | None = None,
+        depth: DepthConfig | None = None,
+        deblur: DeblurConfig | None = None,
+    ) -> None:
+        """Go on with other settings, from the next frame on; what is not given stays.
+
+        What does not change keeps its threads, its plans and its memory of the video.
+
+        Raises
+        ------
+        InputError
+            If the model is not for the camera; then everything stays as it was.
+        """
+        old = self.estimator
+        model, depth, camera = model or old.model, depth or old.config, camera or old.camera
+        if model is not old.model or depth != old.config or camera != old.camera:
+            self.estimator = DepthEstimator(model, depth, camera)
+            old.close()
+        deblurrer = self._deblurrer
+        config = deblur or (deblurrer.config if deblurrer else None)
+        if config is None:
+            return
+        stack = self.estimator.model.stack
+        if deblurrer is None or deblurrer.stack is not stack or deblurrer.config != config:
+            self._deblurrer = Deblurrer(stack, config)
+            if deblurrer is not None:
+                deblurrer.close()
+
+    def close(self) -> None:
+        """End the threads that the work was shared among."""
+        self.estimator.close()
+        if self._deblurrer is not None:
+            self._deblurrer.close()
+
+    def _follow(self, stamp: int | None) -> None:
+        if stamp is None:
+            return
+        order = self._order.follow(stamp)
+        if order == "restart":
+            self._forget_video()
+        elif order == "late" and self.estimator.config.temporal_frames:
+            raise LateFrameError("a frame is older than the one before it")
+
+    def _forget_video(self) -> None:
+        self.estimator.reset()
+        if self._deblurrer is not None:
+            self._deblurrer.reset()
+
+    def _result(
+        self, frame: NDArray[np.float32], estimate: DepthEstimate, stamp: int | None
+    ) -> FrameResult:
+        return FrameResult(estimate, stamp, lambda: self._deblurred(frame, estimate))
+
+    def _deblurred(
+        self, frame: NDArray[np.float32], estimate: DepthEstimate
+    ) -> NDArray[np.float32]:
+        deblurrer = self._deblurrer
+        if deblurrer is None:
+            raise InputError("deblurring: the pipeline was made without it")
+        if not np.isfinite(estimate.blur_size_px).any():
+            raise InputError("no depth is known in the whole frame")
+        # What depth has estimated of the noise need not be estimated again.
+        estimated = KnownNoise(estimate.noise)
+        known = KnownNoise.of(deblurrer.config, self.estimator.known_noise, estimated)
+        motion_px = None
+        if estimate.motion is not None and deblurrer.config.method != "fast":
+            motion_px = estimate.motion.vectors_px
+        noise = channel_noise(frame, known)
+        return deblurrer.deblur(frame, estimate.blur_size_px, noise, motion_px)
