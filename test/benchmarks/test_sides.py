@@ -9,13 +9,13 @@ import yaml
 from cli_scene import call
 from coded_aperture_benchmarks import load_textures
 from coded_aperture_benchmarks.sides import SideEstimates, SideFrame, SideScore
-from coded_aperture_ros.depth.both_sides import far_log_odds, given_side, side_confidence
-from coded_aperture_ros.depth.side import SideFinder
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, side_warning
+from coded_aperture_ros.depth.side_finder import SideFinder
+from coded_aperture_ros.depth.sides import far_log_odds, given_side, side_confidence
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.methods.motion import MotionConfig, learn_motion_bank

@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from coded_aperture_ros.depth.rims import trim_foreground
 from scipy import ndimage
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.depth.levels import refine_level
-from coded_aperture_ros.depth.regularize import regularized_level
+from coded_aperture_ros.depth.edges import slimmed_foreground
+from coded_aperture_ros.depth.posterior import refine_level
+from coded_aperture_ros.depth.regularize import regularizer
 from coded_aperture_ros.depth.upsample import nearest_patches, upsample
 from coded_aperture_ros.imaging import PatchGrid, estimate_noise
 from coded_aperture_ros.imaging.frame import grey_image
@@ -138,8 +138,8 @@ def test_total_variation_stays_in_the_range_of_levels(smoothness):
     for _ in range(10):
         true = random.integers(0, 2, (9, 14, 1)) * (levels - 1)
         energies = (10 * np.abs(np.arange(levels) - true)).astype(np.float32)
-        config = DepthConfig(regularize="tv", smoothness=smoothness)
-        level = regularized_level(energies / 2, config)
+        regularize = regularizer("tv", smoothness)
+        level = regularize(energies / 2, energies / 2, None, 8)
         assert level.dtype == np.float32
         assert level.min() >= 0
         assert level.max() <= levels - 1
@@ -339,20 +339,20 @@ def test_trimming_undoes_what_windows_do_at_an_edge():
     true[40:, :] = 5
     seen = fattened(true, 6)
     assert np.count_nonzero(seen != true) > 200
-    assert np.array_equal(trim_foreground(seen, 6, 9, 3.0), true)
-    assert np.array_equal(trim_foreground(seen, 0, 9, 3.0), seen)
+    assert np.array_equal(slimmed_foreground(seen, 6, 9, 3.0), true)
+    assert np.array_equal(slimmed_foreground(seen, 0, 9, 3.0), seen)
 
 
 def test_trimming_leaves_thin_obstacles_specks_and_slants():
     thin = np.full((60, 80), 20, np.float32)
     thin[:, 40:44] = 5
     seen = fattened(thin, 3)
-    assert np.array_equal(trim_foreground(seen, 6, 9, 3.0), seen)
+    assert np.array_equal(slimmed_foreground(seen, 6, 9, 3.0), seen)
     speck = np.full((60, 80), 5, np.float32)
     speck[30:33, 40:43] = 20
-    assert np.array_equal(trim_foreground(speck, 6, 9, 3.0), speck)
+    assert np.array_equal(slimmed_foreground(speck, 6, 9, 3.0), speck)
     slant = np.broadcast_to(np.linspace(0, 20, 80, dtype=np.float32), (60, 80)).copy()
-    assert np.array_equal(trim_foreground(slant, 6, 9, 3.0), slant)
+    assert np.array_equal(slimmed_foreground(slant, 6, 9, 3.0), slant)
 
 
 def test_background_is_found_nearer_to_an_edge_with_trimming(bank, stairs):

@@ -9,7 +9,7 @@ from scipy.signal import fftconvolve
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video
 from coded_aperture_ros.likelihood import NumpyEngine, Plan
 from coded_aperture_ros.methods.motion import (
     MotionConfig,
@@ -115,14 +115,14 @@ def test_opposite_motions_are_one():
     assert motions.distances_px([0.0, 0.0])[0] == 0
 
 
-def testexpected_powers_are_those_of_the_basis(bank):
+def test_expected_powers_are_those_of_the_basis(bank):
     some = Motions(MOTION.motions.vectors_px[[0, 5]])
-    powers = expected_powers(bank.still, some, iter)
+    powers = expected_powers(bank.defocus, some, iter)
     for motion, level in ((0, 1), (1, 4)):
         vector = tuple(some.vectors_px[motion])
-        psf = blurred_psf(bank.still.stack.psfs[level], vector)
-        for slope, found in zip(bank.still.prior.slopes, powers, strict=True):
-            exact = bank.still.fourier.expected_power(psf, slope)
+        psf = blurred_psf(bank.defocus.stack.psfs[level], vector)
+        for slope, found in zip(bank.defocus.prior.slopes, powers, strict=True):
+            exact = bank.defocus.fourier.expected_power(psf, slope)
             assert found[motion * len(SIZES) + level] == pytest.approx(
                 exact, abs=1e-6 * exact.max()
             )
@@ -161,7 +161,7 @@ def test_depth_of_what_moves_in_front_of_a_scene():
 
 
 def test_a_full_basis_is_exact(bank):
-    still = dataclasses.replace(bank.still)
+    still = dataclasses.replace(bank.defocus)
     few = Motions.grid(2, [4.0])
     exact = learn_motion_bank(still, few, 100_000).product
     assert exact.basis_vectors == np.count_nonzero(still.fourier.multiplicity)
@@ -173,7 +173,7 @@ def test_a_full_basis_is_exact(bank):
 
 def test_a_motion_that_does_not_fit_the_window_is_refused(bank):
     with pytest.raises(InputError, match="window"):
-        learn_motion_bank(bank.still, Motions.grid(4, [40.0]))
+        learn_motion_bank(bank.defocus, Motions.grid(4, [40.0]))
 
 
 def test_expected_motion_is_that_of_a_turning_camera():
@@ -229,16 +229,16 @@ def test_expected_motions_are_enough_and_tell_the_way_round(bank):
     # 200 px of focal length, 6 px to the left.
     turning = expected_motion((0.0, 0.6, 0.0), 0.05, INTRINSICS)
     estimator = DepthEstimator(MotionModel(bank, MOTION), CONFIG)
-    found = estimator.estimate(frame, expected=turning)
+    found = estimator.estimate(frame, prior=turning)
     assert found.motion.searched == ""
     assert np.abs(found.level - 3).mean() < 0.3
     assert np.median(found.motion.vectors_px, axis=(0, 1)) == pytest.approx((-6, 0), abs=1e-3)
     # What is wrongly expected leaves no way to the truth.
     wrong = expected_motion((0.6, 0.0, 0.0), 0.05, INTRINSICS)
-    amiss = estimator.estimate(frame, expected=wrong)
+    amiss = estimator.estimate(frame, prior=wrong)
     assert np.abs(amiss.level - 3).mean() > 2 * np.abs(found.level - 3).mean()
     # The next frame is one like any other.
-    assert estimator.estimate(frame).searched == "nothing expected"
+    assert estimator.estimate(frame).motion.searched == "nothing expected"
 
 
 def test_unusable_patches_have_no_motion(bank):
@@ -278,8 +278,8 @@ def test_threads_and_subsets_change_nothing(bank):
 
 @pytest.mark.parametrize("noise", [0.0003, 0.003])
 def test_finalists_are_found_as_by_an_exact_search(bank, noise):
-    exact = learn_motion_bank(bank.still, bank.motions, 100_000)
-    coarse = learn_motion_bank(bank.still, bank.motions, 48)
+    exact = learn_motion_bank(bank.defocus, bank.motions, 100_000)
+    coarse = learn_motion_bank(bank.defocus, bank.motions, 48)
     frame = moving_plane(3, tuple(bank.motions.vectors_px[5]), seed=3)
     found = {}
     for name, of, finalists in (("exact", exact, 0), ("coarse", coarse, 0), ("few", coarse, 4)):
@@ -354,3 +354,31 @@ def test_a_motion_between_those_that_are_told_apart_is_searched_for(bank):
         moving_plane(3, tuple(true), 2)
     )
     assert np.median(np.hypot(*np.moveaxis(found.motion.vectors_px - true, -1, 0))) < 0.3
+
+
+@pytest.mark.parametrize("temporal_frames", [0.0, 2.0])
+@pytest.mark.parametrize("regularize", ["none", "semiglobal", "tv"])
+def test_where_motion_leaves_depth_unknown_the_nearest_stands(bank, regularize, temporal_frames):
+    config = dataclasses.replace(
+        CONFIG,
+        unknown="nearest",
+        confidence_threshold=1.0,
+        regularize=regularize,
+        temporal_frames=temporal_frames,
+    )
+    estimator = DepthEstimator(MotionModel(bank, MOTION), config)
+    found = estimator.estimate(moving_plane(3, (6.0, 0.0)))
+    assert np.isfinite(found.level).all()
+    assert found.level.min() >= 0 and found.level.max() <= len(bank.defocus.stack) - 1
+
+
+def test_every_frame_of_a_video_has_its_own_motion(bank):
+    vectors = [(6.0, 0.0), (0.0, 6.0), (6.0, 0.0), (0.0, 6.0), (6.0, 0.0)]
+    frames = [moving_plane(3, vector) for vector in vectors]
+    config = dataclasses.replace(CONFIG, temporal_frames=0.5)
+    estimator = DepthEstimator(MotionModel(bank, MOTION), config)
+    results = list(estimate_video(estimator, frames))
+    assert len(results) == len(frames)
+    for found, vector in zip(results, vectors, strict=True):
+        median = np.nanmedian(np.abs(found.motion.vectors_px), axis=(0, 1))
+        assert median == pytest.approx(vector, abs=1.5)

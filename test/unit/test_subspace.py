@@ -9,6 +9,7 @@ from coded_aperture_ros.bank import LearnConfig, learn_bank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.likelihood.scoring import TEMPERATURE
 from coded_aperture_ros.methods.subspace import learn_subspace_bank
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
@@ -103,11 +104,15 @@ def test_estimator_takes_a_subspace_bank_in_place_of_the_filter_bank(stack, exac
     estimate = DepthEstimator(exact, DepthConfig(confidence_threshold=0)).estimate(image)
     assert estimate.level.shape == image.shape
     assert np.median(estimate.blur_size_px) == pytest.approx(SIZES[3], abs=0.7)
-    assert exact.evidence_repetition == 1
+    # None of a patch's values tells again what another does.
+    energies = exact.energies(image, 8, 0.01)
+    volume = exact.plan(image.shape, 8).cost(image, 0.01).volume
+    relative = energies - energies.min(axis=-1, keepdims=True)
+    assert volume == pytest.approx(relative / (2 * TEMPERATURE), rel=1e-5)
     filters = learn_bank(stack, LearnConfig(window_px=16, rank=8))
     assert filters.basis_vectors == 8
     # A Hann window spreads each frequency over 35/18 of them, in both directions.
-    assert filters.evidence_repetition == pytest.approx((35 / 18) ** 2, rel=1e-3)
+    assert filters.window_correlation == pytest.approx((35 / 18) ** 2, rel=1e-3)
 
 
 @pytest.mark.parametrize(
