@@ -1,0 +1,112 @@
+"""What the documentation shows can be typed, and what it says about the code is so."""
+
+import argparse
+import re
+import runpy
+import shlex
+
+import pytest
+from cli_scene import call
+
+from coded_aperture_ros.cli.main import make_parser
+
+PROGRAM = "coded_aperture"
+
+
+@pytest.fixture(scope="module")
+def documents(checkout):
+    """Return the text of every document, by name."""
+    paths = [*(checkout / "docs").glob("*.md"), *checkout.glob("*.md")]
+    return {path.relative_to(checkout).as_posix(): path.read_text() for path in sorted(paths)}
+
+
+def commands_in(text):
+    """Return the command lines of our program in the indented blocks of a document."""
+    joined = text.replace("\\\n", " ")
+    lines = re.findall(rf"^    {PROGRAM} (.*)$", joined, re.MULTILINE)
+    return [shlex.split(line, comments=True) for line in lines]
+
+
+def test_every_command_in_the_documents_is_understood(documents):
+    """Bench's own commands are understood by the benchmarks, and tested there."""
+    commands = {name: commands_in(text) for name, text in documents.items()}
+    assert sum(map(len, commands.values())) > 25
+    parser = make_parser()
+    for name, lines in commands.items():
+        for line in lines:
+            try:
+                parser.parse_args(line)
+            except SystemExit as error:
+                pytest.fail(f"{name}: {PROGRAM} {shlex.join(line)}: exit status {error.code}")
+
+
+def help_texts(capsys, parser, command=()):
+    """Return the help of a parser's commands and their sub-commands."""
+    parts = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
+    texts = "" if command[:1] == ("bench",) else call(capsys, *command, "--help").out
+    for name, child in (pair for part in parts for pair in part.choices.items()):
+        texts += help_texts(capsys, child, (*command, name))
+    return texts
+
+
+def test_the_options_in_the_documents_exist(documents, checkout, capsys):
+    """Options named in running text are some command's; bench's are in the benchmarks."""
+    of_others = {"--params-file", "--ros-args", "--clock", "--src", "--dst"}
+    shown = help_texts(capsys, make_parser())
+    known = set(re.findall(r"--[a-z][a-z-]*[a-z]", shown)) | of_others
+    benchmarks = "".join(path.read_text() for path in (checkout / "benchmarks").rglob("*.py"))
+    for name, text in documents.items():
+        named = {
+            option
+            for code in re.findall(r"`([^`\n]+)`", text)
+            for option in re.findall(r"(?<![\w-])--[a-z][a-z-]*[a-z]", code)
+        }
+        strange = {option for option in named - known if f'"{option}"' not in benchmarks}
+        assert strange == set(), name
+
+
+def test_python_examples_of_the_documents_compile(documents):
+    """Those of the README are run by `test_readme`."""
+    for name, text in documents.items():
+        for example in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+            compile(example, name, "exec")
+
+
+def test_links_between_documents_lead_somewhere(documents, checkout):
+    for name, text in documents.items():
+        for target in re.findall(r"\]\((?!\w+:)([^)#\s]+)(?:#[^)]*)?\)", text):
+            there = (checkout / name).parent / target
+            assert there.exists(), f"{name}: {target}"
+
+
+def test_files_that_the_documents_name_exist(documents, checkout):
+    """Paths in code marks, from the project's root or from the package."""
+    folders = {path.name for path in checkout.iterdir() if path.is_dir()}
+    rooms = {path.name for path in (checkout / "coded_aperture_ros").iterdir() if path.is_dir()}
+    for name, text in documents.items():
+        for path in re.findall(r"`([\w./-]+/[\w.-]*\.(?:py|md|yaml|xml|sh))`", text):
+            first = path.split("/")[0]
+            if first in folders | rooms:
+                root = checkout if first in folders and (checkout / path).exists() else None
+                there = root or checkout / "coded_aperture_ros"
+                assert (there / path).exists(), f"{name}: {path}"
+
+
+def test_the_reading_path_is_short(checkout, capsys):
+    script = runpy.run_path(str(checkout / "scripts/count_reading_path.py"))
+    assert "scripts/count_reading_path.py" in (checkout / "docs/architecture.md").read_text()
+    assert script["main"]() == 0, capsys.readouterr().out
+
+
+def test_lines_of_code_are_counted_without_comments_and_docstrings(checkout):
+    count = runpy.run_path(str(checkout / "scripts/count_reading_path.py"))["lines_of_code"]
+    source = '"""Title.\n\nMore.\n"""\n\n# why\nx = (\n    1,\n)\n"""Of x."""\n\ndef f():\n'
+    source += '    """Do."""\n    return """a\nb"""\n'
+    assert count(source) == 3 + 1 + 2
+
+
+def test_the_architecture_names_every_room(checkout, documents):
+    package = checkout / "coded_aperture_ros"
+    rooms = {path.name for path in package.iterdir() if (path / "__init__.py").is_file()}
+    table = documents["docs/architecture.md"].split("## Rooms")[1].split("\n## ")[0]
+    assert set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == rooms
