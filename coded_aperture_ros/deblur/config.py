@@ -50,10 +50,7 @@ class DeblurConfig:
         choices=("auto", "yes", "no"),
     )
     iterations: int = option(
-        112,
-        "Conjugate-gradient steps of cg and sparse, at most.",
-        minimum=1,
-        maximum=10000,
+        112, "Conjugate-gradient steps of cg and sparse, at most.", minimum=1, maximum=10000
     )
     tolerance: float = option(
         1e-3,

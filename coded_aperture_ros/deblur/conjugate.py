@@ -20,14 +20,8 @@ def conjugate_gradients(
     Stops when the gradient (thesis eq. 6.28) is below `tolerance` times the right side's norm, or
     after so many iterations.
 
-    Parameters
-    ----------
-    system, preconditioner : callable
-        Linear, symmetric, positive definite; the second is near the first one's inverse.
-    right_side, start : ndarray or torch.Tensor, float32
-        Of one shape.
-    tolerance : float
-    iterations : int
+    `system` and `preconditioner`, which is near its inverse, are linear, symmetric and positive
+    definite. All else are arrays of NumPy, or tensors of PyTorch, of one shape, float32.
 
     Returns
     -------

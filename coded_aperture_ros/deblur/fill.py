@@ -25,14 +25,13 @@ def filled_blur_map(
 ) -> NDArray[np.float32]:
     """Fill the gaps of a blur map and bring it to the size of its frame, or a part of that.
 
-    Gaps take the value of the nearest known pixel.
+    Gaps take the value of the nearest known pixel. The frame guides the edges of a smaller map.
 
     Parameters
     ----------
     blur_size_px : ndarray, float32 [map rows, map columns]
         Signed blur sizes in pixels of the frame; not finite where unknown.
     frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
-        The frame that the map covers; it guides the edges of a smaller map.
     reduction : int, optional
         So many times smaller than the frame the map shall be.
 
@@ -105,14 +104,13 @@ def _enlarged(small: NDArray[np.float32], grey: NDArray[np.float32]) -> NDArray[
     row = (rows + 0.5) * small.shape[0] / grey.shape[0] - 0.5
     column = (columns + 0.5) * small.shape[1] / grey.shape[1] - 0.5
     least = np.full(rows.size, np.inf, np.float32)
-    for down in (0, 1):
-        for right in (0, 1):
-            at = np.clip(np.floor(row).astype(np.intp) + down, 0, small.shape[0] - 1)
-            beside = np.clip(np.floor(column).astype(np.intp) + right, 0, small.shape[1] - 1)
-            distance = np.hypot(row - at, column - beside)
-            unlike = np.abs(guide[at, beside] - grey[rows, columns]) / _LIKE_ONE_PIXEL
-            cost = (distance + unlike).astype(np.float32)
-            better = cost < least
-            least[better] = cost[better]
-            smooth[rows[better], columns[better]] = small[at[better], beside[better]]
+    for down, right in np.ndindex(2, 2):
+        at = np.clip(np.floor(row).astype(np.intp) + down, 0, small.shape[0] - 1)
+        beside = np.clip(np.floor(column).astype(np.intp) + right, 0, small.shape[1] - 1)
+        distance = np.hypot(row - at, column - beside)
+        unlike = np.abs(guide[at, beside] - grey[rows, columns]) / _LIKE_ONE_PIXEL
+        cost = (distance + unlike).astype(np.float32)
+        better = cost < least
+        least[better] = cost[better]
+        smooth[rows[better], columns[better]] = small[at[better], beside[better]]
     return np.asarray(smooth, np.float32)

@@ -18,13 +18,6 @@ class HalfBandFilters(InverseFilters):
     What they change in a frame of half the size is enlarged, and added to the frame. The upper
     half of the frequencies stays as it is: a PSF of more than a few pixels leaves next to nothing
     there.
-
-    Parameters
-    ----------
-    stack : PsfStack
-    rank : int
-    workers : Workers
-        See `InverseFilters`.
     """
 
     reduction = 4

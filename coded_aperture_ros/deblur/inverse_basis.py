@@ -31,19 +31,8 @@ def wiener_filters(
     assumption of one plane leaves unexplained, as a fraction of the texture at every frequency;
     it bounds the gain where the PSF passes little.
 
-    Parameters
-    ----------
-    transfer : ndarray, complex64 [..., rows, columns]
-        Transform ``H`` of every PSF.
-    prior : ndarray, float32 [rows, columns]
-        ``S``, see `image_prior`.
-    model_errors : ndarray, float64 [E]
-    noise : float
-        Standard deviation, > 0.
-
-    Returns
-    -------
-    ndarray, complex64 [..., E, rows, columns]
+    `transfer` has the transforms ``H`` [..., rows, columns], `prior` is ``S`` [rows, columns], see
+    `image_prior`. The filters of the E `model_errors` are complex64 [..., E, rows, columns].
     """
     transfer = transfer[..., None, :, :]
     error = (model_errors**2).astype(np.float32)[:, None, None]
@@ -100,12 +89,7 @@ class InverseBasis:
         return cls(stack, generators, noise, leading.T @ filters, weight)
 
     def transforms(self, shape: tuple[int, int]) -> NDArray[np.complex64]:
-        """Return the transforms of the basis filters for images of `shape`.
-
-        Returns
-        -------
-        ndarray, complex64 [R, rows, columns // 2 + 1]
-        """
+        """Return the transforms [R, rows, columns // 2 + 1] of the basis for images of `shape`."""
         prior, errors = image_prior(shape), np.array(MODEL_ERRORS)
         transfers = np.array([transfer_function(psf, shape) for psf in self.stack.psfs])
         weights = self.generators.reshape(-1, self.generators.shape[-1]).T
@@ -119,18 +103,9 @@ class InverseBasis:
         return basis
 
     def coefficients(self, model_errors: NDArray[np.float64], noise: float) -> NDArray[np.float32]:
-        """Return the combinations that come nearest to the inverse filters.
+        """Return the combinations [L, E, R] that come nearest to the inverse filters.
 
-        Parameters
-        ----------
-        model_errors : ndarray, float64 [E]
-        noise : float
-            Standard deviation, > 0.
-
-        Returns
-        -------
-        ndarray, float32 [L, E, R]
-            Scaled so that flat areas keep their brightness exactly.
+        They are scaled so that flat areas keep their brightness exactly.
         """
         prior, transfers = _coarse_model(self.stack)
         wanted = wiener_filters(transfers, prior, model_errors, noise)

@@ -39,7 +39,6 @@ class InverseFilters:
     Parameters
     ----------
     stack : PsfStack
-        PSFs of the blur levels, as a filter bank has them.
     rank : int
         Kernels of the basis.
     workers : Workers
@@ -70,10 +69,7 @@ class InverseFilters:
     def places(self, blur: NDArray[np.float32]) -> NDArray[np.intp]:
         """Return the place of every pixel in the tables of coefficients, of any rank and noise.
 
-        Parameters
-        ----------
-        blur : ndarray, float32 [rows / reduction, columns / reduction], rounded up
-            Signed blur sizes in px of the frame, finite.
+        `blur` has signed blur sizes in px of the frame [rows / reduction, columns / reduction].
         """
         level = _index_among(self._stack.blur_sizes_px[self._order], blur)
         error = _index_among(np.log(_MODEL_ERRORS), _log_model_error(blur, self.reduction))
@@ -86,35 +82,23 @@ class InverseFilters:
     def apply(
         self, channels: list[NDArray[np.float32]], places: NDArray[np.intp], noise: float
     ) -> list[NDArray[np.float32]]:
-        """Deblur the channels of a frame.
-
-        Parameters
-        ----------
-        channels : list of ndarray, float32 [rows, columns]
-            Finite.
-        places : ndarray, intp [rows / reduction, columns / reduction]
-            See `places`.
-        noise : float
-            Standard deviation, > 0.
-        """
+        """Deblur channels of a frame by their `places`; `noise` is its standard deviation, > 0."""
         basis_noise = min(_NOISES, key=lambda known: abs(np.log(known / noise)))
-        height, width = channels[0].shape
-        transforms = self._transforms(
-            basis_noise, periodic_shape((height, width), self._extension_px)
-        )
+        shape = channels[0].shape
+        transforms = self._transforms(basis_noise, periodic_shape(shape, self._extension_px))
         # Steps of a tenth of a decade: there are few different tables.
         lookup = self._lookup_table(basis_noise, round(10 * np.log10(noise)))
-        weights = self._weights(lookup, places, (height, width))
+        weights = self._weights(lookup, places, shape)
         return [self._filter(channel, transforms, weights) for channel in channels]
 
     def _weights(
-        self, lookup: NDArray[np.float32], places: NDArray[np.intp], size: tuple[int, int]
+        self, lookup: NDArray[np.float32], places: NDArray[np.intp], shape: tuple[int, ...]
     ) -> list[NDArray[np.float32]]:
         """Return the share of every kernel in every pixel."""
         weights = [np.empty(0, np.float32)] * len(lookup)
 
         def weigh(kernel: int, thread: int) -> None:
-            weights[kernel] = cv2.resize(np.take(lookup[kernel], places), size[::-1])
+            weights[kernel] = cv2.resize(np.take(lookup[kernel], places), shape[::-1])
 
         self._workers.each(weigh, range(len(lookup)))
         return weights

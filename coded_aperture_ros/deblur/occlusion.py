@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.deblur.operator import OnProcessor, scene_around
+from coded_aperture_ros.deblur.operator import OnProcessor, steps_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 
 Value = TypeVar("Value", bound=np.generic)
@@ -32,28 +32,17 @@ class OccludedBlur(OnProcessor):
     the denominator leaves their light out. Exact near foregrounds that are sharper than what is
     behind them. It needs memory for as many frames as the largest PSF has pixels.
 
-    Parameters
-    ----------
-    basis : PsfBasis
-    blur_size_px : ndarray, float32 [rows, columns]
-        Signed blur size of every pixel, finite.
-    workers : Workers, optional
-        Threads to share the work with.
+    Parameters are those of `SpreadingBlur`.
     """
 
     def __init__(
-        self,
-        basis: PsfBasis,
-        blur_size_px: NDArray[np.float32],
-        workers: Workers | None = None,
+        self, basis: PsfBasis, blur_size_px: NDArray[np.float32], workers: Workers | None = None
     ) -> None:
         rows, columns = blur_size_px.shape
         self.shape, self.margin_px = (rows, columns), basis.margin_px
         self.scene_shape = (rows + 2 * self.margin_px, columns + 2 * self.margin_px)
         self.workers = workers or Workers()
-        self._basis = basis
-        steps = scene_around(basis.steps_of(blur_size_px).astype(np.float32), self)
-        self._steps = steps.astype(np.intp)
+        self._basis, self._steps = basis, steps_around(basis, blur_size_px, self)
         amount = np.abs(basis.table_sizes_px).astype(np.float32)[self._steps]
         psfs = np.maximum(basis.psfs(), 0)
         psfs[psfs < 1e-3 * psfs.max(axis=(1, 2), keepdims=True)] = 0
@@ -65,15 +54,12 @@ class OccludedBlur(OnProcessor):
 
         def weigh(index: int, _: int) -> None:
             seen = _visible(amount, self.margin_px, self.shape, offsets[index])
-            np.take(taps[index], self._part(self._steps, offsets[index]), out=self._weights[index])
+            there = _shifted(self._steps, self.margin_px, self.shape, offsets[index])
+            np.take(taps[index], there, out=self._weights[index])
             self._weights[index] *= seen
 
         self.workers.each(weigh, range(len(offsets)))
         self._weights /= np.maximum(self._weights.sum(axis=0), np.float32(1e-6))
-
-    def _part(self, scene: NDArray[Value], offset: tuple[int, int]) -> NDArray[Value]:
-        """Return what lies `offset` (down, right) of every pixel of the frame."""
-        return _shifted(scene, self.margin_px, self.shape, offset)
 
     def forward(self, scene: NDArray[np.float32]) -> NDArray[np.float32]:
         """Blur a scene."""
@@ -83,7 +69,8 @@ class OccludedBlur(OnProcessor):
             band = slice(top, top + _BAND_ROWS)
             product = np.empty_like(frame[band])
             for offset, weights in zip(self._offsets, self._weights, strict=True):
-                np.multiply(weights[band], self._part(scene, offset)[band], out=product)
+                there = _shifted(scene, self.margin_px, self.shape, offset)[band]
+                np.multiply(weights[band], there, out=product)
                 frame[band] += product
 
         self.workers.each(add, range(0, self.shape[0], _BAND_ROWS))
@@ -91,19 +78,17 @@ class OccludedBlur(OnProcessor):
 
     def adjoint(self, frame: NDArray[np.float32]) -> NDArray[np.float32]:
         """Apply the transpose."""
-        margin, (rows, _) = self.margin_px, self.shape
-        threads = self.workers.threads
         # Each thread has its own scene: bands of rows overlap by the margin.
-        scenes = [np.zeros(self.scene_shape, np.float32) for _ in range(threads)]
+        scenes = [np.zeros(self.scene_shape, np.float32) for _ in range(self.workers.threads)]
 
         def add(top: int, thread: int) -> None:
-            band = slice(top, min(top + _BAND_ROWS, rows))
+            band = slice(top, top + _BAND_ROWS)
             product = np.empty_like(frame[band])
             for offset, weights in zip(self._offsets, self._weights, strict=True):
                 np.multiply(weights[band], frame[band], out=product)
-                _shifted(scenes[thread], margin, self.shape, offset)[band] += product
+                _shifted(scenes[thread], self.margin_px, self.shape, offset)[band] += product
 
-        self.workers.each(add, range(0, rows, _BAND_ROWS))
+        self.workers.each(add, range(0, self.shape[0], _BAND_ROWS))
         return np.sum(scenes, axis=0)
 
     def ranges(self, count: int) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
@@ -128,5 +113,6 @@ def _visible(
 def _shifted(
     scene: NDArray[Value], margin: int, shape: tuple[int, int], offset: tuple[int, int]
 ) -> NDArray[Value]:
+    """Return what lies `offset` (down, right) of every pixel of the frame."""
     top, left = margin + offset[0], margin + offset[1]
     return scene[top : top + shape[0], left : left + shape[1]]

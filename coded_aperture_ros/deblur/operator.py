@@ -68,6 +68,14 @@ def scene_around(
     return np.asarray(scene, np.float32)
 
 
+def steps_around(
+    basis: PsfBasis, blur_size_px: NDArray[np.float32], operator: BlurOperator
+) -> NDArray[np.intp]:
+    """Return the column of the basis' table for every pixel of a scene around a blur map."""
+    steps = basis.steps_of(blur_size_px).astype(np.float32)
+    return scene_around(steps, operator).astype(np.intp)
+
+
 def frame_within(scene: Any, operator: BlurOperator) -> Any:
     """Return the part of a scene that the frame shows."""
     margin, (rows, columns) = operator.margin_px, operator.shape
@@ -123,8 +131,7 @@ class SpreadingBlur(OnProcessor):
         self.workers = workers or Workers()
         self._basis = basis
         self._transforms = basis.transforms(self.scene_shape)
-        steps = scene_around(basis.steps_of(blur_size_px).astype(np.float32), self)
-        self._steps = steps.astype(np.intp)
+        self._steps = steps_around(basis, blur_size_px, self)
         self._shares = [np.take(of_kernel, self._steps) for of_kernel in basis.table]
         self._traces = [transfer_function(trace, self.scene_shape) for trace in traces]
         self._parts: list[NDArray[np.float32]] = []

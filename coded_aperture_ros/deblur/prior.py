@@ -3,10 +3,10 @@
 from functools import lru_cache
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import power_spectrum
+from coded_aperture_ros.imaging import transfer_function
 
 # Side of the patches that the high-order prior relates, px.
 _SIDE_PX = 5
@@ -19,10 +19,7 @@ _SMALL = 0.01
 
 
 def natural_covariance(side_px: int) -> NDArray[np.float64]:
-    """Return the covariance of sharp patches less their mean, for unit contrast.
-
-    It is that of the natural-image prior.
-    """
+    """Return the covariance of sharp patches of unit contrast, less their mean, by the prior."""
     period = 64
     correlation = np.fft.irfft2(power_spectrum(_SLOPE, (period, period)), (period, period))
     rows, columns = (index.ravel() for index in np.indices((side_px, side_px)))
@@ -34,22 +31,12 @@ def natural_covariance(side_px: int) -> NDArray[np.float64]:
 
 
 def high_order_filters(covariance: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the filters to which sharp patches hardly respond.
+    """Return the filters [side**2 - 1, side, side] to which sharp patches hardly respond.
 
     ``Sigma`` of thesis eq. 6.3 is made of the singular directions of sharp patches that have small
-    singular values, all counted alike there. Here each counts by how small its own is, which
-    spares the choice of a number of directions: the cost of a patch is its negative logarithmic
-    likelihood.
-
-    Parameters
-    ----------
-    covariance : ndarray, float64 [side**2, side**2]
-        Of sharp patches less their mean.
-
-    Returns
-    -------
-    ndarray, float32 [side**2 - 1, side, side]
-        Scaled so that each, on sharp patches, has a response of variance one.
+    singular values, all counted alike there. Here each is scaled to a response of variance one,
+    which spares the choice of a number of directions: the cost of a patch is its negative
+    log-likelihood. `covariance` is that of sharp patches less their mean.
     """
     variances, directions = np.linalg.eigh(covariance)
     side = round(len(covariance) ** 0.5)
@@ -61,37 +48,19 @@ def high_order_filters(covariance: NDArray[np.float64]) -> NDArray[np.float32]:
 
 @lru_cache(maxsize=2)
 def quadratic_power(shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Return the power spectrum of ``Sigma^T Sigma`` of natural images; do not write to it.
+    """Return the power spectrum of ``Sigma^T Sigma`` of natural images, as by ``rfft2``.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Of the images.
-
-    Returns
-    -------
-    ndarray, float32, laid out as by ``scipy.fft.rfft2``
-        Every pixel is in as many patches as they have pixels: of these the mean.
+    Every pixel is in as many patches as they have pixels: of these the mean. Do not write to it.
     """
     filters = high_order_filters(natural_covariance(_SIDE_PX))
-    power = np.zeros((shape[0], shape[1] // 2 + 1))
-    for each in filters:
-        padded = np.zeros(shape, np.float32)
-        padded[: each.shape[0], : each.shape[1]] = each
-        power += np.abs(scipy.fft.rfft2(padded)) ** 2
-    return (power / filters[0].size).astype(np.float32)
+    power = sum(np.abs(transfer_function(each, shape)).astype(np.float64) ** 2 for each in filters)
+    return np.asarray(power / filters[0].size, np.float32)
 
 
 def differences(image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
     """Return first and second differences of an image, each of its shape; 0 across its border."""
     down, right = _difference(image, 0), _difference(image, 1)
-    return [
-        down,
-        right,
-        _difference(down, 0),
-        _difference(right, 1),
-        _difference(down, 1),
-    ]
+    return [down, right, *(_difference(*pair) for pair in ((down, 0), (right, 1), (down, 1)))]
 
 
 def differences_adjoint(parts: list[NDArray[np.float32]]) -> NDArray[np.float32]:
@@ -106,8 +75,7 @@ def difference_powers(shape: tuple[int, int]) -> list[NDArray[np.float32]]:
     """Return the power spectra of the `differences` of periodic images, as by ``rfft2``."""
     down = 2 - 2 * np.cos(2 * np.pi * np.fft.fftfreq(shape[0]))[:, None]
     right = 2 - 2 * np.cos(2 * np.pi * np.fft.rfftfreq(shape[1]))[None, :]
-    down, right = np.broadcast_arrays(down, right)
-    powers = (down, right, down**2, right**2, down * right)
+    powers = np.broadcast_arrays(down, right, down**2, right**2, down * right)
     return [power.astype(np.float32) for power in powers]
 
 
@@ -116,17 +84,8 @@ def sparse_weights(channels: list[NDArray[np.float32]]) -> list[NDArray[np.float
 
     The prior ``sum |D f|^0.7`` lets few large differences stand and presses many small ones down,
     as edges and smooth areas in photographs are. It is minimised by a sequence of quadratic ones,
-    each with weights from the last solution. All channels of a colour image share their edges.
-
-    Parameters
-    ----------
-    channels : list of ndarray, float32 [rows, columns]
-        The last solution.
-
-    Returns
-    -------
-    list of ndarray, float32 [rows, columns]
-        For each of the `differences`; 1 for a small first difference.
+    each with weights from the last solution: one for each of the `differences`, 1 for a small first
+    difference. All channels of a colour image share their edges.
     """
     power = [np.zeros_like(channels[0]) for _ in _SHARES]
     for channel in channels:
@@ -141,19 +100,14 @@ def sparse_weights(channels: list[NDArray[np.float32]]) -> list[NDArray[np.float
 
 def _difference(image: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
     result = np.zeros_like(image)
-    if axis == 0:
-        np.subtract(image[1:], image[:-1], out=result[:-1])
-    else:
-        np.subtract(image[:, 1:], image[:, :-1], out=result[:, :-1])
+    inner, source = (result, image) if axis == 0 else (result.T, image.T)
+    np.subtract(source[1:], source[:-1], out=inner[:-1])
     return result
 
 
 def _adjoint(part: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
     result = np.zeros_like(part)
-    if axis == 0:
-        result[1:] = part[:-1]
-        result[:-1] -= part[:-1]
-    else:
-        result[:, 1:] = part[:, :-1]
-        result[:, :-1] -= part[:, :-1]
+    inner, source = (result, part) if axis == 0 else (result.T, part.T)
+    inner[1:] = source[:-1]
+    inner[:-1] -= source[:-1]
     return result

@@ -42,12 +42,8 @@ class PsfBasis:
     def of(cls, stack: PsfStack, tolerance: float = _TOLERANCE) -> "PsfBasis":
         """Factor a stack: the smallest basis that blurs photographs as well as is asked for.
 
-        Parameters
-        ----------
-        stack : PsfStack
-            L levels. Between two of them PSFs are interpolated linearly.
-        tolerance : float, optional
-            Standard deviation of what a blurred photograph may lack, relative to the sharp one's.
+        Between two levels PSFs are interpolated linearly. What a blurred photograph lacks has a
+        standard deviation of at most `tolerance`, relative to that of the sharp one.
         """
         order = np.argsort(stack.blur_sizes_px)
         psfs = stack.psfs[order]
@@ -59,13 +55,11 @@ class PsfBasis:
         gram = seen @ seen.T * 2 / side**2
         powers, directions = np.linalg.eigh(gram)
         powers, directions = powers[::-1], directions[:, ::-1]
-        left_out = np.array(
-            [
-                np.max(directions[:, rank:] ** 2 @ np.maximum(powers[rank:], 0))
-                for rank in range(1, len(psfs) + 1)
-            ]
+        left_out = (
+            np.max(directions[:, rank:] ** 2 @ np.maximum(powers[rank:], 0))
+            for rank in range(1, len(psfs) + 1)
         )
-        rank = 1 + int(np.argmax(left_out <= tolerance**2))
+        rank = next(n for n, share in enumerate(left_out, start=1) if share <= tolerance**2)
         mixture = directions[:, :rank]
         kernels = np.tensordot(mixture.T, psfs.astype(np.float64), axes=1)
         levels = mixture / (mixture @ kernels.sum(axis=(1, 2)))[:, None]  # unit sums
@@ -97,14 +91,7 @@ class PsfBasis:
     def ranges(
         self, steps: NDArray[np.intp], count: int
     ) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-        """Divide a scene among ranges of blur sizes.
-
-        Parameters
-        ----------
-        steps : ndarray of int [rows, columns]
-            Of every pixel of the scene, see `steps_of`.
-        count : int
-            Ranges there may be, at most; those without pixels are left out.
+        """Divide a scene with these `steps` among at most `count` ranges of blur sizes.
 
         Returns
         -------

@@ -18,7 +18,7 @@ _LEAST_RELIEF_PX = 1.0
 _TEAR_PX = 2.0
 # Pixels next to an edge have light of both sides. They stay with the foreground: left behind, they
 # would be its ghost, and holes would be filled with its colour.
-_RIM_PX = 2
+_MIXED_PX = 2
 # Of red, green and blue light, ITU-R BT.709.
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
@@ -27,18 +27,10 @@ _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 class Parallax:
     """How disparity follows from blur size.
 
-    Both are linear in the inverse depth, so disparity is ``scale (screen - blur size)``. It is
-    what a stereo camera sees whose baseline is `scale` times as wide as the mask.
-
-    Attributes
-    ----------
-    screen_px : float
-        Signed blur size of what appears in the plane of the screen. What has a smaller one is
-        nearer, and appears in front of the screen.
-    scale : float
-        Pixels of disparity for each pixel of blur size.
-    largest_px : float
-        Disparity is kept within plus and minus this.
+    Both are linear in the inverse depth, so disparity is ``scale (screen - blur size)``, within
+    plus and minus `largest_px`. It is what a stereo camera sees whose baseline is `scale` times as
+    wide as the mask. What has a signed blur size of `screen_px` appears in the plane of the screen,
+    and what has a smaller one in front of it.
     """
 
     screen_px: float
@@ -49,13 +41,14 @@ class Parallax:
     def of_scene(cls, blur_size_px: NDArray[np.float32], shift_px: float) -> "Parallax":
         """Put the median of a scene at the screen, and give what is farthest from it `shift_px`.
 
+        A scene that is almost flat, with a relief of less than 1 px of blur size, gets less.
+
         Parameters
         ----------
         blur_size_px : ndarray, float32 [rows, columns]
             Signed blur sizes; not finite where unknown.
         shift_px : float
-            Largest distance between the two views of one point, > 0; see `check_parallax`. A scene
-            that is almost flat, with a relief of less than 1 px of blur size, gets less.
+            Largest distance between the two views of one point, > 0.
 
         Raises
         ------
@@ -114,7 +107,7 @@ def stereo_pair(
     if not isinstance(parallax, Parallax):
         parallax = Parallax.of_scene(blur_size_px, parallax)
     check_parallax(parallax.largest_px, sharp.shape[1])
-    disparity = _with_rims(parallax.disparity_px(blur))
+    disparity = _with_mixed_pixels(parallax.disparity_px(blur))
     left = _left_view(sharp, disparity)
     # What the right eye sees is what the left one would see in a mirror.
     right = _left_view(np.ascontiguousarray(sharp[:, ::-1]), disparity[:, ::-1])
@@ -141,8 +134,8 @@ def anaglyph(left: NDArray[np.float32], right: NDArray[np.float32]) -> NDArray[n
     """Return one picture for glasses with a red filter on the left and a cyan one on the right.
 
     Red is the luminance of the left view, green and blue are those of the right one: the "half
-    color" anaglyph of P. Wimmer, *Anaglyph Methods Comparison*, 3dtv.at. With the red of the left
-    view instead, whatever is red or blue would be bright for one eye and dark for the other.
+    color" anaglyph of P. Wimmer, *Anaglyph Methods Comparison*, 3dtv.at. The red of the left view
+    itself would make red and blue things bright for one eye and dark for the other.
 
     Parameters
     ----------
@@ -167,15 +160,7 @@ def anaglyph(left: NDArray[np.float32], right: NDArray[np.float32]) -> NDArray[n
 def side_by_side(left: NDArray[np.float32], right: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return one picture of twice the width, with the left eye's view on the left.
 
-    Parameters
-    ----------
-    left, right : ndarray, float32 [rows, columns] or [rows, columns, 3]
-        Of one shape.
-
-    Raises
-    ------
-    InputError
-        If the views have different shapes.
+    Parameters and errors are those of `anaglyph`.
     """
     _check_pair(left, right)
     return np.concatenate([left, right], axis=1)
@@ -185,19 +170,16 @@ def _check_pair(left: NDArray[np.float32], right: NDArray[np.float32]) -> None:
     check_frame(left)
     check_frame(right)
     if left.shape != right.shape:
-        raise InputError(
-            f"the views of a stereo pair differ: left {_size(left)} px, {left[0, 0].size} "
-            f"channels, right {_size(right)} px, {right[0, 0].size} channels"
+        sizes = (
+            f"{view.shape[1]}x{view.shape[0]} px, {view[0, 0].size} channels"
+            for view in (left, right)
         )
+        raise InputError("the views of a stereo pair differ: left {}, right {}".format(*sizes))
 
 
-def _size(image: NDArray[np.float32]) -> str:
-    return f"{image.shape[1]}x{image.shape[0]}"
-
-
-def _with_rims(disparity: NDArray[np.float32]) -> NDArray[np.float32]:
+def _with_mixed_pixels(disparity: NDArray[np.float32]) -> NDArray[np.float32]:
     """Let foregrounds take the pixels around them along."""
-    for _ in range(_RIM_PX):
+    for _ in range(_MIXED_PX):
         nearer = cv2.dilate(disparity, np.ones((3, 3), np.uint8))
         disparity = np.where(nearer - disparity > _TEAR_PX, nearer, disparity)
     return disparity
@@ -212,23 +194,14 @@ def _left_view(sharp: NDArray[np.float32], disparity: NDArray[np.float32]) -> ND
 
 
 def _seen_columns(shift: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return which column of the frame each pixel of a view shows.
+    """Return which fractional column of the frame each pixel of a view shows [rows, columns].
 
-    Parameters
-    ----------
-    shift : ndarray, float32 [rows, columns]
-        How far each pixel of the frame moves to the right; the nearer, the farther.
-
-    Returns
-    -------
-    ndarray, float32 [rows, columns]
-        Fractional columns, finite.
+    `shift` says how far each pixel of the frame moves to the right; the nearer, the farther.
     """
     height, width = shift.shape
     column = np.arange(width, dtype=np.float32)
     place = column + shift
-    step = np.diff(shift, axis=1)
-    torn = np.abs(step) > _TEAR_PX / 2
+    torn = np.abs(np.diff(shift, axis=1)) > _TEAR_PX / 2
     # A pixel reaches half-way to its neighbours; where the surface ends, half a pixel.
     half_way = (place[:, 1:] + place[:, :-1]) / 2
     start, stop = place - 0.5, place + 0.5
@@ -241,9 +214,9 @@ def _seen_columns(shift: NDArray[np.float32]) -> NDArray[np.float32]:
     # are painted from right to left, and need no comparison of their depths.
     row = np.repeat(np.arange(height), width)
     start, stop = start[:, ::-1].ravel(), stop[:, ::-1].ravel()
-    pixel, target, distance, length = _painted(row, start, stop, width)
+    pixel, target, distance = _painted(row, start, stop, width)
     origin = np.tile(column[::-1], height)[pixel]
-    seen.reshape(-1)[target] = origin - np.float32(0.5) + distance / length
+    seen.reshape(-1)[target] = origin - np.float32(0.5) + distance / (stop - start)[pixel]
     return seen
 
 
@@ -259,39 +232,30 @@ def _fill_holes(
     farther of the two; and at the borders of the view.
     """
     height, width = shift.shape
-    column = np.arange(width)
     # The surface of each pixel begins at the last tear before it.
-    after_tear = np.pad(np.where(torn, column[1:], 0), ((0, 0), (1, 0)))
+    after_tear = np.pad(np.where(torn, np.arange(1, width), 0), ((0, 0), (1, 0)))
     first = np.maximum.accumulate(after_tear, axis=1)
     row, last = np.nonzero(torn & (np.diff(shift, axis=1) > 0))
     every = np.arange(height)
-    end = np.full(height, width - 1)
-
+    # The right border first: what is found inside is painted over it.
+    stop = np.concatenate([np.full(height, width, np.float32), place[row, last + 1] - 0.5])
     row = np.concatenate([every, row])
-    last = np.concatenate([end, last])
-    start = place[row, last] + np.float32(0.5)
-    stop = np.full(len(row), width, np.float32)
-    stop[height:] = place[row[height:], last[height:] + 1] - np.float32(0.5)
-    hole, target, distance, _ = _painted(row, start, stop, width)
+    last = np.concatenate([np.full(height, width - 1), last])
+    hole, target, distance = _painted(row, place[row, last] + np.float32(0.5), stop, width)
     span = (last - first[row, last])[hole]
     seen.reshape(-1)[target] = last[hole] - _mirrored(distance, span)
 
     stop = place[:, 0] - np.float32(0.5)
-    hole, target, distance, _ = _painted(every, np.zeros_like(stop), stop, width)
-    ends = np.pad(torn, ((0, 0), (0, 1)), constant_values=True)
-    span = ends.argmax(axis=1)[hole]
+    hole, target, _ = _painted(every, np.zeros_like(stop), stop, width)
+    span = np.pad(torn, ((0, 0), (0, 1)), constant_values=True).argmax(axis=1)[hole]
     seen.reshape(-1)[target] = _mirrored(stop[hole] - target % width, span)
 
 
 def _mirrored(distance: NDArray[np.float32], span: NDArray[np.intp]) -> NDArray[np.float32]:
     """Return how far back to go for what lies beyond a surface's end, to and fro within it.
 
-    Parameters
-    ----------
-    distance : ndarray, float32 [N]
-        From the edge of the surface's last pixel, >= 0.
-    span : ndarray, int [N]
-        From the first to the last pixel of the surface, >= 0.
+    `distance` >= 0 is from the edge of the surface's last pixel, `span` >= 0 from its first to its
+    last pixel.
     """
     period = np.maximum(span, 1)
     phase = np.maximum(distance - np.float32(0.5), 0) % (2 * period)
@@ -300,25 +264,17 @@ def _mirrored(distance: NDArray[np.float32], span: NDArray[np.intp]) -> NDArray[
 
 def _painted(
     row: NDArray[np.intp], start: NDArray[np.float32], stop: NDArray[np.float32], width: int
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
-    """Go through the pixels of a view that intervals of its rows cover.
-
-    Parameters
-    ----------
-    row : ndarray, int [N]
-    start, stop : ndarray, float32 [N]
-        Interval ``start <= column < stop``.
-    width : int
-        Of the view; what is beyond is left out.
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
+    """Go through the pixels of a view that intervals ``start <= column < stop`` of rows cover.
 
     Returns
     -------
     interval : ndarray, int [P]
         Index of the interval that each covered pixel belongs to, in the order given.
     target : ndarray, int [P]
-        Flat index of the pixel.
-    distance, length : ndarray, float32 [P]
-        From the interval's start to the pixel and to its stop.
+        Flat index of the pixel in a view of `width` columns.
+    distance : ndarray, float32 [P]
+        From the interval's start to the pixel.
     """
     first = np.maximum(np.ceil(start), 0).astype(np.intp)
     counts = np.maximum(np.minimum(np.ceil(stop), width).astype(np.intp) - first, 0)
@@ -326,4 +282,4 @@ def _painted(
     column = np.arange(len(interval)) - np.repeat(np.cumsum(counts) - counts, counts)
     column += first[interval]
     distance = column.astype(np.float32) - start[interval]
-    return interval, row[interval] * width + column, distance, (stop - start)[interval]
+    return interval, row[interval] * width + column, distance

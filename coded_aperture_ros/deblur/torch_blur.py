@@ -5,22 +5,15 @@ import torch
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.deblur.operator import fast_shape, frame_within, scene_around
+from coded_aperture_ros.deblur.operator import fast_shape, frame_within, steps_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 
 
 class TorchBlur:
     """The operator of `SpreadingBlur`, all kernels at once.
 
-    Parameters
-    ----------
-    basis : PsfBasis
-    blur_size_px : ndarray, float32 [rows, columns]
-        Signed blur size of every pixel, finite.
-    device : str
-        `cpu` or `cuda`.
-    threads : int, optional
-        Of the processor.
+    Parameters are those of `SpreadingBlur`, and the `device`, `cpu` or `cuda`. The `threads` of
+    the processor are PyTorch's for the whole process.
     """
 
     fft = torch.fft
@@ -28,7 +21,6 @@ class TorchBlur:
     def __init__(
         self, basis: PsfBasis, blur_size_px: NDArray[np.float32], device: str, threads: int = 1
     ) -> None:
-        # PyTorch's for the whole process.
         torch.set_num_threads(threads)
         rows, columns = blur_size_px.shape
         self.shape, self.margin_px = (rows, columns), basis.margin_px
@@ -41,13 +33,13 @@ class TorchBlur:
         padded[:, :side, :side] = self.array(basis.kernels)
         middle = (-(side // 2), -(side // 2))
         self._transforms = torch.fft.rfft2(padded.roll(middle, dims=(1, 2)))
-        steps = scene_around(basis.steps_of(blur_size_px).astype(np.float32), self)
-        self._steps, self._table = self.array(steps).long(), self.array(basis.table)
+        self._steps = self.array(steps_around(basis, blur_size_px, self))
+        self._table = self.array(basis.table)
         self._shares = self._table[:, self._steps]
         self._scale = torch.ones(self.shape, device=device)
         self._scale /= self.forward(torch.ones(self.scene_shape, device=device))
 
-    def array(self, values: NDArray[np.float32]) -> torch.Tensor:
+    def array(self, values: NDArray) -> torch.Tensor:
         """Bring an array to the device."""
         return torch.from_numpy(np.ascontiguousarray(values)).to(self._device)
 
