@@ -166,10 +166,12 @@ class FramePipeline:
         if config is None:
             return
         stack = self.estimator.model.stack
-        if deblurrer is None or deblurrer.stack is not stack or deblurrer.config != config:
-            self._deblurrer = Deblurrer(stack, config)
-            if deblurrer is not None:
-                deblurrer.close()
+        if deblurrer is not None and deblurrer.stack is stack:
+            deblurrer.reconfigure(config)
+            return
+        self._deblurrer = Deblurrer(stack, config)
+        if deblurrer is not None:
+            deblurrer.close()
 
     def close(self) -> None:
         """End the threads that the work was shared among."""
@@ -202,8 +204,6 @@ class FramePipeline:
         deblurrer = self._deblurrer
         if deblurrer is None:
             raise InputError("deblurring: the pipeline was made without it")
-        if not np.isfinite(estimate.blur_size_px).any():
-            raise InputError("no depth is known in the whole frame")
         # What depth has estimated of the noise need not be estimated again.
         estimated = KnownNoise(estimate.noise)
         known = KnownNoise.of(deblurrer.config, self.estimator.known_noise, estimated)

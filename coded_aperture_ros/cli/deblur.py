@@ -1,12 +1,14 @@
 """`coded_aperture deblur`: all-in-focus frames from coded frames and depth."""
 
 import argparse
+import dataclasses
 import json
 import time
+from collections.abc import Callable
 from typing import Any
 
 from coded_aperture_ros.cli.checks import naming
-from coded_aperture_ros.cli.frames import add_input_options, named_frames
+from coded_aperture_ros.cli.frames import NamedFrame, add_input_options, named_frames
 from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, config_from
 from coded_aperture_ros.cli.stereo_output import StereoOutput, add_stereo_options
 from coded_aperture_ros.core.errors import InputError
@@ -28,9 +30,9 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "deblur",
         help="make all-in-focus frames from coded frames and depth",
-        description="Remove the blur of every pixel according to its depth. PNG "
-        "pictures are written with 16 bits in linear light, which look dark in most viewers; with "
-        "--gamma they are written, like the input, with 8 bits in that encoding.",
+        description="Remove the blur of every pixel according to its depth. PNG pictures are "
+        "written with 16 bits in linear light, which look dark in most viewers; with --gamma they "
+        "are written, like the input, with 8 bits in that encoding.",
         epilog=_EPILOG,
     )
     add_input_options(parser, "all-in-focus picture, or a folder for one .png per frame")
@@ -42,7 +44,10 @@ def add_parser(subparsers: Any) -> None:
         help="depth map in m (.npy, .tiff) or mm (16-bit .png) for all frames; auto estimates it",
     )
     parser.add_argument(
-        "--camera", metavar="YAML", help="camera file, for a bank that does not know its depths"
+        "--camera",
+        metavar="YAML",
+        help="camera file, for a bank that does not know its depths; its noise, where it has any, "
+        "stands in for --noise and --noise-gain",
     )
     parser.add_argument(
         "--motion",
@@ -65,21 +70,18 @@ def _add_config_options(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     from coded_aperture_ros.bank import load_bank
-    from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
     from coded_aperture_ros.io import PICTURE_SUFFIXES, write_image
 
     bank = load_bank(args.bank)
     stereo = StereoOutput(args, bank.stack)
-    blur_sizes, motion_px = _blur_sizes(args, bank), _motion(args)
-    deblurrer = Deblurrer(bank.stack, config_from(args, DeblurConfig))
+    restore = _restorer(args, bank)
     encoding: dict[str, Any] = {} if args.gamma == 1 else {"bits": 8, "gamma": args.gamma}
     summaries = []
     for frame in named_frames(args, ".png", PICTURE_SUFFIXES, stereo.outputs):
         start = time.perf_counter()
         with naming(frame.source):
             stereo.check(frame.image)
-            blur_size_px = blur_sizes(frame.image)
-            sharp = deblurrer.deblur(frame.image, blur_size_px, motion_px=motion_px)
+            sharp, blur_size_px = restore(frame)
         seconds = time.perf_counter() - start
         write_image(frame.output, sharp, **encoding)
         written = stereo.write(frame.output, sharp, blur_size_px)
@@ -89,6 +91,38 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(summaries))
     return 0
+
+
+def _restorer(args: argparse.Namespace, bank: Any) -> Callable[[NamedFrame], tuple[Any, Any]]:
+    """Return a function from a frame to the all-in-focus frame and its map of blur sizes."""
+    from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
+    from coded_aperture_ros.depth import DepthConfig
+    from coded_aperture_ros.imaging import KnownNoise
+    from coded_aperture_ros.optics import load_camera
+    from coded_aperture_ros.pipeline import FramePipeline
+
+    camera, motion_px = load_camera(args.camera) if args.camera else None, _motion(args)
+    config = config_from(args, DeblurConfig)
+    noise = dataclasses.asdict(KnownNoise.of(config, camera, bank))
+    config = dataclasses.replace(config, **noise)
+    deblurrer = Deblurrer(bank.stack, config)
+    if args.depth != "auto":
+        blur_size_of = _blur_sizes_of_file(args, bank, camera)
+    else:
+        with naming(args.camera or args.bank):
+            pipeline = FramePipeline(bank, camera, DepthConfig(**noise), config)
+
+    def restored(frame: NamedFrame) -> tuple[Any, Any]:
+        if args.depth != "auto":
+            blur_size_px = blur_size_of(frame.image)
+        else:
+            result = pipeline(frame.image, frame.stamp_ns)
+            blur_size_px = result.depth.blur_size_px
+            if motion_px is None:
+                return result.all_in_focus, blur_size_px
+        return deblurrer.deblur(frame.image, blur_size_px, motion_px=motion_px), blur_size_px
+
+    return restored
 
 
 def _motion(args: argparse.Namespace) -> Any:
@@ -107,22 +141,15 @@ def _motion(args: argparse.Namespace) -> Any:
         ) from error
 
 
-def _blur_sizes(args: argparse.Namespace, bank: Any) -> Any:
-    """Return a function from a frame to its map of blur sizes."""
+def _blur_sizes_of_file(args: argparse.Namespace, bank: Any, camera: Any) -> Callable[[Any], Any]:
+    """Return a function from a frame to the blur sizes of the file's depths."""
     import numpy as np
 
-    from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+    from coded_aperture_ros.deblur import covers_frame
     from coded_aperture_ros.io import read_depth
-    from coded_aperture_ros.optics import load_camera
 
-    if args.depth == "auto":
-        estimator = DepthEstimator(bank, DepthConfig(noise=args.noise))
-        return lambda frame: estimator.estimate(frame).blur_size_px
     depth_m = read_depth(args.depth)
-    if args.camera:
-        blur_size_px = load_camera(args.camera).blur_size_px(depth_m)
-    else:
-        blur_size_px = bank.stack.blur_size_at(depth_m)
+    blur_size_px = camera.blur_size_px(depth_m) if camera else bank.stack.blur_size_at(depth_m)
     if blur_size_px is None:
         raise InputError(
             f"{args.bank}: the bank does not know how far its levels are: give --camera, or "
@@ -131,19 +158,13 @@ def _blur_sizes(args: argparse.Namespace, bank: Any) -> Any:
     if not np.isfinite(blur_size_px).any():
         raise InputError(f"{args.depth}: no pixel has a known depth")
 
-    def of_frame(frame: Any) -> Any:
-        _check_shape(args.depth, depth_m.shape, frame.shape)
+    def of_frame(image: Any) -> Any:
+        of_map, of_image = (f"{each.shape[1]} x {each.shape[0]}" for each in (depth_m, image))
+        if not covers_frame(depth_m.shape, image.shape):
+            raise InputError(
+                f"the depth map {args.depth} has {of_map} pixels, this frame {of_image}: it must "
+                "be of this size, or of this shape and smaller"
+            )
         return blur_size_px
 
     return of_frame
-
-
-def _check_shape(path: str, of_map: tuple[int, ...], of_frame: tuple[int, ...]) -> None:
-    """Check that a depth map, which may be smaller, covers what the frame covers."""
-    from coded_aperture_ros.deblur import covers_frame
-
-    if not covers_frame(of_map, of_frame):
-        raise InputError(
-            f"the depth map {path} has {of_map[1]} x {of_map[0]} pixels, this frame "
-            f"{of_frame[1]} x {of_frame[0]}: it must be of this size, or of this shape and smaller"
-        )

@@ -1,6 +1,7 @@
 """The 3D pictures that `deblur` writes beside the all-in-focus ones."""
 
 import argparse
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,10 @@ from coded_aperture_ros.core.errors import InputError
 
 # Of the width. Wider views are hard to fuse on a screen that fills much of the field of view.
 _USUAL_PARALLAX = 0.03
-_OPTIONS = ("anaglyph", "stereo")
+_PICTURES = {
+    "anaglyph": "a picture for red-cyan glasses, red on the left",
+    "stereo": "the views of both eyes side by side, left on left",
+}
 
 
 def add_stereo_options(parser: argparse.ArgumentParser) -> None:
@@ -18,12 +22,8 @@ def add_stereo_options(parser: argparse.ArgumentParser) -> None:
         "3D pictures",
         "8 bits, sRGB or as --gamma says; .npy: linear light. Folders where OUT is one.",
     )
-    group.add_argument(
-        "--anaglyph", metavar="FILE", help="write a picture for red-cyan glasses, red on the left"
-    )
-    group.add_argument(
-        "--stereo", metavar="FILE", help="write the views of both eyes side by side, left on left"
-    )
+    for name, what in _PICTURES.items():
+        group.add_argument(f"--{name}", metavar="FILE", help=f"write {what}")
     group.add_argument(
         "--parallax",
         type=_parallax,
@@ -34,28 +34,17 @@ def add_stereo_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _parallax(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"expected a number of pixels above 0, got {text}")
-    return value
+    with suppress(ValueError):
+        if 0 < float(text) < float("inf"):
+            return float(text)
+    raise argparse.ArgumentTypeError(f"expected a number of pixels above 0, got {text}")
 
 
 class StereoOutput:
-    """What `--anaglyph` and `--stereo` ask for.
-
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Of a parser with `add_stereo_options`, and with `output`, `gamma`, `depth` and `camera`.
-    stack : PsfStack
-        PSFs of the bank; says whether larger blur sizes are farther.
-    """
+    """What `--anaglyph` and `--stereo` ask for, of a bank with the PSFs `stack`."""
 
     def __init__(self, args: argparse.Namespace, stack: Any) -> None:
-        self._given = {name: getattr(args, name) for name in _OPTIONS if getattr(args, name)}
+        self._given = {name: getattr(args, name) for name in _PICTURES if getattr(args, name)}
         if args.parallax and not self._given:
             args.usage_error("--parallax only goes with --anaglyph or --stereo")
         self._args = args
@@ -66,26 +55,16 @@ class StereoOutput:
     def outputs(self, output: Path) -> list[Path]:
         """Return all files that belong to the all-in-focus picture `output`, which is the first.
 
-        Raises
-        ------
-        InputError
-            If one is of an unknown format, two are the same, or a file is named where a folder is
-            needed.
+        An unknown format, one name for two, and a file in place of a folder are InputErrors.
         """
         paths = [output, *self._files(output).values()]
         for index, path in enumerate(paths):
-            if path.resolve() in (other.resolve() for other in paths[:index]):
+            if path.resolve() in [other.resolve() for other in paths[:index]]:
                 raise InputError(f"{path}: two results cannot go to one file: use another name")
         return paths
 
     def check(self, frame: Any) -> None:
-        """Check that the views of a frame can be as far apart as asked for.
-
-        Raises
-        ------
-        InputError
-            If they would have too little in common.
-        """
+        """Check that the views of a frame can be as far apart as asked for."""
         from coded_aperture_ros.deblur import check_parallax
 
         if self._given:
@@ -134,11 +113,9 @@ class StereoOutput:
 
 
 def _direction(stack: Any) -> int:
-    """Return 1 if larger blur sizes are farther, and -1 if they are nearer.
-
-    Signed sizes grow with the depth. Measured ones may have lost their sign, and indices of levels
-    have any order, which shows where their depths are known.
-    """
+    """Return 1 if larger blur sizes are farther, and -1 if they are nearer."""
+    # Signed sizes grow with the depth. Measured ones may have lost their sign, and indices of
+    # levels have any order, which shows where their depths are known.
     if stack.depths_m is None:
         return 1
     nearest, farthest = stack.depths_m.argmin(), stack.depths_m.argmax()

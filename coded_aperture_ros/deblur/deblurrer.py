@@ -13,13 +13,13 @@ from coded_aperture_ros.deblur.closed_form import ClosedForm
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fast import Fast
 from coded_aperture_ros.deblur.fill import filled_blur_map
-from coded_aperture_ros.deblur.frame import frame_noise, measured_pixels, opponents
+from coded_aperture_ros.deblur.frame import measured_pixels, opponents
 from coded_aperture_ros.deblur.motion import motion_of_frame
 from coded_aperture_ros.deblur.problem import Method, Problem
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.deblur.sparse import Sparse
 from coded_aperture_ros.deblur.video import VideoState
-from coded_aperture_ros.imaging import check_frame
+from coded_aperture_ros.imaging import KnownNoise, channel_noise, check_frame
 from coded_aperture_ros.optics import PsfStack
 
 
@@ -87,8 +87,8 @@ class Deblurrer:
             Signed blur sizes in pixels of the frame. The map covers the whole frame, may be
             smaller, and is not finite where the depth is unknown.
         noise : float, optional
-            Standard deviation of the noise of one channel, without shot noise. By default the
-            configured one, and if that is 0, an estimate.
+            Standard deviation of the noise of one channel, with its shot noise. By default what is
+            configured, and where that is 0, an estimate; see `channel_noise`.
         motion_px : ndarray, float32 [map rows, map columns, 2], optional
             Way during the exposure, to the right, and down, in pixels of the frame, of what has
             moved; not finite where it is unknown. The map covers the whole frame. Methods `cg` and
@@ -111,7 +111,7 @@ class Deblurrer:
             raise InputError("motion: method fast removes no motion, use cg or sparse")
         frame, measured = measured_pixels(frame, self.config.saturation)
         blur = self._blur_map(blur_size_px, frame, moves=motion is not None)
-        noise = frame_noise(frame, noise or self.config.noise, self.config.noise_gain)
+        noise = noise or channel_noise(frame, KnownNoise.of(self.config))
         channels, frame_count = self._video.add(opponents(frame), noise)
         problem = Problem(channels, frame_count, measured, blur, motion, noise)
         return np.clip(self._method.restore(problem, self._video), 0, 1)

@@ -114,5 +114,5 @@ def test_noise_is_estimated_as_for_depth_unless_it_is_known(frames, colour):
 
 def test_shot_noise_counts_at_the_brightness_of_the_frame(frames):
     gain = 0.03**2 / float(frames[0].mean())
-    with_shot = deblurrer(noise_gain=gain).deblur(frames[0], BLUR, 0.04)
+    with_shot = deblurrer(noise=0.04, noise_gain=gain).deblur(frames[0], BLUR)
     assert np.array_equal(with_shot, deblurrer().deblur(frames[0], BLUR, 0.05))
