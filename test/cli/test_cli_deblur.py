@@ -1,5 +1,6 @@
 """The commands `deblur` and `simulate`: the two ends of the chain."""
 
+import dataclasses
 import json
 import logging
 import shutil
@@ -8,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from bad_frames import names, write_frames
+from bag_scene import recording, write_bag
 from cli_scene import (
     FAR_M,
     HEIGHT,
@@ -20,6 +22,7 @@ from cli_scene import (
     wrong_usage,
 )
 
+from coded_aperture_ros.bank import load_bank, save_bank
 from coded_aperture_ros.deblur import Parallax, anaglyph, side_by_side, stereo_pair
 from coded_aperture_ros.imaging import SRGB
 from coded_aperture_ros.io import read_image
@@ -127,6 +130,38 @@ def test_smoothness_and_noise_reach_the_filter(scene, tmp_path, capsys):
         assert np.diff(frame, axis=1).std() < 0.9 * np.diff(plain, axis=1).std()
 
 
+@pytest.mark.parametrize("depth", ["auto", "depth_npy"])
+def test_noise_is_that_of_the_option_the_camera_the_bank_or_the_frame(
+    scene, tmp_path, capsys, depth
+):
+    """In this order, whatever the depth comes from; shot noise of the camera's file counts too."""
+    noisy_bank = tmp_path / "bank.npz"
+    save_bank(dataclasses.replace(load_bank(scene.bank), noise=0.2), noisy_bank)
+    noisy_camera = camera_file(tmp_path, "noisy.yaml", noise=0.05)
+    shot_camera = camera_file(tmp_path, "shot.yaml", noise=0.001, noise_gain=0.005)
+    frames = {}
+    for name, bank, *options in (
+        ("frame", scene.bank),
+        ("bank", noisy_bank),
+        ("camera", noisy_bank, "--camera", noisy_camera),
+        ("camera 2", scene.bank, "--noise", 0.05),
+        ("option", noisy_bank, "--camera", noisy_camera, "--noise", 0.01),
+        ("option 2", scene.bank, "--noise", 0.01),
+        ("shot", scene.bank, "--camera", shot_camera),
+        ("shot 2", scene.bank, "--noise", 0.001, "--noise-gain", 0.005),
+    ):
+        depth_of = "auto" if depth == "auto" else getattr(scene, depth)
+        arguments = ("--bank", bank, "--depth", depth_of, scene.coded_png, *options)
+        output = tmp_path / f"{name}.npy"
+        assert call(capsys, "deblur", *arguments, "-o", output).status == 0
+        frames[name] = np.load(output)
+    for name in ("camera", "option", "shot"):
+        assert frames[name] == pytest.approx(frames[f"{name} 2"], abs=1e-3)
+    roughness = {name: float(np.diff(frame, axis=1).std()) for name, frame in frames.items()}
+    assert roughness["frame"] > roughness["option"] > roughness["camera"] > roughness["bank"]
+    assert roughness["shot"] < roughness["option"]
+
+
 def test_a_folder_of_frames(scene, tmp_path, capsys):
     (tmp_path / "in").mkdir()
     for name in ("a.png", "b.png"):
@@ -138,6 +173,14 @@ def test_a_folder_of_frames(scene, tmp_path, capsys):
     options = ("--bank", scene.bank, "--depth", scene.depth_npy, "-o", tmp_path / "in")
     refused(call(capsys, "deblur", *options, tmp_path / "in"), "a.png", "use another name")
     assert everything(tmp_path) == before
+
+
+def test_a_bag_of_frames(scene, tmp_path, capsys):
+    bag = write_bag(tmp_path / "in", recording(scene, frames=2))
+    arguments = ("--bank", scene.bank, "--depth", scene.depth_npy, bag, "-o", tmp_path / "out")
+    result = call(capsys, "deblur", *arguments)
+    assert (result.status, result.err) == (0, "")
+    assert names(tmp_path / "out") == ["in_000000.png", "in_000001.png"]
 
 
 def expected_pair(scene, sharp, shift_px):
