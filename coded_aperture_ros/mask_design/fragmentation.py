@@ -27,6 +27,7 @@ BLUR_SIZES_PX = tuple(np.linspace(7.0, 25.0, LEVELS))
 LENGTHS_PX = tuple(1.5 * np.arange(1, LENGTHS + 1))
 # More placements than this are not all tried: as many at random are, and improved by exchanges.
 MOST_PLACEMENTS = 3000
+Cells = tuple[int, ...]
 # How finely the disc is drawn, cells for each of the grid's.
 _DISC_CELLS = 32
 _SUBCELLS = 8
@@ -153,47 +154,53 @@ def analyse_fragmentation(
         raise InputError(f"{holes} holes: expected 1 to {grid**2} in a grid of {grid}x{grid}")
     disc = round_mask(grid, holes)
     noise = tuple(noise_levels)
-    count = _Counter(np.atleast_1d(np.asarray(blur_sizes_px, np.float64)), motions, noise)
+    traces = [transfer(motion_kernel((right, down))) for right, down in motions.vectors_px]
+    sizes_px = np.atleast_1d(np.asarray(blur_sizes_px, np.float64))
+
+    def preserved(mask: Mask) -> NDArray[np.float64]:
+        return _preserved(mask, sizes_px, np.array(traces), noise)
+
+    turned = _turned(grid)
     total = math.comb(grid**2, holes)
     exhaustive = total <= 8 * MOST_PLACEMENTS
-    candidates = _different(grid, holes) if exhaustive else _drawn(grid, holes, seed)
-    measured = {cells: count(_mask(grid, cells)) for cells in progress(candidates)}
+    drawn: Iterable[Cells] = itertools.combinations(range(grid**2), holes)
     if not exhaustive:
-        measured.update(_improved(grid, measured, count))
+        random = np.random.default_rng(seed)
+        draws = range(MOST_PLACEMENTS // 4)
+        drawn = (tuple(random.choice(grid**2, holes, replace=False)) for _ in draws)
+    # One of each set of placements that are turns and reflections of each other.
+    candidates = sorted({_first(cells, turned) for cells in drawn})
+    measured = {cells: preserved(_mask(grid, cells)) for cells in progress(candidates)}
+    if not exhaustive:
+        measured.update(_improved(grid, measured, turned, preserved))
     order = sorted(measured, key=lambda cells: (-measured[cells].sum(), cells))
     return Fragmentation(
         masks=[_mask(grid, cells) for cells in order],
         preserved=np.array([measured[cells] for cells in order]),
         disc=disc,
-        disc_preserved=count(disc),
+        disc_preserved=preserved(disc),
         noise_levels=noise,
         placements=total,
         exhaustive=exhaustive,
     )
 
 
-class _Counter:
-    """Counts the frequencies that stay above the noise (eq. 7.8)."""
-
-    def __init__(
-        self, blur_sizes_px: NDArray[np.float64], motions: Motions, noise: tuple[float, ...]
-    ) -> None:
-        self._sizes, self._noise = blur_sizes_px, noise
-        traces = [motion_kernel((vector[0], vector[1])) for vector in motions.vectors_px]
-        self._traces = np.array([transfer(trace) for trace in traces], np.float32)
-        rows, columns = self._traces.shape[1:]
-        once = (np.arange(columns) == 0) | (2 * (columns - 1) == np.arange(columns))
-        self._counts = np.broadcast_to(np.where(once, 1.0, 2.0), (rows, columns)).ravel()
-
-    def __call__(self, mask: Mask) -> NDArray[np.float64]:
-        stack = render_psf_stack(mask, self._sizes)
-        above = np.zeros(len(self._noise))
-        traces = self._traces.reshape(len(self._traces), -1)
-        for psf in stack.psfs:
-            passed = traces * transfer(psf).ravel()
-            for index, noise in enumerate(self._noise):
-                above[index] += ((passed > noise) @ self._counts).sum()
-        return above / (len(stack) * len(traces) * self._counts.sum())
+def _preserved(
+    mask: Mask,
+    blur_sizes_px: NDArray[np.float64],
+    traces: NDArray[np.float32],
+    noise_levels: tuple[float, ...],
+) -> NDArray[np.float64]:
+    """Return the share of the frequencies that stay above each noise (eq. 7.8)."""
+    motions, rows, columns = traces.shape
+    once = (np.arange(columns) == 0) | (2 * (columns - 1) == np.arange(columns))
+    counts = np.broadcast_to(np.where(once, 1.0, 2.0), (rows, columns)).ravel()
+    stack = render_psf_stack(mask, blur_sizes_px)
+    above = np.zeros(len(noise_levels))
+    for psf in stack.psfs:
+        passed = traces.reshape(motions, -1) * transfer(psf).ravel()
+        above += [((passed > noise) @ counts).sum() for noise in noise_levels]
+    return above / (len(stack) * motions * counts.sum())
 
 
 def transfer(psf: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -208,30 +215,13 @@ def transfer(psf: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.abs(scipy.fft.rfft2(folded)).astype(np.float32)
 
 
-def _different(grid: int, holes: int) -> list[tuple[int, ...]]:
-    """Return one of each set of placements that are turns and reflections of each other."""
-    turned = _turned(grid)
-    return sorted(
-        {_first(cells, turned) for cells in itertools.combinations(range(grid**2), holes)}
-    )
-
-
-def _drawn(grid: int, holes: int, seed: int) -> list[tuple[int, ...]]:
-    """Return placements drawn at random."""
-    random, turned = np.random.default_rng(seed), _turned(grid)
-    return sorted(
-        {
-            _first(tuple(random.choice(grid**2, holes, replace=False)), turned)
-            for _ in range(MOST_PLACEMENTS // 4)
-        }
-    )
-
-
 def _improved(
-    grid: int, measured: dict[tuple[int, ...], NDArray[np.float64]], count: _Counter
-) -> Iterator[tuple[tuple[int, ...], NDArray[np.float64]]]:
+    grid: int,
+    measured: dict[Cells, NDArray[np.float64]],
+    turned: list[NDArray[np.intp]],
+    preserved: Callable[[Mask], NDArray[np.float64]],
+) -> Iterator[tuple[Cells, NDArray[np.float64]]]:
     """Move one hole of the best placement after the other, as long as that helps."""
-    turned = _turned(grid)
     best = max(measured, key=lambda cells: float(measured[cells].sum()))
     most, better = measured[best].sum(), True
     while better:
@@ -240,7 +230,7 @@ def _improved(
             if place in best:
                 continue
             cells = _first((*best[:hole], place, *best[hole + 1 :]), turned)
-            found = count(_mask(grid, cells))
+            found = preserved(_mask(grid, cells))
             yield cells, found
             if found.sum() > most:
                 best, most, better = cells, found.sum(), True
@@ -254,19 +244,17 @@ def _turned(grid: int) -> list[NDArray[np.intp]]:
     return [np.argsort(turn.ravel()) for turn in (*turns, *(turn.T for turn in turns))]
 
 
-def _first(cells: tuple[int, ...], turned: list[NDArray[np.intp]]) -> tuple[int, ...]:
+def _first(cells: Cells, turned: list[NDArray[np.intp]]) -> Cells:
     """Return the first in order of all turns and reflections of a placement."""
     chosen = list(cells)
     return min(tuple(int(cell) for cell in np.sort(turn[chosen])) for turn in turned)
 
 
-def _mask(grid: int, cells: tuple[int, ...]) -> Mask:
+def _mask(grid: int, cells: Cells) -> Mask:
     transmission = np.zeros(grid**2, np.float32)
     transmission[list(cells)] = 1
-    name = "-".join(
-        "".join("1" if cell else "0" for cell in row) for row in transmission.reshape(grid, grid)
-    )
-    return Mask(name, transmission.reshape(grid, grid))
+    rows = transmission.reshape(grid, grid)
+    return Mask("-".join("".join("01"[int(cell)] for cell in row) for row in rows), rows)
 
 
 def _check_positive(**values: float) -> None:

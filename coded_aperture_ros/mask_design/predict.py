@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.design import openings_of
 from coded_aperture_ros.mask_design.grids import smallest_openings
 from coded_aperture_ros.mask_design.spectra import (
     Frequencies,
@@ -37,21 +38,11 @@ class _Texture:
 
     The numbers were fitted once to the errors that were measured with the masks with names and 54
     random ones; what decides with real photographs is how well a mask does on lines.
-
-    Attributes
-    ----------
-    lines : bool
-        Only upright and level lines, as most photographs have them; else all directions.
-    contrast : float
-        Variance of the sharp texture.
-    evidence : float
-        Share of a distance that counts: how much of what frequencies tell is new.
-    weight : float
     """
 
-    lines: bool
-    contrast: float
-    evidence: float
+    lines: bool  # only upright and level ones, as most photographs have them; else all directions
+    contrast: float  # variance of the sharp texture
+    share: float  # of a distance that counts: how much of what frequencies tell is new
     weight: float
 
 
@@ -120,8 +111,6 @@ class MaskScorer:
         """
         for mask in masks:
             check_two_colours(mask)
-        from coded_aperture_ros.design import openings_of
-
         light = np.array([mask.open_fraction for mask in masks])
         power = np.array([expected_spectra(mask, self.scene, self.frequencies) for mask in masks])
         if self.scene.diffraction_px > 0:
@@ -150,25 +139,13 @@ class MaskScorer:
                 widths = smallest_openings(batch) / cells
                 power *= diffraction_loss(widths, self.scene, self.frequencies)[:, None]
             parts.append(self._predict(power, batch.mean(axis=(1, 2), dtype=np.float64)))
-        return Prediction(
-            np.concatenate([part.depth_error for part in parts]),
-            np.concatenate([part.deblurring_error for part in parts]),
-            np.concatenate([part.light for part in parts]),
-        )
-
-    def distances(self, mask: Mask, sigma: float, contrast: float = 1e-2) -> NDArray[np.float32]:
-        """Return the Bhattacharyya distance of every two levels of a mask [levels, levels]."""
-        check_two_colours(mask)
-        power = expected_spectra(mask, self.scene, self.frequencies)[None]
-        ratio = np.array([contrast * mask.open_fraction**2 / sigma**2], np.float32)
-        return _distances(_log_spectra(power, ratio), self._slopes)[0]
+        columns = zip(*(vars(part).values() for part in parts), strict=True)
+        return Prediction(*map(np.concatenate, columns))
 
     def _predict(self, power: NDArray[np.float32], light: NDArray[np.float64]) -> Prediction:
-        depth, deblurring = [], []
-        for sigma in self.sigmas:
-            signal = (light / sigma) ** 2
-            depth.append(self._depth_error(power, signal))
-            deblurring.append(self._deblurring_error(power, signal))
+        signals = [(light / sigma) ** 2 for sigma in self.sigmas]
+        depth = [self._depth_error(power, signal) for signal in signals]
+        deblurring = [self._deblurring_error(power, signal) for signal in signals]
         return Prediction(np.stack(depth, 1), np.stack(deblurring, 1), light)
 
     def _depth_error(
@@ -180,15 +157,10 @@ class MaskScorer:
             ways = self._lines if texture.lines else [slice(None)]
             for way in ways:
                 distances = _distances(_log_spectra(power[..., way], ratio), self._slopes[way])
-                mean = self._mean_error(np.float32(texture.evidence) * distances)
-                error += texture.weight / len(ways) * mean
+                probability = np.exp(-np.float32(texture.share) * distances)
+                expected = (probability * self._steps).sum(axis=2) / probability.sum(axis=2)
+                error += texture.weight / len(ways) * expected.mean(axis=1)
         return error
-
-    def _mean_error(self, distances: NDArray[np.float32]) -> NDArray[np.float64]:
-        probability = np.exp(-distances)
-        expected = (probability * self._steps).sum(axis=2) / probability.sum(axis=2)
-        mean: NDArray[np.float64] = expected.mean(axis=1)
-        return mean
 
     def _deblurring_error(
         self, power: NDArray[np.float32], signal: NDArray[np.float64]
@@ -241,25 +213,13 @@ class MaskScorer:
 
 
 def check_sigmas(sigmas: Sequence[float]) -> None:
-    """Refuse noises that nothing can be predicted for.
-
-    Raises
-    ------
-    InputError
-        If there is none, or one is not above 0.
-    """
+    """Refuse noises that nothing can be predicted for: none, or one that is not above 0."""
     if not sigmas or not all(0 < sigma <= 0.5 for sigma in sigmas):
         raise InputError(f"sigmas: expected noises above 0, at most 0.5, got {list(sigmas)}")
 
 
 def check_two_colours(mask: Mask) -> None:
-    """Refuse a mask without a pattern.
-
-    Raises
-    ------
-    InputError
-        Naming the mask.
-    """
+    """Refuse a mask without a pattern."""
     if mask.transmission.min() == mask.transmission.max():
         raise InputError(
             f"mask {mask.name}: all cells have one colour, so there is no pattern to score: use a "
