@@ -37,16 +37,13 @@ def add_parser(subparsers: Any) -> None:
         ("best", 1, _BEST, "how many placements to show"),
         ("seed", 0, 0, "of the placements that are drawn"),
     )
-    parser.add_argument(
-        "--focal-length-mm", type=float, default=50.0, metavar="F", help="of the lens (default 50)"
-    )
-    parser.add_argument(
-        "--f-number",
-        type=float,
-        default=7.1,
-        metavar="N",
-        help="of the disc with the light of all holes (default 7.1)",
-    )
+    for name, metavar, default, what in (
+        ("--focal-length-mm", "F", 50.0, "of the lens"),
+        ("--f-number", "N", 7.1, "of the disc with the light of all holes"),
+    ):
+        parser.add_argument(
+            name, type=float, default=default, metavar=metavar, help=f"{what} (default {default:g})"
+        )
     parser.add_argument(
         "--output",
         metavar="DIR",
@@ -76,10 +73,6 @@ def run(args: argparse.Namespace) -> int:
         progress=lambda items: progress(items, unit="placement"),
         seed=args.seed,
     )
-    chosen = {
-        f"{low:g} to {high:g}": analysis.masks[analysis.best(low, high)].name
-        for low, high in _NOISE_RANGES
-    }
     results = {
         "placements": analysis.placements,
         "different": len(analysis.masks),
@@ -87,11 +80,14 @@ def run(args: argparse.Namespace) -> int:
         "hole_side_mm": round(side_mm, 3),
         "extent_mm": round(side_mm * args.grid, 3),
         "most_holes": most_holes(args.focal_length_mm, args.f_number),
-        "noise_levels": [round(float(level), 3) for level in analysis.noise_levels],
-        "best_for_noise": chosen,
-        "disc": [round(float(share), 4) for share in analysis.disc_preserved],
+        "noise_levels": _rounded(analysis.noise_levels, 3),
+        "best_for_noise": {
+            f"{low:g} to {high:g}": analysis.masks[analysis.best(low, high)].name
+            for low, high in _NOISE_RANGES
+        },
+        "disc": _rounded(analysis.disc_preserved),
         "masks": [
-            {"mask": mask.name, "preserved": [round(float(share), 4) for share in shares]}
+            {"mask": mask.name, "preserved": _rounded(shares)}
             for mask, shares in zip(analysis.masks[: args.best], analysis.preserved, strict=False)
         ],
     }
@@ -99,6 +95,10 @@ def run(args: argparse.Namespace) -> int:
         _write(Path(args.output), analysis, args.best)
     print(json.dumps(results) if args.json else _text(results))
     return 0
+
+
+def _rounded(values: Any, digits: int = 4) -> list[float]:
+    return [round(float(value), digits) for value in values]
 
 
 def _write(folder: Path, analysis: Any, count: int) -> None:
@@ -120,14 +120,14 @@ def _text(results: dict[str, Any]) -> str:
         for row in [*results["masks"], {"mask": "disc", "preserved": results["disc"]}]
     ]
     how = "all tried" if results["exhaustive"] else "some tried, the best improved"
-    best = "\n".join(
-        f"best for noise {noise}: {mask}" for noise, mask in results["best_for_noise"].items()
-    )
     return (
         f"{results['placements']} placements, {results['different']} of them different ({how})\n"
         f"holes of {results['hole_side_mm']:.2f} mm in a grid of {results['extent_mm']:.2f} mm; "
         f"diffraction allows {results['most_holes']} holes of this light\n\n"
         "frequencies above the noise, %\n"
         + table(["mask", *(f"noise {levels[index]:g}" for index in shown)], rows)
-        + f"\n\n{best}"
+        + "\n"
+        + "".join(
+            f"\nbest for noise {noise}: {mask}" for noise, mask in results["best_for_noise"].items()
+        )
     )

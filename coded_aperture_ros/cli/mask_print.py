@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.cli.options import mask_of
 
 _EPILOG = """examples:
   the mask of a camera file, in its size, on a round piece that fits a filter ring of 77 mm:
@@ -35,19 +35,12 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--camera", metavar="YAML", help="camera file whose mask and mask size are taken"
     )
-    parser.add_argument(
-        "--extent-mm",
-        type=float,
-        metavar="M",
-        help="outer width of the mask's grid; needed without --camera",
-    )
-    parser.add_argument(
-        "--outer-mm",
-        type=float,
-        metavar="D",
-        help="diameter of the round piece that goes into the lens (default: 5 mm of rim around "
-        "the openings)",
-    )
+    for name, metavar, what in (
+        ("--extent-mm", "M", "outer width of the mask's grid; needed without --camera"),
+        ("--outer-mm", "D", "diameter of the round piece that goes into the lens (default: 5 mm of "
+         "rim around the openings)"),
+    ):  # fmt: skip
+        parser.add_argument(name, type=float, metavar=metavar, help=what)
     parser.add_argument("--label", default="", metavar="TEXT", help="a line to print on the page")
     parser.add_argument(
         "-o", "--output", required=True, metavar="FILE", help="page to write (.pdf or .svg)"
@@ -62,12 +55,15 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.design.pdf import pdf_of
     from coded_aperture_ros.design.sheet import loose_parts_note, mask_sheet
     from coded_aperture_ros.design.svg import svg_of
+    from coded_aperture_ros.optics import load_camera
 
     _check_usage(args)
     check_suffix(args.output, _SUFFIXES)
     inputs = [Path(name) for name in (args.camera, args.mask) if name]
     check_output(args.output, inputs)
-    mask, extent_mm = _mask_and_extent(args)
+    camera = args.camera and load_camera(args.camera)
+    mask = camera.mask if camera else mask_of(args.mask)
+    extent_mm = args.extent_mm or camera.mask_extent_mm
     with naming(args.camera or f"mask {args.mask}"):
         sheet = mask_sheet(mask, extent_mm, args.outer_mm, args.label)
     data = pdf_of(sheet) if args.output.lower().endswith(".pdf") else svg_of(sheet).encode()
@@ -107,19 +103,3 @@ def _check_usage(args: argparse.Namespace) -> None:
         value = getattr(args, name)
         if value is not None and not 0 < value < math.inf:
             args.usage_error(f"--{name.replace('_', '-')}: expected more than 0 mm, got {value:g}")
-
-
-def _mask_and_extent(args: argparse.Namespace) -> tuple[Any, float]:
-    from coded_aperture_ros.optics import MASK_NAMES, Mask, load_camera
-
-    if args.camera is not None:
-        camera = load_camera(args.camera)
-        return camera.mask, args.extent_mm or camera.mask_extent_mm
-    if args.mask in MASK_NAMES:
-        return Mask.named(args.mask), args.extent_mm
-    if Path(args.mask).exists():
-        return Mask.from_file(args.mask), args.extent_mm
-    try:
-        return Mask.named(args.mask), args.extent_mm
-    except InputError as error:
-        raise InputError(f"{error}, or a file") from error

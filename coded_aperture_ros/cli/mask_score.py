@@ -13,6 +13,7 @@ from coded_aperture_ros.cli.options import (
     at_least,
     config_from,
     folder_of,
+    mask_of,
     table,
 )
 from coded_aperture_ros.cli.progress import progress
@@ -73,8 +74,10 @@ def _add_late_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
-    from coded_aperture_ros.cli.options import mask_of
+    import numpy as np
+
     from coded_aperture_ros.mask_design import MaskScorer, SceneConfig, subspace_distances
+    from coded_aperture_ros.mask_design.subspaces import LETTER_OF_MASK, THESIS_L1
     from coded_aperture_ros.optics import MASK_NAMES
 
     if args.windows is not None and args.images is None:
@@ -87,8 +90,6 @@ def run(args: argparse.Namespace) -> int:
     scene = config_from(args, SceneConfig)
     predicted = MaskScorer(scene, args.sigmas).score(masks)
     with_pictures = _with_pictures(args, scene, masks)
-    import numpy as np
-
     sizes = np.linspace(scene.smallest_px, scene.largest_px, min(scene.levels, _SUBSPACE_LEVELS))
     distances = [subspace_distances(mask, sizes) for mask in masks]
     rows = [
@@ -101,18 +102,15 @@ def run(args: argparse.Namespace) -> int:
             "subspace_l1": round(distances[index].l1_fit, 3),
             "subspace_l1_relative": round(distances[index].relative_fit, 4),
             "subspace_rank": distances[index].rank,
-            "thesis_l1": _thesis_l1(name),
+            "thesis_l1": THESIS_L1.get(LETTER_OF_MASK.get(name, "")),
         }
         for index, name in enumerate(names)
     ]
     if args.figure is not None:
         from coded_aperture_ros.mask_design.figures import distance_matrices
 
-        matrices = {
-            name: each.matrix / np.sqrt(each.rank)
-            for name, each in zip(names, distances, strict=True)
-        }
-        distance_matrices(matrices, args.figure)
+        shares = [each.matrix / np.sqrt(each.rank) for each in distances]
+        distance_matrices(dict(zip(names, shares, strict=True)), args.figure)
     if args.json:
         print(json.dumps({"sigmas": args.sigmas, "masks": rows}, indent=1))
     else:
@@ -143,25 +141,23 @@ def _of_noises(sigmas: Sequence[float], values: Any) -> dict[str, float]:
     }
 
 
-def _thesis_l1(name: str) -> float | None:
-    from coded_aperture_ros.mask_design.subspaces import LETTER_OF_MASK, THESIS_L1
-
-    return THESIS_L1.get(LETTER_OF_MASK.get(name, ""))
-
-
 def _text(rows: Sequence[dict[str, Any]], sigmas: Sequence[float]) -> str:
-    noises = [f"{sigma:g}" for sigma in sigmas]
-    pictures = noises if rows[0]["pictures_error"] is not None else []
-    header = ["mask", "light", *(f"depth {noise}" for noise in noises)]
-    header += [f"pictures {noise}" for noise in pictures]
-    header += [*(f"deblur {noise}" for noise in noises), "L1 fit", "share", "[thesis]"]
+    columns = [
+        (f"{title} {sigma:g}", key, f"{sigma:g}", digits)
+        for title, key, digits in (
+            ("depth", "depth_error", 2),
+            ("pictures", "pictures_error", 2),
+            ("deblur", "deblurring_error", 3),
+        )
+        if rows[0][key] is not None
+        for sigma in sigmas
+    ]
+    header = ["mask", "light", *(title for title, *_ in columns), "L1 fit", "share", "[thesis]"]
     lines = [
         [
             row["mask"],
             f"{row['light']:.2f}",
-            *(f"{row['depth_error'][noise]:.2f}" for noise in noises),
-            *(f"{row['pictures_error'][noise]:.2f}" for noise in pictures),
-            *(f"{row['deblurring_error'][noise]:.3f}" for noise in noises),
+            *(f"{row[key][noise]:.{digits}f}" for _, key, noise, digits in columns),
             f"{row['subspace_l1']:.2f}",
             f"{row['subspace_l1_relative']:.2f}",
             "-" if row["thesis_l1"] is None else f"[{row['thesis_l1']:.2f}]",

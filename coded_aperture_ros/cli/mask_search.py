@@ -98,9 +98,9 @@ def _write_mask(name: str, grid: Any) -> None:
 
     if name.lower().endswith(".png"):
         write_image(name, grid.astype(np.float32))
-        return
-    with atomic_output(name) as path:
-        np.save(path, grid.astype(np.float32))
+    else:
+        with atomic_output(name) as path:
+            np.save(path, grid.astype(np.float32))
 
 
 def _report(args: argparse.Namespace, state: Any) -> None:

@@ -166,7 +166,12 @@ def mask_of(name: str) -> Any:
     """Return the mask of a name, or of a file."""
     from coded_aperture_ros.optics import MASK_NAMES, Mask
 
-    return Mask.named(name) if name in MASK_NAMES else Mask.from_file(name)
+    if name not in MASK_NAMES and Path(name).exists():
+        return Mask.from_file(name)
+    try:
+        return Mask.named(name)
+    except InputError as error:
+        raise InputError(f"{error}, or a file") from error
 
 
 def at_least(least: int) -> Callable[[str], int]:
