@@ -124,12 +124,15 @@ def _with_pictures(
     """Return the depth error of every mask with the pictures, at every noise, if there are any."""
     if args.images is None:
         return [None] * len(masks)
+    import numpy as np
+
     from coded_aperture_ros.io.textures import load_textures
     from coded_aperture_ros.mask_design import PictureScorer
-    from coded_aperture_ros.mask_design.pictures import WINDOWS, patch_side_px, patches_of_pictures
+    from coded_aperture_ros.mask_design.pictures import WINDOWS, patch_side_px
 
     textures = load_textures("natural", folder_of(args.images))
-    patches = patches_of_pictures(textures, args.windows or WINDOWS, patch_side_px(scene))
+    side = patch_side_px(scene)
+    patches = textures.crops(args.windows or WINDOWS, side, side, np.random.default_rng(0))
     scorer = PictureScorer(patches, scene, args.sigmas)
     errors = [scorer.depth_error(mask) for mask in progress(masks, len(masks), "mask")]
     return [_of_noises(args.sigmas, error) for error in errors]

@@ -1,7 +1,7 @@
 """The depth error that a mask will have with given pictures.
 
-Sharp patches of the pictures are blurred with the mask's PSFs, and the energies of the filter bank
-decide which blur level each shows. That is what depth estimation does with a plane, but without
+Sharp patches of the pictures are blurred with the mask's PSFs, and the cost of the filter bank
+decides which blur level each shows. That is what depth estimation does with a plane, but without
 learning a bank: only every second frequency of a window counts, as neighbours share what they tell.
 """
 
@@ -15,12 +15,11 @@ from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.learning import RATIOS
 from coded_aperture_ros.bank.prior import NaturalImagePrior, power_spectrum
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.textures import Textures
-from coded_aperture_ros.likelihood.scoring import LEAST_EXCESS, OWN_NOISE, plausible_ratios
+from coded_aperture_ros.likelihood import plausible_ratios, take_logarithm
+from coded_aperture_ros.likelihood.scoring import OWN_NOISE
 from coded_aperture_ros.mask_design.predict import SIGMAS, check_sigmas, check_two_colours
 from coded_aperture_ros.mask_design.spectra import SceneConfig
-from coded_aperture_ros.optics import Mask, render_psf_stack
-from coded_aperture_ros.optics.psf import psf_width
+from coded_aperture_ros.optics import Mask, psf_width, render_psf_stack
 
 WINDOW_PX = 96
 WINDOWS = 768
@@ -37,31 +36,6 @@ def patch_side_px(scene: SceneConfig, window_px: int = WINDOW_PX) -> int:
     """
     least = window_px + psf_width(scene.largest_px)
     return int(2 * scipy.fft.next_fast_len((least + 1) // 2, real=True))
-
-
-def patches_of_pictures(
-    textures: Textures, count: int, side_px: int, seed: int = 0
-) -> NDArray[np.float32]:
-    """Cut patches at random places of pictures.
-
-    Parameters
-    ----------
-    textures : Textures
-    count : int
-    side_px : int
-        Side of the patches; see `patch_side_px`.
-    seed : int, optional
-
-    Returns
-    -------
-    ndarray, float32 [count, side_px, side_px]
-
-    Raises
-    ------
-    InputError
-        If no picture is large enough.
-    """
-    return textures.crops(count, side_px, side_px, np.random.default_rng(seed))
 
 
 class PictureScorer:
@@ -108,14 +82,18 @@ class PictureScorer:
         self.side_px = patch_side_px(self.scene, window_px)
         check_sigmas(sigmas)
         _check_scene(self.scene, window_px)
-        _check_patches(patches, self.side_px)
+        if len(patches) == 0 or patches.shape[1:] != (self.side_px, self.side_px):
+            raise InputError(
+                f"patches: expected the shape [N, {self.side_px}, {self.side_px}] for this scene's "
+                f"largest blur, got {list(patches.shape)}"
+            )
         random = np.random.default_rng(seed)
         count = len(patches)
         self.true_levels = random.permutation(np.arange(count) % self.scene.levels)
         self._sharp = scipy.fft.rfft2(patches.astype(np.float32, copy=False))
-        self._noise = np.concatenate(
-            [self.spectra.of_windows(_white(block, window_px, random)) for block in _blocks(count)]
-        )
+        shapes = ((block.stop - block.start, window_px, window_px) for block in _blocks(count))
+        white = (random.standard_normal(shape, dtype=np.float32) for shape in shapes)
+        self._noise = np.concatenate([self.spectra.of_windows(windows) for windows in white])
 
     def depth_error(self, mask: Mask) -> NDArray[np.float64]:
         """Predict the mean |level error| of a mask, at every noise.
@@ -137,7 +115,7 @@ class PictureScorer:
         for sigma in self.sigmas:
             noise = sigma / mask.open_fraction
             power = np.abs(blurred + np.float32(noise) * self._noise) ** 2
-            levels = likeliest_levels(self.spectra.energies(power, expected, noise))
+            levels = likeliest_levels(self.spectra.cost(power, expected, noise))
             errors.append(np.abs(levels - self.true_levels).mean())
         return np.array(errors)
 
@@ -160,20 +138,8 @@ class PictureScorer:
 class WindowSpectra:
     """Every second frequency of windows, and what the filter bank makes of them.
 
-    Parameters
-    ----------
-    window_px : int
-        Side of the windows; even.
-
-    Attributes
-    ----------
-    multiplicity : ndarray, float32 [K]
-        How many coefficients of the full transform each frequency stands for.
-
-    Raises
-    ------
-    InputError
-        If the side is odd or below 8 px.
+    `window_px` is even, at least 8; `multiplicity` [K] is how many coefficients of the full
+    transform each frequency stands for.
     """
 
     def __init__(self, window_px: int) -> None:
@@ -186,17 +152,7 @@ class WindowSpectra:
         self._prior = NaturalImagePrior()
 
     def of_windows(self, windows: NDArray[np.float32]) -> NDArray[np.complex64]:
-        """Return the spectra of windows.
-
-        Parameters
-        ----------
-        windows : ndarray, float32 [N, window_px, window_px]
-
-        Returns
-        -------
-        ndarray, complex64 [N, K]
-            White noise of variance s^2 has the expected power s^2.
-        """
+        """Return the spectra [N, K] of windows [N, n, n]; white noise has the power s^2."""
         half = self.window_px // 2
         weighted = windows * (self._window[:, None] * self._window)
         # Every second frequency is what a transform of the sum of both halves has.
@@ -235,10 +191,10 @@ class WindowSpectra:
             spectra.append(np.maximum(spectrum[:, self._counts], 0))
         return np.array(spectra, np.float32) + np.float32(self._prior.model_error**2)
 
-    def energies(
+    def cost(
         self, power: NDArray[np.float32], expected: NDArray[np.float32], noise: float
     ) -> NDArray[np.float32]:
-        """Return the energy of every level for every window; see `FilterBank.energies`.
+        """Return the cost of every level for every window, as the filter bank has it.
 
         Parameters
         ----------
@@ -251,7 +207,7 @@ class WindowSpectra:
         Returns
         -------
         ndarray, float32 [N, L]
-            In units of the number of frequencies. Lower is likelier.
+            Twice the negative log-likelihood, over the number of frequencies.
         """
         count = self.multiplicity.sum()
         ratios = RATIOS[plausible_ratios(RATIOS, self._prior.contrasts, noise)]
@@ -262,20 +218,15 @@ class WindowSpectra:
         share = power * np.float32(1 / (count * noise**2))
         excess = (share @ weights.T).reshape(-1, *hypotheses)
         best = ((excess + OWN_NOISE) * determinants).min(axis=1)
-        textureless = share @ self.multiplicity + OWN_NOISE
-        return np.log(np.clip(best, LEAST_EXCESS, textureless[:, None])).astype(np.float32)
+        textureless = np.asarray(share @ self.multiplicity + OWN_NOISE, np.float32)
+        return take_logarithm(best.T, textureless, 1.0).T
 
 
-def likeliest_levels(energies: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the level of least energy, or the middle one where all are the same [N].
-
-    Parameters
-    ----------
-    energies : ndarray, float32 [N, L]
-    """
-    middle = (energies.shape[1] - 1) / 2
-    undecided = energies.max(axis=1) == energies.min(axis=1)
-    return np.where(undecided, middle, energies.argmin(axis=1)).astype(np.float64)
+def likeliest_levels(cost: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the level [N] of least cost [N, L], or the middle one where all cost the same."""
+    middle = (cost.shape[1] - 1) / 2
+    undecided = cost.max(axis=1) == cost.min(axis=1)
+    return np.where(undecided, middle, cost.argmin(axis=1)).astype(np.float64)
 
 
 def _check_scene(scene: SceneConfig, window_px: int) -> None:
@@ -293,20 +244,6 @@ def _check_scene(scene: SceneConfig, window_px: int) -> None:
         )
 
 
-def _check_patches(patches: NDArray[np.float32], side_px: int) -> None:
-    if patches.ndim != 3 or len(patches) == 0 or patches.shape[1:] != (side_px, side_px):
-        raise InputError(
-            f"patches: expected the shape [N, {side_px}, {side_px}] for this scene's largest "
-            f"blur, got {list(patches.shape)}"
-        )
-
-
 def _blocks(count: int) -> Iterator[slice]:
     for start in range(0, count, _BLOCK):
         yield slice(start, min(start + _BLOCK, count))
-
-
-def _white(block: slice, window_px: int, random: np.random.Generator) -> NDArray[np.float32]:
-    """Return white noise of variance 1, a window for each patch of a block."""
-    shape = (block.stop - block.start, window_px, window_px)
-    return random.standard_normal(shape, dtype=np.float32)

@@ -13,7 +13,6 @@ from coded_aperture_ros.mask_design.pictures import (
     WindowSpectra,
     likeliest_levels,
     patch_side_px,
-    patches_of_pictures,
 )
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
@@ -23,9 +22,13 @@ SIDE_PX = patch_side_px(SCENE, WINDOW_PX)
 TEXTURES = Textures("natural", tuple(texture(256, 256, seed) for seed in range(4)))
 
 
+def crops(textures, count, side, seed=0):
+    return textures.crops(count, side, side, np.random.default_rng(seed))
+
+
 @pytest.fixture(scope="module")
 def patches():
-    return patches_of_pictures(TEXTURES, 160, SIDE_PX)
+    return crops(TEXTURES, 160, SIDE_PX)
 
 
 def scorer_of(patches, sigmas=(0.001,), **changes):
@@ -72,7 +75,7 @@ def test_levels_are_as_frequent_as_each_other(patches):
 
 
 @pytest.mark.parametrize("name", ["levin", "zhou", "three_wide"])
-def test_energies_are_those_of_the_filter_bank(patches, name):
+def test_cost_is_that_of_the_filter_bank(patches, name):
     mask, sigma = Mask.named(name), 0.001
     stack = render_psf_stack(mask, SCENE.blur_sizes_px)
     scorer = scorer_of(patches, (sigma,))
@@ -87,12 +90,12 @@ def test_energies_are_those_of_the_filter_bank(patches, name):
 
     spectra = WindowSpectra(WINDOW_PX)
     power = np.abs(spectra.of_windows(windows)) ** 2
-    energies = spectra.energies(power, spectra.expected(stack.psfs), noise)
-    levels = likeliest_levels(energies)
+    cost = spectra.cost(power, spectra.expected(stack.psfs), noise)
+    levels = likeliest_levels(cost)
     assert np.mean(levels == of_bank.argmin(axis=1)) > 0.85
     # Half of the frequencies each way say nearly as much of every level, by frequency.
     of_bank /= bank.fourier.multiplicity.sum()
-    assert np.median(np.abs(energies - of_bank)) < 0.1
+    assert np.median(np.abs(cost - of_bank)) < 0.1
     # And what is predicted is the error of the bank.
     error = np.abs(of_bank.argmin(axis=1) - scorer.true_levels).mean()
     assert scorer.depth_error(mask)[0] == pytest.approx(error, abs=0.25)
@@ -130,8 +133,8 @@ def test_white_noise_has_the_power_of_its_variance():
 
 
 def test_where_nothing_is_known_the_middle_level_counts():
-    energies = np.array([[1.0, 1.0, 1.0, 1.0], [2.0, 1.0, 0.0, 1.0]], np.float32)
-    assert likeliest_levels(energies).tolist() == [1.5, 2.0]
+    cost = np.array([[1.0, 1.0, 1.0, 1.0], [2.0, 1.0, 0.0, 1.0]], np.float32)
+    assert likeliest_levels(cost).tolist() == [1.5, 2.0]
 
 
 @pytest.mark.parametrize("largest_px", [30.0, 60.0])
@@ -141,20 +144,20 @@ def test_patches_have_room_for_the_largest_blur(largest_px):
     width = render_psf_stack(Mask.named("disc"), scene.blur_sizes_px).psfs.shape[-1]
     assert side % 2 == 0
     assert side - 96 >= width
-    patches = patches_of_pictures(TEXTURES, 16, side)
+    patches = crops(TEXTURES, 16, side)
     assert 0 <= PictureScorer(patches, scene).depth_error(Mask.named("levin"))[0] < 3
 
 
 def test_patches_of_pictures_are_cut_from_them():
     ramp = np.arange(100 * 120, dtype=np.float32).reshape(100, 120)
-    patches = patches_of_pictures(Textures("natural", (ramp,)), 5, 80, seed=3)
+    patches = crops(Textures("natural", (ramp,)), 5, 80, seed=3)
     corners = patches[:, 0, 0].astype(int)
     assert len(set(corners)) > 1
     for patch, corner in zip(patches, corners, strict=True):
         top, left = divmod(corner, 120)
         np.testing.assert_array_equal(patch, ramp[top : top + 80, left : left + 80])
     with pytest.raises(InputError, match="no picture has the 101 rows"):
-        patches_of_pictures(Textures("natural", (ramp,)), 5, 101)
+        crops(Textures("natural", (ramp,)), 5, 101)
 
 
 def test_what_cannot_be_predicted_is_refused(patches):
