@@ -10,7 +10,7 @@ from coded_aperture_ros.cli.estimators import (
     add_estimator_options,
     add_estimator_settings,
     check_estimator_options,
-    estimator_of,
+    pipeline_of,
 )
 from coded_aperture_ros.cli.options import add_gamma_option
 from coded_aperture_ros.cli.progress import progress
@@ -61,7 +61,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--namespace", metavar="NAME", help="of the results (default: that of the coded frames)"
     )
-    add_estimator_options(parser)
+    add_estimator_options(parser, motion=", so that it does not pass for blur by defocus")
     parser.add_argument(
         "--deblur",
         choices=_DEBLUR,
@@ -121,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
         reference_topic=args.reference_depth,
         namespace=args.namespace,
         camera=load_camera(args.camera),
-        new_estimator=lambda camera: estimator_of(args, camera),
+        new_estimator=lambda camera: pipeline_of(args, camera).estimator,
         deblur=deblur,
         gamma=args.gamma,
         map_size=args.output_size,

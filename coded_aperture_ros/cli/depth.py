@@ -3,6 +3,9 @@
 import argparse
 import json
 import time
+from collections import deque
+from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -10,18 +13,14 @@ from coded_aperture_ros.cli.checks import naming
 from coded_aperture_ros.cli.estimators import (
     add_estimator_options,
     add_estimator_settings,
+    add_gyroscope_options,
     check_estimator_options,
-    estimator_of,
-)
-from coded_aperture_ros.cli.frames import add_input_options, named_frames
-from coded_aperture_ros.cli.motion_options import (
-    add_motion_options,
-    add_motion_settings,
-    check_motion_options,
+    check_gyroscope_options,
     expected_motion_of,
-    moving,
+    pipeline_of,
 )
-from coded_aperture_ros.cli.options import add_gamma_option
+from coded_aperture_ros.cli.frames import NamedFrame, add_input_options, named_frames
+from coded_aperture_ros.cli.options import add_deprecated_alias, add_gamma_option
 from coded_aperture_ros.core.errors import InputError
 
 _SUFFIXES = (".npy", ".tif", ".tiff", ".png")
@@ -30,6 +29,8 @@ _EPILOG = """examples:
     coded_aperture depth --bank bank.npz coded.png -o depth.npy --pictures
   all frames of a folder:
     coded_aperture depth --bank bank.npz --regularize graphcut frames/ -o depth/
+  a recorded video, each frame together with those before and after it:
+    coded_aperture depth --bank bank.npz --temporal-frames 3 --look-ahead video.avi -o depth/
   a mask of a few equal holes, without a bank:
     coded_aperture depth --method simple --camera config/example_camera.yaml \\
         --depth-range 3.5 9 coded.png -o simple.npy
@@ -37,6 +38,8 @@ _EPILOG = """examples:
     coded_aperture depth --bank bank.npz --motion coded.png -o moving.npy
 """
 _NOT_ASKED = "nothing expected"
+# What has moved by this much during the exposure counts as moving.
+_MOVING_PX = 0.5
 
 
 def add_parser(subparsers: Any) -> None:
@@ -54,80 +57,133 @@ def add_parser(subparsers: Any) -> None:
         parser,
         "depth map: .npy or .tiff in m, .png in mm; or a folder for one .npy per frame",
     )
-    add_estimator_options(parser)
-    add_motion_options(parser)
-    parser.add_argument(
-        "--levels", action="store_true", help="write fractional level indices instead of metres"
+    add_estimator_options(
+        parser,
+        motion=": x.motion.npy beside x.npy has the way during the exposure in px, [row, column, "
+        "right and down], and x.motion.confidence.npy how sure it is",
     )
+    add_gyroscope_options(parser)
+    parser.add_argument(
+        "--look-ahead",
+        action="store_true",
+        help="with --temporal-frames N: for recorded videos, and pictures in order. Each frame is "
+        "estimated together with those after it, as far as with those before it (default: only "
+        "those before it). About 8 N frames are held in memory",
+    )
+    as_levels = parser.add_argument(
+        "--as-levels", action="store_true", help="write fractional level indices instead of metres"
+    )
+    add_deprecated_alias(parser, "--levels", as_levels)
     parser.add_argument(
         "--pictures", action="store_true", help="write colour pictures of depth and confidence too"
     )
     add_gamma_option(parser)
     parser.add_argument("--json", action="store_true", help="print a summary as JSON")
-    parser.add_late_options = _add_settings
-
-
-def _add_settings(parser: argparse.ArgumentParser) -> None:
-    add_estimator_settings(parser)
-    add_motion_settings(parser)
+    parser.add_late_options = add_estimator_settings
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
-    import numpy as np
-
     from coded_aperture_ros.optics import load_camera
 
-    check_motion_options(args)
+    check_gyroscope_options(args)
     check_estimator_options(args)
-    if args.levels and args.output.lower().endswith(".png"):
+    if args.look_ahead and not args.temporal_frames:
+        args.usage_error("--look-ahead: needs --temporal-frames above 0 too")
+    if args.look_ahead and args.angular_velocity is not None:
+        args.usage_error("--look-ahead: not with --angular-velocity, which is of one frame")
+    if args.as_levels and args.output.lower().endswith(".png"):
         raise InputError(f"{args.output}: a PNG has depths in mm, write levels to .npy or .tiff")
     camera = load_camera(args.camera) if args.camera else None
-    estimator = estimator_of(args, camera)
-    if args.motion:
-        with naming(args.camera or args.bank):
-            estimator = moving(args, estimator)
-    expected = expected_motion_of(args, camera)
-    summaries: list[dict[str, Any]] = []
-    both_sides = estimator.model.stack.has_both_sides
+    pipeline = pipeline_of(args, camera)
+    prior = expected_motion_of(args, camera)
+    both_sides = pipeline.estimator.model.stack.has_both_sides
     frames = named_frames(
         args,
         ".npy",
         _SUFFIXES,
         lambda path: [*_outputs(path, args), *([_side_output(path)] if both_sides else [])],
     )
-    for frame in frames:
-        start = time.perf_counter()
-        with naming(frame.source):
-            estimate = estimator.estimate(frame.image, prior=expected)
-        seconds = time.perf_counter() - start
-        values = estimate.level if args.levels or estimate.depth_m is None else estimate.depth_m
-        _write(frame.output, values, estimate, args)
-        known = np.isfinite(values)
-        summary: dict[str, Any] = {
-            "output": str(frame.output),
-            "unit": "level" if args.levels else "m",
-            "known": round(float(known.mean()), 4),
-            "median": round(float(np.median(values[known])), 4) if known.any() else None,
-            "noise": round(estimate.noise, 6),
-            "seconds": round(seconds, 3),
-        }
-        if args.motion:
-            summary["moving"] = _moving_share(estimate.motion.vectors_px)
-            summary["searched"] = estimate.motion.searched
-        summaries.append(summary)
-        if not args.json:
-            print(f"{frame.output}: {_in_words(summary)}")
+    summaries: list[dict[str, Any]] = []
+    for _, video in groupby(frames, key=lambda frame: frame.video):
+        pipeline.reset()
+        if args.look_ahead:
+            results = _with_look_ahead(pipeline, video)
+        else:
+            results = _in_turn(pipeline, video, prior)
+        for frame, estimate, seconds in results:
+            values = estimate.depth_m
+            if args.as_levels or values is None:
+                values = estimate.level
+            _write(frame.output, values, estimate, args)
+            summary = _summary(frame, values, estimate, seconds, args)
+            summaries.append(summary)
+            if not args.json:
+                print(f"{frame.output}: {_in_words(summary)}")
     if args.json:
         print(json.dumps(summaries))
     return 0
 
 
-def _moving_share(motion_px: Any) -> float:
-    """Return the share of the pixels that have moved by half a pixel or more."""
+def _in_turn(
+    pipeline: Any, frames: Iterator[NamedFrame], prior: Any
+) -> Iterator[tuple[NamedFrame, Any, float]]:
+    """Yield every frame, what is estimated of it, and how long that took, s."""
+    for frame in frames:
+        start = time.perf_counter()
+        with naming(frame.source):
+            estimate = pipeline(frame.image, prior=prior).depth
+        yield frame, estimate, time.perf_counter() - start
+
+
+def _with_look_ahead(
+    pipeline: Any, frames: Iterator[NamedFrame]
+) -> Iterator[tuple[NamedFrame, Any, float]]:
+    """Do the same with frames that are estimated several at a time: the first takes the time."""
+    waiting: deque[NamedFrame] = deque()
+    unreadable: list[InputError] = []
+
+    def images() -> Iterator[Any]:
+        try:
+            for frame in frames:
+                waiting.append(frame)
+                yield frame.image
+        except InputError as error:
+            unreadable.append(error)  # the frames before it are finished first
+
+    results = pipeline.video(images())
+    while True:
+        start = time.perf_counter()
+        try:
+            result = next(results, None)
+        except InputError as error:
+            raise InputError(f"{waiting[-1].source}: {error}") from error
+        if result is None:
+            break
+        yield waiting.popleft(), result.depth, time.perf_counter() - start
+    if unreadable:
+        raise unreadable[0]
+
+
+def _summary(
+    frame: NamedFrame, values: Any, estimate: Any, seconds: float, args: argparse.Namespace
+) -> dict[str, Any]:
     import numpy as np
 
-    return round(float((np.hypot(motion_px[..., 0], motion_px[..., 1]) >= 0.5).mean()), 4)
+    known = np.isfinite(values)
+    summary: dict[str, Any] = {
+        "output": str(frame.output),
+        "unit": "level" if args.as_levels else "m",
+        "known": round(float(known.mean()), 4),
+        "median": round(float(np.median(values[known])), 4) if known.any() else None,
+        "noise": round(estimate.noise, 6),
+        "seconds": round(seconds, 3),
+    }
+    if args.motion:
+        moving = np.linalg.norm(estimate.motion.vectors_px, axis=-1) >= _MOVING_PX
+        summary["moving"] = round(float(moving.mean()), 4)
+        summary["searched"] = estimate.motion.searched
+    return summary
 
 
 def _in_words(summary: dict[str, Any]) -> str:
@@ -172,7 +228,7 @@ def _write(path: Path, values: Any, estimate: Any, args: argparse.Namespace) -> 
     if estimate.side_confidence is not None:
         write_depth(_side_output(path), estimate.side_confidence)
     if args.pictures:
-        write_image(others[0], depth_picture(values, unit="" if args.levels else "m"))
+        write_image(others[0], depth_picture(values, unit="" if args.as_levels else "m"))
         write_image(others[1], confidence_picture(estimate.confidence))
     if args.motion:
         for output, motion in zip(

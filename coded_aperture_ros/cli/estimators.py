@@ -1,4 +1,4 @@
-"""Options that choose what estimates depth, which `depth` and `bag` share."""
+"""Options that choose the method and its settings, which `depth` and `bag` share."""
 
 import argparse
 import logging
@@ -6,17 +6,16 @@ from typing import Any
 
 from coded_aperture_ros.cli.checks import naming
 from coded_aperture_ros.cli.options import add_config_options, add_numbers, config_from
+from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError
 
-_METHODS = ("bank", "simple")
 
-
-def add_estimator_options(parser: argparse.ArgumentParser) -> None:
-    """Add the method, and what each of them needs."""
+def add_estimator_options(parser: argparse.ArgumentParser, motion: str) -> None:
+    """Add the method, and what each of them needs; `motion` says what comes of `--motion`."""
     parser.add_argument(
         "--method",
-        choices=_METHODS,
-        default=_METHODS[0],
+        choices=("bank", "simple"),
+        default="bank",
         help="bank: a filter bank, for any mask; simple: a pixel and its neighbours, for a mask of "
         "2 to 8 equal holes, from --camera and --depth-range alone (default bank)",
     )
@@ -36,22 +35,33 @@ def add_estimator_options(parser: argparse.ArgumentParser) -> None:
         metavar=("NEAR", "FAR"),
         help="with --method simple: depths that are told apart, m",
     )
+    parser.add_argument(
+        "--motion",
+        action="store_true",
+        help=f"estimate motion blur too, with --method bank{motion}",
+    )
 
 
 def add_estimator_settings(parser: argparse.ArgumentParser, **defaults: Any) -> None:
-    """Add the settings of the estimators; `defaults` are other ones than theirs."""
+    """Add the settings of the estimate and of the methods.
+
+    `defaults` are other ones than those of `DepthConfig`.
+    """
     from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT
     from coded_aperture_ros.depth import DepthConfig
+    from coded_aperture_ros.methods.motion import MotionConfig
     from coded_aperture_ros.methods.two_pixel import SimpleConfig
 
     add_config_options(parser, DepthConfig, "estimation", **defaults)
-    add_config_options(parser, SimpleConfig, "with --method simple")
-    what = "with --method simple: blur levels in the depth range"
-    add_numbers(parser, ("level-count", 2, DEFAULT_LEVEL_COUNT, what))
+    simple = add_config_options(parser, SimpleConfig, "with --method simple")
+    add_numbers(simple, ("level-count", 2, DEFAULT_LEVEL_COUNT, "blur levels in the depth range"))
+    add_config_options(parser, MotionConfig, "with --motion")
 
 
 def check_estimator_options(args: argparse.Namespace) -> None:
     """Refuse options that the method needs and has not got, or has no use for."""
+    if args.motion and args.method != "bank":
+        args.usage_error("--motion: only with --method bank")
     if args.method == "bank":
         if args.bank is None:
             args.usage_error("the following arguments are required: --bank (or --method simple)")
@@ -66,38 +76,78 @@ def check_estimator_options(args: argparse.Namespace) -> None:
             args.usage_error(f"the following arguments are required with --method simple: {option}")
 
 
-def estimator_of(args: argparse.Namespace, camera: Any) -> Any:
-    """Return the estimator that the options ask for.
+def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> Any:
+    """Return the `FramePipeline` that the options ask for.
 
     Parameters
     ----------
     args : argparse.Namespace
     camera : Camera or None
         Of `--camera`, for the size of the frames.
+    deblur : DeblurConfig, optional
+        By default nothing is deblurred.
     """
     from coded_aperture_ros.bank import load_bank
-    from coded_aperture_ros.depth import DepthConfig, DepthEstimator, side_warning
-    from coded_aperture_ros.methods.two_pixel import (
-        SimpleConfig,
-        neighbour_model_for_camera,
-    )
+    from coded_aperture_ros.depth import DepthConfig, side_warning
+    from coded_aperture_ros.methods.choose import new_model
+    from coded_aperture_ros.methods.motion import MotionConfig
+    from coded_aperture_ros.methods.two_pixel import SimpleConfig
+    from coded_aperture_ros.pipeline import FramePipeline
 
-    if args.method == "simple" and camera is not None:
-        with naming(args.camera):
-            near_m, far_m = args.depth_range
-            settings = config_from(args, SimpleConfig)
-            model = neighbour_model_for_camera(camera, near_m, far_m, args.level_count, settings)
-            config = config_from(args, DepthConfig)
-            return DepthEstimator(model, config, camera)
-    bank = load_bank(args.bank)
-    if camera is None and bank.stack.depths_m is None and not getattr(args, "levels", False):
+    bank = load_bank(args.bank) if args.bank else None
+    as_levels = getattr(args, "as_levels", False)
+    if bank is not None and bank.stack.depths_m is None and camera is None and not as_levels:
         raise InputError(
             f"{args.bank}: the bank does not know how far its levels are: give --camera, or "
-            "--levels for level indices"
+            "--as-levels for level indices"
         )
     with naming(args.camera or args.bank):
-        config = config_from(args, DepthConfig)
-        estimator = DepthEstimator(bank, config, camera)
-    if warning := side_warning(bank):
+        model = new_model(
+            "motion" if args.motion else args.method,
+            camera=camera,
+            bank=bank,
+            depth_range_m=args.depth_range,
+            level_count=args.level_count,
+            simple=config_from(args, SimpleConfig),
+            motion=config_from(args, MotionConfig),
+            progress=lambda vectors: progress(vectors, unit="motion"),
+        )
+        pipeline = FramePipeline(model, camera, config_from(args, DepthConfig), deblur)
+    if warning := side_warning(model):
         logging.warning(warning)
-    return estimator
+    return pipeline
+
+
+def add_gyroscope_options(parser: argparse.ArgumentParser) -> None:
+    """Add what a gyroscope says of the motion."""
+    parser.add_argument(
+        "--angular-velocity",
+        nargs=3,
+        type=float,
+        metavar=("X", "Y", "Z"),
+        help="with --motion and --camera: of the camera around its axes to the right, down and "
+        "forward, rad/s; only motions near what it lets expect are tried, which is faster",
+    )
+    parser.add_argument(
+        "--exposure", type=float, metavar="S", help="with --angular-velocity: exposure time, s"
+    )
+
+
+def check_gyroscope_options(args: argparse.Namespace) -> None:
+    """Refuse options that do not go together."""
+    if args.angular_velocity is None:
+        if args.exposure is not None:
+            args.usage_error("--exposure: only with --angular-velocity")
+        return
+    for name in ("motion", "camera", "exposure"):
+        if getattr(args, name) in (None, False):
+            args.usage_error(f"--angular-velocity: needs --{name} too")
+
+
+def expected_motion_of(args: argparse.Namespace, camera: Any) -> Any:
+    """Return what is known of the motion beforehand, or None."""
+    from coded_aperture_ros.methods.motion import expected_motion
+
+    if args.angular_velocity is None:
+        return None
+    return expected_motion(args.angular_velocity, args.exposure, camera.intrinsics)

@@ -15,12 +15,28 @@ from coded_aperture_ros.core.errors import InputError
 
 @dataclasses.dataclass(frozen=True)
 class NamedFrame:
-    """A frame, what to call it in messages, where its result goes, and its stamp, if it has one."""
+    """A frame, and what is known about it.
+
+    Attributes
+    ----------
+    source : str
+        What to call it in messages.
+    output : Path
+        Where its result goes.
+    image : ndarray
+        Linear light.
+    stamp_ns : int or None
+        When it was taken.
+    video : int
+        Changes where other frames begin: with every folder, video and bag. Pictures that are
+        given one after the other belong together.
+    """
 
     source: str
     output: Path
     image: Any
     stamp_ns: int | None
+    video: int
 
 
 def add_input_options(parser: argparse.ArgumentParser, output_help: str) -> None:
@@ -84,20 +100,23 @@ def named_frames(
     pictures = [source for _, source in sources if isinstance(source, PictureSource)]
     _check_names(output, [file.stem for source in pictures for file in source.files])
 
-    def frames() -> Iterator[tuple[str, Any]]:
+    def frames() -> Iterator[tuple[str, Any, int]]:
+        video, alone = 0, False
         for given, source in sources:
+            before = alone
             alone = isinstance(source, PictureSource) and source.files == (Path(given),)
+            video += not (before and alone)
             for capture in captures(source):
-                yield given if alone else f"{given}, frame {capture.name}", capture
+                yield given if alone else f"{given}, frame {capture.name}", capture, video
             if source.damage:
                 logging.warning(f"{given}: read up to the damage: {source.damage}")
 
-    for given, capture in progress(frames(), total, "frame"):
+    for given, capture, video in progress(frames(), total, "frame"):
         target = output if to_file else output / f"{capture.name}{suffix}"
         for path in outputs(target):
             check_output(path, files)
         image = linear_from_pixels(capture.frame, args.gamma)
-        yield NamedFrame(given, target, image, capture.stamp_ns)
+        yield NamedFrame(given, target, image, capture.stamp_ns, video)
 
 
 def _is_file_name(output: str) -> bool:

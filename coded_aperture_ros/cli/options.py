@@ -95,8 +95,8 @@ def add_deprecated_alias(
 
 def add_config_options(
     parser: argparse.ArgumentParser, config: type, title: str, **defaults: Any
-) -> None:
-    """Add an option for every setting of a configuration dataclass.
+) -> argparse._ArgumentGroup:
+    """Add an option for every setting of a configuration dataclass; return their group.
 
     A setting `confidence_threshold` becomes `--confidence-threshold`, with the dataclass's
     help and range, and its default unless `defaults` has another one. Its former names work too;
@@ -116,6 +116,7 @@ def add_config_options(
         )
         for former in described.formerly:
             add_deprecated_alias(parser, _written(former), present)
+    return group
 
 
 def _written(name: str) -> str:
@@ -187,7 +188,7 @@ def at_least(least: int) -> Callable[[str], int]:
     return parse
 
 
-def add_numbers(parser: argparse.ArgumentParser, *numbers: tuple[str, int, int, str]) -> None:
+def add_numbers(parser: argparse._ActionsContainer, *numbers: tuple[str, int, int, str]) -> None:
     """Add options that are whole numbers: name, least, default, and what each is."""
     for name, least, default, what in numbers:
         parser.add_argument(

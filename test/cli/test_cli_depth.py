@@ -5,15 +5,29 @@ import re
 import shutil
 import subprocess
 import sys
+from itertools import product
 
 import cv2
 import numpy as np
 import pytest
 from bad_frames import names, write_frames
 from cli_scene import HEIGHT, WIDTH, Result, call, camera_file, everything, refused, wrong_usage
+from scipy import ndimage
 
-from coded_aperture_ros.depth import DepthConfig
+from coded_aperture_ros.bank import load_bank
+from coded_aperture_ros.depth import REGULARIZERS, DepthConfig, DepthEstimator, estimate_video
 from coded_aperture_ros.io import read_depth, read_image
+from coded_aperture_ros.methods.choose import new_model
+from coded_aperture_ros.methods.motion import MotionConfig
+
+# Few motions, so that a test takes no time.
+FEW_MOTIONS = MotionConfig(
+    motion_directions=2, motion_lengths=2, longest_motion_px=4.0, motion_rank=32
+)
+FEW = (
+    *("--motion", "--motion-directions", 2, "--motion-lengths", 2),
+    *("--longest-motion-px", 4, "--motion-rank", 32),
+)
 
 
 def relative_error(depth_m, scene):
@@ -47,7 +61,15 @@ def test_depth_of_the_simulated_planes(scene, tmp_path, capsys, suffix):
 def test_levels_and_a_summary_as_json(scene, tmp_path, capsys):
     output = tmp_path / "level.npy"
     result = call(
-        capsys, "depth", "--bank", scene.bank, scene.coded_npy, "-o", output, "--levels", "--json"
+        capsys,
+        "depth",
+        "--bank",
+        scene.bank,
+        scene.coded_npy,
+        "-o",
+        output,
+        "--as-levels",
+        "--json",
     )
     assert (result.status, result.err) == (0, "")
     (summary,) = json.loads(result.out)
@@ -64,10 +86,10 @@ def test_a_bank_without_depths_gives_levels_or_takes_a_camera(scene, tmp_path, c
     bank = ("--bank", scene.index_bank, scene.coded_npy)
     refused(
         call(capsys, "depth", *bank, "-o", tmp_path / "no.npy"),
-        *(scene.index_bank, "give --camera, or --levels"),
+        *(scene.index_bank, "give --camera, or --as-levels"),
     )
     assert everything(tmp_path) == {}
-    assert call(capsys, "depth", *bank, "--levels", "-o", tmp_path / "level.npy").status == 0
+    assert call(capsys, "depth", *bank, "--as-levels", "-o", tmp_path / "level.npy").status == 0
     camera = ("--camera", scene.camera)
     assert call(capsys, "depth", *bank, *camera, "-o", tmp_path / "depth.npy").status == 0
     level, depth_m = np.load(tmp_path / "level.npy"), np.load(tmp_path / "depth.npy")
@@ -79,7 +101,7 @@ def test_a_bank_without_depths_gives_levels_or_takes_a_camera(scene, tmp_path, c
 
 @pytest.mark.parametrize("unit", ["m", "level"])
 def test_pictures(scene, tmp_path, capsys, unit):
-    levels = ("--levels",) if unit == "level" else ()
+    levels = ("--as-levels",) if unit == "level" else ()
     arguments = ("--bank", scene.bank, scene.coded_npy, "-o", tmp_path / "d.npy", "--pictures")
     assert call(capsys, "depth", *arguments, *levels).status == 0
     assert names(tmp_path) == [
@@ -212,7 +234,7 @@ def test_inputs_are_not_overwritten(scene, tmp_path, capsys):
     [
         ("depth.jpg", (), "unknown format, use .npy, .tif, .tiff, .png, or end a folder's name"),
         ("depth.v2", (), "unknown format"),
-        ("depth.png", ("--levels",), "write levels to .npy or .tiff"),
+        ("depth.png", ("--as-levels",), "write levels to .npy or .tiff"),
         ("file/depth.npy", (), "is not a folder"),
         ("file", (), "is not a folder"),
         ("/proc/depth.npy", (), "cannot write /proc/depth.npy"),
@@ -371,4 +393,167 @@ def test_a_camera_that_cannot_have_the_bank_s_blur_sizes(scene, tmp_path, capsys
 def test_wrong_usage(scene, tmp_path, capsys, options, phrases):
     arguments = ("--bank", scene.bank, scene.coded_npy, "-o", tmp_path / "depth.npy")
     wrong_usage(call(capsys, "depth", *arguments, *options), "depth", *phrases)
+    assert everything(tmp_path) == {}
+
+
+def test_the_former_name_of_levels_works_and_warns(scene, tmp_path, capsys, caplog):
+    arguments = ("--bank", scene.index_bank, scene.coded_npy, "-o")
+    assert call(capsys, "depth", *arguments, tmp_path / "a.npy", "--as-levels").status == 0
+    assert caplog.messages == []
+    assert call(capsys, "depth", *arguments, tmp_path / "b.npy", "--levels").status == 0
+    assert caplog.messages == [
+        "--levels is now called --as-levels: use this, --levels goes in the next release"
+    ]
+    np.testing.assert_array_equal(np.load(tmp_path / "a.npy"), np.load(tmp_path / "b.npy"))
+
+
+@pytest.fixture(params=["bank", "motion", "simple"])
+def method(request, scene, tmp_path, capsys):
+    """Options for every method, and a frame that it can use."""
+    if request.param != "simple":
+        return ("--bank", scene.bank, *(FEW if request.param == "motion" else ()), scene.coded_npy)
+    (tmp_path / "holes").mkdir()
+    camera = camera_file(tmp_path / "holes", mask={"name": "three_hole"})
+    frame = tmp_path / "holes" / "coded.npy"
+    arguments = ("--image", scene.sharp_file, "--depth", scene.depth_npy, "-o", frame)
+    assert call(capsys, "simulate", "--camera", camera, *arguments).status == 0
+    depths = ("--depth-range", 1.4, 4, "--level-count", 16)
+    return ("--method", "simple", "--camera", camera, *depths, frame)
+
+
+@pytest.mark.parametrize(("regularize", "frames"), list(product(REGULARIZERS, (0, 3))))
+def test_no_pixel_without_depth_where_nearest_is_wanted(
+    method, tmp_path, capsys, regularize, frames
+):
+    """With every method, regularisation and memory: as a robot does that avoids obstacles."""
+    if regularize == "graphcut":
+        pytest.importorskip("maxflow")
+    settings = ("--regularize", regularize, "--temporal-frames", frames)
+    depth_m = []
+    for unknown, threshold in (("nothing", 0), ("nothing", 0.5), ("nearest", 0.5)):
+        output = tmp_path / "depth.npy"
+        options = (*settings, "--unknown", unknown, "--confidence-threshold", threshold)
+        result = call(capsys, "depth", *method, *options, "-o", output)
+        assert (result.status, result.err) == (0, "")
+        depth_m.append(np.load(output))
+    anyhow, sure, nearest = depth_m
+    known = np.isfinite(sure)
+    assert 0.1 < known.mean() < 0.999
+    np.testing.assert_array_equal(nearest[known], sure[known])
+    assert (nearest <= anyhow + 1e-5).all()  # and none is NaN
+    assert (nearest[~known] < anyhow[~known]).any()
+
+
+def video_of(scene, count):
+    """Return frames of the scene, with noise; of every four, the last two are blurred by motion."""
+    coded = np.load(scene.coded_npy)
+    moved = ndimage.uniform_filter1d(coded, 5, axis=1)
+    noise = np.random.default_rng(2).normal(0, 0.01, (count, *coded.shape))
+    frames = [(moved if number % 4 > 1 else coded) for number in range(count)] + noise
+    return np.clip(frames, 0, 1).astype(np.float32)
+
+
+@pytest.mark.parametrize("motion", [False, True])
+def test_look_ahead_estimates_with_frames_before_and_after(scene, tmp_path, capsys, motion):
+    """Several blocks of frames, each with its own depth and motion, as the library has them."""
+    frames = video_of(scene, 12)
+    (tmp_path / "pan").mkdir()
+    for number, frame in enumerate(frames):
+        np.save(tmp_path / "pan" / f"{number:02}.npy", frame)
+    options = (*(FEW if motion else ()), "--temporal-frames", 1, "--look-ahead", "--json")
+    arguments = ("--bank", scene.bank, tmp_path / "pan", "-o", tmp_path / "depth", *options)
+    result = call(capsys, "depth", *arguments)
+    assert (result.status, result.err) == (0, "")
+    assert len(json.loads(result.out)) == len(frames)
+    model = new_model(
+        "motion" if motion else "bank", bank=load_bank(scene.bank), motion=FEW_MOTIONS
+    )
+    estimator = DepthEstimator(model, DepthConfig(temporal_frames=1))
+    for number, estimate in enumerate(estimate_video(estimator, frames)):
+        written = tmp_path / "depth" / f"{number:02}.npy"
+        np.testing.assert_array_equal(np.load(written), estimate.depth_m)
+        np.testing.assert_array_equal(
+            np.load(written.with_suffix(".confidence.npy")), estimate.confidence
+        )
+        if motion:
+            np.testing.assert_array_equal(
+                np.load(written.with_suffix(".motion.npy")), estimate.motion.vectors_px
+            )
+    # Not what the past alone says, of which the first frame has none.
+    first = DepthEstimator(model, DepthConfig(temporal_frames=1)).estimate(frames[0]).depth_m
+    assert not np.array_equal(np.load(tmp_path / "depth" / "00.npy"), first, equal_nan=True)
+
+
+def test_look_ahead_in_a_video(scene, tmp_path, capsys):
+    video = tmp_path / "pan.avi"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter_fourcc(*"MJPG"), 10, (WIDTH, HEIGHT))
+    for frame in video_of(scene, 3):
+        writer.write(np.rint(255 * frame[..., ::-1]).astype(np.uint8))
+    writer.release()
+    arguments = ("--bank", scene.bank, video, "--temporal-frames", 2, "-o", tmp_path / "depth")
+    result = call(capsys, "depth", *arguments, "--look-ahead")
+    assert (result.status, result.err) == (0, "")
+    assert [line.partition(":")[0] for line in result.out.splitlines()] == [
+        str(tmp_path / "depth" / f"pan_{number:06}.npy") for number in range(3)
+    ]
+
+
+@pytest.mark.parametrize("look_ahead", [(), ("--look-ahead",)])
+def test_every_folder_is_a_video_of_its_own(scene, tmp_path, capsys, look_ahead):
+    """What a first one has shown does not count in a second one."""
+    frames = video_of(scene, 4)
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+    for number, frame in enumerate(frames):
+        np.save(tmp_path / "ab"[number // 2] / f"{number}.npy", frame)
+    memory = ("--bank", scene.bank, "--temporal-frames", 3, *look_ahead)
+    both = (tmp_path / "a", tmp_path / "b", "-o", tmp_path / "both")
+    assert call(capsys, "depth", *memory, *both).status == 0
+    assert call(capsys, "depth", *memory, tmp_path / "b", "-o", tmp_path / "one").status == 0
+    for name in names(tmp_path / "one"):
+        one, other = np.load(tmp_path / "one" / name), np.load(tmp_path / "both" / name)
+        np.testing.assert_array_equal(one, other)
+    # Frames that are given one by one are one video.
+    given = [tmp_path / "ab"[number // 2] / f"{number}.npy" for number in range(4)]
+    assert call(capsys, "depth", *memory, *given, "-o", tmp_path / "all").status == 0
+    one, other = (np.load(tmp_path / folder / "2.npy") for folder in ("one", "all"))
+    assert not np.array_equal(one, other, equal_nan=True)
+
+
+def test_look_ahead_names_a_bad_frame_and_finishes_those_before_it(scene, tmp_path, capsys):
+    arguments = ("--bank", scene.bank, "--temporal-frames", 1, "--look-ahead", "-o")
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    shutil.copy(scene.coded_npy, folder / "a.npy")
+    (folder / "b.npy").write_text("no array")
+    result = call(capsys, "depth", *arguments, tmp_path / "depth", folder)
+    assert result.status == 1
+    assert f"{folder}/b.npy: truncated, or not a .npy array" in result.err
+    assert names(tmp_path / "depth") == ["a.confidence.npy", "a.npy"]
+    np.save(folder / "b.npy", np.ones((90, 90), np.float32))
+    result = call(capsys, "depth", *arguments, tmp_path / "depth", folder)
+    assert result.status == 1
+    assert f"error: {folder}, frame b: video: a frame of 90x90 px after frames of" in result.err
+
+
+@pytest.mark.parametrize(
+    ("options", "phrase"),
+    [
+        (("--look-ahead",), "--look-ahead: needs --temporal-frames above 0 too"),
+        (("--motion", "--method", "simple"), "--motion: only with --method bank"),
+        (("--exposure", 0.01), "--exposure: only with --angular-velocity"),
+        (("--angular-velocity", 0, 1, 0), "--angular-velocity: needs --motion too"),
+        (("--angular-velocity", 0, 1, 0, "--motion"), "--angular-velocity: needs --camera too"),
+        (
+            (
+                *("--angular-velocity", 0, 1, 0, "--exposure", 0.01, "--motion", "--camera", "c"),
+                *("--look-ahead", "--temporal-frames", 1),
+            ),
+            "--look-ahead: not with --angular-velocity",
+        ),
+    ],
+)
+def test_options_that_do_not_go_together(scene, tmp_path, capsys, options, phrase):
+    arguments = ("--bank", scene.bank, scene.coded_npy, "-o", tmp_path / "depth.npy")
+    wrong_usage(call(capsys, "depth", *arguments, *options), "depth", phrase)
     assert everything(tmp_path) == {}

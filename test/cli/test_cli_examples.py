@@ -66,12 +66,17 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
     for arguments in reversed(learn):  # the first one's bank fits the simulated camera
         type_in(arguments)
 
+    video = cv2.VideoWriter("video.avi", cv2.VideoWriter_fourcc(*"MJPG"), 10, (250, 200))
+    for _ in range(3):
+        video.write(cv2.imread("coded.png"))
+    video.release()
     depth = examples(capsys, "depth")
-    assert len(depth) == 4
+    assert len(depth) == 5
     for arguments in depth:
         type_in(arguments)
     assert np.nanmedian(read_depth("depth.npy")) == pytest.approx(DEPTH_M, rel=0.05)
     assert (tmp_path / "depth" / "first.npy").is_file()
+    assert (tmp_path / "depth" / "video_000002.npy").is_file()
     assert (tmp_path / "simple.npy").is_file()
     assert (tmp_path / "moving.motion.npy").is_file()
 
