@@ -1,16 +1,20 @@
 """`coded_aperture calibrate blind`: an unknown mask from planes at unknown distances."""
 
 import argparse
-import json
-import logging
 import time
 from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, check_suffix
-from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, config_from
+from coded_aperture_ros.cli.measuring import (
+    add_level_count_option,
+    checked_config,
+    pictures_in,
+    tell,
+    write_report,
+)
+from coded_aperture_ros.cli.options import add_config_options, add_gamma_option
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.core.errors import InputError
 
 _EPILOG = """examples:
   the mask, and a bank for the blur sizes of the pictures:
@@ -26,7 +30,7 @@ degrees, spectra do not tell: if deblurred pictures look worse than blurred ones
 _REPORT, _MASK, _PICTURE_OF_MASK, _PICTURE = (
     "calibrate_blind.json", "mask.npy", "mask.png", "spectra.png",
 )  # fmt: skip
-_LEVELS = 40
+_LEVEL_COUNT = 40
 
 
 def add_parser(subparsers: Any) -> None:
@@ -51,9 +55,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "-o", metavar="FILE", dest="bank", help="bank (.npz) from the least to the largest blur"
     )
-    parser.add_argument(
-        "--levels", type=int, default=_LEVELS, metavar="N", help=f"of the bank (default {_LEVELS})"
-    )
+    add_level_count_option(parser, _LEVEL_COUNT, f"levels of the bank (default {_LEVEL_COUNT})")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     parser.add_late_options = _add_config_options
 
@@ -75,12 +77,7 @@ def run(args: argparse.Namespace) -> int:
 
     if args.bank is None and args.output is None:
         args.usage_error("say where the results go with --output DIR or -o bank.npz, or both")
-    if args.levels < 2:
-        args.usage_error(f"--levels: at least 2 are needed, got {args.levels}")
-    try:
-        config, filters = config_from(args, BlindConfig), config_from(args, LearnConfig)
-    except InputError as error:
-        args.usage_error(f"--{error}".replace("_", "-"))
+    config, filters = checked_config(args, BlindConfig), checked_config(args, LearnConfig)
     if args.bank is not None:
         check_suffix(args.bank, [".npz"])
         check_output(args.bank)
@@ -91,27 +88,14 @@ def run(args: argparse.Namespace) -> int:
             )
     if args.output is not None:
         check_output(Path(args.output) / _REPORT)
-    names = _pictures(args.inputs)
+    names = pictures_in(args.inputs)
     start = time.perf_counter()
     images = [read_image(name, args.gamma) for name in names]
     found = find_mask(images, names, config, progress)
     summary = _summary(args, names, found, round(time.perf_counter() - start, 3))
     _write_files(args, found, filters, summary)
-    if found.reaches_limit:
-        logging.warning(
-            "the blur is larger than %d px: try a larger --largest-blur-px",
-            config.largest_blur_px,
-        )
-    print(json.dumps(summary, allow_nan=False) if args.json else _text(summary))
-    return 0
-
-
-def _pictures(inputs: list[str]) -> list[str]:
-    from coded_aperture_ros.io.sources import open_files
-
-    if len(inputs) > 1 or not Path(inputs[0]).is_dir():
-        return inputs
-    return [str(path) for path in open_files(inputs[0]).files]
+    warning = f"the blur is larger than {config.largest_blur_px} px: try a larger --largest-blur-px"
+    return tell(args, summary, _text, [warning] if found.reaches_limit else [])
 
 
 def _summary(
@@ -148,21 +132,15 @@ def _write_files(args: argparse.Namespace, found: Any, filters: Any, summary: An
     with atomic_outputs() as output:
         if args.output is not None:
             folder = Path(args.output)
-            report = json.dumps(summary, indent=1, allow_nan=False)
-            output(folder / _REPORT).write_text(report + "\n", encoding="utf-8")
-            with output(folder / _MASK).open("wb") as file:
-                np.save(file, found.mask.transmission)
+            write_report(output, folder / _REPORT, summary, found.mask)
             write_image(output(folder / _PICTURE_OF_MASK), enlarged(found.mask.transmission, 512))
             write_image(output(folder / _PICTURE), blind_picture(found))
         if args.bank is not None:
             sizes = found.blur_sizes_px
-            levels = np.linspace(sizes.min(), sizes.max(), args.levels)
-            bank = learn_bank(
-                render_psf_stack(found.mask, levels),
-                filters,
-                learned_from=f"mask found in {len(sizes)} planes at unknown distances",
-            )
-            save_bank(bank, output(args.bank))
+            levels = np.linspace(sizes.min(), sizes.max(), args.level_count)
+            learned_from = f"mask found in {len(sizes)} planes at unknown distances"
+            stack = render_psf_stack(found.mask, levels)
+            save_bank(learn_bank(stack, filters, learned_from=learned_from), output(args.bank))
 
 
 def _text(summary: Any) -> str:

@@ -2,11 +2,10 @@
 
 import argparse
 import dataclasses
-import json
-import logging
 from typing import Any
 
 from coded_aperture_ros.cli.checks import naming
+from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import add_gamma_option
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError
@@ -62,17 +61,14 @@ def run(args: argparse.Namespace) -> int:
             f"nothing is darker than {found.darkest:.3f}, where shot noise hides the noise in the "
             "dark: photograph something that has black parts, too"
         )
-    for warning in warnings:
-        logging.warning(warning)
-    if args.json:
-        print(
-            json.dumps({"frames": len(frames), **dataclasses.asdict(found), "warnings": warnings})
-        )
-    else:
-        print(
-            f"noise: {found.noise:.6f}        # standard deviation in the dark, linear light\n"
-            f"noise_gain: {found.noise_gain:.7f}  # variance of shot noise per unit of light\n"
-            f"# from {len(frames)} frames, light {found.darkest:.3f} to {found.brightest:.3f}; "
-            f"variances lie {found.fit_error:.1%} off the line"
-        )
-    return 0
+    summary = {"frames": len(frames), **dataclasses.asdict(found), "warnings": warnings}
+    return tell(args, summary, _text, warnings)
+
+
+def _text(summary: dict[str, Any]) -> str:
+    return (
+        "noise: {noise:.6f}        # standard deviation in the dark, linear light\n"
+        "noise_gain: {noise_gain:.7f}  # variance of shot noise per unit of light\n"
+        "# from {frames} frames, light {darkest:.3f} to {brightest:.3f}; "
+        "variances lie {fit_error:.1%} off the line"
+    ).format(**summary)

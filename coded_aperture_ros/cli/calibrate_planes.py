@@ -2,7 +2,6 @@
 
 import argparse
 import dataclasses
-import json
 import math
 import sys
 import time
@@ -10,7 +9,20 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, check_suffix
-from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, config_from
+from coded_aperture_ros.cli.measuring import (
+    above,
+    add_depths_option,
+    add_level_count_option,
+    checked_config,
+    tell,
+    write_report,
+)
+from coded_aperture_ros.cli.options import (
+    add_config_options,
+    add_gamma_option,
+    at_least,
+    table,
+)
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError
 
@@ -31,8 +43,8 @@ Take 10 to 16 planes parallel to the sensor, all on one side of the focus, equal
 depth, with fine texture all over. --json prints planes, focus_distance_m, slope_px_m, mask,
 residual_px, left_out_error and more.
 """
-_REPORT, _CAMERA, _MASK = "calibrate_planes.json", "camera.yaml", "mask.npy"
-_LEVELS, _FRAMES, _TIMEOUT_S = 40, 8, 10.0
+_REPORT, _CAMERA = "calibrate_planes.json", "camera.yaml"
+_LEVEL_COUNT = 40
 
 
 def add_parser(subparsers: Any) -> None:
@@ -51,9 +63,7 @@ def add_parser(subparsers: Any) -> None:
         metavar="FOLDER|PICTURE",
         help="folder with planes.json or planes.csv, or pictures with --depths",
     )
-    parser.add_argument(
-        "--depths", metavar="Z1,Z2,...", help="depth in m of each picture, by name in a folder"
-    )
+    add_depths_option(parser, "depth in m of each picture, by name in a folder")
     parser.add_argument(
         "--depth-range",
         nargs=2,
@@ -61,32 +71,23 @@ def add_parser(subparsers: Any) -> None:
         metavar=("NEAR", "FAR"),
         help="of the bank, in m (default: nearest to farthest plane)",
     )
-    parser.add_argument(
-        "--levels", type=int, default=_LEVELS, metavar="N", help=f"of the bank (default {_LEVELS})"
-    )
+    add_level_count_option(parser, _LEVEL_COUNT, f"levels of the bank (default {_LEVEL_COUNT})")
     parser.add_argument(
         "--camera",
         metavar="YAML",
         help="camera file: its mask is taken for granted, its focus is compared",
     )
     parser.add_argument("--topic", metavar="NAME", help="take pictures from this ROS topic first")
-    parser.add_argument(
-        "--depth", type=float, metavar="Z", help="with --topic: distance of the plane in m"
-    )
-    parser.add_argument(
-        "--frames",
-        type=int,
-        default=_FRAMES,
-        metavar="N",
-        help=f"with --topic: a picture is the mean of so many frames (default {_FRAMES})",
-    )
-    parser.add_argument(
-        "--timeout",
-        type=float,
-        default=_TIMEOUT_S,
-        metavar="S",
-        help=f"with --topic: longest wait for the frames in s (default {_TIMEOUT_S:g})",
-    )
+    for name, kind, default, metavar, what in (
+        ("depth", above(0, "a positive distance in m"), None, "Z", "distance of the plane in m"),
+        ("frames", at_least(1), 8, "N", "a picture is the mean of so many frames"),
+        ("timeout", above(0, "a positive time"), 10.0, "S", "longest wait for the frames in s"),
+    ):
+        shown = "" if default is None else f" (default {default:g})"
+        parser.add_argument(
+            f"--{name}", type=kind, default=default, metavar=metavar,
+            help=f"with --topic: {what}{shown}",
+        )  # fmt: skip
     add_gamma_option(parser)
     parser.add_argument("-o", metavar="FILE", dest="bank", help="bank (.npz)")
     parser.add_argument(
@@ -104,15 +105,6 @@ def _add_config_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the action; return its exit status."""
-    depths_m = _check_usage(args)
-    if args.topic is not None:
-        _capture(args)
-        if args.bank is None:
-            return 0
-    return _calibrate(args, depths_m)
-
-
-def _check_usage(args: argparse.Namespace) -> list[float] | None:
     if args.topic is None:
         if args.depth is not None:
             args.usage_error("--depth needs --topic; the depths of pictures are given by --depths")
@@ -121,23 +113,12 @@ def _check_usage(args: argparse.Namespace) -> list[float] | None:
     else:
         if len(args.inputs) != 1 or args.depths is not None:
             args.usage_error("--topic needs one folder, and no --depths")
-        if args.frames < 1:
-            args.usage_error(f"--frames: at least 1 is needed, got {args.frames}")
-        if not 0 < args.timeout < math.inf:
-            args.usage_error(f"--timeout: expected a positive time, got {args.timeout:g}")
-        if args.depth is not None and not 0 < args.depth < math.inf:
-            args.usage_error(f"--depth: expected a positive distance in m, got {args.depth:g}")
         if args.depth is None and not sys.stdin.isatty():
             args.usage_error("--topic without a terminal needs --depth")
-    if args.levels < 2:
-        args.usage_error(f"--levels: at least 2 are needed, got {args.levels}")
-    if args.depths is None:
-        return None
-    try:
-        return [float(text) for text in args.depths.split(",")]
-    except ValueError:
-        args.usage_error(f"--depths: expected numbers with commas between, got {args.depths!r}")
-        raise
+        _capture(args)
+        if args.bank is None:
+            return 0
+    return _calibrate(args)
 
 
 def _capture(args: argparse.Namespace) -> None:
@@ -196,16 +177,13 @@ def _say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def _calibrate(args: argparse.Namespace, depths_m: list[float] | None) -> int:
+def _calibrate(args: argparse.Namespace) -> int:
     from coded_aperture_ros.bank import LearnConfig
     from coded_aperture_ros.calibration.planes.calibrate import calibrate_planes
     from coded_aperture_ros.calibration.planes.folder import load_planes
     from coded_aperture_ros.optics import load_camera
 
-    try:
-        config = config_from(args, LearnConfig)
-    except InputError as error:
-        args.usage_error(f"--{error}".replace("window_px", "window-px"))
+    config = checked_config(args, LearnConfig)
     check_suffix(args.bank, [".npz"])
     inputs = [Path(name) for name in args.inputs]
     check_output(args.bank, [path for path in inputs if path.is_file()])
@@ -213,12 +191,12 @@ def _calibrate(args: argparse.Namespace, depths_m: list[float] | None) -> int:
         check_output(Path(args.output) / _REPORT)
     camera = None if args.camera is None else load_camera(args.camera)
     start = time.perf_counter()
-    planes = load_planes(inputs, depths_m, args.gamma)
+    planes = load_planes(inputs, args.depths, args.gamma)
     if camera is not None:
         _check_size(args.camera, camera, planes)
     found = calibrate_planes(
         planes,
-        args.levels,
+        args.level_count,
         config,
         None if args.depth_range is None else tuple(args.depth_range),
         None if camera is None else camera.mask,
@@ -226,8 +204,7 @@ def _calibrate(args: argparse.Namespace, depths_m: list[float] | None) -> int:
     )
     summary = _summary(args, found, camera, round(time.perf_counter() - start, 3))
     _write_files(args, found, camera, summary)
-    print(json.dumps(summary, allow_nan=False) if args.json else _table(summary))
-    return 0
+    return tell(args, summary, _text)
 
 
 def _check_size(path: str, camera: Any, planes: Any) -> None:
@@ -247,22 +224,14 @@ def _summary(args: argparse.Namespace, found: Any, camera: Any, seconds: float) 
     planes = [
         {
             **dataclasses.asdict(check),
-            "blur_size_px": round(float(size), 3),
+            "blur_size_px": round(float(fitted[i]), 3),
             "measured_px": round(plane.size_px, 3),
             "tilt_px": [round(tilt, 3) for tilt in plane.tilt_px],
-            "left_out_depth_m": _finite(depth),
-            "left_out_error": round(float(error), 5),
-            "left_out_window_error": round(float(window_error), 5),
+            "left_out_depth_m": _finite(left_out.depths_m[i]),
+            "left_out_error": round(float(left_out.errors[i]), 5),
+            "left_out_window_error": round(float(left_out.window_errors[i]), 5),
         }
-        for check, size, plane, depth, error, window_error in zip(
-            found.checks,
-            fitted,
-            found.measured,
-            left_out.depths_m,
-            left_out.errors,
-            left_out.window_errors,
-            strict=True,
-        )
+        for i, (check, plane) in enumerate(zip(found.checks, found.measured, strict=True))
     ]
     summary = {
         "bank": args.bank,
@@ -296,18 +265,13 @@ def _finite(value: float) -> float | None:
 
 def _write_files(args: argparse.Namespace, found: Any, camera: Any, summary: Any) -> None:
     """Write the bank and all files of the output folder, or none."""
-    import numpy as np
-
     from coded_aperture_ros.bank import save_bank
     from coded_aperture_ros.core.files import atomic_outputs
 
     with atomic_outputs() as output:
         if args.output is not None:
             folder = Path(args.output)
-            report = json.dumps(summary, indent=1, allow_nan=False)
-            output(folder / _REPORT).write_text(report + "\n", encoding="utf-8")
-            with output(folder / _MASK).open("wb") as file:
-                np.save(file, found.pattern.mask.transmission)
+            write_report(output, folder / _REPORT, summary, found.pattern.mask)
             if camera is not None and math.isfinite(found.pattern.focus_distance_m):
                 output(folder / _CAMERA).write_text(_camera_text(summary, camera), encoding="utf-8")
         save_bank(found.bank, output(args.bank))
@@ -323,32 +287,36 @@ def _camera_text(summary: Any, camera: Any) -> str:
         "image_width": camera.image_width,
         "image_height": camera.image_height,
         "side": summary["side"],
-        "mask": {"file": _MASK},
+        "mask": {"file": "mask.npy"},
         "mask_extent_mm": summary["mask_extent_mm"],
     }
     return str(yaml.safe_dump(content, sort_keys=False))
 
 
-def _table(summary: Any) -> str:
-    lines = [
-        f"{len(summary['planes'])} planes; blur as measured, and by the lens that fits all",
-        f"  {'':28}{'depth m':>9}{'bright':>8}{'noise':>8}{'texture':>9}"
-        f"{'blur px':>9}{'fit px':>8}{'left out m':>12}{'error':>8}",
-    ]
-    for plane in summary["planes"]:
-        left_out = plane["left_out_depth_m"]
-        lines.append(
-            f"  {Path(plane['file']).name[-28:]:28}{plane['depth_m']:9.4g}"
-            f"{plane['brightest']:8.2f}{plane['noise']:8.4f}{plane['textured']:9.0%}"
-            f"{plane['measured_px']:9.2f}{abs(plane['blur_size_px']):8.2f}"
-            f"{'beyond' if left_out is None else format(left_out, '.4g'):>12}"
-            f"{plane['left_out_error']:8.1%}"
+def _text(summary: Any) -> str:
+    header = "", "depth m", "bright", "noise", "texture", "blur px", "fit px", "left out m", "error"
+    rows = [
+        (
+            Path(plane["file"]).name[-28:],
+            f"{plane['depth_m']:.4g}",
+            f"{plane['brightest']:.2f}",
+            f"{plane['noise']:.4f}",
+            f"{plane['textured']:.0%}",
+            f"{plane['measured_px']:.2f}",
+            f"{abs(plane['blur_size_px']):.2f}",
+            format(
+                plane["left_out_depth_m"] or "beyond", ".4g" if plane["left_out_depth_m"] else ""
+            ),
+            f"{plane['left_out_error']:.1%}",
         )
-    focus = summary["focus_distance_m"]
+        for plane in summary["planes"]
+    ]
     known = "known" if summary["mask_is_known"] else "found from the pictures, its size is rough"
-    lines += [
+    lines = [
+        f"{len(rows)} planes; blur as measured, and by the lens that fits all",
+        table(header, rows),
         f"mask: {summary['mask']} ({known})",
-        f"focus at {'infinity' if focus is None else f'{focus:.4g} m'}, the planes "
+        f"focus at {_depth(summary['focus_distance_m'], 'infinity')}, the planes "
         f"{'beyond' if summary['side'] == 'far' else 'in front of'} it; blur of the mask: "
         f"{summary['slope_px_m']:.4g} px m (1/focus - 1/z), to {summary['residual_px']:.2f} px",
     ]
@@ -358,14 +326,18 @@ def _table(summary: Any) -> str:
             f"{summary['camera_slope_px_m']:.4g} px m; with its focal length the mask is "
             f"{summary['mask_extent_mm']:.4g} mm wide"
         )
-    lines.append(
-        f"expected depth error: {summary['left_out_error']:.1%} of a plane, "
-        f"{summary['left_out_window_error']:.1%} of a single window (medians; each plane by focus "
-        "and slope of the others, the mask of all)"
+    return "\n".join(
+        [
+            *lines,
+            f"expected depth error: {summary['left_out_error']:.1%} of a plane, "
+            f"{summary['left_out_window_error']:.1%} of a single window (medians; each plane by "
+            "focus and slope of the others, the mask of all)",
+            *(f"advice: {text}" for text in summary["advice"]),
+            f"{summary['bank']}: {summary['levels']} levels, {summary['near_m']:.4g} to "
+            f"{summary['far_m']:.4g} m; {summary['seconds']:.0f} s",
+        ]
     )
-    lines += [f"advice: {text}" for text in summary["advice"]]
-    lines.append(
-        f"{summary['bank']}: {summary['levels']} levels, {summary['near_m']:.4g} to "
-        f"{summary['far_m']:.4g} m; {summary['seconds']:.0f} s"
-    )
-    return "\n".join(lines)
+
+
+def _depth(depth_m: float | None, none: str, unit: str = " m") -> str:
+    return none if depth_m is None else f"{depth_m:.4g}{unit}"

@@ -1,8 +1,6 @@
 """`coded_aperture calibrate psf`: PSFs from photographs of dots, or of a page sharp and coded."""
 
 import argparse
-import json
-import logging
 import math
 import re
 import time
@@ -10,7 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
-from coded_aperture_ros.cli.options import add_gamma_option
+from coded_aperture_ros.cli.measuring import (
+    above,
+    add_depths_option,
+    add_level_count_option,
+    pictures_in,
+    tell,
+)
+from coded_aperture_ros.cli.options import add_gamma_option, mask_of, table
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError
 
@@ -19,7 +24,7 @@ _EPILOG = """examples:
     coded_aperture calibrate psf dots_2.3m.png dots_2.9m.png dots_4.0m.png \\
         --camera config/demo_camera.yaml -o psfs.npz --picture psfs.png
   from a folder of such pictures, with 20 levels between them:
-    coded_aperture calibrate psf dots --mask levin --levels 20 -o psfs.npz
+    coded_aperture calibrate psf dots --mask levin --level-count 20 -o psfs.npz
   from a coded and a sharp picture of one page:
     coded_aperture calibrate psf coded_page.png --sharp sharp_page.png --depths 2.9 \\
         --camera config/demo_camera.yaml -o page.npz
@@ -52,11 +57,10 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--sharp", nargs="+", metavar="PICTURE", help="sharp picture for each coded one, of pages"
     )
-    parser.add_argument(
-        "--depths",
-        metavar="Z1,Z2,...",
-        help="depth in m of each picture, by name in a folder (default: as the names end, "
-        "such as a_1.25m.png)",
+    add_depths_option(
+        parser,
+        "depth in m of each picture, by name in a folder (default: as the names end, such as "
+        "a_1.25m.png)",
     )
     parser.add_argument(
         "--camera",
@@ -69,12 +73,10 @@ def add_parser(subparsers: Any) -> None:
         help="the mask (default: the camera file's; without either, a PSF's centre of light is its "
         "centre, and blur sizes are right in proportion only)",
     )
-    parser.add_argument(
-        "--levels", type=int, metavar="N", help="PSFs to write (default: one for each picture)"
-    )
+    add_level_count_option(parser, None, "PSFs to write (default: one for each picture)", least=1)
     parser.add_argument(
         "--largest-blur-px",
-        type=float,
+        type=above(1 - 1e-9, "1 px or more"),
         metavar="PX",
         help=f"with --sharp: widest PSF looked for (default {_WIDEST_PX:g})",
     )
@@ -89,31 +91,14 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.calibration.psf.stack import psf_stack
     from coded_aperture_ros.optics import load_camera
 
-    depths_m = _check_usage(args)
-    check_suffix(args.output, [".npz"])
-    if args.picture is not None:
-        check_suffix(args.picture, [".png"])
-    names = _pictures(args.inputs)
-    if args.sharp is not None and len(args.sharp) != len(names):
-        args.usage_error(f"--sharp: {len(args.sharp)} for {len(names)} coded pictures")
-    if args.levels is not None and args.levels > 1 and len(names) == 1:
-        args.usage_error("--levels: one PSF cannot be interpolated, give pictures of more depths")
-    if args.levels is not None and args.levels < min(2, len(names)):
-        args.usage_error(f"--levels: at least {min(2, len(names))}, got {args.levels}")
-    for output in filter(None, (args.output, args.picture)):
-        given = (*names, *(args.sharp or ()), args.camera, args.mask)
-        check_output(output, [Path(name) for name in given if name])
-    if depths_m is None:
-        depths_m = _depths_in_names(names)
-    elif len(depths_m) != len(names):
-        args.usage_error(f"--depths: {len(depths_m)} for {len(names)} pictures: give one for each")
+    names, depths_m = _checked(args)
     camera = None if args.camera is None else load_camera(args.camera)
     if camera is not None and camera.side == "both":
         raise InputError(
             f"{args.camera}: side: both: PSFs of one side are measured at a time, give a camera "
             "file with side: far or near"
         )
-    mask = _mask(args.mask) if args.mask is not None else camera.mask if camera else None
+    mask = mask_of(args.mask) if args.mask is not None else camera.mask if camera else None
     sign = None if camera is None else 1.0 if camera.side == "far" else -1.0
     expected = None if camera is None or depths_m is None else camera.blur_size_px(depths_m)
     start = time.perf_counter()
@@ -125,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
         with naming(name):
             measured.append(_measured(args, number, picture, mask, sign))
             centred.append(measured[-1].centred(mask, sign))
-    stack = psf_stack(centred, args.levels, depths_m, names)
+    stack = psf_stack(centred, args.level_count, depths_m, names)
     _write(args, stack, centred)
     rows = [
         {
@@ -149,36 +134,37 @@ def run(args: argparse.Namespace) -> int:
         "warnings": warnings,
         "seconds": round(time.perf_counter() - start, 3),
     }
-    for warning in warnings:
-        logging.warning(warning)
-    print(json.dumps(summary, allow_nan=False) if args.json else _table(summary))
-    return 0
+    return tell(args, summary, _text, warnings)
 
 
-def _check_usage(args: argparse.Namespace) -> list[float] | None:
-    widest = args.largest_blur_px
-    if widest is not None and args.sharp is None:
+def _checked(args: argparse.Namespace) -> tuple[list[str], list[float] | None]:
+    """Return the pictures and their depths; refuse what does not go together."""
+    if args.largest_blur_px is not None and args.sharp is None:
         args.usage_error("--largest-blur-px needs --sharp: dots show how wide they are")
-    if widest is not None and not 1 <= widest < math.inf:
-        args.usage_error(f"--largest-blur-px: expected 1 px or more, got {widest:g}")
-    if args.depths is None:
-        return None
-    try:
-        depths_m = [float(text) for text in args.depths.split(",")]
-    except ValueError:
-        args.usage_error(f"--depths: expected numbers with commas between, got {args.depths!r}")
-        raise
-    if not all(0 < depth < math.inf for depth in depths_m):
-        args.usage_error(f"--depths: expected distances of more than 0 m, got {args.depths}")
-    return depths_m
-
-
-def _pictures(inputs: list[str]) -> list[str]:
-    from coded_aperture_ros.io.sources import open_files
-
-    if len(inputs) > 1 or not Path(inputs[0]).is_dir():
-        return inputs
-    return [str(path) for path in open_files(inputs[0]).files]
+    depths_m = args.depths
+    if depths_m is not None and not all(0 < depth < math.inf for depth in depths_m):
+        args.usage_error("--depths: expected distances of more than 0 m")
+    check_suffix(args.output, [".npz"])
+    if args.picture is not None:
+        check_suffix(args.picture, [".png"])
+    names = pictures_in(args.inputs)
+    if args.sharp is not None and len(args.sharp) != len(names):
+        args.usage_error(f"--sharp: {len(args.sharp)} for {len(names)} coded pictures")
+    count, least = args.level_count, min(2, len(names))
+    if count is not None and count > 1 and len(names) == 1:
+        args.usage_error(
+            "--level-count: one PSF cannot be interpolated, give pictures of more depths"
+        )
+    if count is not None and count < least:
+        args.usage_error(f"--level-count: at least {least}, got {count}")
+    for output in filter(None, (args.output, args.picture)):
+        given = (*names, *(args.sharp or ()), args.camera, args.mask)
+        check_output(output, [Path(name) for name in given if name])
+    if depths_m is None:
+        return names, _depths_in_names(names)
+    if len(depths_m) != len(names):
+        args.usage_error(f"--depths: {len(depths_m)} for {len(names)} pictures: give one for each")
+    return names, depths_m
 
 
 def _depths_in_names(names: list[str]) -> list[float] | None:
@@ -193,14 +179,6 @@ def _depths_in_names(names: list[str]) -> list[float] | None:
                 "a_1.25m.png, or give all with --depths"
             )
     return [float(match[1]) for match in found if match is not None]
-
-
-def _mask(name: str) -> Any:
-    from coded_aperture_ros.optics import MASK_NAMES, Mask
-
-    if name not in MASK_NAMES and Path(name).exists():
-        return Mask.from_file(name)
-    return Mask.named(name)
 
 
 def _picture(name: str, gamma: Any, first: str, size: tuple[int, ...] | None) -> Any:
@@ -293,35 +271,35 @@ def _warnings(row: dict[str, Any]) -> list[str]:
     return warnings
 
 
-def _table(summary: dict[str, Any]) -> str:
+def _text(summary: dict[str, Any]) -> str:
     rows = summary["pictures"]
-    dots = "dots_used" in rows[0]
-    width = max(7, *(len(row["picture"]) for row in rows))
-    last = "  field  dots  saturated  unlike  missing" if dots else "  explained  shift px"
-    lines = [f"{'picture':{width}}  depth m  blur px  camera px  misfit    SNR{last}"]
-    for row in rows:
-        line = (
-            f"{row['picture']:{width}}{_cell(row['depth_m'], 9, '.3f')}"
-            f"{_cell(row['blur_size_px'], 9, '.2f')}"
-            f"{_cell(row['camera_blur_size_px'], 11, '.2f')}"
-            f"{_cell(row['mask_misfit'], 8, '.1%')}{_cell(row['snr'], 7, '.0f')}"
-        )
-        if dots:
-            line += (
-                f"{_cell(row['field_variation'], 7, '.1%')}{row['dots_used']:6}"
-                f"{row['dots_saturated']:11}{row['dots_rejected']:8}{row['dots_missing']:9}"
-            )
-        else:
-            down, right = row["shift_px"]
-            line += f"{_cell(row['explained'], 11, '.1%')}{f'{down}, {right}':>10}"
-        lines.append(line)
+    of_dots = {
+        "field": ("field_variation", ".1%"),
+        "dots": ("dots_used", ""),
+        "saturated": ("dots_saturated", ""),
+        "unlike": ("dots_rejected", ""),
+        "missing": ("dots_missing", ""),
+    }
+    columns = {
+        "picture": ("picture", ""),
+        "depth m": ("depth_m", ".3f"),
+        "blur px": ("blur_size_px", ".2f"),
+        "camera px": ("camera_blur_size_px", ".2f"),
+        "misfit": ("mask_misfit", ".1%"),
+        "SNR": ("snr", ".0f"),
+        **(of_dots if "dots_used" in rows[0] else {"explained": ("explained", ".1%")}),
+    }
+    cells = [
+        ["-" if row[key] is None else format(row[key], form) for key, form in columns.values()]
+        for row in rows
+    ]
+    if "shift_px" in rows[0]:
+        columns["shift px"] = ("shift_px", "")
+        for line, row in zip(cells, rows, strict=True):
+            line.append("{}, {}".format(*row["shift_px"]))
     sizes, count = summary["blur_sizes_px"], summary["levels"]
-    lines.append(
+    return (
+        f"{table(list(columns), cells)}\n"
         f"{summary['output']}: {count} PSF{'s' if count > 1 else ''} of {sizes[0]:.2f} to "
         f"{sizes[-1]:.2f} px; {summary['seconds']:.1f} s"
     )
-    return "\n".join(lines)
-
-
-def _cell(value: float | None, width: int, form: str) -> str:
-    return f"{'-' if value is None else format(value, form):>{width}}"

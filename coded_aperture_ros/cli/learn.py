@@ -2,15 +2,20 @@
 
 import argparse
 import dataclasses
-import json
-import logging
 import math
 import time
 from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
-from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, config_from
+from coded_aperture_ros.cli.measuring import (
+    above,
+    add_depths_option,
+    add_level_count_option,
+    checked_config,
+    tell,
+)
+from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, mask_of
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError
 
@@ -40,8 +45,6 @@ pictures of planes:
     [{"file": "a.png", "depth_m": 1.5}, {"file": "b.png", "depth_m": 1.8}, ...]
   It takes a minute or two. The window has to be twice as wide as the largest blur.
 """
-
-_LEVELS = 30
 
 
 def add_parser(subparsers: Any) -> None:
@@ -82,16 +85,8 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--depth-range", nargs=2, type=float, metavar=("NEAR", "FAR"), help="with --camera, in m"
     )
-    parser.add_argument(
-        "--levels",
-        type=int,
-        metavar="N",
-        help=f"number of levels, with --camera or --planes (default {_LEVELS})",
-    )
     parser.add_argument("--mask", metavar="NAME", help="name or file (PNG, .npy) of a mask")
-    parser.add_argument(
-        "--depths", metavar="Z1,Z2,...", help="depth in metres of each measured PSF"
-    )
+    add_depths_option(parser, "depth in metres of each measured PSF")
     parser.add_argument(
         "--images",
         metavar="DIR",
@@ -100,7 +95,7 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument(
         "--budget-ms",
-        type=float,
+        type=above(0, "more than 0"),
         metavar="MS",
         help="choose window, rank and stride: the most accurate that need no more time per frame "
         "of the camera, as measured now (about a minute; not with --planes and --psfs)",
@@ -115,12 +110,14 @@ def add_parser(subparsers: Any) -> None:
     add_gamma_option(parser)
     parser.add_argument("-o", "--output", required=True, metavar="FILE", help="bank (.npz)")
     parser.add_argument("--json", action="store_true", help="print a summary as JSON")
-    parser.add_late_options = _add_config_options
+    parser.add_late_options = _add_late_options
 
 
-def _add_config_options(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.bank import LearnConfig
+def _add_late_options(parser: argparse.ArgumentParser) -> None:
+    from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT, LearnConfig
 
+    what = f"number of levels, with --camera or --planes (default {DEFAULT_LEVEL_COUNT})"
+    add_level_count_option(parser, None, what)
     add_config_options(parser, LearnConfig, "filters")
 
 
@@ -136,11 +133,11 @@ def run(args: argparse.Namespace) -> int:
     trials: list[Any] = []
     if args.remap is not None:
         bank = _remapped(args)
+    elif args.budget_ms is not None:
+        bank, trials = _tuned(args)
     else:
-        bank = _learned(args) if args.budget_ms is None else _tuned(args, trials)
+        bank = _learned(args)
     save_bank(bank, args.output)
-    if warning := side_warning(bank):
-        logging.warning(warning)
     summary = {
         "output": args.output,
         "levels": bank.levels,
@@ -155,53 +152,59 @@ def run(args: argparse.Namespace) -> int:
     if trials:
         summary["stride_px"] = bank.stride_px
         summary["tried"] = [dataclasses.asdict(trial) for trial in trials]
-    if args.json:
-        print(json.dumps(summary))
-    else:
-        print(
-            f"{args.output}: {bank.levels} levels, {summary['blur_size_min_px']:g} to "
-            f"{summary['blur_size_max_px']:g} px, from {bank.learned_from}; "
-            f"{summary['seconds']:.1f} s"
+    return tell(args, summary, _text, filter(None, [side_warning(bank)]))
+
+
+def _text(summary: dict[str, Any]) -> str:
+    lines = [
+        "{output}: {levels} levels, {blur_size_min_px:g} to {blur_size_max_px:g} px, from "
+        "{learned_from}; {seconds:.1f} s".format(**summary)
+    ]
+    for trial in summary.get("tried", []):
+        chosen = all(trial[name] == summary[name] for name in ("window_px", "stride_px"))
+        lines.append(
+            f"{'* ' if chosen else '  '}window {trial['window_px']} px, stride "
+            f"{trial['stride_px']} px: {trial['milliseconds']:.1f} ms per frame, mean error "
+            f"{trial['level_error']:.2f} levels on simulated planes"
         )
-        for trial in trials:
-            chosen = (trial.window_px, trial.stride_px) == (bank.window_px, bank.stride_px)
-            print(
-                f"{'* ' if chosen else '  '}window {trial.window_px} px, stride "
-                f"{trial.stride_px} px: {trial.milliseconds:.1f} ms per frame, mean error "
-                f"{trial.level_error:.2f} levels on simulated planes"
-            )
-    return 0
+    return "\n".join(lines)
 
 
 def _check_usage(args: argparse.Namespace) -> None:
     """Refuse options that do not go together, rather than ignore one of them."""
     for name, sources in (
         ("depth_range", ("camera",)),
-        ("levels", ("camera", "planes")),
+        ("level_count", ("camera", "planes")),
         ("mask", ("blur_sizes",)),
         ("depths", ("psfs",)),
     ):
         given = any(getattr(args, source) is not None for source in sources)
         if getattr(args, name) is not None and not given:
             args.usage_error(f"{_option(name)} only goes with {' or '.join(map(_option, sources))}")
-    if args.remap is not None:
-        if not args.camera:
-            args.usage_error("--remap needs --camera, which says what the new setting is")
-        for name in ("images", "budget_ms"):
-            if getattr(args, name) is not None:
-                args.usage_error(f"{_option(name)} does not go with --remap")
-        if args.levels is not None and args.depth_range is None:
-            args.usage_error("--levels with --remap needs --depth-range")
-    elif args.camera and args.depth_range is None:
-        args.usage_error("--camera needs --depth-range NEAR FAR")
-    if args.planes and args.images:
-        args.usage_error("--images does not go with --planes, whose textures are their own")
-    if args.budget_ms is not None and not args.camera:
-        args.usage_error("--budget-ms needs --camera, which says how large the frames are")
-    if args.budget_ms is not None and not args.budget_ms > 0:
-        args.usage_error(f"--budget-ms: expected more than 0, got {args.budget_ms:g}")
-    if args.levels is not None and args.levels < 2:
-        args.usage_error(f"--levels: at least 2 are needed, got {args.levels}")
+    remap = args.remap is not None
+    for wrong, message in (
+        (remap and not args.camera, "--remap needs --camera, which says what the new setting is"),
+        (remap and args.images is not None, "--images does not go with --remap"),
+        (remap and args.budget_ms is not None, "--budget-ms does not go with --remap"),
+        (
+            remap and args.level_count is not None and args.depth_range is None,
+            "--level-count with --remap needs --depth-range",
+        ),
+        (
+            args.camera and not remap and args.depth_range is None,
+            "--camera needs --depth-range NEAR FAR",
+        ),
+        (
+            args.planes and args.images,
+            "--images does not go with --planes, whose textures are their own",
+        ),
+        (
+            args.budget_ms is not None and not args.camera,
+            "--budget-ms needs --camera, which says how large the frames are",
+        ),
+    ):
+        if wrong:
+            args.usage_error(message)
 
 
 def _option(name: str) -> str:
@@ -214,35 +217,28 @@ def _learned(args: argparse.Namespace) -> Any:
     from coded_aperture_ros.calibration.planes.folder import load_folder
     from coded_aperture_ros.optics import load_camera
 
-    try:
-        config = config_from(args, LearnConfig)
-    except InputError as error:
-        args.usage_error(f"--{error}".replace("window_px", "window-px"))
-    levels = _LEVELS if args.levels is None else args.levels
+    config, count = checked_config(args, LearnConfig), _level_count(args)
     if args.planes is not None:
         planes = load_folder(args.planes, args.gamma)
-        return learn_bank_from_planes(planes, levels, config, progress=progress)
+        return learn_bank_from_planes(planes, count, config, progress=progress)
     prior = _prior(args)
     if args.camera:
         camera = load_camera(args.camera)
         near_m, far_m = args.depth_range
         with naming(args.camera):
             return learn_bank_for_camera(
-                camera, near_m, far_m, levels, config, progress, prior=prior
+                camera, near_m, far_m, count, config, progress, prior=prior
             )
-    if args.psfs:
-        stack, mask, learned_from = _measured(args), None, f"measured PSFs {args.psfs}"
-    else:
-        (stack, mask), learned_from = _rendered(args), f"mask {args.mask}"
-    with naming(args.psfs or f"mask {args.mask}"):
-        return learn_bank(
-            stack,
-            config,
-            prior,
-            learned_from=f"{learned_from}, {textures_of(prior)}",
-            mask=mask,
-            progress=progress,
-        )
+    stack, mask, source = _measured(args) if args.psfs else _rendered(args)
+    learned_from = f"{source}, {textures_of(prior)}"
+    with naming(args.psfs or source):
+        return learn_bank(stack, config, prior, learned_from, mask, progress)
+
+
+def _level_count(args: argparse.Namespace) -> int:
+    from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT
+
+    return DEFAULT_LEVEL_COUNT if args.level_count is None else args.level_count
 
 
 def _remapped(args: argparse.Namespace) -> Any:
@@ -253,37 +249,31 @@ def _remapped(args: argparse.Namespace) -> Any:
     camera, bank = load_camera(args.camera), load_bank(args.remap)
     near_m, far_m = args.depth_range or (None, None)
     with naming(args.remap):
-        return remap_bank(bank, camera, near_m, far_m, args.levels)
+        return remap_bank(bank, camera, near_m, far_m, args.level_count)
 
 
-def _tuned(args: argparse.Namespace, trials: list[Any]) -> Any:
-    """Learn the best bank for a time per frame, and note what was tried."""
+def _tuned(args: argparse.Namespace) -> Any:
+    """Learn the best bank for a time per frame; return it and what was tried."""
     from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
     from coded_aperture_ros.depth import DepthConfig
     from coded_aperture_ros.depth.tune import tune
     from coded_aperture_ros.optics import load_camera
 
-    camera, prior = load_camera(args.camera), _prior(args)
+    camera, prior, count = load_camera(args.camera), _prior(args), _level_count(args)
     if camera.side == "both":
         raise InputError(
             f"{args.camera}: side: both: a bank is tuned for one side only, leave out --budget-ms"
         )
+
     near_m, far_m = args.depth_range
-    levels = _LEVELS if args.levels is None else args.levels
 
     def learn(config: LearnConfig) -> Any:
-        return learn_bank_for_camera(camera, near_m, far_m, levels, config, prior=prior)
+        return learn_bank_for_camera(camera, near_m, far_m, count, config, prior=prior)
 
+    shape = camera.image_height, camera.image_width
+    config = DepthConfig(temporal_frames=4.0, threads=args.budget_threads)
     with naming(args.camera):
-        bank, tried = tune(
-            learn,
-            (camera.image_height, camera.image_width),
-            args.budget_ms,
-            DepthConfig(temporal_frames=4.0, threads=args.budget_threads),
-            progress,
-        )
-    trials += tried
-    return bank
+        return tune(learn, shape, args.budget_ms, config, progress)
 
 
 def _prior(args: argparse.Namespace) -> Any:
@@ -300,36 +290,33 @@ def _prior(args: argparse.Namespace) -> Any:
         )
 
 
-def _rendered(args: argparse.Namespace) -> Any:
+def _rendered(args: argparse.Namespace) -> tuple[Any, Any, str]:
+    """Return PSFs of a mask, the mask, and what it is."""
     import numpy as np
 
-    from coded_aperture_ros.optics import MASK_NAMES, Mask, render_psf_stack
+    from coded_aperture_ros.optics import MASK_NAMES, render_psf_stack
 
     if args.mask is None:
         args.usage_error(f"--blur-sizes needs --mask: a file, or one of {', '.join(MASK_NAMES)}")
     try:
-        smallest, largest, levels = *map(float, args.blur_sizes[:2]), int(args.blur_sizes[2])
+        smallest, largest, count = *map(float, args.blur_sizes[:2]), int(args.blur_sizes[2])
     except ValueError:
         args.usage_error("--blur-sizes: expected two sizes in px and a whole number of levels")
-    if not -math.inf < smallest < largest < math.inf or levels < 2:
+    if not -math.inf < smallest < largest < math.inf or count < 2:
         args.usage_error("--blur-sizes: expected MIN less than MAX and at least 2 levels")
-    mask = Mask.named(args.mask) if args.mask in MASK_NAMES else Mask.from_file(args.mask)
-    return render_psf_stack(mask, np.linspace(smallest, largest, levels)), mask
+    mask = mask_of(args.mask)
+    sizes = np.linspace(smallest, largest, count)
+    return render_psf_stack(mask, sizes), mask, f"mask {args.mask}"
 
 
-def _measured(args: argparse.Namespace) -> Any:
-    import dataclasses
-
+def _measured(args: argparse.Namespace) -> tuple[Any, Any, str]:
+    """Return measured PSFs, None for the unknown mask, and what they are."""
     import numpy as np
 
     from coded_aperture_ros.optics import PsfStack
 
     stack = PsfStack.load(args.psfs)
-    if args.depths is None:
-        return stack
-    try:
-        depths = np.array([float(text) for text in args.depths.split(",")])
-    except ValueError:
-        args.usage_error(f"--depths: expected numbers with commas between, got {args.depths!r}")
-    with naming("--depths"):
-        return dataclasses.replace(stack, depths_m=depths)
+    if args.depths is not None:
+        with naming("--depths"):
+            stack = dataclasses.replace(stack, depths_m=np.array(args.depths))
+    return stack, None, f"measured PSFs {args.psfs}"

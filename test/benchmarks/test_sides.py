@@ -280,7 +280,7 @@ def test_the_program_works_by_the_camera_file_alone(tmp_path, capsys, caplog, pi
     for mask in ("three_wide", "levin"):
         result = call(
             capsys, "learn", "--camera", tmp_path / f"{mask}.yaml", "--depth-range", NEAR_M, FAR_M,
-            "--levels", 21, "-o", tmp_path / f"{mask}.npz",
+            "--level-count", 21, "-o", tmp_path / f"{mask}.npz",
         )  # fmt: skip
         assert result.status == 0
     (warning,) = caplog.messages  # of the other one

@@ -15,7 +15,7 @@ from coded_aperture_ros.calibration.planes.folder import add_plane
 from coded_aperture_ros.io import read_image, write_image
 from coded_aperture_ros.optics import load_camera
 
-SMALL = ("--window-px", WINDOW, "--rank", 16, "--levels", 7)
+SMALL = ("--window-px", WINDOW, "--rank", 16, "--level-count", 7)
 SIZE = 96
 
 
@@ -147,10 +147,10 @@ def test_a_camera_of_another_size(tmp_path, folder, capsys):
         (("planes", "--depth", 1, "-o", "b.npz"), "--depth needs --topic"),
         (("planes", "--topic", "image_raw", "--depth", -1), "--depth: expected a positive"),
         (("planes", "--topic", "image_raw"), "--topic without a terminal needs --depth"),
-        (("planes", "--topic", "t", "--depth", 1, "--frames", 0), "--frames: at least 1"),
+        (("planes", "--topic", "t", "--depth", 1, "--frames", 0), "--frames: expected at least 1"),
         (("a", "b", "--topic", "t", "--depth", 1), "--topic needs one folder"),
         (("planes", "--depths", "1,x", "-o", "b.npz"), "--depths: expected numbers"),
-        (("planes", "--levels", 1, "-o", "b.npz"), "--levels: at least 2"),
+        (("planes", "--level-count", 1, "-o", "b.npz"), "--level-count: expected at least 2"),
     ],
 )
 def test_wrong_usage(capsys, monkeypatch, arguments, phrase):

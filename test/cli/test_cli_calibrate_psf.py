@@ -47,7 +47,7 @@ def folder(made, tmp_path, monkeypatch):
 
 
 def test_from_dots_to_a_stack_and_a_bank(folder, capsys):
-    given = ("calibrate", "psf", *DEPTHS, "--camera", "camera.yaml", "--levels", 3)
+    given = ("calibrate", "psf", *DEPTHS, "--camera", "camera.yaml", "--level-count", 3)
     result = call(capsys, *given, "-o", "new/psfs.npz", "--picture", "psfs.png", "--json")
     assert (result.status, result.err) == (0, "")
     summary = json.loads(result.out)
@@ -141,8 +141,8 @@ def test_what_makes_no_sense_is_one_line(folder, capsys, arguments, phrase):
         (("a.png", "--depths", "1,2"), "--depths: 2 for 1 pictures"),
         (("a.png", "--depths", "1;2"), "expected numbers with commas between"),
         (("a.png", "--depths", "0"), "expected distances of more than 0 m"),
-        (("a.png", "--levels", 3), "one PSF cannot be interpolated"),
-        (("a.png", "b.png", "--levels", 1), "--levels: at least 2"),
+        (("a.png", "--level-count", 3), "one PSF cannot be interpolated"),
+        (("a.png", "b.png", "--level-count", 1), "--level-count: at least 2"),
         (("a.png", "b.png", "--sharp", "c.png"), "--sharp: 1 for 2 coded pictures"),
         (("a.png", "--sharp", "b.png", "--largest-blur-px", -3), "expected 1 px or more"),
         (("a.png", "--largest-blur-px", 9), "--largest-blur-px needs --sharp"),

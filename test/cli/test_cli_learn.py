@@ -16,11 +16,30 @@ from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 SMALL = ("--window-px", 16, "--rank", 8)
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("learn", "--camera", "camera.yaml", "--depth-range", 1.5, 3),
+        ("calibrate", "planes", "planes"),
+        ("calibrate", "blind", "planes"),
+        ("calibrate", "psf", "a.png", "b.png"),
+    ],
+)
+def test_the_former_name_of_the_level_count(tmp_path, capsys, caplog, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    result = call(capsys, *command, "--levels", 5, "-o", "new.npz")
+    assert result.status == 1  # nothing is there to learn from
+    (warning,) = caplog.messages
+    assert "--levels is now called --level-count" in warning
+    result = call(capsys, *command, "--levels", "few", "-o", "new.npz")
+    assert (result.status, "--levels: invalid int value: 'few'" in result.err) == (2, True)
+
+
 def test_from_a_camera(scene, tmp_path, capsys):
     bank_file = tmp_path / "new folder" / "bank.npz"
     result = call(
         capsys,
-        *("learn", "--camera", scene.camera, "--depth-range", 1.5, 3, "--levels", 5),
+        *("learn", "--camera", scene.camera, "--depth-range", 1.5, 3, "--level-count", 5),
         *(*SMALL, "-o", bank_file),
     )
     assert (result.status, result.err) == (0, "")
@@ -96,10 +115,13 @@ CAMERA_RANGE = ("--camera", "camera.yaml", "--depth-range", 1.5, 3)
         (("--blur-sizes", 3, 9, 1, "--mask", "levin"), "at least 2 levels"),
         (("--blur-sizes", 3, "inf", 4, "--mask", "levin"), "MIN less than MAX"),
         (("--blur-sizes", 3, 9, 4.5, "--mask", "levin"), "a whole number of levels"),
-        ((*CAMERA_RANGE, "--levels", 1), "at least 2 are needed"),
+        ((*CAMERA_RANGE, "--level-count", 1), "expected at least 2"),
         ((*CAMERA_RANGE, "--mask", "levin"), "--mask only goes with --blur-sizes"),
         ((*CAMERA_RANGE, "--depths", "1,2"), "--depths only goes with --psfs"),
-        (("--psfs", "a.npz", "--levels", 5), "--levels only goes with --camera or --planes"),
+        (
+            ("--psfs", "a.npz", "--level-count", 5),
+            "--level-count only goes with --camera or --planes",
+        ),
         ((*CAMERA_RANGE, "--psfs", "a.npz"), "not allowed with"),
         (("--planes", "folder", "--psfs", "a.npz"), "not allowed with"),
         (("--planes", "folder", "--depths", "1,2"), "--depths only goes with --psfs"),
@@ -138,7 +160,7 @@ def test_unusable_camera_files(tmp_path, capsys, changes, phrases):
     before = everything(tmp_path)
     result = call(
         capsys,
-        *("learn", "--camera", camera, "--depth-range", 1.5, 3, "--levels", 3),
+        *("learn", "--camera", camera, "--depth-range", 1.5, 3, "--level-count", 3),
         *("-o", tmp_path / "bank.npz"),
     )
     refused(result, camera, *phrases)
@@ -157,7 +179,7 @@ def test_unusable_camera_files(tmp_path, capsys, changes, phrases):
 def test_impossible_depth_ranges(scene, tmp_path, capsys, depth_range, phrase):
     result = call(
         capsys,
-        *("learn", "--camera", scene.camera, "--depth-range", *depth_range, "--levels", 3),
+        *("learn", "--camera", scene.camera, "--depth-range", *depth_range, "--level-count", 3),
         *("-o", tmp_path / "bank.npz"),
     )
     refused(result, scene.camera, phrase)

@@ -130,7 +130,7 @@ def make_scene(folder):
             *("simulate", "--camera", scene.camera, "--image", scene.sharp_file),
             *("--depth", scene.depth_png, "-o", coded, "--noise", 0.001),
         )
-    camera = ("--camera", scene.camera, "--depth-range", 1.4, 4.0, "--levels", 16)
+    camera = ("--camera", scene.camera, "--depth-range", 1.4, 4.0, "--level-count", 16)
     program("learn", *camera, "--rank", 64, "-o", scene.bank)
     without = ("--mask", "levin", "--blur-sizes", 4, 12, 9, "--rank", 32)
     program("learn", *without, "-o", scene.index_bank)

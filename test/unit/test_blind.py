@@ -32,7 +32,7 @@ from coded_aperture_ros.optics import Mask
 
 CELLS = MASK.transmission.astype(np.float64)
 SMALL = ("--largest-blur-px", 14, "--least-cells", 5, "--most-cells", 5)
-FILTERS = ("--window-px", 24, "--rank", 16, "--levels", 5)
+FILTERS = ("--window-px", 24, "--rank", 16, "--level-count", 5)
 
 
 @pytest.fixture(scope="module")
@@ -279,7 +279,7 @@ def test_the_examples_of_calibrate_blind(folder, capsys, known, caplog):
     ("arguments", "phrase"),
     [
         (("planes",), "--output DIR or -o bank.npz"),
-        (("planes", "-o", "bank.npz", "--levels", 1), "--levels: at least 2"),
+        (("planes", "-o", "bank.npz", "--level-count", 1), "--level-count: expected at least 2"),
         (("planes", "--output", "x", "--least-cells", 9, "--most-cells", 8), "--least-cells: 9"),
         (("planes", "-o", "b.npz", "--window-px", 24), "does not fit patches of 24 px"),
     ],

@@ -184,8 +184,8 @@ def test_unusable_folders(tmp_path, capsys):
     folder = folder_of(tmp_path)
     small = call(capsys, "learn", "--planes", folder, "--window-px", 64, *output)
     refused(small, "plane_0.png: image of 48x48 px is smaller than the bank's 64 px window")
-    one = call(capsys, "learn", "--planes", folder, "--levels", 1, *output)
-    wrong_usage(one, "learn", "--levels: at least 2")
+    one = call(capsys, "learn", "--planes", folder, "--level-count", 1, *output)
+    wrong_usage(one, "learn", "--level-count: expected at least 2")
 
 
 def test_planes_out_of_order_are_refused(planes):
@@ -215,7 +215,7 @@ def test_from_the_command_line(tmp_path, capsys, monkeypatch):
     bank_file = tmp_path / "bank.npz"
     result = call(
         capsys,
-        *("learn", "--planes", folder, "--levels", 5, "--window-px", WINDOW, "--rank", 8),
+        *("learn", "--planes", folder, "--level-count", 5, "--window-px", WINDOW, "--rank", 8),
         *("-o", bank_file),
     )
     assert (result.status, result.err) == (0, "")

@@ -228,7 +228,7 @@ def moving_file(tmp_path_factory):
 def test_the_program_estimates_and_removes_motion(moving_file, capsys):
     folder, camera = moving_file
     bank, depth = folder / "bank.npz", folder / "depth.npy"
-    learn = ("--camera", camera, "--depth-range", 1.6, 3.0, "--levels", 8)
+    learn = ("--camera", camera, "--depth-range", 1.6, 3.0, "--level-count", 8)
     assert call(capsys, "learn", *learn, "-o", bank).status == 0
     options = ("--motion", "--motion-directions", 4, "--motion-lengths", 2)
     options = (*options, "--longest-motion-px", 8, "--json")

@@ -151,7 +151,7 @@ def test_from_the_command_line(bank, tmp_path, capsys):
     file = written(tmp_path, values, "new.yaml")
     start = ("learn", "--remap", tmp_path / "bank.npz", "--camera", file)
     output = ("-o", tmp_path / "new.npz", "--json")
-    result = call(capsys, *start, "--depth-range", 1.0, 1.6, "--levels", 7, *output)
+    result = call(capsys, *start, "--depth-range", 1.0, 1.6, "--level-count", 7, *output)
     assert (result.status, result.err) == (0, "")
     assert json.loads(result.out)["levels"] == 7
     new = load_bank(tmp_path / "new.npz")
@@ -170,7 +170,10 @@ def test_from_the_command_line(bank, tmp_path, capsys):
     ("arguments", "phrase"),
     [
         (("--planes", "p"), "--remap needs --camera"),
-        (("--camera", "c.yaml", "--levels", 4), "--levels with --remap needs --depth-range"),
+        (
+            ("--camera", "c.yaml", "--level-count", 4),
+            "--level-count with --remap needs --depth-range",
+        ),
         (("--camera", "c.yaml", "--budget-ms", 4), "--budget-ms does not go with --remap"),
     ],
 )

@@ -1,0 +1,86 @@
+"""What the commands that measure a camera, `learn` and `calibrate ACTION`, have in common."""
+
+import argparse
+import json
+import logging
+import math
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from coded_aperture_ros.cli.options import add_deprecated_alias, at_least, config_from
+from coded_aperture_ros.core.errors import InputError
+
+
+def above(least: float, what: str) -> Callable[[str], float]:
+    """Return a parser of finite numbers of more than `least`; `what` names them in messages."""
+
+    def parse(text: str) -> float:
+        value = float(text)
+        if not least < value < math.inf:
+            raise argparse.ArgumentTypeError(f"expected {what}, got {text}")
+        return value
+
+    parse.__name__ = "float"  # argparse says "invalid float value"
+    return parse
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(
+            f"expected numbers with commas between, got {text!r}"
+        ) from error
+
+
+def add_level_count_option(
+    parser: argparse.ArgumentParser, default: int | None, what: str, least: int = 2
+) -> None:
+    """Add `--level-count`, which was called `--levels`."""
+    option = parser.add_argument(
+        "--level-count", type=at_least(least), default=default, metavar="N", help=what
+    )
+    add_deprecated_alias(parser, "--levels", option)
+
+
+def add_depths_option(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add `--depths`, a depth for each picture or PSF."""
+    parser.add_argument("--depths", type=_numbers, metavar="Z1,Z2,...", help=what)
+
+
+def checked_config(args: argparse.Namespace, config: type) -> Any:
+    """Return `config_from` the command line; values that do not go together are wrong usage."""
+    try:
+        return config_from(args, config)
+    except InputError as error:
+        args.usage_error(f"--{error}".replace("_", "-"))
+
+
+def pictures_in(inputs: list[str]) -> list[str]:
+    """Return the pictures, or those of the one folder."""
+    from coded_aperture_ros.io.sources import open_files
+
+    if len(inputs) > 1 or not Path(inputs[0]).is_dir():
+        return inputs
+    return [str(path) for path in open_files(inputs[0]).files]
+
+
+def write_report(output: Callable[[Path], Path], report: Path, summary: Any, mask: Any) -> None:
+    """Write a summary, and beside it the mask that was found as `mask.npy`."""
+    import numpy as np
+
+    text = json.dumps(summary, indent=1, allow_nan=False)
+    output(report).write_text(text + "\n", encoding="utf-8")
+    with output(report.parent / "mask.npy").open("wb") as file:
+        np.save(file, mask.transmission)
+
+
+def tell(
+    args: argparse.Namespace, summary: Any, text: Callable[[Any], str], warnings: Iterable[str] = ()
+) -> int:
+    """Log warnings, print the summary as JSON or as text, and return the exit status."""
+    for warning in warnings:
+        logging.warning(warning)
+    print(json.dumps(summary, allow_nan=False) if args.json else text(summary))
+    return 0
