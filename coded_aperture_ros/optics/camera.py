@@ -287,7 +287,12 @@ def _check_focus_is_possible(focal_length_mm: float, focus_distance_m: float) ->
 
 
 def load_camera(path: str | os.PathLike[str]) -> Camera:
-    """Read a camera file (YAML).
+    """Read a camera file.
+
+    Parameters
+    ----------
+    path : path
+        YAML; `config/example_camera.yaml` explains its keys.
 
     Raises
     ------

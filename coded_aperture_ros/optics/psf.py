@@ -223,7 +223,14 @@ def _unit_sum(psfs: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def render_psf_stack(mask: Mask, blur_sizes_px: ArrayLike) -> PsfStack:
-    """Render the PSFs of several blur sizes onto one common support; see `render_psf`."""
+    """Render the PSFs of several blur sizes onto one common support; see `render_psf`.
+
+    Parameters
+    ----------
+    mask : Mask
+    blur_sizes_px : array_like, float [L]
+        Signed; at least one.
+    """
     sizes = np.atleast_1d(np.asarray(blur_sizes_px, dtype=np.float64))
     if sizes.size == 0:
         raise InputError("blur sizes: at least one is needed")

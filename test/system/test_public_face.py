@@ -1,0 +1,74 @@
+"""The names that users need are few, documented, and all in the API reference."""
+
+import inspect
+import re
+import subprocess
+import sys
+from importlib import import_module
+
+import pytest
+
+import coded_aperture_ros
+
+MOST_NAMES = 60
+
+
+@pytest.fixture(scope="module")
+def public(checkout):
+    """Return what docs/api.rst documents: names with their modules, in its order."""
+    module, found = "", []
+    for line in (checkout / "docs/api.rst").read_text().splitlines():
+        if match := re.match(r"\.\. (currentmodule|auto\w+):: ([\w.]+)$", line):
+            directive, name = match.groups()
+            if directive == "currentmodule":
+                module = name
+            else:
+                found.append((module, name))
+    return found
+
+
+def test_the_public_names_are_few(public):
+    names = [name for _, name in public]
+    assert 6 <= len(names) == len(set(names)) <= MOST_NAMES
+
+
+def test_the_top_face_is_documented_first(public):
+    top = [name for module, name in public if module == "coded_aperture_ros"]
+    assert sorted(top) == sorted(coded_aperture_ros.__all__)
+    assert public[: len(top)] == [("coded_aperture_ros", name) for name in top]
+
+
+def test_every_public_name_is_there_and_says_what_it_is(public):
+    for module, name in public:
+        what = getattr(import_module(module), name)
+        text = inspect.getdoc(what) or ""
+        assert len(text) > 10, f"{module}.{name}"
+        if inspect.isfunction(what) and inspect.signature(what).parameters:
+            assert "Parameters\n-----" in text, f"{module}.{name}"
+
+
+def test_public_methods_say_what_they_do(public):
+    for module, name in public:
+        what = getattr(import_module(module), name)
+        if inspect.isclass(what):
+            for method, function in vars(what).items():
+                if not method.startswith("_") and callable(function):
+                    assert inspect.getdoc(function), f"{module}.{name}.{method}"
+
+
+def test_importing_the_package_loads_no_room():
+    code = (
+        "import sys, coded_aperture_ros\n"
+        "print(*[name for name in sys.modules if name.startswith('coded_aperture_ros.')])\n"
+        "assert {*coded_aperture_ros.__all__} <= {*dir(coded_aperture_ros)}\n"
+        "coded_aperture_ros.Camera"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert (result.stdout.strip(), result.stderr, result.returncode) == ("", "", 0)
+
+
+def test_a_name_that_is_not_there_is_named():
+    with pytest.raises(AttributeError, match="no_such_name"):
+        coded_aperture_ros.no_such_name  # noqa: B018
