@@ -7,6 +7,7 @@ through `FramePipeline`; `docs/architecture.md` walks on from here.
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +85,17 @@ class FramePipeline:
         self.estimator = DepthEstimator(model, depth, camera)
         self._deblurrer = None if deblur is None else Deblurrer(model.stack, deblur)
         self._order = StampOrder()
+
+    @property
+    def deblurs(self) -> bool:
+        """Whether all-in-focus pictures are made."""
+        return self._deblurrer is not None
+
+    @property
+    def remembers(self) -> bool:
+        """Whether what is made of a frame depends on the frames before it."""
+        averaged = self._deblurrer is not None and self._deblurrer.config.temporal_frames > 0
+        return averaged or self.estimator.config.temporal_frames > 0
 
     def __call__(
         self,
@@ -178,6 +190,11 @@ class FramePipeline:
         self.estimator.close()
         if self._deblurrer is not None:
             self._deblurrer.close()
+
+    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
+        """Send to another process what the pipeline was made of; threads and memory stay behind."""
+        made_of = self.estimator.model, self.estimator.camera, self.estimator.config
+        return FramePipeline, (*made_of, self._deblurrer.config if self._deblurrer else None)
 
     def _follow(self, stamp: int | None) -> None:
         if stamp is None:

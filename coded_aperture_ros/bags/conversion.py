@@ -21,8 +21,7 @@ from coded_aperture_ros.bags.references import References
 from coded_aperture_ros.bags.workers import Wait, frame_workers, in_order
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.threads import processors
-from coded_aperture_ros.deblur import DeblurConfig
-from coded_aperture_ros.depth import DepthEstimator, map_size
+from coded_aperture_ros.depth import map_size
 from coded_aperture_ros.imaging import Gamma
 from coded_aperture_ros.io.bags.codec import read_picture
 from coded_aperture_ros.io.bags.reading import Bag
@@ -37,7 +36,9 @@ from coded_aperture_ros.io.bags.topics import (
 )
 from coded_aperture_ros.io.bags.writing import bag_output
 from coded_aperture_ros.io.messages import MessageError
+from coded_aperture_ros.methods.motion import ExpectedMotion
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.pipeline import FramePipeline
 
 REPORT = "report"
 # Frames between reading and writing, for each processor.
@@ -56,24 +57,27 @@ class BagConversion:
     namespace : str or None
         Of the results; by default the camera's.
     camera : Camera
-    new_estimator : callable
-        Returns the estimator for the camera of the frames, which may be resized.
-    deblur : DeblurConfig or None
-        None: no all-in-focus frames.
+    new_pipeline : callable
+        Returns the pipeline for the camera of the frames, which may be resized.
     gamma : float or "srgb"
         Of 8-bit frames.
     map_size : str
         Of the depth images, see `depth.map_size`.
+    motion : bool
+        Whether the pipeline's method finds motion.
+    prior : ExpectedMotion or None
+        Of all frames, for such a method.
     """
 
     topic: str | None
     reference_topic: str | None
     namespace: str | None
     camera: Camera
-    new_estimator: Callable[[Camera], DepthEstimator]
-    deblur: DeblurConfig | None
+    new_pipeline: Callable[[Camera], FramePipeline]
     gamma: Gamma = 1.0
     map_size: str = "auto"
+    motion: bool = False
+    prior: ExpectedMotion | None = None
 
     def run(
         self, source: Path, target: Path, progress: Progress = lambda steps, total: steps
@@ -112,14 +116,15 @@ class BagConversion:
         image, references, outputs = self._topics(bag)
         first, size, camera = first_frame(bag, image, self.camera)
         depth_size = map_size(size, self.map_size)
+        pipeline = self.new_pipeline(camera)
         processor = FrameProcessor(
-            image.type_name, size, self.gamma, self.new_estimator(camera), depth_size, self.deblur
+            pipeline, image.type_name, size, depth_size, self.gamma, self.prior
         )
         warm_up(camera)
         record = Record(image.type_name)
         with frame_workers(processor, first) as submit, bag_output(target, bag.storage) as writer:
             preparation_s = time.perf_counter() - started_s
-            for topic in (*bag.topics.values(), *result_topics(outputs, self.deblur is not None)):
+            for topic in (*bag.topics.values(), *result_topics(outputs, pipeline.deblurs)):
                 writer.add_topic(topic)
 
             def begin(batch: Batch) -> Wait | None:
@@ -153,7 +158,9 @@ class BagConversion:
                 "output": str(target),
                 "storage": bag.storage,
                 "topic": image.name,
-                "outputs": dataclasses.asdict(outputs),
+                "outputs": {
+                    kind: name for kind, name in dataclasses.asdict(outputs).items() if name
+                },
                 "damage": bag.damage,
                 "frames": record.frames,
                 "used": record.used,
@@ -180,7 +187,7 @@ class BagConversion:
                 reference = depth_topic(bag.topics, self.reference_topic).name
             image = image_topic(bag.topics, self.topic, reference)
             namespace = namespace_of(image) if self.namespace is None else self.namespace
-            outputs = Outputs.within(f"/{namespace.strip('/')}".rstrip("/"))
+            outputs = Outputs.within(f"/{namespace.strip('/')}", self.motion)
             check_outputs(bag.topics, outputs)
         except InputError as error:
             raise InputError(f"{bag.path}: {error}") from error

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stages import Stages
-from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
-from coded_aperture_ros.depth import DepthEstimator
 from coded_aperture_ros.imaging import Gamma
 from coded_aperture_ros.io.bags.codec import Picture, read_picture
 from coded_aperture_ros.io.messages import MessageError, frame_from_pixels, pixels_from_frame
+from coded_aperture_ros.methods.motion import ExpectedMotion
+from coded_aperture_ros.pipeline import FramePipeline
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -25,15 +25,18 @@ class DepthMaps:
     depth_m, confidence : ndarray, float32 [rows, columns]
     noise : float
         See `DepthEstimate`.
+    motion_px : ndarray, float32 [rows, columns, 2], or None
+        See `MotionField`.
     """
 
     depth_m: NDArray[np.float32]
     confidence: NDArray[np.float32]
     noise: float
+    motion_px: NDArray[np.float32] | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class FrameResult:
+class ProcessedFrame:
     """What was made of a frame; also of one that could not be used.
 
     Attributes
@@ -63,93 +66,87 @@ class FrameResult:
     processor_s: float = 0.0
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class FrameProcessor:
     """Reads a frame, estimates its depth, and deblurs it.
 
-    Parameters
+    Attributes
     ----------
+    pipeline : FramePipeline
+        For frames of this size.
     type_name : str
         Of the messages.
     size : (int, int)
         Rows and columns of the frames.
-    gamma : float or "srgb"
-        Of 8-bit frames.
-    estimator : DepthEstimator
-        For frames of that size.
     map_size : (int, int)
         Rows and columns of the depth images.
-    deblur : DeblurConfig or None
-        None: no all-in-focus frames are made.
+    gamma : float or "srgb"
+        Of 8-bit frames.
+    prior : ExpectedMotion or None
+        Of all frames.
     """
 
-    def __init__(
-        self,
-        type_name: str,
-        size: tuple[int, int],
-        gamma: Gamma,
-        estimator: DepthEstimator,
-        map_size: tuple[int, int],
-        deblur: DeblurConfig | None,
-    ) -> None:
-        self._type_name, self._size, self._gamma = type_name, size, gamma
-        self._estimator, self._map_size = estimator, map_size
-        self._deblur = deblur
-        self._deblurrer: Deblurrer | None = None  # made where the work is done
+    pipeline: FramePipeline
+    type_name: str
+    size: tuple[int, int]
+    map_size: tuple[int, int]
+    gamma: Gamma = 1.0
+    prior: ExpectedMotion | None = None
 
     @property
     def remembers(self) -> bool:
-        """Whether a frame's depth depends on those before it."""
-        return self._estimator.config.temporal_frames > 0
+        """Whether what is made of a frame depends on those before it."""
+        return self.pipeline.remembers
 
     def prepare(self, data: bytes) -> None:
         """Do with a message of a frame what the first one would wait for."""
         self(data)
-        self._estimator.reset()
+        self.pipeline.reset()
 
-    def __call__(self, data: bytes) -> FrameResult:
+    def __call__(self, data: bytes) -> ProcessedFrame:
         """Return what is made of a message of a frame."""
         started_s = time.process_time()
         result = self._result(data)
         return dataclasses.replace(result, processor_s=time.process_time() - started_s)
 
-    def _result(self, data: bytes) -> FrameResult:
+    def _result(self, data: bytes) -> ProcessedFrame:
         stages = Stages()
         try:
             picture, frame = self._decoded(data)
             stages.lap("decode")
-            estimate = self._estimator.estimate(frame, self._map_size)
+            result = self.pipeline(frame, size=self.map_size, prior=self.prior)
             stages.lap("depth")
         except InputError as error:
-            return FrameResult(*_fault(error, "frame"))
-        if estimate.depth_m is None:
-            return FrameResult("frame", "the bank and the camera file give no depth")
-        result = FrameResult(
+            return ProcessedFrame(*_fault(error, "frame"))
+        depth = result.depth
+        if depth.depth_m is None:
+            return ProcessedFrame("frame", "the bank and the camera file give no depth")
+        motion_px = None if depth.motion is None else depth.motion.vectors_px
+        processed = ProcessedFrame(
             header=picture.header,
             encoding=picture.encoding,
-            maps=DepthMaps(estimate.depth_m, estimate.confidence, estimate.noise),
+            maps=DepthMaps(depth.depth_m, depth.confidence, depth.noise, motion_px),
             seconds=stages.seconds,
         )
-        if self._deblur is None:
-            return result
-        self._deblurrer = self._deblurrer or Deblurrer(self._estimator.model.stack, self._deblur)
+        if not self.pipeline.deblurs:
+            return processed
         try:
-            sharp = self._deblurrer.deblur(frame, estimate.blur_size_px, estimate.noise)
+            sharp = pixels_from_frame(result.all_in_focus, picture.encoding, self.gamma)
         except InputError as error:
             fault, reason = _fault(error, "no depth")
-            return dataclasses.replace(result, fault=fault, reason=reason)
-        pixels = pixels_from_frame(sharp, picture.encoding, self._gamma)
+            return dataclasses.replace(processed, fault=fault, reason=reason)
         stages.lap("deblur")
-        return dataclasses.replace(result, sharp=pixels, seconds=stages.seconds)
+        return dataclasses.replace(processed, sharp=sharp, seconds=stages.seconds)
 
     def _decoded(self, data: bytes) -> tuple[Picture, NDArray[np.float32]]:
-        picture = read_picture(data, self._type_name)
+        picture = read_picture(data, self.type_name)
         rows, columns = picture.pixels.shape[:2]
-        if (rows, columns) != self._size:
+        if (rows, columns) != self.size:
             raise MessageError(
                 "size",
-                f"the frame is {columns}x{rows}, others are {self._size[1]}x{self._size[0]}",
+                f"the frame is {columns}x{rows}, others are {self.size[1]}x{self.size[0]}",
             )
-        return picture, frame_from_pixels(picture.pixels, self._gamma)
+        return picture, frame_from_pixels(picture.pixels, self.gamma)
 
 
 def _fault(error: InputError, otherwise: str) -> tuple[str, str]:

@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from coded_aperture_ros.bags.frames import FrameResult
+from coded_aperture_ros.bags.frames import ProcessedFrame
 from coded_aperture_ros.io.bags.codec import (
     CAMERA_INFO,
     IMAGE,
     camera_info_data,
     image_data,
     info_of,
+    motion_data,
     new_topic,
     read_camera_info,
     read_depth_image,
@@ -92,13 +93,15 @@ def _usable_info(data: bytes, camera: Camera) -> Any:
 def result_topics(outputs: Outputs, deblurs: bool) -> list[Topic]:
     """Return the topics of the results."""
     kinds = {outputs.depth: IMAGE, outputs.confidence: IMAGE, outputs.depth_info: CAMERA_INFO}
+    if outputs.motion is not None:
+        kinds[outputs.motion] = IMAGE
     if deblurs:
         kinds |= {outputs.deblurred: IMAGE, outputs.deblurred_info: CAMERA_INFO}
     return [new_topic(name, kind) for name, kind in kinds.items()]
 
 
 def result_messages(
-    result: FrameResult, info: Any, outputs: Outputs
+    result: ProcessedFrame, info: Any, outputs: Outputs
 ) -> Iterator[tuple[str, memoryview]]:
     """Yield topic and data of the messages that say what was made of a frame."""
     header = result.header
@@ -107,6 +110,8 @@ def result_messages(
         yield outputs.confidence, image_data(maps.confidence, "32FC1", header)
         rows, columns = maps.depth_m.shape
         yield outputs.depth_info, camera_info_data(info, (rows, columns), header)
+        if outputs.motion is not None and maps.motion_px is not None:
+            yield outputs.motion, motion_data(maps.motion_px, header)
     if result.sharp is not None:
         rows, columns = result.sharp.shape[:2]
         yield outputs.deblurred, image_data(result.sharp, result.encoding, header)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bags.frames import DepthMaps, FrameResult
+from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
 from coded_aperture_ros.bags.score import FrameScore, summary
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.bags.codec import read_picture, stamp_ns_of
@@ -93,7 +93,7 @@ class Record:
         """Frames that have a depth image."""
         return len(self._rows)
 
-    def add(self, index: int, recorded: Recorded, result: FrameResult) -> None:
+    def add(self, index: int, recorded: Recorded, result: ProcessedFrame) -> None:
         """Note the result of a frame, by its index in the topic and its message."""
         self.frames += 1
         self._processor_s += result.processor_s
@@ -174,7 +174,9 @@ class Record:
             },
         }
 
-    def _keep(self, index: int, recorded: Recorded, result: FrameResult, maps: DepthMaps) -> None:
+    def _keep(
+        self, index: int, recorded: Recorded, result: ProcessedFrame, maps: DepthMaps
+    ) -> None:
         """Keep a sample; every other one goes whenever there are too many."""
         self.samples[index] = Sample(
             index,

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bags.frames import DepthMaps, FrameResult
+from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
 from coded_aperture_ros.bags.score import FrameScore, frame_score
 from coded_aperture_ros.io.bags.codec import read_depth_image, stamp_ns_of
 from coded_aperture_ros.io.bags.recorded import Recorded
@@ -38,7 +38,7 @@ class References:
         while len(self._references) > 2 * _WAITING:
             del self._references[min(self._references)]
 
-    def add_frame(self, index: int, result: FrameResult) -> None:
+    def add_frame(self, index: int, result: ProcessedFrame) -> None:
         """Take the depth of a frame, if it has any."""
         if result.maps is not None:
             self._frames[index] = stamp_ns_of(result.header), result.maps

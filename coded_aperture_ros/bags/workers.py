@@ -19,14 +19,14 @@ from typing import Any, TypeVar
 
 import cv2
 
-from coded_aperture_ros.bags.frames import FrameProcessor, FrameResult
+from coded_aperture_ros.bags.frames import FrameProcessor, ProcessedFrame
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.fork_server import load_in_fork_server
 from coded_aperture_ros.core.threads import processors
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-Wait = Callable[[], FrameResult]
+Wait = Callable[[], ProcessedFrame]
 Submit = Callable[[bytes], Wait]
 
 
@@ -106,7 +106,7 @@ class _Worker:
             self._connection.send_bytes(data)
         return self.wait
 
-    def wait(self) -> FrameResult:
+    def wait(self) -> ProcessedFrame:
         """Return the result of the first message that it has not been returned of."""
         with _naming_its_end():
             result = self._connection.recv()

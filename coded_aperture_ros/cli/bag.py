@@ -9,7 +9,10 @@ from typing import Any
 from coded_aperture_ros.cli.estimators import (
     add_estimator_options,
     add_estimator_settings,
+    add_gyroscope_options,
     check_estimator_options,
+    check_gyroscope_options,
+    expected_motion_of,
     pipeline_of,
 )
 from coded_aperture_ros.cli.options import add_gamma_option
@@ -26,6 +29,8 @@ _EPILOG = """examples:
   compared with the depth that another camera recorded, depth only:
     coded_aperture bag recording -o scored --bank bank.npz --camera camera.yaml \\
         --reference-depth /ground_truth/depth --deblur none
+  something moves during the exposures:
+    coded_aperture bag recording -o moving --bank bank.npz --camera camera.yaml --motion
 """
 
 
@@ -61,7 +66,12 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--namespace", metavar="NAME", help="of the results (default: that of the coded frames)"
     )
-    add_estimator_options(parser, motion=", so that it does not pass for blur by defocus")
+    add_estimator_options(
+        parser,
+        motion=", so that it does not pass for blur by defocus: depth/motion has the way during "
+        "the exposure, px, to the right and down (32FC2); --deblur cg and sparse remove it too",
+    )
+    add_gyroscope_options(parser)
     parser.add_argument(
         "--deblur",
         choices=_DEBLUR,
@@ -102,6 +112,7 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     check_estimator_options(args)
+    check_gyroscope_options(args)
     if args.camera is None:
         args.usage_error("the following arguments are required: --camera")
     if processors() > 1:
@@ -113,6 +124,7 @@ def run(args: argparse.Namespace) -> int:
 
     source, target = Path(args.input), Path(args.output)
     check_bag_output(target, [source], args.overwrite)
+    camera = load_camera(args.camera)
     deblur = None
     if args.deblur != "none":
         deblur = DeblurConfig(method=args.deblur, rank=args.deblur_rank, band=args.deblur_band)
@@ -120,11 +132,12 @@ def run(args: argparse.Namespace) -> int:
         topic=args.topic,
         reference_topic=args.reference_depth,
         namespace=args.namespace,
-        camera=load_camera(args.camera),
-        new_estimator=lambda camera: pipeline_of(args, camera).estimator,
-        deblur=deblur,
+        camera=camera,
+        new_pipeline=lambda camera: pipeline_of(args, camera, deblur),
         gamma=args.gamma,
         map_size=args.output_size,
+        motion=args.motion,
+        prior=expected_motion_of(args, camera),
     )
     results = conversion.run(source, target, lambda steps, total: progress(steps, total, "frame"))
     if results["damage"]:

@@ -14,10 +14,11 @@ def add_estimator_options(parser: argparse.ArgumentParser, motion: str) -> None:
     """Add the method, and what each of them needs; `motion` says what comes of `--motion`."""
     parser.add_argument(
         "--method",
-        choices=("bank", "simple"),
+        choices=("bank", "simple", "motion"),
         default="bank",
         help="bank: a filter bank, for any mask; simple: a pixel and its neighbours, for a mask of "
-        "2 to 8 equal holes, from --camera and --depth-range alone (default bank)",
+        "2 to 8 equal holes, from --camera and --depth-range alone; motion: bank with --motion "
+        "(default bank)",
     )
     parser.add_argument(
         "--bank", metavar="NPZ", help="filter bank, see learn; needed with --method bank"
@@ -60,6 +61,8 @@ def add_estimator_settings(parser: argparse.ArgumentParser, **defaults: Any) -> 
 
 def check_estimator_options(args: argparse.Namespace) -> None:
     """Refuse options that the method needs and has not got, or has no use for."""
+    if args.method == "motion":
+        args.method, args.motion = "bank", True
     if args.motion and args.method != "bank":
         args.usage_error("--motion: only with --method bank")
     if args.method == "bank":

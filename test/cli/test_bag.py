@@ -312,7 +312,7 @@ def test_examples_of_the_help(scene, tmp_path, capsys, monkeypatch):
     ]
     write_bag(tmp_path / "recording", messages)
     shown = examples(capsys, "bag")
-    assert len(shown) == 2
+    assert len(shown) == 3
     for arguments in shown:
         result = call(capsys, *arguments)
         assert (result.status, result.err) == (0, ""), arguments
@@ -329,6 +329,42 @@ def test_the_simple_method_needs_no_bank(scene, tmp_path, capsys):
     result = call(capsys, *arguments, "--depth-range", 1.4, 4, "--level-count", 9, "--json")
     assert (result.status, result.err) == (0, "")
     assert json.loads(result.out)["used"] == 1
+
+
+@pytest.mark.parametrize("options", [("--motion",), ("--method", "motion")])
+def test_motion_is_found_as_by_depth(scene, tmp_path, capsys, options):
+    few = ("--motion-directions", 2, "--motion-lengths", 2, "--motion-rank", 32)
+    settings = (*options, *few, "--longest-motion-px", 6, "--stride-px", 16, "--unknown", "nearest")
+    bag = write_bag(tmp_path / "in", recording(scene, frames=2))
+    sizes = ("--output-size", "full")
+    arguments = command(scene, bag, tmp_path / "out", "--deblur", "cg", *sizes, *settings)
+    result = call(capsys, *arguments, "--json")
+    assert (result.status, result.err) == (0, "")
+    assert json.loads(result.out)["outputs"]["motion"] == "/eye/depth/motion"
+    messages = read(tmp_path / "out")
+    found = {
+        name: decoded(messages, f"/eye/{name}") for name in ("depth/motion", "depth/image")
+    }
+    assert [stamp_of(message) for _, message in found["depth/motion"]] == [
+        START_NS + index * PERIOD_NS for index in range(2)
+    ]
+    assert len(decoded(messages, "/eye/deblurred/image")) == 2
+    model = ("--bank", scene.bank, "--camera", scene.camera)
+    assert call(capsys, "depth", *model, bag, "-o", tmp_path, *settings).status == 0
+    for index in range(2):
+        motion, depth = (found[name][index][1] for name in ("depth/motion", "depth/image"))
+        assert (motion.encoding, motion.step) == ("32FC2", 8 * motion.width)
+        px = np.frombuffer(motion.data, "<f4").reshape(motion.height, motion.width, 2)
+        of_depth = np.load(tmp_path / f"in_00000{index}.motion.npy")
+        np.testing.assert_array_equal(px, of_depth)
+        np.testing.assert_array_equal(floats(depth), np.load(tmp_path / f"in_00000{index}.npy"))
+
+
+def test_options_of_motion_that_do_not_fit_are_refused(scene, tmp_path, capsys):
+    for options in (("--exposure", 0.01), ("--angular-velocity", 0, 0, 1)):
+        assert call(capsys, *command(scene, "in", tmp_path / "out", *options)).status == 2
+    turning = ("--motion", "--angular-velocity", 0, 0, 1)
+    assert call(capsys, *command(scene, "in", tmp_path / "out", *turning)).status == 2
 
 
 @pytest.mark.parametrize("options", [("--bank", "x.npz"), ("--camera", "x.yaml"), ()])

@@ -101,7 +101,16 @@ def image_data(pixels: NDArray, encoding: str, header: Any) -> memoryview:
     header : std_msgs/Header
         As rosbags has it.
     """
-    target = check_pixels(pixels, encoding)
+    check_pixels(pixels, encoding)
+    return _image_data(pixels, encoding, header)
+
+
+def motion_data(motion_px: NDArray[np.float32], header: Any) -> memoryview:
+    """Make an image message of motions [row, column, right and down], as optical flow is kept."""
+    return _image_data(motion_px, "32FC2", header)
+
+
+def _image_data(pixels: NDArray, encoding: str, header: Any) -> memoryview:
     height, width = pixels.shape[:2]
     return _sent(
         _types()[IMAGE](
@@ -110,7 +119,7 @@ def image_data(pixels: NDArray, encoding: str, header: Any) -> memoryview:
             width=width,
             encoding=encoding,
             is_bigendian=int(sys.byteorder == "big"),
-            step=width * target.pixel_bytes,
+            step=pixels.nbytes // height,
             data=np.ascontiguousarray(pixels).view(np.uint8).reshape(-1),
         ),
         IMAGE,

@@ -20,13 +20,15 @@ class Outputs:
     depth_info: str
     deblurred: str
     deblurred_info: str
+    motion: str | None = None
 
     @classmethod
-    def within(cls, namespace: str) -> "Outputs":
+    def within(cls, namespace: str, motion: bool = False) -> "Outputs":
         """Return the names in a namespace, such as `/camera`; empty for the topmost."""
         names = (
             *("depth/image", "depth/confidence", "depth/camera_info"),
             *("deblurred/image", "deblurred/camera_info"),
+            *(("depth/motion",) if motion else ()),
         )
         return cls(*(f"{namespace.rstrip('/')}/{name}" for name in names))
 
