@@ -86,8 +86,8 @@ def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     from coded_aperture_ros.optics import load_camera
 
-    check_gyroscope_options(args)
     check_estimator_options(args)
+    check_gyroscope_options(args)
     if args.look_ahead and not args.temporal_frames:
         args.usage_error("--look-ahead: needs --temporal-frames above 0 too")
     if args.look_ahead and args.angular_velocity is not None:

@@ -342,9 +342,7 @@ def test_motion_is_found_as_by_depth(scene, tmp_path, capsys, options):
     assert (result.status, result.err) == (0, "")
     assert json.loads(result.out)["outputs"]["motion"] == "/eye/depth/motion"
     messages = read(tmp_path / "out")
-    found = {
-        name: decoded(messages, f"/eye/{name}") for name in ("depth/motion", "depth/image")
-    }
+    found = {name: decoded(messages, f"/eye/{name}") for name in ("depth/motion", "depth/image")}
     assert [stamp_of(message) for _, message in found["depth/motion"]] == [
         START_NS + index * PERIOD_NS for index in range(2)
     ]
