@@ -1,6 +1,11 @@
 """Lens, mask and point-spread functions: from depth to the blur that the camera records."""
 
-from coded_aperture_ros.optics.camera import Camera, camera_from_mapping, load_camera
+from coded_aperture_ros.optics.camera import (
+    Camera,
+    camera_from_mapping,
+    image_distance,
+    load_camera,
+)
 from coded_aperture_ros.optics.intrinsics import Intrinsics, load_intrinsics
 from coded_aperture_ros.optics.mask import MASK_NAMES, Mask
 from coded_aperture_ros.optics.psf import PsfStack, psf_width, render_psf, render_psf_stack
@@ -12,6 +17,7 @@ __all__ = [
     "Mask",
     "PsfStack",
     "camera_from_mapping",
+    "image_distance",
     "load_camera",
     "load_intrinsics",
     "psf_width",

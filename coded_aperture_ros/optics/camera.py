@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import ArrayLike, NDArray
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import Option, check_option
-from coded_aperture_ros.optics import lens
-from coded_aperture_ros.optics.intrinsics import Intrinsics, load_intrinsics
+from coded_aperture_ros.optics.intrinsics import Intrinsics, load_intrinsics, read_yaml
 from coded_aperture_ros.optics.mask import Mask
 
 # Every number of a camera file, with the values that a camera can have.
@@ -125,14 +123,11 @@ class Camera:
         InputError
             If a value is out of range, or the focus is nearer than the lens can form an image.
         """
-        for name, value in (
-            ("focal_length_mm", focal_length_mm),
-            ("pixel_pitch_um", pixel_pitch_um),
-            ("focus_distance_m", focus_distance_m),
-        ):
-            check_option(name, value, *_NUMBERS[name])
+        check_option("focal_length_mm", focal_length_mm, *_NUMBERS["focal_length_mm"])
+        check_option("pixel_pitch_um", pixel_pitch_um, *_NUMBERS["pixel_pitch_um"])
+        check_option("focus_distance_m", focus_distance_m, *_NUMBERS["focus_distance_m"])
         _check_focus_is_possible(focal_length_mm, focus_distance_m)
-        distance_mm = lens.image_distance(focal_length_mm, focus_distance_m * 1e3)
+        distance_mm = image_distance(focal_length_mm, focus_distance_m * 1e3)
         return Camera(
             distance_mm * 1e3 / pixel_pitch_um,
             focus_distance_m,
@@ -157,19 +152,45 @@ class Camera:
         return self.mask_extent_mm * 1e-3 * self.focal_length_px / self.focus_distance_m
 
     def blur_size_px(self, depth_m: ArrayLike) -> NDArray[np.float64]:
-        """Signed blur size of the full mask extent at each depth; see `lens`."""
-        return lens.blur_size_from_depth(
-            depth_m, self.focus_distance_m, self.blur_at_infinity_px, self._lens_mask_distance_m
-        )
+        """Signed blur size of the full mask extent at each depth (thesis eq. 3.28).
+
+        ``S = M f (1/z_focus - 1/z) z / (z - C)``: positive beyond the focal plane, negative in
+        front of it. The thesis takes the absolute value; the sign tells which way round the mask
+        is seen in the image.
+
+        Parameters
+        ----------
+        depth_m : array_like
+            Along the optical axis; infinity is allowed.
+
+        Returns
+        -------
+        ndarray of float64
+            In px, of the shape of `depth_m`; NaN where the depth is NaN or lies behind the lens or
+            the mask.
+        """
+        z, mask_m = np.asarray(depth_m, dtype=np.float64), self._lens_mask_distance_m
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            inverse = np.where(z > max(0.0, mask_m), 1.0 / z, np.nan)
+        # Divided through by z, so that an infinite depth needs no special case.
+        ratio = (1.0 - self.focus_distance_m * inverse) / (1.0 - mask_m * inverse)
+        return np.asarray(self.blur_at_infinity_px * ratio)
 
     def depth_m(self, blur_size_px: ArrayLike) -> NDArray[np.float64]:
-        """Depth at each signed blur size; `+inf` at or beyond the blur size of infinity."""
-        return lens.depth_from_blur_size(
-            blur_size_px,
-            self.focus_distance_m,
-            self.blur_at_infinity_px,
-            self._lens_mask_distance_m,
-        )
+        """Depth at each signed blur size; the inverse of `blur_size_px`.
+
+        Returns
+        -------
+        ndarray of float64
+            `+inf` at or beyond the blur size of infinity, NaN where the blur size is NaN or so far
+            in front of the focal plane that no depth has it.
+        """
+        size, mask_m = np.asarray(blur_size_px, dtype=np.float64), self._lens_mask_distance_m
+        with np.errstate(divide="ignore", invalid="ignore"):
+            relative = size / self.blur_at_infinity_px
+            depth = (self.focus_distance_m - relative * mask_m) / (1.0 - relative)
+            depth = np.where(relative >= 1.0, np.inf, depth)
+            return np.where(depth > max(0.0, mask_m), depth, np.nan)
 
     def blur_range_px(self, near_m: float, far_m: float) -> tuple[float, float]:
         """Signed blur sizes at the two ends of a depth range, the smaller one first.
@@ -212,7 +233,8 @@ class Camera:
         """
         if not resolution_px > 0:
             raise InputError(f"resolution_px: expected more than 0 px, got {resolution_px!r}")
-        return lens.levels_between(*self.blur_range_px(near_m, far_m), resolution_px)
+        smallest_px, largest_px = self.blur_range_px(near_m, far_m)
+        return (largest_px - smallest_px) / resolution_px + 1.0
 
     def refocused(self, focus_distance_m: float) -> "Camera":
         """Return the camera with its lens focused at another distance.
@@ -233,7 +255,7 @@ class Camera:
         if self.focal_length_mm is not None:
             _check_focus_is_possible(self.focal_length_mm, focus_distance_m)
             before, after = (
-                lens.image_distance(self.focal_length_mm, focus_m * 1e3)
+                image_distance(self.focal_length_mm, focus_m * 1e3)
                 for focus_m in (self.focus_distance_m, focus_distance_m)
             )
             focal_length_px *= after / before
@@ -245,15 +267,10 @@ class Camera:
         """Return the camera of the image resized by `factor` (0.5 halves its width)."""
         if not (factor > 0 and math.isfinite(factor)):
             raise InputError(f"scale factor: expected a positive number, got {factor!r}")
-        width = max(1, round(self.image_width * factor))
-        height = max(1, round(self.image_height * factor))
-        return dataclasses.replace(
-            self,
-            focal_length_px=self.focal_length_px * factor,
-            image_width=width,
-            image_height=height,
-            measured=self.measured and self.measured.scaled(width, height),
+        width, height = (
+            max(1, round(length * factor)) for length in (self.image_width, self.image_height)
         )
+        return self._resized(factor, width, height)
 
     def fitted(self, width: int, height: int) -> "Camera":
         """Return the camera for frames of this size, which show the same view.
@@ -271,11 +288,24 @@ class Camera:
                 f"the frame is {width}x{height}, which is not the camera file's "
                 f"{self.image_width}x{self.image_height} resized"
             )
+        return self._resized(factor, width, height)
+
+    def _resized(self, factor: float, width: int, height: int) -> "Camera":
         return dataclasses.replace(
-            self.scaled(factor),
+            self,
+            focal_length_px=self.focal_length_px * factor,
+            image_width=width,
             image_height=height,
             measured=self.measured and self.measured.scaled(width, height),
         )
+
+
+def image_distance(focal_length: float, focus_distance: float) -> float:
+    """Return the lens-to-sensor distance that brings `focus_distance` into focus (thesis eq. 3.14).
+
+    All lengths in one unit; `focus_distance` must exceed `focal_length`.
+    """
+    return focal_length * focus_distance / (focus_distance - focal_length)
 
 
 def _check_focus_is_possible(focal_length_mm: float, focus_distance_m: float) -> None:
@@ -299,16 +329,8 @@ def load_camera(path: str | os.PathLike[str]) -> Camera:
     InputError
         One line that names the file and the key, and says what is allowed.
     """
-    path = Path(path)
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot read camera file {path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, ValueError, OverflowError) as error:  # also dates, escapes and numbers
-        mark = getattr(error, "problem_mark", None)
-        line = f" in line {mark.line + 1}" if mark else ""
-        raise InputError(f"camera file {path}: not valid YAML{line}") from error
-    return camera_from_mapping(content, f"camera file {path}", path.parent)
+    content = read_yaml(path, f"camera file {path}")
+    return camera_from_mapping(content, f"camera file {path}", Path(path).parent)
 
 
 def camera_from_mapping(
@@ -357,17 +379,15 @@ def _check_keys(mapping: Any) -> None:
             close = difflib.get_close_matches(str(key), _KEYS, 1)
             hint = f"did you mean {close[0]}?" if close else "use " + ", ".join(_KEYS)
             raise InputError(f"unknown key {key!r}: {hint}")
-    if "focal_length_px" in mapping:
-        for key in _PHYSICAL:
-            if key in mapping:
-                raise InputError(
-                    f"{key}: focal_length_px already says it, give either focal_length_px or "
-                    "focal_length_mm with pixel_pitch_um"
-                )
-        needed = set(_KEYS) - set(_PHYSICAL)
-    else:
-        needed = set(_KEYS) - {"focal_length_px"}
-    missing = [key for key in _KEYS if key in needed - set(_OPTIONAL) and key not in mapping]
+    described_twice = [key for key in _PHYSICAL if key in mapping and "focal_length_px" in mapping]
+    if described_twice:
+        raise InputError(
+            f"{described_twice[0]}: focal_length_px already says it, give either focal_length_px "
+            "or focal_length_mm with pixel_pitch_um"
+        )
+    other_form = _PHYSICAL if "focal_length_px" in mapping else ("focal_length_px",)
+    needed = set(_KEYS) - {*_OPTIONAL, *other_form}
+    missing = [key for key in _KEYS if key in needed and key not in mapping]
     if missing:
         hint = " (or focal_length_px)" if set(missing) & set(_PHYSICAL) else ""
         raise InputError(f"missing {', '.join(missing)}{hint}")

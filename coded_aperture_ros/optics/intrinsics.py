@@ -107,21 +107,21 @@ class Intrinsics:
         A scale s moves x to s (x + 1/2) - 1/2. Distortion acts on normalised coordinates.
         """
         x, y = width / self.image_width, height / self.image_height
-        k, p = self.camera_matrix, self.projection_matrix
+
+        def resized(matrix: tuple[float, ...]) -> tuple[float, ...]:
+            columns = len(matrix) // 3
+            scales = (x,) * columns + (y,) * columns + (1.0,) * columns
+            values = [value * scale for value, scale in zip(matrix, scales, strict=True)]
+            values[2] = x * (matrix[2] + 0.5) - 0.5
+            values[columns + 2] = y * (matrix[columns + 2] + 0.5) - 0.5
+            return tuple(values)
+
         return dataclasses.replace(
             self,
             image_width=width,
             image_height=height,
-            camera_matrix=(
-                *(k[0] * x, k[1] * x, x * (k[2] + 0.5) - 0.5),
-                *(k[3] * y, k[4] * y, y * (k[5] + 0.5) - 0.5),
-                *k[6:],
-            ),
-            projection_matrix=(
-                *(p[0] * x, p[1] * x, x * (p[2] + 0.5) - 0.5, p[3] * x),
-                *(p[4] * y, p[5] * y, y * (p[6] + 0.5) - 0.5, p[7] * y),
-                *p[8:],
-            ),
+            camera_matrix=resized(self.camera_matrix),
+            projection_matrix=resized(self.projection_matrix),
         )
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -136,13 +136,11 @@ class Intrinsics:
             "image_width": self.image_width,
             "image_height": self.image_height,
             "camera_name": self.camera_name,
-            "camera_matrix": _matrix(self.camera_matrix, 3, 3),
+            "camera_matrix": _matrix(self.camera_matrix, 3),
             "distortion_model": self.distortion_model,
-            "distortion_coefficients": _matrix(
-                self.distortion_coefficients, 1, len(self.distortion_coefficients)
-            ),
-            "rectification_matrix": _matrix(self.rectification_matrix, 3, 3),
-            "projection_matrix": _matrix(self.projection_matrix, 3, 4),
+            "distortion_coefficients": _matrix(self.distortion_coefficients, 1),
+            "rectification_matrix": _matrix(self.rectification_matrix, 3),
+            "projection_matrix": _matrix(self.projection_matrix, 3),
         }
         with atomic_output(path) as temporary:
             text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
@@ -157,40 +155,47 @@ def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
     InputError
         One line that names the file and the key.
     """
-    path = Path(path)
+    content = read_yaml(path, str(path))
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, ValueError, OverflowError) as error:  # also dates, escapes and numbers
-        mark = getattr(error, "problem_mark", None)
-        line = f" in line {mark.line + 1}" if mark else ""
-        raise InputError(f"{path}: not valid YAML{line}") from error
-    try:
-        return _from_mapping(content)
+        if not isinstance(content, dict):
+            raise InputError("expected the keys of a camera calibration, such as image_width: 640")
+        for key in ("image_width", "image_height", "camera_matrix", "distortion_coefficients"):
+            if key not in content:
+                raise InputError(f"missing {key}")
+        values = {key: content[key] for key in ("image_width", "image_height")}
+        names = [key for key in ("camera_name", "distortion_model") if key in content]
+        values |= {key: str(content[key]) for key in names}
+        shapes = {**_MATRICES, "distortion_coefficients": (1, None)}
+        values |= {
+            key: _data(key, content[key], *shape) for key, shape in shapes.items() if key in content
+        }
+        return Intrinsics(**values)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
 
-def _from_mapping(content: Any) -> Intrinsics:
-    if not isinstance(content, dict):
-        raise InputError("expected the keys of a camera calibration, such as image_width: 640")
-    for key in ("image_width", "image_height", "camera_matrix", "distortion_coefficients"):
-        if key not in content:
-            raise InputError(f"missing {key}")
-    values: dict[str, Any] = {
-        key: content[key] for key in ("image_width", "image_height") if key in content
-    }
-    for key in ("camera_name", "distortion_model"):
-        if key in content:
-            values[key] = str(content[key])
-    for key, (rows, columns) in _MATRICES.items():
-        if key in content:
-            values[key] = _data(key, content[key], rows, columns)
-    values["distortion_coefficients"] = _data(
-        "distortion_coefficients", content["distortion_coefficients"], 1, None
-    )
-    return Intrinsics(**values)
+def read_yaml(path: str | os.PathLike[str], name: str) -> Any:
+    """Return the content of a YAML file.
+
+    Parameters
+    ----------
+    path : path-like
+    name : str
+        What to call the file in messages.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or is not YAML; one line.
+    """
+    try:
+        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot read {name}: {error.strerror or error}") from error
+    except (yaml.YAMLError, ValueError, OverflowError) as error:  # also dates, escapes and numbers
+        mark = getattr(error, "problem_mark", None)
+        line = f" in line {mark.line + 1}" if mark else ""
+        raise InputError(f"{name}: not valid YAML{line}") from error
 
 
 def _data(key: str, entry: Any, rows: int, columns: int | None) -> tuple[float, ...]:
@@ -212,5 +217,5 @@ def _data(key: str, entry: Any, rows: int, columns: int | None) -> tuple[float, 
     return tuple(float(value) for value in data)
 
 
-def _matrix(values: tuple[float, ...], rows: int, columns: int) -> dict[str, Any]:
-    return {"rows": rows, "cols": columns, "data": [float(value) for value in values]}
+def _matrix(values: tuple[float, ...], rows: int) -> dict[str, Any]:
+    return {"rows": rows, "cols": len(values) // rows, "data": [float(value) for value in values]}

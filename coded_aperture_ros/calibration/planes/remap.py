@@ -17,7 +17,7 @@ from coded_aperture_ros.bank import (
     learn_bank_for_pattern,
 )
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics import Camera, lens
+from coded_aperture_ros.optics import Camera
 
 
 def remap_bank(
@@ -108,7 +108,7 @@ def refocused(pattern: LearnedPattern, camera: Camera) -> LearnedPattern:
                     f"focus at {distance_m:.3g} m is not beyond the focal length of "
                     f"{focal_length_mm:g} mm"
                 )
-        after, before = (lens.image_distance(focal_length_mm, z * 1e3) for z in distances_m)
+        after, before = (image_distance(focal_length_mm, z * 1e3) for z in distances_m)
         slope *= after / before
     return dataclasses.replace(
         pattern,
