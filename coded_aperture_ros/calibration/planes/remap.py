@@ -17,7 +17,7 @@ from coded_aperture_ros.bank import (
     learn_bank_for_pattern,
 )
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics import Camera, image_distance
 
 
 def remap_bank(
