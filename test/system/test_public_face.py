@@ -39,21 +39,27 @@ def test_the_top_face_is_documented_first(public):
 
 
 def test_every_public_name_is_there_and_says_what_it_is(public):
+    wanting = []
     for module, name in public:
         what = getattr(import_module(module), name)
         text = inspect.getdoc(what) or ""
-        assert len(text) > 10, f"{module}.{name}"
-        if inspect.isfunction(what) and inspect.signature(what).parameters:
-            assert "Parameters\n-----" in text, f"{module}.{name}"
+        # One or two may be explained in a sentence.
+        many = inspect.isfunction(what) and len(inspect.signature(what).parameters) > 2
+        if len(text) < 10 or (many and "Parameters\n-----" not in text):
+            wanting.append(f"{module}.{name}")
+    assert wanting == []
 
 
 def test_public_methods_say_what_they_do(public):
-    for module, name in public:
-        what = getattr(import_module(module), name)
-        if inspect.isclass(what):
-            for method, function in vars(what).items():
-                if not method.startswith("_") and callable(function):
-                    assert inspect.getdoc(function), f"{module}.{name}.{method}"
+    classes = [getattr(import_module(module), name) for module, name in public]
+    methods = [
+        (what, name, method)
+        for what in classes
+        if inspect.isclass(what)
+        for name, method in vars(what).items()
+        if not name.startswith("_") and callable(method)
+    ]
+    assert [f"{what}.{name}" for what, name, method in methods if not inspect.getdoc(method)] == []
 
 
 def test_importing_the_package_loads_no_room():
