@@ -15,7 +15,6 @@ from coded_aperture_benchmarks import (
 )
 from coded_aperture_benchmarks.commands.bench_video import _ratios, _tables, _ways
 
-from coded_aperture_ros import depth
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import SRGB, pixels_from_linear
 from coded_aperture_ros.io import read_image, write_image
@@ -325,7 +324,6 @@ def test_videos_are_scored_without_a_filter(capsys, ray_traced, rgbd):
     ] * 2
 
 
-@pytest.mark.skipif(not hasattr(depth, "estimate_video"), reason="depth has no filter over time")
 def test_filters_over_time_are_measured_beside_none(capsys, ray_traced):
     arguments = (*SMALL, "--noise", 0.02, "--temporal", 3, "--regularize", "none", "--json")
     result = call(capsys, *BENCH, ray_traced, *arguments)
