@@ -54,7 +54,7 @@ fuzz: $(READY) ## Try more than ten thousand broken messages and files
 
 SOAK_SECONDS ?= 1800
 # Settings with which depth_node keeps up with 30 Hz at 640x480 on two processors.
-AT_RATE = -p window_px:=64 -p stride_px:=24 -p highest_frequency:=0.4
+AT_RATE = -p learn.window_px:=64 -p compute.stride_px:=24 -p learn.highest_frequency:=0.4
 soak: fuzz ## The same, faults of a robot, and half an hour of frames at 30 Hz
 	@GOES_ON_S=2 $(VENV)/bin/python -m pytest test/ros/test_faults.py
 	@$(VENV)/bin/python benchmarks/node_rate.py --rate 30 --seconds $(SOAK_SECONDS) $(AT_RATE)

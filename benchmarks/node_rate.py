@@ -386,7 +386,7 @@ def node_arguments(camera_file: Path, reliable: bool, given: Sequence[str]) -> l
         f"camera_file:={json.dumps(str(camera_file))}",
         f"near_m:={NEAR_M}",
         f"far_m:={FAR_M}",
-        f"levels:={DEFAULT_LEVEL_COUNT}",
+        f"learn.level_count:={DEFAULT_LEVEL_COUNT}",
     ]
     if reliable:
         parameters.append("qos_overrides./image_raw.subscription.reliability:=reliable")

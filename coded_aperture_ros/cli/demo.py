@@ -111,7 +111,12 @@ def run(options: argparse.Namespace) -> int:
         children.start("depth_node", {**model, **reliability})
         children.start(
             "deblur_node",
-            {**model, **reliability, "max_rate_hz": DEBLUR_RATE_HZ, "rank": DEBLUR_RANK},
+            {
+                **model,
+                **reliability,
+                "frames.max_rate_hz": DEBLUR_RATE_HZ,
+                "deblur.rank": DEBLUR_RANK,
+            },
         )
         with running_monitor(reliable=not shared_memory) as monitor:
             _wait_for_results(monitor, children, say)

@@ -16,12 +16,14 @@ class DeblurConfig:
         "fast: closed form for each level, for video; cg: least squares over the whole frame; "
         "sparse: the same with sharp edges preferred, the best picture.",
         choices=("fast", "cg", "sparse"),
+        parameter="deblur.method",
     )
     noise: float = option(
         0.0,
         "Standard deviation of one channel's noise, linear light; 0: estimated in each frame.",
         minimum=0.0,
         maximum=0.5,
+        parameter="noise.sigma",
     )
     noise_gain: float = option(
         0.0,
@@ -34,6 +36,7 @@ class DeblurConfig:
         "Trades sharpness (below 1) against noise and ringing (above 1).",
         minimum=0.01,
         maximum=100.0,
+        parameter="deblur.smoothness",
     )
     edge_reach: int = option(
         10,
@@ -42,21 +45,28 @@ class DeblurConfig:
         unit="px",
         minimum=0,
         maximum=64,
+        parameter="deblur.edge_reach",
     )
     occlusion: str = option(
         "auto",
         "Whether cg and sparse reckon with foregrounds that hide a part of what is behind them; "
         "auto: sparse does, where the PSFs are small enough for the memory.",
         choices=("auto", "yes", "no"),
+        parameter="deblur.occlusion",
     )
     iterations: int = option(
-        112, "Conjugate-gradient steps of cg and sparse, at most.", minimum=1, maximum=10000
+        112,
+        "Conjugate-gradient steps of cg and sparse, at most.",
+        minimum=1,
+        maximum=10000,
+        parameter="deblur.iterations",
     )
     tolerance: float = option(
         1e-3,
         "Norm of the gradient at which cg and sparse stop, relative to that of a black picture.",
         minimum=0.0,
         maximum=1.0,
+        parameter="deblur.tolerance",
     )
     saturation: float = option(
         0.995,
@@ -64,6 +74,7 @@ class DeblurConfig:
         "above 1: none.",
         minimum=0.1,
         maximum=2.0,
+        parameter="frames.saturation",
     )
     temporal_frames: float = option(
         0.0,
@@ -71,6 +82,7 @@ class DeblurConfig:
         "itself.",
         minimum=0.0,
         maximum=1000.0,
+        parameter="temporal.frames",
     )
     rank: int = option(
         10,
@@ -79,6 +91,7 @@ class DeblurConfig:
         minimum=2,
         maximum=64,
         read_only=True,
+        parameter="deblur.rank",
     )
     band: str = option(
         "full",
@@ -86,12 +99,14 @@ class DeblurConfig:
         "leaves details where the blur is only a few pixels as they are.",
         choices=("full", "half"),
         read_only=True,
+        parameter="deblur.band",
     )
     backend: str = option(
         "numpy",
         "What cg computes with: torch needs PyTorch, cuda a GPU beside; auto takes the GPU where "
         "there is one.",
         choices=BACKENDS,
+        parameter="compute.backend",
     )
     threads: int = option(
         1,
@@ -99,6 +114,7 @@ class DeblurConfig:
         minimum=1,
         maximum=1024,
         read_only=True,
+        parameter="compute.threads",
     )
 
     def __post_init__(self) -> None:

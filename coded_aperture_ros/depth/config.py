@@ -23,53 +23,62 @@ class DepthConfig:
         unit="px",
         minimum=0,
         maximum=64,
+        parameter="compute.stride_px",
     )
     regularize: str = option(
         "semiglobal",
         "Spatial regularisation of the blur levels: graphcut is the slow reference.",
         choices=tuple(REGULARIZERS),
+        parameter="regularize.method",
     )
     smoothness: float = option(
         1.0,
         "Strength of the spatial regularisation, relative to its default.",
         minimum=0.0,
         maximum=100.0,
+        parameter="regularize.smoothness",
     )
     rim: float = option(
         0.28,
         "Width of the rim that is taken off foregrounds, as a share of the bank's window.",
         minimum=0.0,
         maximum=1.0,
+        parameter="regularize.edge_correction",
     )
     noise: float = option(
         0.0,
         "Standard deviation of one channel's noise, linear light; 0: estimated in each frame.",
         minimum=0.0,
         maximum=0.5,
+        parameter="noise.sigma",
     )
     noise_gain: float = option(
         0.0,
         "Variance of one channel's shot noise per unit of light; adds to the variance of noise.",
         minimum=0.0,
         maximum=0.1,
+        parameter="noise.gain",
     )
     saturation: float = option(
         0.995,
         "Brightness from which a pixel counts as saturated and is left out; above 1: none.",
         minimum=0.1,
         maximum=2.0,
+        parameter="frames.saturation",
     )
     confidence_threshold: float = option(
         0.55,
         "Depth is unknown where the confidence, which is at most 0.86, is below this.",
         minimum=0.0,
         maximum=1.0,
+        parameter="confidence.threshold",
     )
     unknown: str = option(
         "nothing",
         "What stands where depth is unknown: nothing (NaN), or nearest: the nearest depth that is "
         "plausible, for whoever must not run into anything.",
         choices=tuple(UNKNOWN_RULES),
+        parameter="confidence.unknown",
     )
 
     temporal_frames: float = option(
@@ -78,18 +87,21 @@ class DepthConfig:
         "for itself.",
         minimum=0.0,
         maximum=1000.0,
+        parameter="temporal.frames",
     )
     backend: str = option(
         "numpy",
         "What computes the energies: torch needs PyTorch, cuda a GPU beside; auto takes the GPU "
         "where there is one.",
         choices=BACKENDS,
+        parameter="compute.backend",
     )
     threads: int = option(
         1,
         "Threads of the processor for the energies; at most as many as it has cores.",
         minimum=1,
         maximum=1024,
+        parameter="compute.threads",
     )
 
     def __post_init__(self) -> None:

@@ -78,6 +78,7 @@ class CameraDriverConfig:
         minimum=0.0,
         maximum=0.5,
         read_only=True,
+        parameter="simulation.noise",
     )
     lazy: bool = option(True, "Simulate, or read files, only while someone subscribes")
     camera_name: str = option(
@@ -93,11 +94,32 @@ class CameraDriverConfig:
         False, "Publish the frames' stamps as the time, on /clock", read_only=True
     )
     base_frame: str = option(
-        "", "Publish the static transform from this frame to frame_id; empty: none", read_only=True
+        "",
+        "Publish the static transform from this frame to frame_id; empty: none",
+        read_only=True,
+        parameter="base.frame",
     )
-    base_x_m: float = option(0.0, "Camera position in base_frame", unit="m", read_only=True)
-    base_y_m: float = option(0.0, "Camera position in base_frame", unit="m", read_only=True)
-    base_z_m: float = option(0.0, "Camera position in base_frame", unit="m", read_only=True)
+    base_x_m: float = option(
+        0.0,
+        "Camera position in base_frame",
+        unit="m",
+        read_only=True,
+        parameter="base.x_m",
+    )
+    base_y_m: float = option(
+        0.0,
+        "Camera position in base_frame",
+        unit="m",
+        read_only=True,
+        parameter="base.y_m",
+    )
+    base_z_m: float = option(
+        0.0,
+        "Camera position in base_frame",
+        unit="m",
+        read_only=True,
+        parameter="base.z_m",
+    )
     base_pitch_deg: float = option(
         0.0,
         "How far the camera looks down",
@@ -105,6 +127,7 @@ class CameraDriverConfig:
         minimum=-180.0,
         maximum=180.0,
         read_only=True,
+        parameter="base.pitch_deg",
     )
 
     def __post_init__(self) -> None:

@@ -66,6 +66,7 @@ class DepthNodeConfig:
         "Size of the depth image relative to the frame; auto: largest whole fraction of the frame "
         "that fits in 320x240",
         choices=MAP_SIZES,
+        parameter="output.size",
     )
     method: str = option(
         "bank",
@@ -82,12 +83,14 @@ class DepthNodeConfig:
         unit="m",
         minimum=0.0,
         maximum=10_000.0,
+        parameter="output.points_far_m",
     )
     obstacle_share: float = option(
         0.005,
         "Part of the depth image that is taken up by what /diagnostics calls the nearest obstacle",
         minimum=0.0,
         maximum=1.0,
+        parameter="diagnostics.obstacle_share",
     )
 
     def __post_init__(self) -> None:

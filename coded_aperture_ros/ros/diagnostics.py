@@ -30,6 +30,7 @@ class DiagnosticsConfig:
         unit="ms",
         minimum=0.0,
         maximum=1e6,
+        parameter="diagnostics.warn_latency_ms",
     )
     warn_rate_hz: float = option(
         0.0,
@@ -37,12 +38,14 @@ class DiagnosticsConfig:
         unit="Hz",
         minimum=0.0,
         maximum=10_000.0,
+        parameter="diagnostics.warn_rate_hz",
     )
     warn_dropped_share: float = option(
         1.0,
         "Warn if more than this share of the last second's frames was dropped; 1: never",
         minimum=0.0,
         maximum=1.0,
+        parameter="diagnostics.warn_dropped_share",
     )
 
     def __post_init__(self) -> None:

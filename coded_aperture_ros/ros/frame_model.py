@@ -47,12 +47,14 @@ class ModelConfig:
         minimum=0,
         read_only=True,
     )
-    levels: int = option(
+    level_count: int = option(
         DEFAULT_LEVEL_COUNT,
         "Blur levels to learn, if no bank is given",
         minimum=2,
         maximum=500,
         read_only=True,
+        formerly="levels",
+        parameter="learn.level_count",
     )
 
     def __post_init__(self) -> None:
@@ -224,13 +226,13 @@ class FrameModel:
         camera.blur_range_px(config.near_m, config.far_m)
         started_s = time.monotonic()
         self._logger.info(
-            f"learning a bank of {config.levels} levels for {config.near_m:g} to "
+            f"learning a bank of {config.level_count} levels for {config.near_m:g} to "
             f"{config.far_m:g} m from {config.camera_file}"
         )
         try:
             bank = self._learned_for(camera, *guarded_range(camera, config))
         except InputError:  # a level beyond the range that does not fit the window, say
-            bank = self._learned_for(camera, config.near_m, config.far_m, config.levels)
+            bank = self._learned_for(camera, config.near_m, config.far_m, config.level_count)
         self._logger.info(f"learned the bank in {time.monotonic() - started_s:.1f} s")
         return bank
 
@@ -258,7 +260,7 @@ def guarded_range(camera: Camera, config: ModelConfig) -> tuple[float, float, in
     would be taken, with full confidence, for something at the end of the range.
     """
     ends = np.array(camera.blur_range_px(config.near_m, config.far_m))
-    step = (ends[1] - ends[0]) / (config.levels - 1)
+    step = (ends[1] - ends[0]) / (config.level_count - 1)
     beyond = np.array([ends[0] - step, ends[1] + step])
     # At most half of the way to the plane in focus or to infinity.
     focus_end = np.argmin(np.abs(ends))
@@ -267,4 +269,4 @@ def guarded_range(camera: Camera, config: ModelConfig) -> tuple[float, float, in
         beyond[focus_end] = ends[focus_end] / 2
     beyond[1] = min(beyond[1], (ends[1] + camera.blur_at_infinity_px) / 2)
     near_m, far_m = camera.depth_m(beyond)
-    return float(near_m), float(far_m), config.levels + 2
+    return float(near_m), float(far_m), config.level_count + 2

@@ -22,12 +22,18 @@ class GyroConfig:
     """How messages on `imu` are used to know the motion of a frame."""
 
     exposure_s: float = option(
-        0.0, "Exposure time of the frames; 0: not known", unit="s", minimum=0.0, maximum=10.0
+        0.0,
+        "Exposure time of the frames; 0: not known",
+        unit="s",
+        minimum=0.0,
+        maximum=10.0,
+        parameter="motion.exposure_s",
     )
     imu_axes: str = option(
         "-y -z x",
         "The camera's axes right, down and forward as axes of the gyroscope; the default is for "
         "one with x forward, y left and z up that looks where the camera looks",
+        parameter="motion.imu_axes",
     )
 
     def __post_init__(self) -> None:

@@ -4,7 +4,7 @@ import dataclasses
 import sys
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -12,16 +12,31 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.options import Option, options_of
+from coded_aperture_ros.core.options import (
+    Option,
+    check_option,
+    former_parameters,
+    options_of,
+    parameter_names,
+    renamed,
+)
 
 Config = TypeVar("Config")
 
 _LARGEST_INTEGER = 2**63 - 1
+
+
+class _Setting(NamedTuple):
+    """Which option of which configuration a parameter stands for."""
+
+    owner: type
+    field: str
+    kind: type
+    described: Option
 
 
 class NodeParameters:
@@ -29,13 +44,14 @@ class NodeParameters:
 
     A bad value is refused with the reason and the old one stays. A good one replaces the whole
     (frozen) configuration, so that a worker thread that took one at the start of a frame keeps a
-    consistent one, and can tell by identity that something has changed since.
+    consistent one, and can tell by identity that something has changed since. An integer is good
+    for a number that may have a fraction. Former names of parameters are accepted, with a warning.
 
     Parameters
     ----------
     node : rclpy.node.Node
     *configs : dataclass instances
-        The defaults, made with `configuration.option`; option names must differ.
+        The defaults, made with `core.options.option`; names of parameters must differ.
     fixed : dict, optional
         Further ones that cannot change while the node runs, by the prefix of their parameters'
         names, such as ``{"learn.": LearnConfig()}``.
@@ -49,20 +65,27 @@ class NodeParameters:
     def __init__(
         self, node: Node, *configs: Any, fixed: Mapping[str, Any] = MappingProxyType({})
     ) -> None:
+        self._logger = node.get_logger()
         self._configs: dict[type, Any] = {}
-        # Which configuration, and which option of it, a parameter belongs to.
-        self._owner: dict[str, tuple[type, str]] = {}
+        self._settings: dict[str, _Setting] = {}
+        self._former: dict[str, str] = {}
         for config in configs:
             self._declare(node, config, "", read_only=False)
         for prefix, config in fixed.items():
             self._declare(node, config, prefix, read_only=True)
         self._listeners: dict[type, tuple[Callable[[Any], None], Callable[[Any], None]]] = {}
+        node.add_pre_set_parameters_callback(self._present)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
 
     def __getitem__(self, config_type: type[Config]) -> Config:
         """Return the present configuration of this type."""
         return self._configs[config_type]
+
+    @property
+    def former(self) -> Mapping[str, str]:
+        """Former names of parameters, and their present ones."""
+        return self._former
 
     def on_change(
         self,
@@ -83,16 +106,51 @@ class NodeParameters:
 
     def _declare(self, node: Node, config: Any, prefix: str, read_only: bool) -> None:
         values = {}
-        for name, (field, described) in options_of(config).items():
+        for former, present in former_parameters(config).items():
+            self._former[prefix + former] = prefix + present
+        options, names = options_of(config), parameter_names(config)
+        for field, (declared, described) in options.items():
             if read_only:
                 described = dataclasses.replace(described, read_only=True)
-            parameter = prefix + name
-            values[name] = _declared(node, parameter, getattr(config, name), field, described)
-            self._owner[parameter] = type(config), name
+            name = prefix + names[field]
+            setting = _Setting(type(config), field, type(declared.default), described)
+            self._settings[name] = setting
+            values[field] = self._declared(node, name, getattr(config, field))
         self._configs[type(config)] = dataclasses.replace(config, **values)
+
+    def _declared(self, node: Node, name: str, default: Any) -> Any:
+        """Declare a parameter, and return what it was started with."""
+        setting = self._settings[name]
+        value = _given(node, name)
+        for former in [old for old, new in self._former.items() if new == name]:
+            said = _given(node, former)
+            if said is not None:
+                self._logger.warning(renamed(former, name))
+                value = said if value is None else value
+        value = _suiting(default if value is None else value, setting.kind)
+        check_option(f"parameter {name}", value, setting.kind, setting.described)
+        descriptor = descriptor_of(value, setting.described)
+        return node.declare_parameter(name, value, descriptor, ignore_override=True).value
+
+    def _present(self, parameters: list[Parameter]) -> list[Parameter]:
+        """Return what is to be set with present names, and of the parameters' types."""
+        present = []
+        for parameter in parameters:
+            name = self._former.get(parameter.name, parameter.name)
+            if name != parameter.name:
+                self._logger.warning(renamed(parameter.name, name))
+            if name in self._settings:
+                value = _suiting(parameter.value, self._settings[name].kind)
+                parameter = Parameter(name, value=value)
+            present.append(parameter)
+        return present
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
+            for parameter in parameters:
+                if setting := self._settings.get(parameter.name):
+                    kind, described = setting.kind, setting.described
+                    check_option(parameter.name, parameter.value, kind, described)
             for owner, config in self._changed(parameters).items():
                 if owner in self._listeners and config != self._configs[owner]:
                     self._listeners[owner][0](config)
@@ -110,13 +168,25 @@ class NodeParameters:
     def _changed(self, parameters: list[Parameter]) -> dict[type, Any]:
         values: dict[type, dict[str, Any]] = {}
         for parameter in parameters:
-            if parameter.name in self._owner:
-                owner, name = self._owner[parameter.name]
-                values.setdefault(owner, {})[name] = parameter.value
+            if setting := self._settings.get(parameter.name):
+                values.setdefault(setting.owner, {})[setting.field] = parameter.value
         return {
             owner: dataclasses.replace(self._configs[owner], **changes)
             for owner, changes in values.items()
         }
+
+
+def _given(node: Node, name: str) -> Any:
+    """Return the value, of any type, that a node was started with for a parameter; else None."""
+    any_type = ParameterDescriptor(dynamic_typing=True)
+    value = node.declare_parameter(name, None, any_type).value
+    node.undeclare_parameter(name)
+    return value
+
+
+def _suiting(value: Any, kind: type) -> Any:
+    """Return an integer as a float where that is what is expected."""
+    return float(value) if kind is float and type(value) is int else value
 
 
 def descriptor_of(default: Any, described: Option) -> ParameterDescriptor:
@@ -127,37 +197,23 @@ def descriptor_of(default: Any, described: Option) -> ParameterDescriptor:
     )
     if described.choices is not None:
         descriptor.additional_constraints = described.allowed
-    if described.minimum is None and described.maximum is None:
+    least, most = described.minimum, described.maximum
+    if least is None and most is None:
         return descriptor
     if isinstance(default, float):
         largest = sys.float_info.max
         descriptor.floating_point_range = [
             FloatingPointRange(
-                from_value=float(-largest if described.minimum is None else described.minimum),
-                to_value=float(largest if described.maximum is None else described.maximum),
+                from_value=float(-largest if least is None else least),
+                to_value=float(largest if most is None else most),
             )
         ]
     elif isinstance(default, int):
         descriptor.integer_range = [
             IntegerRange(
-                from_value=int(
-                    -_LARGEST_INTEGER if described.minimum is None else described.minimum
-                ),
-                to_value=int(_LARGEST_INTEGER if described.maximum is None else described.maximum),
+                from_value=int(-_LARGEST_INTEGER if least is None else least),
+                to_value=int(_LARGEST_INTEGER if most is None else most),
                 step=1,
             )
         ]
     return descriptor
-
-
-def _declared(
-    node: Node, name: str, default: Any, field: dataclasses.Field, described: Option
-) -> Any:
-    if isinstance(field.default, float):
-        default = float(default)
-    try:
-        return node.declare_parameter(name, default, descriptor_of(default, described)).value
-    except ParameterException as error:
-        hint = ", write it with a decimal point" if isinstance(default, float) else ""
-        allowed = f" (allowed: {described.allowed})" if described.allowed else ""
-        raise InputError(f"parameter {name}: {error}{allowed}{hint}") from error

@@ -16,7 +16,13 @@ from small_camera import CAMERA, FAR_M, HEIGHT, NEAR_M, WIDTH, coded_wall
 
 from coded_aperture_ros.optics import load_camera
 
-MODEL = {"near_m": NEAR_M, "far_m": FAR_M, "levels": 8, "learn.window_px": 32, "learn.rank": 48}
+MODEL = {
+    "near_m": NEAR_M,
+    "far_m": FAR_M,
+    "learn.level_count": 8,
+    "learn.window_px": 32,
+    "learn.rank": 48,
+}
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +122,9 @@ def test_impatience_does_not_make_the_end_a_crash(ros, start, number):
 
 
 def test_a_signal_while_learning_ends_at_once(start):
-    process = start("depth_node", levels=400, **{"learn.window_px": 128, "learn.rank": 512})
+    process = start(
+        "depth_node", **{"learn.level_count": 400, "learn.window_px": 128, "learn.rank": 512}
+    )
     assert wait_until(lambda: process.stderr.readline(), 20)  # it says that it is learning
     time.sleep(0.2)
     began = time.monotonic()
@@ -136,10 +144,10 @@ def test_a_bank_that_does_not_load_ends_the_node_with_one_line(start, tmp_path, 
 
 
 def test_a_wrong_parameter_ends_the_node_with_one_line(start):
-    process = start("depth_node", stride_px=-1)
+    process = start("depth_node", **{"compute.stride_px": -1})
     out, err = process.communicate(timeout=30)
     assert (process.returncode, out) == (1, "")
-    assert len(err.splitlines()) == 1 and "stride_px" in err, err
+    assert len(err.splitlines()) == 1 and "compute.stride_px" in err, err
 
 
 def test_a_wrong_qos_override_ends_the_node_with_one_line(start):

@@ -219,7 +219,7 @@ def test_simulated_time_without_a_clock(ros, camera_file, folder):
 def test_a_transform_is_no_condition(ros, camera_file, folder):
     """tf2_msgs is not everywhere; the frames come all the same."""
     images = ros.subscribe("image_raw", Image)
-    drive(ros, camera_file, folder, base_frame="base_link", base_z_m=0.5)
+    drive(ros, camera_file, folder, **{"base.frame": "base_link", "base.z_m": 0.5})
     assert wait_until(lambda: images)
 
 

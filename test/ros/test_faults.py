@@ -121,7 +121,7 @@ def test_simulated_time_that_jumps_back(ros, start, parameters):
     """A bag that is played again: the clock and the stamps begin anew."""
     depths = ros.subscribe("depth/image", Image)
     images, clock = ros.publisher("image_raw", Image), ros.publisher("/clock", Clock)
-    node = start("depth_node", use_sim_time=True, temporal_frames=5.0)
+    node = start("depth_node", use_sim_time=True, **{"temporal.frames": 5})
     wall = coded_wall(load_camera(parameters["camera_file"]))
 
     def play(seconds):

@@ -84,18 +84,18 @@ def ros():
 
 def test_the_node_finds_motion_and_says_what_it_knew_of_it(ros, tmp_path):
     (tmp_path / "camera.yaml").write_text(yaml.safe_dump(SMALL))
-    small = {"motion_directions": 2, "motion_lengths": 2, "longest_motion_px": 6.0}
+    small = {"motion.directions": 2, "motion.lengths": 2, "motion.longest_px": 6.0}
     node = ros.make(
         DepthNode,
         {
             "camera_file": str(tmp_path / "camera.yaml"),
             "near_m": NEAR_M,
             "far_m": FAR_M,
-            "levels": 6,
+            "learn.level_count": 6,
             "learn.window_px": 32,
             "learn.rank": 32,
             "method": "motion",
-            "exposure_s": 0.02,
+            "motion.exposure_s": 0.02,
             **small,
         },
     )

@@ -24,6 +24,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 OURS = "coded_aperture_ros"
+RATE = "diagnostics.warn_rate_hz"
 PROGRAMS = {
     OURS: ("camera_driver_node", "depth_node", "deblur_node", "pipeline", "coded_aperture"),
     "depthimage_to_laserscan": ("depthimage_to_laserscan_node",),
@@ -148,9 +149,9 @@ def parameter_file(path, node, **values):
     ],
 )
 def test_a_parameter_file_wins_over_everything(launched, tmp_path, file, node):
-    own = parameter_file(tmp_path / "own.yaml", node, warn_rate_hz=2.5, near_m=1.1)
+    own = parameter_file(tmp_path / "own.yaml", node, near_m=1.1, **{RATE: 2.5})
     given = launched(file, own, "near_m:=0.8", "far_m:=3.0", "namespace:=front")
-    got = values_of("depth_node", given["depth_node"], "warn_rate_hz", "near_m", "far_m")
+    got = values_of("depth_node", given["depth_node"], RATE, "near_m", "far_m")
     assert got == (2.5, 1.1, 3.0)
 
 
@@ -170,17 +171,17 @@ def generate_launch_description():
 
 @pytest.mark.parametrize("composed", ["false", "true"])
 def test_what_is_set_around_the_pipeline_holds(launched, checkout, tmp_path, composed):
-    values = {"near_m": 0.7, "far_m": 2.5, "lazy": False, "warn_rate_hz": 5.0}
+    values = {"near_m": 0.7, "far_m": 2.5, "lazy": False, RATE: 5.0}
     path = tmp_path / "around.launch.py"
     pipeline = str(checkout / "launch" / "pipeline.launch.py")
     path.write_text(AROUND.format(values=values, path=pipeline))
     given = launched(path, f"composed:={composed}")
     arguments = given["pipeline" if composed == "true" else "depth_node"]
     assert values_of("depth_node", arguments, *values) == tuple(values.values())
-    own = parameter_file(tmp_path / "own.yaml", "/**/depth_node", warn_rate_hz=2.5)
+    own = parameter_file(tmp_path / "own.yaml", "/**/depth_node", **{RATE: 2.5})
     given = launched(path, f"composed:={composed}", own)
     arguments = [given[name] for name in given if name.startswith(("pipeline", "depth"))][-1]
-    assert values_of("depth_node", arguments, "warn_rate_hz", "far_m") == (2.5, 2.5)
+    assert values_of("depth_node", arguments, RATE, "far_m") == (2.5, 2.5)
 
 
 def test_a_parameter_file_that_is_none_is_an_error(launched):
@@ -190,9 +191,9 @@ def test_a_parameter_file_that_is_none_is_an_error(launched):
 
 def test_what_is_said_of_all_nodes_yields_to_what_is_said_of_one(launched, tmp_path):
     """Such is ROS; the documentation says so."""
-    own = parameter_file(tmp_path / "own.yaml", "/**", warn_rate_hz=2.5)
+    own = parameter_file(tmp_path / "own.yaml", "/**", **{RATE: 2.5})
     given = launched("obstacle_avoidance", own, "near_m:=0.8")
-    assert values_of("depth_node", given["depth_node"], "warn_rate_hz", "near_m") == (5.0, 0.8)
+    assert values_of("depth_node", given["depth_node"], RATE, "near_m") == (5.0, 0.8)
 
 
 def names_under(arguments, node, namespace=None, topics=(), services=()):
@@ -253,7 +254,7 @@ def test_two_cameras_have_frames_and_parameters_of_their_own(launched, tmp_path)
     (tmp_path / "own.yaml").write_text(
         yaml.safe_dump(
             {
-                f"/{camera}/depth_node": {"ros__parameters": {"warn_rate_hz": rate}}
+                f"/{camera}/depth_node": {"ros__parameters": {RATE: rate}}
                 for camera, rate in (("front", 3.0), ("rear", 4.0))
             }
         )
@@ -266,7 +267,7 @@ def test_two_cameras_have_frames_and_parameters_of_their_own(launched, tmp_path)
     for arguments in (given["pipeline"], given["pipeline 2"]):
         names = "camera_file", "source", "frame_id"
         driver = values_of("camera_driver_node", arguments, *names)
-        depth = values_of("depth_node", arguments, "camera_file", "near_m", "warn_rate_hz")
+        depth = values_of("depth_node", arguments, "camera_file", "near_m", RATE)
         found.add((*driver, *depth))
     assert found == {
         ("front.yaml", "0", "front_optical_frame", "front.yaml", 0.8, 3.0),

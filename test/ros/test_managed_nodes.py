@@ -202,7 +202,7 @@ def test_nodes_of_one_process_hand_messages_over_as_they_are(ros, model, camera_
 
 
 def test_frames_from_before_a_jump_back_in_time_are_forgotten(ros, model, wall):
-    node = ros.make(DepthNode, {**model, "temporal_frames": 5.0})
+    node = ros.make(DepthNode, {**model, "temporal.frames": 5})
     images, depths = ros.publisher("image_raw", Image), ros.subscribe("depth/image", Image)
     assert wait_until(lambda: images.get_subscription_count())
 

@@ -55,7 +55,7 @@ def ros():
 
 
 def test_a_frame_in_gives_depth_out(ros, model, coded):
-    chain = Chain(ros, model, output_size="half")
+    chain = Chain(ros, model, **{"output.size": "half"})
     frame = mono8(coded)
     chain.send(frame)
     assert wait_until(lambda: all(chain.received.values()))
@@ -86,7 +86,7 @@ def test_every_encoding_gives_the_same_depth(ros, model, coded):
 
 
 def test_the_drivers_camera_info_is_scaled_and_passed_on(ros, model, coded):
-    chain = Chain(ros, model, output_size="half")
+    chain = Chain(ros, model, **{"output.size": "half"})
     given = CameraInfo(width=WIDTH, height=HEIGHT, distortion_model="plumb_bob")
     given.k = [410.0, 0.0, 60.0, 0.0, 420.0, 50.0, 0.0, 0.0, 1.0]
     given.d = [0.1, 0.0, 0.0, 0.0, 0.0]
@@ -198,7 +198,7 @@ def test_a_slow_node_drops_and_works_on_the_newest(ros, model, coded):
 
 
 def test_the_rate_can_be_limited(ros, model, coded):
-    chain = Chain(ros, model, subscribe=("depth/image",), max_rate_hz=5.0)
+    chain = Chain(ros, model, subscribe=("depth/image",), **{"frames.max_rate_hz": 5.0})
     for _ in range(30):
         chain.images.publish(mono8(coded))
         time.sleep(0.02)
@@ -209,16 +209,16 @@ def test_the_rate_can_be_limited(ros, model, coded):
 def test_parameters_change_what_is_published(ros, model, coded):
     chain = Chain(ros, model, subscribe=("depth/image",))
     assert chain.result(mono8(coded)).width == WIDTH
-    (changed,) = chain.node.set_parameters([Parameter("output_size", value="quarter")])
+    (changed,) = chain.node.set_parameters([Parameter("output.size", value="quarter")])
     assert changed.successful
     assert chain.result(mono8(coded)).width == WIDTH // 4
-    (refused,) = chain.node.set_parameters([Parameter("confidence_threshold", value=2.0)])
+    (refused,) = chain.node.set_parameters([Parameter("confidence.threshold", value=2.0)])
     assert not refused.successful and refused.reason
-    (refused,) = chain.node.set_parameters([Parameter("regularize", value="magic")])
+    (refused,) = chain.node.set_parameters([Parameter("regularize.method", value="magic")])
     assert "one of none, semiglobal, tv, graphcut" in refused.reason
     (refused,) = chain.node.set_parameters([Parameter("bank", value="other.npz")])
     assert "read-only" in refused.reason
-    (changed,) = chain.node.set_parameters([Parameter("confidence_threshold", value=1.0)])
+    (changed,) = chain.node.set_parameters([Parameter("confidence.threshold", value=1.0)])
     assert changed.successful
     assert np.isnan(array_from_image(chain.result(mono8(coded)))).mean() > 0.5
 
@@ -318,8 +318,8 @@ def test_simulated_time_without_a_clock(ros, model, coded):
         ({"bank": "", "far_m": 0.0}, "near_m and far_m"),
         ({"near_m": 3.0, "far_m": 2.0}, "near_m 3 must be less than far_m 2"),
         ({"bank": "", "near_m": 0.5}, "focus"),
-        ({"levels": 1}, "levels"),
-        ({"near_m": 1}, "decimal point"),
+        ({"learn.level_count": 1}, "learn.level_count"),
+        ({"near_m": "close"}, "near_m: expected float"),
     ],
 )
 def test_what_does_not_load_is_one_clear_line(ros, model, node_type, changes, reason):
@@ -330,7 +330,7 @@ def test_what_does_not_load_is_one_clear_line(ros, model, node_type, changes, re
 
 
 def test_a_bank_is_learned_at_start(ros, model, coded):
-    learned = {**model, "bank": "", "levels": 8, "learn.window_px": 32, "learn.rank": 48}
+    learned = {**model, "bank": "", "learn.level_count": 8, "learn.window_px": 32, "learn.rank": 48}
     chain = Chain(ros, learned, subscribe=("depth/image",))
     depth = array_from_image(chain.result(mono8(coded)))
     assert abs(np.nanmedian(depth) - DEPTH_M) < 0.06 * DEPTH_M
@@ -348,8 +348,13 @@ def test_both_sides_of_the_focal_plane_by_the_camera_file_alone(ros, model, tmp_
     (texture,) = load_textures("natural").crops(1, *shape, np.random.default_rng(4))
     frame = fftconvolve(texture, psf, mode="valid")
     frame += 0.001 * np.random.default_rng(0).standard_normal(frame.shape)
-    learned = {**model, "camera_file": str(tmp_path / "camera.yaml"), "bank": "", "levels": 21}
-    learned.update({"learn.window_px": 48, "learn.rank": 64, "stride_px": 8})
+    learned = {
+        **model,
+        "camera_file": str(tmp_path / "camera.yaml"),
+        "bank": "",
+        "learn.level_count": 21,
+    }
+    learned.update({"learn.window_px": 48, "learn.rank": 64, "compute.stride_px": 8})
     chain = Chain(ros, learned, subscribe=("depth/image",))
     depth = array_from_image(
         chain.result(image_from_array(frame.astype(np.float32), "32FC1", Header()))
@@ -366,7 +371,7 @@ def test_a_learned_bank_knows_what_is_out_of_range(
     ros, model, coded, near_m, far_m, is_what_it_is_called
 ):
     """And does not take it for something at the end of the range, with full confidence."""
-    learned = {**model, "bank": "", "levels": 8, "learn.window_px": 32, "learn.rank": 48}
+    learned = {**model, "bank": "", "learn.level_count": 8, "learn.window_px": 32, "learn.rank": 48}
     learned.update(near_m=near_m, far_m=far_m)
     chain = Chain(ros, learned, subscribe=("depth/image",))
     depth = array_from_image(chain.result(mono8(coded)))
@@ -388,7 +393,7 @@ def test_a_level_is_learned_on_either_side_of_the_range(tmp_path, changes, near_
     (tmp_path / "camera.yaml").write_text(yaml.safe_dump({**CAMERA, **changes}))
     camera = load_camera(tmp_path / "camera.yaml")
     nearer_m, farther_m, levels = guarded_range(
-        camera, ModelConfig(near_m=near_m, far_m=far_m, levels=8)
+        camera, ModelConfig(near_m=near_m, far_m=far_m, level_count=8)
     )
     assert nearer_m < near_m < far_m < farther_m
     assert levels == 10

@@ -5,6 +5,7 @@ from types import MappingProxyType
 
 import pytest
 from rcl_interfaces.msg import ParameterType
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from ros_helpers import Ros
@@ -20,7 +21,7 @@ class Config:
     kind: str = option("fast", "A method", choices=("fast", "slow"))
     weight: float = option(0.5, "A weight", unit="m", minimum=0.0, maximum=1.0)
     size: int = option(8, "A size", minimum=1)
-    free: float = option(1.0, "Any number")
+    free: float = option(1.0, "Any number", parameter="group.free", formerly="unbound")
     on: bool = option(True, "A switch")
 
     def __post_init__(self):
@@ -78,7 +79,7 @@ def test_descriptors_say_what_is_allowed(make):
     assert (allowed.from_value, allowed.to_value) == (1, 2**63 - 1)
     assert node.describe_parameter("file").read_only
     assert node.describe_parameter("kind").additional_constraints == "one of fast, slow"
-    assert not node.describe_parameter("free").floating_point_range
+    assert not node.describe_parameter("group.free").floating_point_range
 
 
 def test_a_good_value_makes_a_new_config(make):
@@ -96,7 +97,9 @@ def test_a_good_value_makes_a_new_config(make):
         ("weight", 1.5, "weight"),
         ("weight", float("nan"), "weight"),
         ("weight", "much", "Type.DOUBLE"),
-        ("free", float("inf"), "free"),
+        ("weight", True, "Type.DOUBLE"),
+        ("weight", 2, "weight"),
+        ("group.free", float("inf"), "group.free"),
         ("size", 0, "size"),
         ("size", 2.0, "Type.INTEGER"),
         ("kind", "medium", "'medium' is not allowed, use one of fast, slow"),
@@ -110,7 +113,7 @@ def test_a_bad_value_is_refused_with_the_reason_and_the_old_one_stays(make, name
     assert not result.successful
     assert reason in result.reason
     assert parameters[Config] == Config()
-    assert node.get_parameter(name).value == getattr(Config(), name)
+    assert node.get_parameter(name).value == getattr(Config(), name.removeprefix("group."))
 
 
 def test_values_are_checked_together(make):
@@ -141,7 +144,9 @@ def test_fixed_configs_are_read_only_and_have_a_prefix(make):
     ("name", "value", "hint"),
     [
         ("weight", 2.0, "0 to 1 m"),
-        ("weight", 1, "decimal point"),
+        ("weight", "much", "expected float (0 to 1 m), got 'much'"),
+        ("weight", True, "expected float"),
+        ("size", 2.5, "expected int"),
         ("size", 0, "at least 1"),
         ("kind", "medium", "one of fast, slow"),
     ],
@@ -152,3 +157,49 @@ def test_a_bad_value_at_start_is_one_clear_line(make, name, value, hint):
     assert name in str(caught.value)
     assert hint in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_an_integer_is_a_number_too(make):
+    node, parameters = make(weight=1)
+    assert (type(parameters[Config].weight), parameters[Config].weight) == (float, 1.0)
+    assert node.get_parameter("weight").type_ == Parameter.Type.DOUBLE
+    assert change(node, weight=0).successful
+    assert (type(parameters[Config].weight), parameters[Config].weight) == (float, 0.0)
+    assert node.get_parameter("weight").value == 0.0
+    assert node.set_parameters([Parameter("weight", value=1)])[0].successful
+
+
+@pytest.fixture
+def warned(monkeypatch):
+    """Return what nodes warn of."""
+    said = []
+    monkeypatch.setattr(RcutilsLogger, "warning", lambda _, message, **__: said.append(message))
+    return said
+
+
+@pytest.mark.parametrize("former", ["free", "unbound"])
+def test_former_names_are_taken_with_a_warning(make, warned, former):
+    node, parameters = make(**{former: 3})
+    assert parameters[Config].free == 3.0
+    assert node.get_parameter("group.free").value == 3.0
+    assert not node.has_parameter(former)
+    assert len(warned) == 1
+    assert former in warned[0] and "group.free" in warned[0]
+    assert change(node, **{former: 4}).successful
+    assert parameters[Config].free == 4.0
+    assert len(warned) == 2
+    assert not change(node, **{former: float("inf")}).successful
+    assert parameters[Config].free == 4.0
+
+
+def test_a_present_name_comes_before_a_former_one(make, warned):
+    _, parameters = make(free=3.0, **{"group.free": 5.0})
+    assert parameters[Config].free == 5.0
+    assert len(warned) == 1
+
+
+def test_present_names_are_taken_without_a_warning(make, warned):
+    node, parameters = make(**{"group.free": 5.0})
+    assert change(node, **{"group.free": 6.0}).successful
+    assert parameters[Config].free == 6.0
+    assert warned == []

@@ -32,7 +32,7 @@ def parameters(folder, mask="two_hole", **changes):
         "method": "simple",
         "near_m": NEAR_M,
         "far_m": FAR_M,
-        "levels": 12,
+        "learn.level_count": 12,
         **changes,
     }
 

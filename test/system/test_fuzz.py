@@ -82,7 +82,7 @@ def nodes(folder):
     ros = Ros()
     given = {"camera_file": str(folder / "camera.yaml"), "bank": str(folder / "bank.npz")}
     given |= {"near_m": NEAR_M, "far_m": FAR_M, "lazy": False}
-    yield ros.make(DepthNode, {**given, "temporal_frames": 2.0}), ros.make(DeblurNode, given)
+    yield ros.make(DepthNode, {**given, "temporal.frames": 2.0}), ros.make(DeblurNode, given)
     ros.close()
 
 

@@ -17,19 +17,34 @@ class DeviceConfig:
     """What a camera device can be told, where it has these settings."""
 
     width: int = option(
-        0, "Width of the frames; 0: the camera file's", unit="px", minimum=0, maximum=65536
+        0,
+        "Width of the frames; 0: the camera file's",
+        unit="px",
+        minimum=0,
+        maximum=65536,
+        parameter="device.width",
     )
     height: int = option(
-        0, "Height of the frames; 0: the camera file's", unit="px", minimum=0, maximum=65536
+        0,
+        "Height of the frames; 0: the camera file's",
+        unit="px",
+        minimum=0,
+        maximum=65536,
+        parameter="device.height",
     )
     exposure: float = option(
         -1.0,
         "Exposure time in the device's own unit (V4L2: 0.1 ms); 0: automatic, -1: as it is",
         minimum=-1.0,
         maximum=1e6,
+        parameter="device.exposure",
     )
     gain: float = option(
-        -1.0, "Gain in the device's own unit; -1: as it is", minimum=-1.0, maximum=1e6
+        -1.0,
+        "Gain in the device's own unit; -1: as it is",
+        minimum=-1.0,
+        maximum=1e6,
+        parameter="device.gain",
     )
     white_balance_k: float = option(
         -1.0,
@@ -37,6 +52,7 @@ class DeviceConfig:
         unit="K",
         minimum=-1.0,
         maximum=1e5,
+        parameter="device.white_balance_k",
     )
 
     def __post_init__(self) -> None:

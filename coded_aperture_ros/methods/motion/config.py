@@ -18,6 +18,7 @@ class MotionConfig:
         minimum=1,
         maximum=64,
         read_only=True,
+        parameter="motion.directions",
     )
     motion_lengths: int = option(
         8,
@@ -25,6 +26,7 @@ class MotionConfig:
         minimum=1,
         maximum=64,
         read_only=True,
+        parameter="motion.lengths",
     )
     longest_motion_px: float = option(
         12.0,
@@ -33,6 +35,7 @@ class MotionConfig:
         minimum=0.5,
         maximum=64.0,
         read_only=True,
+        parameter="motion.longest_px",
     )
     motion_rank: int = option(
         128,
@@ -40,6 +43,7 @@ class MotionConfig:
         minimum=1,
         maximum=4096,
         read_only=True,
+        parameter="motion.rank",
     )
     finalists: int = option(
         5,
@@ -48,12 +52,14 @@ class MotionConfig:
         minimum=0,
         maximum=4096,
         read_only=True,
+        parameter="motion.finalists",
     )
     motion_smoothness: float = option(
         1.0,
         "Strength of the spatial regularisation of motion, relative to its default.",
         minimum=0.0,
         maximum=100.0,
+        parameter="motion.smoothness",
     )
     refinement_px: float = option(
         0.0,
@@ -62,18 +68,21 @@ class MotionConfig:
         unit="px",
         minimum=0.0,
         maximum=1.0,
+        parameter="motion.refinement_px",
     )
     stillness: float = option(
         0.5,
         "Evidence (natural logarithm) that a patch must have to be taken for moving.",
         minimum=0.0,
         maximum=100.0,
+        parameter="motion.threshold",
     )
     prior_motions: int = option(
         3,
         "With a known angular velocity: motions nearest to the expected one that are tried.",
         minimum=1,
         maximum=64,
+        parameter="motion.prior_motions",
     )
 
     def __post_init__(self) -> None:
