@@ -16,8 +16,8 @@ ROOMS = (
     "optics",
     "simulation",
     "io",
-    "bank",
     "likelihood",
+    "bank",
     "methods",
     "depth",
     "deblur",
@@ -29,6 +29,7 @@ ROOMS = (
     "bags",
     "ros",
     "cli",
+    "__main__",
 )
 LEVEL = {name: level for level, name in enumerate(ROOMS)}
 ROS = {
