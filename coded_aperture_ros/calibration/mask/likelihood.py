@@ -1,10 +1,9 @@
 """The likelihood of the spectra of planes, given a mixture of masks and the blur sizes.
 
-It is that of the filter bank's energies, with textures that are more flexible than power laws.
+It is that of the filter bank's costs, with textures that are more flexible than power laws.
 """
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,34 +80,24 @@ class MaskLikelihood:
             [max(np.quantile(p @ fourier.noise_weights, 0.05), 1e-9) for p in powers]
         )
 
-    def score(
-        self,
-        parts: NDArray,
-        sizes_px: NDArray,
-        log_noise: NDArray,
-        planes: Sequence[int] | None = None,
-    ) -> float:
-        """Twice the negative log-likelihood of a window under its best hypothesis, on average.
-
-        `planes` are those to look at, by default all.
-        """
-        return float(self.scores(parts, sizes_px[None], log_noise, planes)[0])
+    def score(self, parts: NDArray, sizes_px: NDArray, log_noise: NDArray) -> float:
+        """Twice the negative log-likelihood of a window under its best hypothesis, on average."""
+        return float(self.scores(parts, sizes_px[None], log_noise)[0])
 
     def scores(
-        self,
-        parts: NDArray,
-        sizes_px: NDArray,
-        log_noise: NDArray,
-        planes: Sequence[int] | None = None,
+        self, parts: NDArray, sizes_px: NDArray, log_noise: NDArray, every: int = 1
     ) -> NDArray[np.float64]:
-        """Return the score for several guesses at the blur sizes of all planes [guesses, I]."""
-        chosen = list(range(len(self.powers)) if planes is None else planes)
-        power = self.spectra.expected(parts, sizes_px[:, chosen].ravel()).power
+        """Return the score for several guesses at the blur sizes of all planes [guesses, I].
+
+        Of the planes, only one of `every` so many is looked at.
+        """
+        chosen = range(0, len(self.powers), every)
         scores = np.zeros(len(sizes_px))
-        for column in range(power.shape[1]):
-            guess, index = divmod(column, len(chosen))
-            energies = self._energies(chosen[index], power[:, column], log_noise)
-            scores[guess] += energies.min(axis=1).mean() / len(chosen)
+        expected = self.spectra.expected(parts, sizes_px[:, chosen].ravel()).power
+        for column in range(expected.shape[1]):
+            guess, plane = divmod(column, len(chosen))
+            costs = self._costs(chosen[plane], expected[:, column], log_noise)
+            scores[guess] += costs.min(axis=1).mean() / len(chosen)
         return scores
 
     def group(self, parts: NDArray, sizes_px: NDArray, log_noise: NDArray) -> Groups:
@@ -116,7 +105,7 @@ class MaskLikelihood:
         expected = self.spectra.expected(parts, sizes_px).power
         plane, slope, contrast, count, mean = [], [], [], [], []
         for i, powers in enumerate(self.powers):
-            best = self._energies(i, expected[:, i], log_noise).argmin(axis=1)
+            best = self._costs(i, expected[:, i], log_noise).argmin(axis=1)
             for hypothesis in np.unique(best):
                 members = best == hypothesis
                 plane.append(i)
@@ -131,8 +120,8 @@ class MaskLikelihood:
         )
         return self._with_own_textures(groups, expected, log_noise)
 
-    def _energies(self, plane: int, expected: NDArray, log_noise: NDArray) -> NDArray:
-        """Return the energy of every contrast and slope for a plane's windows [W, hypotheses]."""
+    def _costs(self, plane: int, expected: NDArray, log_noise: NDArray) -> NDArray:
+        """Return the cost of every contrast and slope for a plane's windows [W, hypotheses]."""
         variance = _CONTRASTS[:, None, None] * expected + np.exp(log_noise[plane])
         weights = (self.multiplicity / variance).reshape(-1, variance.shape[-1])
         return np.asarray(
@@ -151,12 +140,9 @@ class MaskLikelihood:
             total = signal + noise
             excess = weights * (1 / total - groups.mean / total**2) * signal
             gradient = excess @ self.texture.T + stiffness * textures
+            shares = weights * (signal / total) ** 2
             curvature = np.einsum(
-                "gk,ik,jk->gij",
-                weights * (signal / total) ** 2,
-                self.texture,
-                self.texture,
-                optimize=True,
+                "gk,ik,jk->gij", shares, self.texture, self.texture, optimize=True
             )
             curvature += np.diag(stiffness + 1e-6)
             step = np.linalg.solve(curvature, gradient[..., None])[..., 0]

@@ -44,9 +44,7 @@ def recognised_mask(
         With the extent of the mask's grid at the most blurred plane, px. None if no mask is
         clearly better than the others.
     """
-    few = range(0, len(fit.sizes_px), _EVERY)
-    guesses = _EXTENTS[:, None] * fit.sizes_px
-    coarse = [likelihood.scores(_cells(mask), guesses, fit.log_noise, few).min() for mask in masks]
+    coarse = [_scores(likelihood, fit, mask, _EVERY).min() for mask in masks]
     found = {int(i): fitted_extent(likelihood, fit, masks[i]) for i in np.argsort(coarse)[:2]}
     best, second = sorted(found, key=lambda i: found[i][1])
     shortfall, second_shortfall = (found[i][1] - fit.score for i in (best, second))
@@ -61,9 +59,9 @@ def fitted_extent(
     """Return the likeliest extent of a mask at the most blurred plane, px, and its score."""
     import scipy.optimize
 
-    cells = _cells(mask)
-    scores = likelihood.scores(cells, _EXTENTS[:, None] * fit.sizes_px, fit.log_noise)
+    scores = _scores(likelihood, fit, mask)
     best = int(np.clip(np.argmin(scores), 1, len(_EXTENTS) - 2))
+    cells = normalised(square_cells(mask)[None])
     found = scipy.optimize.minimize_scalar(
         lambda extent: likelihood.score(cells, extent * fit.sizes_px, fit.log_noise),
         bounds=(_EXTENTS[best - 1], _EXTENTS[best + 1]),
@@ -73,5 +71,9 @@ def fitted_extent(
     return float(found.x) * fit.sizes.extent_px, float(found.fun)
 
 
-def _cells(mask: Mask) -> NDArray[np.float64]:
-    return normalised(square_cells(mask)[None])
+def _scores(
+    likelihood: MaskLikelihood, fit: MaskFit[LensSizes], mask: Mask, every: int = 1
+) -> NDArray[np.float64]:
+    """Return the score of every extent to try."""
+    cells = normalised(square_cells(mask)[None])
+    return likelihood.scores(cells, _EXTENTS[:, None] * fit.sizes_px, fit.log_noise, every)

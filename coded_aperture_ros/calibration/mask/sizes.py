@@ -15,25 +15,25 @@ _LARGEST_RATIO = 0.95
 
 
 class BlurSizes(Protocol):
-    """Unsigned blur sizes as a function of the variables of an optimiser."""
+    """Unsigned blur sizes of I planes as a function of V variables of an optimiser.
+
+    `px` [I] are the widths of the mask's grid; `variables` [V] is where they stand, and `bounds`
+    the smallest and largest value of each. `moved` gives the sizes for other variables, `gradient`
+    the derivatives by the variables from those by the sizes.
+    """
 
     @property
-    def px(self) -> NDArray[np.float64]:
-        """Width of the mask's grid at each plane [I]."""
+    def px(self) -> NDArray[np.float64]: ...  # noqa: D102
 
     @property
-    def variables(self) -> NDArray[np.float64]:
-        """The variables here [V]."""
+    def variables(self) -> NDArray[np.float64]: ...  # noqa: D102
 
     @property
-    def bounds(self) -> tuple[float, float]:
-        """Smallest and largest value of each."""
+    def bounds(self) -> tuple[float, float]: ...  # noqa: D102
 
-    def moved(self, variables: NDArray[np.float64]) -> "BlurSizes":
-        """Return the sizes for other variables."""
+    def moved(self, variables: NDArray[np.float64]) -> "BlurSizes": ...  # noqa: D102
 
-    def gradient(self, by_px: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return derivatives by the variables [V] from those by the sizes [I]."""
+    def gradient(self, by_px: NDArray[np.float64]) -> NDArray[np.float64]: ...  # noqa: D102
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from coded_aperture_ros.optics.psf import cell_shares, psf_width
 
 SLOPES = (1.6, 2.4, 3.2)
 _MODEL_ERROR = 3e-4
+_STEP_PX = 5e-3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -68,7 +69,7 @@ class MaskSpectra:
 
     def expected(self, parts: NDArray, sizes_px: NDArray) -> Expected:
         """Return the expected power for every slope and blur size."""
-        renderers = np.array([_renderer(self.width, parts.shape[-1], size) for size in sizes_px])
+        renderers = _renderers(self.width, parts.shape[-1], sizes_px)
         psfs = np.einsum("ipa,rab,iqb->ripq", renderers, parts, renderers, optimize=True)
         transforms = scipy.fft.rfft2(psfs, self.torus)
         correlations = scipy.fft.irfft2((np.abs(transforms) ** 2).sum(axis=0), self.torus)
@@ -90,28 +91,22 @@ class MaskSpectra:
         by_psf = 2 * by_psf[..., : self.width, : self.width]
         parts, renderers = expected.parts, expected.renderers
         by_parts = np.einsum("ipa,ripq,iqb->rab", renderers, by_psf, renderers, optimize=True)
-        slopes = self._renderer_slopes(parts.shape[-1], expected.sizes_px)
-        by_sizes = np.einsum(
-            "ripq,ipa,rab,iqb->i", by_psf, slopes, parts, renderers, optimize=True
-        ) + np.einsum("ripq,ipa,rab,iqb->i", by_psf, renderers, parts, slopes, optimize=True)
+        # The renderers are piecewise smooth in the size; a difference is as good as the derivative.
+        above, below = (
+            _renderers(self.width, parts.shape[-1], expected.sizes_px + step)
+            for step in (_STEP_PX, -_STEP_PX)
+        )
+        slopes = (above - below) / (2 * _STEP_PX)
+        along = "ripq,ipa,rab,iqb->i"
+        by_sizes = np.einsum(along, by_psf, slopes, parts, renderers, optimize=True)
+        by_sizes += np.einsum(along, by_psf, renderers, parts, slopes, optimize=True)
         return by_parts, by_sizes
 
-    def _renderer_slopes(self, cells: int, sizes_px: NDArray) -> NDArray:
-        """Return the renderers' derivatives by the size [I, pixels, cells].
 
-        They are piecewise smooth; a difference is as good.
-        """
-        step = 5e-3
-        differences = [
-            _renderer(self.width, cells, size + step) - _renderer(self.width, cells, size - step)
-            for size in sizes_px
-        ]
-        return np.array(differences) / (2 * step)
-
-
-def _renderer(pixels: int, cells: int, size_px: float) -> NDArray[np.float64]:
-    """Share of every cell's light that falls onto each pixel, one axis [pixels, cells]."""
-    return cell_shares(pixels, cells, max(size_px, 1e-3) / cells)
+def _renderers(pixels: int, cells: int, sizes_px: NDArray) -> NDArray[np.float64]:
+    """Share of every cell's light that falls onto each pixel, one axis [I, pixels, cells]."""
+    widths = np.maximum(sizes_px, 1e-3) / cells
+    return np.array([cell_shares(pixels, cells, width) for width in widths])
 
 
 def half_plane(reach: int) -> NDArray[np.intp]:
