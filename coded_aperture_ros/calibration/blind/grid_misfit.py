@@ -22,13 +22,7 @@ _NEGLIGIBLE = 1e-9
 class FoundSpectra:
     """The spectra of a fit, around which the likelihood is expanded.
 
-    Attributes
-    ----------
-    groups : Groups
-    signal : ndarray, float64 [G, K]
-        Power of the blurred texture.
-    noise : ndarray, float64 [G, 1]
-        Its variance.
+    Power of the blurred texture (`signal` [G, K]) and variance of its noise [G, 1], by group.
     """
 
     groups: Groups
@@ -45,18 +39,9 @@ class FoundSpectra:
 
 
 class GridMisfit:
-    """The misfit of square grids of n x n cells of given widths.
+    """The misfit of square grids of n x n cells, whose widths at each plane are given.
 
     It is about twice the negative log-likelihood of one window of each group.
-
-    Parameters
-    ----------
-    likelihood : MaskLikelihood
-    found : FoundSpectra
-    cells : int
-        Of the grid, along a side.
-    cells_px : ndarray, float64 [planes]
-        Width of a cell at each plane.
     """
 
     def __init__(

@@ -22,13 +22,7 @@ _FEWEST_OPEN = 2
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class BinaryGrid:
-    """Open (1) and closed (0) cells, and how badly they explain the spectra.
-
-    Attributes
-    ----------
-    cells : ndarray, float64 [n, n]
-    misfit : float
-    """
+    """Open (1) and closed (0) cells [n, n], and how badly they explain the spectra."""
 
     cells: NDArray[np.float64]
     misfit: float
@@ -40,17 +34,7 @@ def best_grid(
     random: np.random.Generator,
     grids: Sequence[NDArray[np.float64]] = (),
 ) -> BinaryGrid:
-    """Return the best of several searches.
-
-    Parameters
-    ----------
-    misfit : GridMisfit
-    starts : int
-        How many random starts.
-    random : numpy.random.Generator
-    grids : sequence of ndarray, float64 [n, n], optional
-        Binary grids to start from as well.
-    """
+    """Return the best grid found from random starts and from binary grids."""
     begun = [improved(misfit, grid, random) for grid in grids]
     for _ in range(starts):
         grey = _grey(misfit, random.random((misfit.cells, misfit.cells)))

@@ -11,15 +11,10 @@ _TILE_PX, _PER_ROW, _GAP_LIGHT = 192, 5, 0.3
 
 
 def blind_picture(found: BlindMask) -> NDArray[np.float32]:
-    """Draw the mask, then the spectrum of each plane, least blurred first.
+    """Draw the mask, then the spectrum of each plane, least blurred first, in [0, 1].
 
     The left half of a spectrum is measured, the right half what the mask makes of smooth texture;
     the halves of a real spectrum mirror each other.
-
-    Returns
-    -------
-    ndarray, float32 [rows, columns]
-        In [0, 1]; the gaps are grey.
     """
     tiles = [_mask_tile(found.mask.transmission)]
     tiles += [_halves(*found.spectra[plane]) for plane in np.argsort(found.blur_sizes_px)]

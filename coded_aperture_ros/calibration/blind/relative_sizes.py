@@ -44,21 +44,10 @@ class _Shape:
 def relative_blur_sizes(
     images: Sequence[NDArray[np.float32]], names: Sequence[str], window_px: int
 ) -> NDArray[np.float64]:
-    """Estimate the blur sizes of planes but for a common factor.
+    """Estimate the blur sizes of grey pictures but for a common factor [planes]; the largest is 1.
 
-    Parameters
-    ----------
-    images : sequence of ndarray, float32 [rows, columns]
-        Grey, none smaller than a window.
-    names : sequence of str
-        What to call each in messages.
-    window_px : int
-        Four times the largest blur: the spectrum has to be resolved finely.
-
-    Returns
-    -------
-    ndarray, float64 [planes]
-        The largest is 1; good to some per cent.
+    They are good to some per cent. The window has to be four times as wide as the largest blur: the
+    spectrum has to be resolved finely.
 
     Raises
     ------

@@ -57,14 +57,8 @@ class MaskLikelihood:
     averages are all that the likelihood depends on while the hypotheses stay. Every average has
     its own texture: the hypothesis' power law times a smooth function of frequency.
 
-    Parameters
-    ----------
-    powers : list of ndarray, float32 [W, frequencies]
-        Spectra of every plane's windows.
-    fourier : WindowedFourierBasis
-        What they were made with.
-    widest_px : float
-        No blur size is larger.
+    `powers` are the spectra of every plane's windows [W, frequencies], made with `fourier`; no blur
+    size is larger than `widest_px`.
     """
 
     def __init__(

@@ -28,21 +28,10 @@ _CLEARLY_BETTER = 0.6
 def recognised_mask(
     likelihood: MaskLikelihood, fit: MaskFit[LensSizes], masks: Sequence[Mask]
 ) -> tuple[Mask, float] | None:
-    """Return the mask that explains the planes nearly as well as the fit, and its extent.
+    """Return the mask that explains the planes nearly as well as a free fit, and its extent.
 
-    Parameters
-    ----------
-    likelihood : MaskLikelihood
-    fit : MaskFit
-        The free fit; its focus is kept.
-    masks : sequence of Mask
-        At least two, or there is nothing to compare the best with.
-
-    Returns
-    -------
-    (Mask, float) or None
-        With the extent of the mask's grid at the most blurred plane, px. None if no mask is
-        clearly better than the others.
+    The extent is that of the mask's grid at the most blurred plane, px. None if no mask is clearly
+    better than the others.
     """
     coarse = [_scores(likelihood, fit, mask, _EVERY).min() for mask in masks]
     found = {int(i): fitted_extent(likelihood, fit, masks[i]) for i in np.argsort(coarse)[:2]}

@@ -48,13 +48,7 @@ class Expected:
 class MaskSpectra:
     """From a mixture of masks to expected power spectra, and derivatives backwards.
 
-    Parameters
-    ----------
-    fourier : WindowedFourierBasis
-    counts : ndarray of bool [frequencies]
-        Which of its frequencies are wanted; K of them.
-    widest_px : float
-        No blur size is larger.
+    Of the frequencies those K that `counts` says; no blur size is larger than `widest_px`.
     """
 
     def __init__(

@@ -27,22 +27,10 @@ def window_powers(image: NDArray[np.float32], fourier: WindowedFourierBasis) -> 
 def mean_by_contrast(
     powers: NDArray[np.floating], fourier: WindowedFourierBasis, classes: int = _CLASSES
 ) -> NDArray[np.float32]:
-    """Average the spectra of windows of about the same contrast.
+    """Average the spectra of windows [W, K] of about the same contrast [classes, K].
 
     Every window counts alike, whatever its contrast: the mean itself would be that of a few strong
-    edges. The averages keep the scale of the noise.
-
-    Parameters
-    ----------
-    powers : ndarray, float [windows, K]
-    fourier : WindowedFourierBasis
-    classes : int, optional
-        How many averages.
-
-    Returns
-    -------
-    ndarray, float32 [classes, K]
-        Least contrast first; fewer where there are fewer windows.
+    edges. The averages keep the scale of the noise; the least contrast comes first.
     """
     contrast = powers @ fourier.multiplicity
     members = np.array_split(np.argsort(contrast), min(classes, len(powers)))

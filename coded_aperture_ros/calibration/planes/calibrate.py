@@ -164,12 +164,8 @@ def learn_bank_from_planes(
 ) -> FilterBank:
     """Learn the bank alone, of a mask that is none of those with names.
 
-    Parameters
-    ----------
-    planes, levels, config, progress
-        See `calibrate_planes`; a warning is logged if the window seems to be too small.
-    prior : NaturalImagePrior, optional
-        For the bank; the fit has a more flexible one.
+    For the arguments see `calibrate_planes`; the prior is for the bank, the fit has a more flexible
+    one. A warning is logged if the window seems to be too small.
 
     Returns
     -------

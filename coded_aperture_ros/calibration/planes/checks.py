@@ -31,18 +31,12 @@ class PlaneCheck:
     file : str
     depth_m : float
         NaN where it is not known.
-    brightness : float
-        Mean, linear light in [0, 1].
-    brightest : float
-        99 % of the pixels are darker.
-    saturated : float
-        Share of the pixels.
-    noise : float
-        Standard deviation of one channel.
-    contrast : float
-        Standard deviation within a window, noise taken off; the median of the windows.
-    textured : float
-        Share of the windows whose contrast is above the noise.
+    brightness, brightest : float
+        Mean, and what 99 % of the pixels are below; linear light in [0, 1].
+    saturated, textured : float
+        Share of the pixels, and of the windows whose contrast is above the noise.
+    noise, contrast : float
+        Standard deviation of one channel, and of a window with noise taken off (median).
     """
 
     file: str
@@ -57,14 +51,7 @@ class PlaneCheck:
 
 @dataclasses.dataclass(frozen=True)
 class Advice:
-    """Something that could be better, and how.
-
-    Attributes
-    ----------
-    file : str
-        Which picture it is about; empty: all of them.
-    text : str
-    """
+    """Something that could be better, and how; `file` is empty if it is about all pictures."""
 
     file: str
     text: str
@@ -79,17 +66,7 @@ def check_pictures(
     window_px: int,
     depths_m: ArrayLike = np.nan,
 ) -> list[PlaneCheck]:
-    """Measure every picture.
-
-    Parameters
-    ----------
-    images : sequence of ndarray, float32 [rows, columns] or [rows, columns, 3]
-    names : sequence of str
-        What to call each in messages.
-    window_px : int
-        Side of the windows that texture is counted in.
-    depths_m : array of float, optional
-        NaN where they are not known.
+    """Measure every picture, with windows of a size that texture is counted in.
 
     Raises
     ------
@@ -171,15 +148,7 @@ def _advice_on(check: PlaneCheck) -> Iterator[str]:
 def advice_on_depths(
     depths_m: NDArray[np.float64], wanted_m: tuple[float, float] | None = None
 ) -> list[Advice]:
-    """Say at which depths planes are missing.
-
-    Parameters
-    ----------
-    depths_m : ndarray, float64 [I]
-        Of the planes, nearest first.
-    wanted_m : (float, float), optional
-        Depth range that the bank is for.
-    """
+    """Say at which depths planes are missing, for a bank of the `wanted_m` depth range."""
     texts = []
     if len(depths_m) < _ENOUGH_PLANES:
         texts.append(f"{len(depths_m)} planes are few: 10 to 16 give a much better bank")

@@ -37,12 +37,7 @@ def fitted_lens(
 
 
 def signed_fit(planes: Planes, measured: Sequence[MeasuredPlane]) -> ThinLens:
-    """Fit the thin lens, and say which planes contradict it.
-
-    Returns
-    -------
-    ThinLens
-        With positive slope: all planes beyond the focus, or all in front of it.
+    """Fit the thin lens: all planes beyond the focus, or all in front of it.
 
     Raises
     ------

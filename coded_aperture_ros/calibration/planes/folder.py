@@ -134,13 +134,7 @@ def _entry(path: Path, where: str, entry: Any) -> tuple[Path, float]:
 
 
 def listed_depths_m(folder: str | os.PathLike[str]) -> list[float]:
-    """Return the depths that a folder has pictures of so far, nearest first.
-
-    Raises
-    ------
-    InputError
-        If its list cannot be read.
-    """
+    """Return the depths that a folder has pictures of so far, nearest first."""
     return sorted(float(entry["depth_m"]) for entry in _entries(Path(folder)))
 
 

@@ -73,13 +73,7 @@ def measured_planes(
 ) -> list[MeasuredPlane]:
     """Measure the blur of every plane with filters for many sizes of the same mask.
 
-    Parameters
-    ----------
-    planes : Planes
-    pattern : LearnedPattern
-        Only its mask is used, and how large it gets at most.
-    config : LearnConfig
-        Of the filters.
+    Of the pattern only its mask is used, and how large it gets at most.
     """
     largest = _BEYOND * float(np.abs(pattern.blur_size_px(planes.depths_m)).max())
     largest = min(largest, config.window_px - 1)

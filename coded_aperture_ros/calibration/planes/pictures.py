@@ -77,19 +77,7 @@ def check_picture(
 ) -> None:
     """Refuse the picture of a plane that nothing can be learned from.
 
-    Parameters
-    ----------
-    image : ndarray, float32 [rows, columns] or [rows, columns, 3]
-        Linear light in [0, 1].
-    name : str
-        What to call it.
-    shape, first
-        Rows and columns of the first picture, and its name.
-
-    Raises
-    ------
-    InputError
-        If it is of another size, not finite or saturated.
+    That is one of another `shape` than the `first`, not finite, or saturated.
     """
     if image.shape[:2] != shape:
         raise InputError(

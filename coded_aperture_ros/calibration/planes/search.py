@@ -38,18 +38,8 @@ LensFit = MaskFit[LensSizes]
 class MaskSearch:
     """Finds masks for pictures of planes.
 
-    Parameters
-    ----------
-    planes : Planes
-    window_px : int
-        Twice as wide as the largest blur, or wider.
-    progress : callable, optional
-        Wraps the iterations over the steps.
-
-    Raises
-    ------
-    InputError
-        If a picture is smaller than a window.
+    The window has to be twice as wide as the largest blur, or wider. `progress` wraps the
+    iterations over the steps.
     """
 
     def __init__(self, planes: Planes, window_px: int, progress: Progress = iter) -> None:
@@ -97,14 +87,8 @@ class MaskSearch:
     def single(self, mixture: LensFit) -> tuple[Mask, float]:
         """Find one mask instead of a mixture: the likeliest of several that come close to it.
 
-        Logs a warning if it fills the grid: then the blur may be wider than that.
-
-        Returns
-        -------
-        mask : Mask
-            Cropped to where it is open.
-        extent_px : float
-            Its extent at the most blurred plane.
+        Returns the mask, cropped to where it is open, and its extent at the most blurred plane in
+        px. Logs a warning if it fills the grid: then the blur may be wider than that.
         """
         candidates = [
             dataclasses.replace(mixture, parts=normalised(mask[None])).climb(
@@ -125,17 +109,7 @@ class MaskSearch:
 
 
 def pattern_of(fit: LensFit, mask: Mask, extent_px: float, image_width: int) -> LearnedPattern:
-    """Return a mask with the line of the thin lens that a fit has.
-
-    Parameters
-    ----------
-    fit : MaskFit
-    mask : Mask
-        Instead of the fit's mixture.
-    extent_px : float
-        Extent of its grid at the most blurred plane.
-    image_width : int
-    """
+    """Return a mask, of an extent at the most blurred plane, with the lens of a fit."""
     scale, lens = extent_px / fit.sizes.extent_px, fit.sizes.lens
     return LearnedPattern(
         slope_px_m=lens.slope_px_m * scale,

@@ -65,28 +65,10 @@ class CentredPsf:
 def centred(
     at: PsfAt, mask: Mask | None = None, sign: float | None = None, phases: NDArray = PHASES
 ) -> tuple[NDArray[np.float64], float, float]:
-    """Find the middle and the blur size of a measured PSF.
+    """Find the middle and the blur size of a measured PSF, given by what it is `at` a place.
 
-    Parameters
-    ----------
-    at : callable
-        The measured PSF at a place.
-    mask : Mask, optional
-        What is in the lens.
-    sign : float, optional
-        Of the blur size, where the side of the focus is known; by default the mask tells.
-    phases : ndarray of float, shape [N, 2], optional
-        Places on the pixels at which the PSF is looked at.
-
-    Returns
-    -------
-    place, blur_size_px, misfit
-        See `CentredPsf`.
-
-    Raises
-    ------
-    InputError
-        If the PSF does not look like the mask.
+    `phases` [N, 2] are the places on the pixels at which it is looked at. Returns the place, the
+    blur size and the misfit; see `CentredPsf`, and `DotPsf.centred` for the other arguments.
     """
     place, size, misfit = np.zeros(2), 0.0, np.nan
     for _ in range(_ROUNDS):
@@ -109,12 +91,7 @@ def centred(
 
 
 def check_misfit(misfit: float, mask: Mask) -> None:
-    """Refuse a PSF that does not look like the mask.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse a PSF that does not look like the mask."""
     if not misfit <= _LARGEST_MISFIT:
         raise InputError(
             f"the PSF differs from that of mask {mask.name} by {misfit:.0%}: check which mask is "

@@ -35,20 +35,9 @@ class FinePsf:
     def at(
         self, width: int, centre: ArrayLike = (0.0, 0.0), scale: float = 1.0
     ) -> NDArray[np.float64]:
-        """Return what `width` pixels a side record if the origin lies `centre` off their middle.
+        """Return what pixels record [width, width] if the origin lies `centre` off their middle.
 
-        Parameters
-        ----------
-        width : int
-            Odd.
-        centre : array of 2 floats, optional
-            Down and right, px.
-        scale : float, optional
-            How many times as wide as measured.
-
-        Returns
-        -------
-        ndarray of float64, shape [width, width]
+        `centre` is down and right in px, `width` odd; the PSF is `scale` times as wide as measured.
         """
         down, right = np.asarray(centre, np.float64)
         rows = cell_shares(width, len(self.light), self.cell_px * scale, down)
@@ -77,19 +66,12 @@ def fit_fine(
     ----------
     windows : ndarray of float64, shape [N, k, k]
         Without background.
-    offsets : ndarray of float64, shape [N, 2]
-        Where the dots lie, from the middle of the windows, px.
-    strengths : ndarray of float64, shape [N]
-        Light of each dot.
+    offsets, strengths : ndarray of float64, shape [N, 2] and [N]
+        Where the dots lie, from the middle of the windows in px, and the light of each.
     ridge : float
         Variance of a pixel's noise, for light whose cells have the mean square of `start`.
     start : FinePsf
         Also tells the cells.
-
-    Returns
-    -------
-    FinePsf
-        Of sum 1.
     """
     width, cells = windows.shape[-1], len(start.light)
     rows, columns = (cell_shares(width, cells, start.cell_px, offsets[:, axis]) for axis in (0, 1))

@@ -59,12 +59,7 @@ class DotLattice:
 
 
 def find_lattice(picture: NDArray[np.floating]) -> DotLattice:
-    """Find the grid of bright dots in a picture.
-
-    Parameters
-    ----------
-    picture : ndarray of float, shape [rows, columns]
-        Linear light, finite.
+    """Find the grid of bright dots in a finite, linear picture [rows, columns].
 
     Raises
     ------

@@ -98,17 +98,7 @@ def _between(
 
 
 def psf_picture(psfs: Sequence[NDArray[np.floating]]) -> NDArray[np.float32]:
-    """Draw PSFs in rows of eight, all at one scale, each up to its own brightest value.
-
-    Parameters
-    ----------
-    psfs : sequence of ndarray of float, shape [k, k]
-
-    Returns
-    -------
-    ndarray of float32, shape [rows, columns]
-        Linear light, 0 to 1; the gaps are grey.
-    """
+    """Draw PSFs in rows of eight, all at one scale, each up to its own brightest value."""
     width = max(len(psf) for psf in psfs)
     padded = [np.pad(np.maximum(psf, 0), (width - len(psf)) // 2) for psf in psfs]
     tiles = [enlarged(psf / max(float(psf.max()), 1e-12), _WIDTH_PX) for psf in padded]
