@@ -73,9 +73,14 @@ def smoothed_over_surfaces(blur: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def model_weight(blur: NDArray[np.float32], noise: float) -> NDArray[np.float32]:
     """Return how far every pixel's data can be trusted, 0 to 1, from the relief around it."""
-    side = (_AROUND_PX, _AROUND_PX)
+    least = np.float32(noise**2 + MODEL_ERROR**2)
+    return least / (least + np.float32(_ERROR_PER_PX**2) * local_variance(blur, _AROUND_PX))
+
+
+def local_variance(blur: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+    """Return the variance of a map in a square around every pixel."""
     # Variances of differences from the overall mean keep their digits in single precision.
     centred = blur - blur.mean()
-    variance = np.maximum(cv2.blur(centred**2, side) - cv2.blur(centred, side) ** 2, 0)
-    least = np.float32(noise**2 + MODEL_ERROR**2)
-    return least / (least + np.float32(_ERROR_PER_PX**2) * variance)
+    variance = cv2.blur(centred * centred, (side, side))
+    variance -= cv2.blur(centred, (side, side)) ** 2
+    return np.maximum(variance, 0, out=variance)

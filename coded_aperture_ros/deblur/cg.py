@@ -10,7 +10,6 @@ from coded_aperture_ros.deblur.conjugate import Linear, conjugate_gradients
 from coded_aperture_ros.deblur.iterative import RANGES, Fit, Iterative, preconditioner
 from coded_aperture_ros.deblur.operator import BlurOperator, frame_within, scene_around
 from coded_aperture_ros.deblur.prior import quadratic_power
-from coded_aperture_ros.deblur.psf_basis import PsfBasis
 
 # Variance of photographs in linear light: that of most places, which is less than that of all,
 # edges included. From the best of several on ray-traced scenes.
@@ -23,10 +22,7 @@ class ConjugateGradients(Iterative):
     """The quadratic prior: one linear system for each channel; see `Method`."""
 
     runs_on_torch = True
-
-    def hides(self, basis: PsfBasis, pixels: int) -> bool:
-        """Conjugate gradients that stop early gain nothing from it, and take 1.7 times as long."""
-        return False
+    # Occlusion would take 1.7 times as long for nothing: the iterations stop early.
 
     def minimise(self, fit: Fit) -> list[NDArray[np.float32]]:
         """Return the channels of the sharp scene within the frame."""
@@ -46,7 +42,7 @@ def restore_quadratic(fit: Fit) -> tuple[list[NDArray[np.float32]], int]:
         The most that a channel took.
     """
     operator = fit.operator
-    alpha = float(fit.smoothness * (fit.noise**2 + MODEL_ERROR**2) / _CONTRAST)
+    alpha = float(fit.config.smoothness * (fit.noise**2 + MODEL_ERROR**2) / _CONTRAST)
     power = operator.array(quadratic_power(operator.scene_shape))
     ranges, trusted = operator.ranges(RANGES), operator.array(fit.weight)
     restored, most = [], 0
@@ -57,8 +53,8 @@ def restore_quadratic(fit: Fit) -> tuple[list[NDArray[np.float32]], int]:
             operator.adjoint(trusted * operator.array(coded)),
             operator.array(scene_around(begin, operator)),
             preconditioner(fit, ranges, float(fit.weight.mean()), prior),
-            fit.tolerance,
-            fit.iterations,
+            fit.config.tolerance,
+            fit.config.iterations,
         )
         restored.append(frame_within(operator.to_numpy(scene), operator))
         most = max(most, needed)

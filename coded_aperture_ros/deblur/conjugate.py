@@ -18,16 +18,8 @@ def conjugate_gradients(
     """Solve ``system(x) = right_side``.
 
     Stops when the gradient (thesis eq. 6.28) is below `tolerance` times the right side's norm, or
-    after so many iterations.
-
-    `system` and `preconditioner`, which is near its inverse, are linear, symmetric and positive
-    definite. All else are arrays of NumPy, or tensors of PyTorch, of one shape, float32.
-
-    Returns
-    -------
-    solution : ndarray or torch.Tensor, float32
-    iterations : int
-        That were needed.
+    after so many iterations; returns the solution, and how many it took. `system`, and its near
+    inverse `preconditioner`, are linear, symmetric and positive definite. Arrays are float32.
     """
     solution = start + 0
     residual = right_side - system(solution)

@@ -9,9 +9,8 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blur_map import safe_blur_map
 from coded_aperture_ros.deblur.cg import ConjugateGradients
-from coded_aperture_ros.deblur.closed_form import ClosedForm
 from coded_aperture_ros.deblur.config import DeblurConfig
-from coded_aperture_ros.deblur.fast import Fast
+from coded_aperture_ros.deblur.fast import ClosedForm, Fast
 from coded_aperture_ros.deblur.fill import filled_blur_map
 from coded_aperture_ros.deblur.frame import measured_pixels, opponents
 from coded_aperture_ros.deblur.motion import motion_of_frame
@@ -59,8 +58,7 @@ class Deblurrer:
         if config.threads != old.threads:
             self._workers.close()
             self._workers = Workers(config.threads)
-        of_filters = (config.threads, config.rank, config.band)
-        if of_filters != (old.threads, old.rank, old.band):
+        if (config.threads, config.rank, config.band) != (old.threads, old.rank, old.band):
             self._closed_form = self._new_closed_form()
         if config.temporal_frames != old.temporal_frames:
             self._video = VideoState(config.temporal_frames)

@@ -9,14 +9,7 @@ from coded_aperture_ros.imaging import filled
 # One bad pixel beyond these bounds would spoil the whole frame through its Fourier transform.
 _DARKEST, _BRIGHTEST = -1.0, 2.0
 # Orthonormal: noise that is alike and independent in red, green and blue stays so.
-_OPPONENTS = np.array(
-    [
-        np.array([1.0, 1.0, 1.0]) / np.sqrt(3),
-        np.array([1.0, 0.0, -1.0]) / np.sqrt(2),
-        np.array([1.0, -2.0, 1.0]) / np.sqrt(6),
-    ],
-    np.float32,
-)
+_OPPONENTS = np.float32(np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]]))
 
 
 def measured_pixels(
@@ -24,12 +17,8 @@ def measured_pixels(
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return a frame whose impossible pixels are filled, and which pixels have been measured.
 
-    Parameters
-    ----------
-    frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
-        Pixels that are not finite, or far from [0, 1], are impossible.
-    saturation : float
-        Brightness, at most 2, from which a pixel is not measured, but kept.
+    Pixels that are not finite, or far from [0, 1], are impossible. From a brightness of
+    `saturation` on, at most 2, they are kept, but have not been measured.
 
     Returns
     -------
@@ -55,14 +44,7 @@ def measured_pixels(
 def opponents(image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
     """Return brightness and two colour differences of an image; of a grey one just itself.
 
-    Parameters
-    ----------
-    image : ndarray, float32 [rows, columns] or [rows, columns, 3]
-
-    Returns
-    -------
-    list of ndarray, float32 [rows, columns]
-        ``(r + g + b) / sqrt(3)``, ``(r - b) / sqrt(2)``, ``(r - 2 g + b) / sqrt(6)``.
+    They are ``(r + g + b) / sqrt(3)``, ``(r - b) / sqrt(2)``, ``(r - 2 g + b) / sqrt(6)``.
     """
     if image.ndim == 2:
         return [image]

@@ -36,10 +36,9 @@ class HalfBandFilters(InverseFilters):
         """Deblur the channels of a frame; see `InverseFilters.apply`."""
         halves = [cv2.pyrDown(channel) for channel in channels]
         changes = super().apply(halves, places, noise)
-        return [
-            channel + cv2.pyrUp(change, dstsize=channel.shape[::-1])
-            for channel, change in zip(channels, changes, strict=True)
-        ]
+        size = channels[0].shape[::-1]
+        pairs = zip(channels, changes, strict=True)
+        return [channel + cv2.pyrUp(change, dstsize=size) for channel, change in pairs]
 
     def _new_transforms(self, noise: float, shape: tuple[int, int]) -> NDArray[np.complex64]:
         """Return the transforms of the kernels, less the frame itself, at the lower half.
@@ -50,9 +49,8 @@ class HalfBandFilters(InverseFilters):
         whole = self._basis(noise).transforms((2 * shape[0], 2 * shape[1]))
         rows = np.fft.fftfreq(shape[0], 1 / shape[0]).astype(np.intp)
         lower = whole[:, rows, : shape[1] // 2 + 1]
-        share = _share(np.fft.fftfreq(shape[0]) / 2)[:, None] * _share(
-            np.fft.rfftfreq(shape[1]) / 2
-        )
+        down, across = np.fft.fftfreq(shape[0]) / 2, np.fft.rfftfreq(shape[1]) / 2
+        share = _share(down)[:, None] * _share(across)
         return ((lower - lower[:, :1, :1]) * share).astype(np.complex64)
 
 

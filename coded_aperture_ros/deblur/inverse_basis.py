@@ -11,7 +11,7 @@ from coded_aperture_ros.imaging import transfer_function
 from coded_aperture_ros.optics import PsfStack
 
 # Model errors whose inverse filters span those of all in between.
-MODEL_ERRORS = (0.06, 0.1, 0.3)
+MODEL_ERRORS = np.array([0.06, 0.1, 0.3])
 _ROWS_AT_A_TIME = 16
 # A basis filter with less than this share of the power of the strongest one is rounding error.
 _LEAST_POWER = 1e-8
@@ -55,10 +55,8 @@ class InverseBasis:
     noise : float
         Noise that the basis is best for.
     coarse : ndarray, complex64 [R, n]
-        The basis filters at a coarse sampling of the frequencies, times `coarse_weight`.
-        Orthogonal.
-    coarse_weight : ndarray, float32 [n]
-        How much of each frequency there is in blurred photographs.
+        The basis filters, orthogonal, at a coarse sampling of the frequencies, times how much of
+        each there is in blurred photographs: `coarse_weight`, float32 [n].
     """
 
     stack: PsfStack
@@ -77,27 +75,26 @@ class InverseBasis:
         prior, transfers = _coarse_model(stack)
         weight = np.sqrt(prior * np.mean(np.abs(transfers) ** 2, axis=0) + noise**2)
         weight = weight.ravel().astype(np.float32)
-        errors = np.array(MODEL_ERRORS)
-        filters = wiener_filters(transfers, prior, errors, noise)
+        filters = wiener_filters(transfers, prior, MODEL_ERRORS, noise)
         filters = filters.reshape(-1, weight.size) * weight
         # There are far fewer filters than frequencies: decompose the small Gram matrix.
         rows = filters.view(np.float32)
         powers, vectors = np.linalg.eigh(rows.astype(np.float64) @ rows.T)
         rank = min(rank, int(np.sum(powers > _LEAST_POWER * powers[-1])))
         leading = vectors[:, ::-1][:, :rank].astype(np.float32)
-        generators = leading.reshape(len(stack), len(errors), -1)
+        generators = leading.reshape(len(stack), len(MODEL_ERRORS), -1)
         return cls(stack, generators, noise, leading.T @ filters, weight)
 
     def transforms(self, shape: tuple[int, int]) -> NDArray[np.complex64]:
         """Return the transforms [R, rows, columns // 2 + 1] of the basis for images of `shape`."""
-        prior, errors = image_prior(shape), np.array(MODEL_ERRORS)
+        prior = image_prior(shape)
         transfers = np.array([transfer_function(psf, shape) for psf in self.stack.psfs])
         weights = self.generators.reshape(-1, self.generators.shape[-1]).T
         basis = np.empty((len(weights), *prior.shape), np.complex64)
         # Some rows at a time: the inverse filters of all levels would fill the memory.
         for start in range(0, shape[0], _ROWS_AT_A_TIME):
             rows = slice(start, start + _ROWS_AT_A_TIME)
-            filters = wiener_filters(transfers[:, rows], prior[rows], errors, self.noise)
+            filters = wiener_filters(transfers[:, rows], prior[rows], MODEL_ERRORS, self.noise)
             flat = filters.reshape(weights.shape[1], -1).view(np.float32)
             basis[:, rows] = (weights @ flat).view(np.complex64).reshape(basis[:, rows].shape)
         return basis

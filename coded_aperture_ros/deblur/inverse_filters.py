@@ -1,6 +1,6 @@
 """Closed-form deblurring: every pixel filtered by the inverse of its own level's PSF."""
 
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import cv2
 import numpy as np
@@ -8,6 +8,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.deblur.blur_map import local_variance
 from coded_aperture_ros.deblur.inverse_basis import MODEL_ERRORS, InverseBasis
 from coded_aperture_ros.imaging import periodic, periodic_shape
 from coded_aperture_ros.optics import PsfStack
@@ -33,31 +34,19 @@ class InverseFilters:
     """Space-varying deblurring in closed form.
 
     The inverse filters of all levels share a basis of a few kernels. A frame is filtered by the
-    kernels, and every pixel takes the combination for its own blur size: the cost does not depend
-    on the number of levels or on the relief of the scene.
-
-    Parameters
-    ----------
-    stack : PsfStack
-    rank : int
-        Kernels of the basis.
-    workers : Workers
-        Threads to share the work with.
-
-    Attributes
-    ----------
-    reduction : int
-        Weights change slowly: a map of so many times fewer rows and columns tells them.
+    kernels, and every pixel takes the combination for its own blur size: the time does not depend
+    on the number of levels or on the relief of the scene. The basis has `rank` kernels at most.
     """
 
+    # Weights change slowly: a map of so many times fewer rows and columns tells them.
     reduction = 2
 
     def __init__(self, stack: PsfStack, rank: int, workers: Workers) -> None:
-        self._stack, self._rank, self._workers = stack, rank, workers
+        self._stack, self._workers = stack, workers
         # A PSF reaches so far across the passage from one border to the other, and no farther.
         self._extension_px = max(_EXTENSION_PX, stack.psfs.shape[-1] - 1)
         self._order = np.argsort(stack.blur_sizes_px)
-        self._basis = lru_cache(maxsize=len(_NOISES))(self._new_basis)
+        self._basis = cache(lambda noise: InverseBasis.learn(stack, noise, rank))
         self._transforms = lru_cache(maxsize=len(_NOISES))(self._new_transforms)
         self._lookup_table = lru_cache(maxsize=32)(self._new_lookup_table)
 
@@ -73,11 +62,10 @@ class InverseFilters:
         """
         level = _index_among(self._stack.blur_sizes_px[self._order], blur)
         error = _index_among(np.log(_MODEL_ERRORS), _log_model_error(blur, self.reduction))
-        columns = _STEPS_PER_ERROR * (len(_MODEL_ERRORS) - 1) + 1
-        row = np.rint(level * _STEPS_PER_LEVEL)
-        row *= columns
-        row += np.rint(error * _STEPS_PER_ERROR)
-        return row.astype(np.intp)
+        place = np.rint(level * _STEPS_PER_LEVEL)
+        place *= _STEPS_PER_ERROR * (len(_MODEL_ERRORS) - 1) + 1
+        place += np.rint(error * _STEPS_PER_ERROR)
+        return place.astype(np.intp)
 
     def apply(
         self, channels: list[NDArray[np.float32]], places: NDArray[np.intp], noise: float
@@ -88,20 +76,13 @@ class InverseFilters:
         transforms = self._transforms(basis_noise, periodic_shape(shape, self._extension_px))
         # Steps of a tenth of a decade: there are few different tables.
         lookup = self._lookup_table(basis_noise, round(10 * np.log10(noise)))
-        weights = self._weights(lookup, places, shape)
-        return [self._filter(channel, transforms, weights) for channel in channels]
+        weights = [np.empty(0, np.float32)] * len(lookup)  # of every kernel in every pixel
 
-    def _weights(
-        self, lookup: NDArray[np.float32], places: NDArray[np.intp], shape: tuple[int, ...]
-    ) -> list[NDArray[np.float32]]:
-        """Return the share of every kernel in every pixel."""
-        weights = [np.empty(0, np.float32)] * len(lookup)
-
-        def weigh(kernel: int, thread: int) -> None:
+        def weigh(kernel: int, _: int) -> None:
             weights[kernel] = cv2.resize(np.take(lookup[kernel], places), shape[::-1])
 
         self._workers.each(weigh, range(len(lookup)))
-        return weights
+        return [self._filter(channel, transforms, weights) for channel in channels]
 
     def _filter(
         self,
@@ -120,9 +101,6 @@ class InverseFilters:
 
         self._workers.each(add, range(len(weights)))
         return np.sum(sums, axis=0) if len(sums) > 1 else sums[0]
-
-    def _new_basis(self, noise: float) -> InverseBasis:
-        return InverseBasis.learn(self._stack, noise, self._rank)
 
     def _new_transforms(self, noise: float, shape: tuple[int, int]) -> NDArray[np.complex64]:
         return self._basis(noise).transforms(shape)
@@ -153,12 +131,7 @@ def _index_among(places: NDArray[np.floating], values: NDArray[np.float32]) -> N
 
 def _log_model_error(blur: NDArray[np.float32], reduction: int) -> NDArray[np.float32]:
     """Logarithm of every pixel's model error, from how much the blur size changes around it."""
-    side = (_SURROUNDINGS_PX // reduction | 1,) * 2
-    # Variances of differences from the overall mean keep their digits in single precision.
-    centred = blur - blur.mean()
-    variance = cv2.blur(centred * centred, side)
-    variance -= cv2.blur(centred, side) ** 2
-    np.maximum(variance, 0, out=variance)
+    variance = local_variance(blur, _SURROUNDINGS_PX // reduction | 1)
     variance *= np.float32(_ERROR_PER_PX**2)
     variance += np.float32(_MODEL_ERRORS[0] ** 2)
     return np.asarray(np.log(variance) / 2, np.float32)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blur_map import model_weight
-from coded_aperture_ros.deblur.closed_form import ClosedForm
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.conjugate import Linear
+from coded_aperture_ros.deblur.fast import ClosedForm
 from coded_aperture_ros.deblur.fill import filled_blur_map
 from coded_aperture_ros.deblur.frame import from_opponents
 from coded_aperture_ros.deblur.motion import motion_parts
@@ -23,6 +23,8 @@ from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.deblur.video import VideoState
 from coded_aperture_ros.likelihood import torch_device
 
+# Occlusion is reckoned with, unless asked otherwise, where its weights fit into so much memory.
+_OCCLUSION_BYTES = 512 * 2**20
 # Ranges of blur sizes that the preconditioners tell apart.
 RANGES = 4
 
@@ -43,12 +45,8 @@ class Fit:
         Where to begin, such as the last frame's result.
     noise : float
         Standard deviation.
-    smoothness : float
-        Factor of ``alpha``.
-    tolerance : float
-        Norm of the gradient (thesis eq. 6.28) at which to stop, relative to that of ``H_d^T g``.
-    iterations : int
-        At most so many for each channel.
+    config : DeblurConfig
+        `smoothness` is a factor of ``alpha``; `tolerance` and `iterations` say when to stop.
     """
 
     operator: BlurOperator
@@ -56,33 +54,23 @@ class Fit:
     weight: NDArray[np.float32]
     start: list[NDArray[np.float32]]
     noise: float
-    smoothness: float = 1.0
-    tolerance: float = 1e-3
-    iterations: int = 112
+    config: DeblurConfig
 
 
 class Iterative(abc.ABC):
-    """A `Method` that minimises thesis eq. 6.27, beginning with the closed form.
-
-    Parameters
-    ----------
-    config : DeblurConfig
-    closed_form : ClosedForm
-    basis : callable
-        Returns the `PsfBasis`, which takes time to make the first time.
-    workers : Workers
-    """
+    """A `Method` that minimises thesis eq. 6.27, beginning with the closed form."""
 
     reduction = 1
     edge_reach = 1.0
     removes_motion = True
     runs_on_torch = False
+    gains_by_occlusion = False
 
     def __init__(
         self,
         config: DeblurConfig,
         closed_form: ClosedForm,
-        basis: Callable[[], PsfBasis],
+        basis: Callable[[], PsfBasis],  # it takes time to make the first time
         workers: Workers,
     ) -> None:
         self._config, self._closed_form = config, closed_form
@@ -90,7 +78,7 @@ class Iterative(abc.ABC):
 
     def restore(self, problem: Problem, video: VideoState) -> NDArray[np.float32]:
         """Return the all-in-focus frame; see `Method`."""
-        config, blur, count = self._config, problem.blur_size_px, problem.frame_count
+        blur, count = problem.blur_size_px, problem.frame_count
         most = float(np.max(count))
         noise = problem.noise / float(np.sqrt(most))
         # Edges that are too sharp are found and lost again more easily than blurred ones.
@@ -102,9 +90,7 @@ class Iterative(abc.ABC):
             model_weight(blur, noise) * problem.measured * (count / np.float32(most)),
             video.start(start, np.broadcast_to(count, blur.shape)),
             noise,
-            config.smoothness,
-            config.tolerance,
-            config.iterations,
+            self._config,
         )
         restored = self.minimise(fit)
         video.keep(restored)
@@ -113,10 +99,6 @@ class Iterative(abc.ABC):
     @abc.abstractmethod
     def minimise(self, fit: Fit) -> list[NDArray[np.float32]]:
         """Return the channels of the sharp scene within the frame."""
-
-    @abc.abstractmethod
-    def hides(self, basis: PsfBasis, pixels: int) -> bool:
-        """Whether foregrounds hide what is behind them, where the configuration leaves it open."""
 
     def _operator(self, problem: Problem) -> BlurOperator:
         basis, blur, workers = self._basis(), problem.blur_size_px, self._workers
@@ -127,8 +109,10 @@ class Iterative(abc.ABC):
             from coded_aperture_ros.deblur.torch_blur import TorchBlur
 
             return TorchBlur(basis, blur, device, workers.threads)
-        occlusion = self._config.occlusion
-        if occlusion == "yes" or (occlusion == "auto" and self.hides(basis, blur.size)):
+        # It needs to know what is in front, and memory.
+        fits = basis.in_pixels and 4 * basis.kernels[0].size * blur.size <= _OCCLUSION_BYTES
+        reckons = {"yes": True, "no": False, "auto": self.gains_by_occlusion and fits}
+        if reckons[self._config.occlusion]:
             return OccludedBlur(basis, blur, workers)
         return SpreadingBlur(basis, blur, workers)
 

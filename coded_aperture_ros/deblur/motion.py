@@ -17,18 +17,10 @@ _STEP_PX = 0.25
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MotionParts:
-    """The motion of a frame, piecewise constant.
+    """The motion of a frame: M ways to the right, and down, and which of them each pixel has."""
 
-    Attributes
-    ----------
-    vectors_px : ndarray, float32 [M, 2]
-        Way during the exposure, to the right, and down.
-    labels : ndarray of int [rows, columns]
-        Which of them each pixel has.
-    """
-
-    vectors_px: NDArray[np.float32]
-    labels: NDArray[np.intp]
+    vectors_px: NDArray[np.float32]  # [M, 2]
+    labels: NDArray[np.intp]  # [rows, columns]
 
     def traces(self) -> list[NDArray[np.float32]]:
         """Return the PSF of every motion."""

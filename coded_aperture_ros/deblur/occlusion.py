@@ -46,10 +46,10 @@ class OccludedBlur(OnProcessor):
         amount = np.abs(basis.table_sizes_px).astype(np.float32)[self._steps]
         psfs = np.maximum(basis.psfs(), 0)
         psfs[psfs < 1e-3 * psfs.max(axis=(1, 2), keepdims=True)] = 0
-        offsets = [tuple(offset - self.margin_px) for offset in np.argwhere(psfs.max(axis=0) > 0)]
+        open_at = np.argwhere(psfs.max(axis=0) > 0) - self.margin_px
+        self._offsets = offsets = [(int(down), int(right)) for down, right in open_at]
         # The ray that reaches x from x + offset comes from the PSF at -offset.
         taps = [psfs[:, self.margin_px - down, self.margin_px - right] for down, right in offsets]
-        self._offsets = offsets
         self._weights = np.empty((len(offsets), rows, columns), np.float32)
 
         def weigh(index: int, _: int) -> None:

@@ -7,11 +7,10 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.motion import MotionParts
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
-from coded_aperture_ros.imaging import transfer_function
+from coded_aperture_ros.imaging import periodic_shape, transfer_function
 
 
 class BlurOperator(Protocol):
@@ -52,9 +51,7 @@ class OnProcessor:
         """Return the array itself."""
         return values
 
-    def to_numpy(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the array itself."""
-        return values
+    to_numpy = array
 
 
 def scene_around(
@@ -104,11 +101,6 @@ class SpreadingBlur(OnProcessor):
         Threads to share the work with.
     motion : MotionParts, optional
         Of the same size. By default nothing moves.
-
-    Raises
-    ------
-    InputError
-        If the motion has another size than the blur.
     """
 
     def __init__(
@@ -119,15 +111,10 @@ class SpreadingBlur(OnProcessor):
         motion: MotionParts | None = None,
     ) -> None:
         rows, columns = blur_size_px.shape
-        if motion is not None and motion.labels.shape != (rows, columns):
-            raise InputError(
-                f"motion of {motion.labels.shape[1]}x{motion.labels.shape[0]} px: expected the "
-                f"size of the blur, {columns}x{rows}"
-            )
         traces = [] if motion is None else motion.traces()
         reach_px = max((len(trace) // 2 for trace in traces), default=0)
         self.shape, self.margin_px = (rows, columns), basis.margin_px + reach_px
-        self.scene_shape = fast_shape(self.shape, self.margin_px)
+        self.scene_shape = periodic_shape(self.shape, 2 * self.margin_px)
         self.workers = workers or Workers()
         self._basis = basis
         self._transforms = basis.transforms(self.scene_shape)
@@ -178,16 +165,9 @@ class SpreadingBlur(OnProcessor):
     def ranges(self, count: int) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
         """Divide the scene among ranges of blur sizes, and motions."""
         ranges = self._basis.ranges(self._steps, count)
-        if not self._parts:
-            return ranges
+        moving = list(zip(self._parts, self._traces, strict=True))
         return [
             (share * part, power * np.abs(trace) ** 2)
             for share, power in ranges
-            for part, trace in zip(self._parts, self._traces, strict=True)
-        ]
-
-
-def fast_shape(shape: tuple[int, int], margin_px: int) -> tuple[int, int]:
-    """Return the size of a scene that has a margin and suits Fourier transforms."""
-    rows, columns = (scipy.fft.next_fast_len(n + 2 * margin_px, real=True) for n in shape)
-    return rows, columns
+            for part, trace in moving
+        ] or ranges

@@ -39,13 +39,8 @@ class Problem:
 class Method(Protocol):
     """One way to remove the blur.
 
-    Attributes
-    ----------
-    reduction : int
-        How many times smaller than the frame its map of blur sizes is.
-    edge_reach : float
-        How far it keeps from edges of the depth, relative to the configured reach.
-    removes_motion : bool
+    Its blur maps are `reduction` times smaller than the frame. `edge_reach` says how far it keeps
+    from edges of the depth, relative to the configured reach.
     """
 
     reduction: int

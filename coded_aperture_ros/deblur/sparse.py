@@ -14,7 +14,6 @@ from coded_aperture_ros.deblur.prior import (
     differences_adjoint,
     sparse_weights,
 )
-from coded_aperture_ros.deblur.psf_basis import PsfBasis
 
 # alpha relative to the standard deviation of what the model leaves unexplained. It was best like
 # this from 0.001 to 0.01, not proportional to the variance: the weights of a sparse prior already
@@ -35,49 +34,44 @@ _DISCREPANCY, _LESS = 1.2, 0.7
 _LEAST_NOISE = 0.0002
 # Turns the median absolute value of a normal distribution into its standard deviation.
 _MEDIAN_TO_STD = 1.4826
-# Occlusion is reckoned with where its weights fit into so much memory.
-_OCCLUSION_BYTES = 512 * 2**20
 
 
 class Sparse(Iterative):
     """The prior of sharp edges, and occlusion; see `Method`."""
 
-    def hides(self, basis: PsfBasis, pixels: int) -> bool:
-        """Whether occlusion can be reckoned with: it needs to know what is in front, and memory."""
-        return basis.in_pixels and 4 * basis.kernels[0].size * pixels <= _OCCLUSION_BYTES
+    gains_by_occlusion = True
 
     def minimise(self, fit: Fit) -> list[NDArray[np.float32]]:
         """Return the channels of the sharp scene within the frame."""
-        return restore_sparse(fit, _MISFIT if self._config.edge_reach else _MISFIT_OF_EXACT_DEPTH)
+        return restore_sparse(fit)
 
 
-def restore_sparse(fit: Fit, misfit: float = _MISFIT_OF_EXACT_DEPTH) -> list[NDArray[np.float32]]:
+def restore_sparse(fit: Fit) -> list[NDArray[np.float32]]:
     """Minimise ``||g - H_d f||^2 + alpha sum |D f|^0.7`` by reweighted least squares.
 
     Every few iterations the prior's weights follow the solution (see `sparse_weights`), and pixels
-    that no sharp scene can explain, because their depth is wrong, lose their weight: those whose
-    residual exceeds `misfit`, in units of the noise. The channels share their edges. A hundredth of
-    the tolerance is for one set of weights, which begins near its solution.
+    that no sharp scene can explain, because their depth is wrong, lose their weight. The channels
+    share their edges. A hundredth of the tolerance is for one set of weights, which begins near its
+    solution.
     """
-    operator, channels, noise = fit.operator, fit.channels, fit.noise
+    operator, channels, noise, config = fit.operator, fit.channels, fit.noise, fit.config
     # What is seen of brightness in all channels together has less noise than each of them.
     together = noise / float(np.sqrt(len(channels)))
-    alpha = fit.smoothness * _ALPHA * float(np.hypot(together, MODEL_ERROR))
-    least = fit.smoothness * _ALPHA * float(np.hypot(together, _LEAST_NOISE))
+    alpha = config.smoothness * _ALPHA * float(np.hypot(together, MODEL_ERROR))
+    least = config.smoothness * _ALPHA * float(np.hypot(together, _LEAST_NOISE))
+    misfit = _MISFIT if config.edge_reach else _MISFIT_OF_EXACT_DEPTH
     allowed = misfit * float(np.hypot(together, MODEL_ERROR / np.sqrt(2)))
     ranges, powers = operator.ranges(RANGES), difference_powers(operator.scene_shape)
     scenes = [scene_around(begin, operator) for begin in fit.start]
     trusted = fit.weight
-    for done in range(0, fit.iterations, _INNER):
+    for done in range(0, config.iterations, _INNER):
         if done:
-            left = [
-                coded - operator.forward(scene)
-                for coded, scene in zip(channels, scenes, strict=True)
-            ]
+            pairs = zip(channels, scenes, strict=True)
+            left = [coded - operator.forward(scene) for coded, scene in pairs]
             trusted = fit.weight * _explained(left, noise, allowed)
             # Not before the larger alpha has nearly been solved, which takes fewer iterations.
             unexplained = _MEDIAN_TO_STD * np.median(np.abs(left[0])) > _DISCREPANCY * noise
-            if unexplained and done >= fit.iterations // 2:
+            if unexplained and done >= config.iterations // 2:
                 alpha = max(least, _LESS * alpha)
         edges = sparse_weights(scenes)
         # The weights' typical size: between the arithmetic mean, of smooth areas, and the harmonic
@@ -91,8 +85,8 @@ def restore_sparse(fit: Fit, misfit: float = _MISFIT_OF_EXACT_DEPTH) -> list[NDA
                 operator.adjoint(trusted * coded),
                 scenes[channel],
                 preconditioner(fit, ranges, float(trusted.mean()), strength * penalty),
-                _OF_ONE_SET * fit.tolerance,
-                min(_INNER, fit.iterations - done),
+                _OF_ONE_SET * config.tolerance,
+                min(_INNER, config.iterations - done),
             )
     return [frame_within(scene, operator) for scene in scenes]
 

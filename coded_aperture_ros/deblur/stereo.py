@@ -41,14 +41,9 @@ class Parallax:
     def of_scene(cls, blur_size_px: NDArray[np.float32], shift_px: float) -> "Parallax":
         """Put the median of a scene at the screen, and give what is farthest from it `shift_px`.
 
-        A scene that is almost flat, with a relief of less than 1 px of blur size, gets less.
-
-        Parameters
-        ----------
-        blur_size_px : ndarray, float32 [rows, columns]
-            Signed blur sizes; not finite where unknown.
-        shift_px : float
-            Largest distance between the two views of one point, > 0.
+        This is the largest distance between the two views of one point, > 0. A scene that is almost
+        flat, with a relief of less than 1 px of blur size, gets less. The blur sizes are signed,
+        and not finite where unknown.
 
         Raises
         ------
@@ -69,15 +64,12 @@ class Parallax:
 
 
 def stereo_pair(
-    sharp: NDArray[np.float32],
-    blur_size_px: NDArray[np.float32],
-    parallax: Parallax | float,
+    sharp: NDArray[np.float32], blur_size_px: NDArray[np.float32], parallax: Parallax | float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Render the views of two eyes, at equal distances to the left and right of the given view.
 
-    Every pixel moves by half of its disparity. Surfaces are stretched and compressed without
-    cracks, what is nearer covers what is farther, and what appears from behind a foreground is
-    filled with the mirrored background beside it.
+    Surfaces are stretched and compressed without cracks, what is nearer covers what is farther, and
+    what appears from behind a foreground is filled with the mirrored background beside it.
 
     Parameters
     ----------
@@ -87,8 +79,8 @@ def stereo_pair(
         Signed blur sizes, as of `Camera.blur_size_px`: the larger, the farther. The map covers the
         whole frame, may be smaller, and is not finite where the depth is unknown.
     parallax : Parallax or float
-        A number is the largest distance between the two views of one point in px, and the rest is
-        chosen by `Parallax.of_scene`. A video keeps its scale if all frames share one `Parallax`.
+        A number stands for `Parallax.of_scene` of it. A video keeps its scale if all frames share
+        one `Parallax`.
 
     Returns
     -------
@@ -115,13 +107,7 @@ def stereo_pair(
 
 
 def check_parallax(shift_px: float, width: int) -> None:
-    """Check that views of a frame of so many columns can be so far apart.
-
-    Raises
-    ------
-    InputError
-        If `shift_px` is not positive, or more than half of the width.
-    """
+    """Raise InputError unless views of a frame of so many columns can be so far apart."""
     if not 0 < shift_px < np.inf:
         raise InputError(f"parallax: expected more than 0 px, got {shift_px:g}")
     if 2 * shift_px > width:
@@ -137,14 +123,7 @@ def anaglyph(left: NDArray[np.float32], right: NDArray[np.float32]) -> NDArray[n
     color" anaglyph of P. Wimmer, *Anaglyph Methods Comparison*, 3dtv.at. The red of the left view
     itself would make red and blue things bright for one eye and dark for the other.
 
-    Parameters
-    ----------
-    left, right : ndarray, float32 [rows, columns] or [rows, columns, 3]
-        Linear light in [0, 1], of one shape.
-
-    Returns
-    -------
-    ndarray, float32 [rows, columns, 3]
+    Both are float32 in linear light, of one shape; the picture is [rows, columns, 3].
 
     Raises
     ------

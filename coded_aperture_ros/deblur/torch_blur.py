@@ -5,8 +5,9 @@ import torch
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.deblur.operator import fast_shape, frame_within, steps_around
+from coded_aperture_ros.deblur.operator import frame_within, steps_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
+from coded_aperture_ros.imaging import periodic_shape
 
 
 class TorchBlur:
@@ -24,7 +25,7 @@ class TorchBlur:
         torch.set_num_threads(threads)
         rows, columns = blur_size_px.shape
         self.shape, self.margin_px = (rows, columns), basis.margin_px
-        self.scene_shape = fast_shape(self.shape, self.margin_px)
+        self.scene_shape = periodic_shape(self.shape, 2 * self.margin_px)
         # Operations on whole stacks of images: PyTorch shares them among threads by itself.
         self.workers = Workers()
         self._device = device

@@ -16,12 +16,7 @@ class VideoState:
     The thesis proposes such weights for depth (eq. 8.11) and leaves all-in-focus frames for later.
     Averaged coded frames have less noise, so that the filters may be sharper; averaged
     all-in-focus frames would only be less noisy. What moves by a fraction of a pixel starts anew
-    and is deblurred as a single frame.
-
-    Parameters
-    ----------
-    most_frames : float
-        Frames that are averaged at most; 0: every frame for itself, and nothing is remembered.
+    and is deblurred as a single frame. With `most_frames` 0 nothing is remembered.
     """
 
     def __init__(self, most_frames: float) -> None:
@@ -39,18 +34,9 @@ class VideoState:
     ) -> tuple[list[NDArray[np.float32]], NDArray[np.float32]]:
         """Return the mean with one more frame, and how many frames it is of.
 
-        Parameters
-        ----------
-        channels : list of ndarray, float32 [rows, columns]
-            Another number or size of channels than before begins another video.
-        noise : float
-            Standard deviation of one frame's noise.
-
-        Returns
-        -------
-        channels : list of ndarray, float32 [rows, columns]
-        frame_count : ndarray, float32 [rows, columns], or [1, 1] of single frames
-            Of the channel that changed most; at least 1.
+        Another number or size of channels than before begins another video. `noise` is the
+        standard deviation of one frame's. The count is that of the channel that changed most, at
+        least 1, float32 [rows, columns], or [1, 1] of single frames.
         """
         if not self._most_frames:
             return channels, np.ones((1, 1), np.float32)
@@ -60,10 +46,8 @@ class VideoState:
             self._shape = shape
         if not self._averages:
             self._averages = [StaticAverage(self._most_frames) for _ in channels]
-        means = [
-            average.add(channel, noise)
-            for average, channel in zip(self._averages, channels, strict=True)
-        ]
+        pairs = zip(self._averages, channels, strict=True)
+        means = [average.add(channel, noise) for average, channel in pairs]
         least = np.min([count for _, count in means], axis=0)
         frame_count = cv2.resize(least, shape[:0:-1], interpolation=cv2.INTER_LINEAR)
         return [mean.copy() for mean, _ in means], np.asarray(frame_count, np.float32)
@@ -74,10 +58,8 @@ class VideoState:
         """Return where to begin to restore: the last result wherever nothing has changed."""
         if self._restored is None:
             return closed_form
-        return [
-            np.where(frame_count > _STATIC, last, fresh)
-            for last, fresh in zip(self._restored, closed_form, strict=True)
-        ]
+        pairs = zip(self._restored, closed_form, strict=True)
+        return [np.where(frame_count > _STATIC, last, fresh) for last, fresh in pairs]
 
     def keep(self, restored: list[NDArray[np.float32]]) -> None:
         """Remember a result, to begin with it next time."""

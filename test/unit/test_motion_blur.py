@@ -12,7 +12,7 @@ from scipy.signal import fftconvolve
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.deblur.blur_map import smoothed_over_surfaces
-from coded_aperture_ros.deblur.motion import motion_parts
+from coded_aperture_ros.deblur.motion import motion_of_frame, motion_parts
 from coded_aperture_ros.deblur.operator import SpreadingBlur, frame_within, scene_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.io import write_image
@@ -51,10 +51,11 @@ def test_the_adjoint_is_the_transpose(seed):
     assert_adjoint(moving_blur(BASIS, *fields()), seed)
 
 
-def test_motion_of_another_size_is_refused():
-    blur, motion_px = fields()
-    with pytest.raises(InputError, match="motion of 96x40 px: expected the size of the blur, 96x"):
-        moving_blur(BASIS, blur, motion_px[:40])
+def test_motion_is_brought_to_the_size_of_the_frame():
+    _, motion_px = fields()
+    large = motion_of_frame(motion_px[::2, ::2], SHAPE)
+    assert np.array_equal(large, motion_px)
+    assert motion_of_frame(np.zeros_like(motion_px), SHAPE) is None
 
 
 def test_a_plane_that_moves_is_convolved_with_both():

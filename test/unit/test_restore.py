@@ -58,6 +58,11 @@ def sharp():
     return edges_and_texture((12, 14), 10)
 
 
+def stopping(tolerance, iterations):
+    """Settings for depth that is exact."""
+    return DeblurConfig(edge_reach=0, tolerance=tolerance, iterations=iterations)
+
+
 def test_basis_gives_back_psfs_of_fractional_size(stack, basis):
     """It has fewer kernels than levels, and what it leaves out is hardly seen in photographs."""
     dense = render_psf_stack(Mask.named("levin"), np.linspace(1, 11, 41))
@@ -191,9 +196,9 @@ def test_quadratic_solution_is_the_minimum(basis, sharp):
     blur = SpreadingBlur(basis, relief(sharp.shape))
     coded = blur.forward(scene_around(sharp, blur))
     one = np.ones(sharp.shape, np.float32)
-    few, needed = restore_quadratic(Fit(blur, [coded], one, [coded], NOISE, 1.0, 1e-4, 200))
+    few, needed = restore_quadratic(Fit(blur, [coded], one, [coded], NOISE, stopping(1e-4, 200)))
     assert needed < 60
-    many, _ = restore_quadratic(Fit(blur, [coded], one, [sharp], NOISE, 1.0, 1e-6, 400))
+    many, _ = restore_quadratic(Fit(blur, [coded], one, [sharp], NOISE, stopping(1e-6, 400)))
     inside = np.s_[12:-12, 12:-12]  # the scene beyond the border hardly shows in the gradient
     assert psnr_db(few[0][inside], many[0][inside]) > 40
     assert psnr_db(many[0], sharp) > psnr_db(coded, sharp) + 3
@@ -205,7 +210,7 @@ def test_sparse_restoration_beats_the_quadratic_one(operator, basis, sharp):
     noise = np.random.default_rng(5).normal(0, 0.002, sharp.shape).astype(np.float32)
     coded = blur.forward(scene_around(sharp, blur)) + noise
     one = np.ones(sharp.shape, np.float32)
-    fit = Fit(blur, [coded], one, [coded], NOISE, 1.0, 1e-5, 60)
+    fit = Fit(blur, [coded], one, [coded], NOISE, stopping(1e-5, 60))
     (quadratic, _), sparse = restore_quadratic(fit), restore_sparse(fit)
     assert psnr_db(sparse[0], sharp) > psnr_db(quadratic[0], sharp) + 1
     residual = blur.forward(scene_around(sparse[0], blur)) - coded
