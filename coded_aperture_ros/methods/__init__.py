@@ -1,1 +1,1 @@
-"""Likelihoods other than the filter bank's: two-pixel, motion, subspaces."""
+"""Likelihoods other than the filter bank's: two-pixel matching, and motion."""

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from cli_scene import call, camera_file, texture
+from coded_aperture_benchmarks.reference.conditional import conditional_levels
 from coded_aperture_benchmarks.single_planes import TABLE_5_1, make_planes
 from coded_aperture_benchmarks.stair import blur_stack
 from scipy.signal import fftconvolve
@@ -14,7 +15,6 @@ from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.io.textures import load_textures
 from coded_aperture_ros.methods.two_pixel import (
     SimpleConfig,
-    conditional_levels,
     find_holes,
     neighbour_lines,
     neighbour_model,

@@ -217,7 +217,8 @@ def _neighbour_model(mask: str, levels: int, window_px: int) -> Any:
 
 
 def _conditional(coded: "NDArray[np.float32]", setting: Setting) -> Any:
-    from coded_aperture_ros.methods.two_pixel import conditional_levels, find_holes
+    from coded_aperture_benchmarks.reference.conditional import conditional_levels
+    from coded_aperture_ros.methods.two_pixel import find_holes
 
     sizes = _stack(setting.mask, setting.levels).blur_sizes_px
     return conditional_levels(coded, find_holes(mask_of(setting.mask)), sizes, setting.window_px)
@@ -225,7 +226,7 @@ def _conditional(coded: "NDArray[np.float32]", setting: Setting) -> Any:
 
 @lru_cache(maxsize=2)
 def _subspace_bank(mask: str, levels: int) -> Any:
-    from coded_aperture_ros.methods.subspace import learn_subspace_bank
+    from coded_aperture_benchmarks.reference.subspace import learn_subspace_bank
 
     return learn_subspace_bank(_stack(mask, levels), mask=mask_of(mask))
 

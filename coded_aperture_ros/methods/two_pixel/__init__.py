@@ -1,6 +1,5 @@
 """Depth for masks of a few equal holes: a pixel and its neighbours at the holes' offsets."""
 
-from coded_aperture_ros.methods.two_pixel.conditional import conditional_levels
 from coded_aperture_ros.methods.two_pixel.config import SimpleConfig
 from coded_aperture_ros.methods.two_pixel.holes import Holes, find_holes
 from coded_aperture_ros.methods.two_pixel.likelihood import NeighbourModel, TwoPixelLikelihood
@@ -13,7 +12,6 @@ __all__ = [
     "NeighbourModel",
     "SimpleConfig",
     "TwoPixelLikelihood",
-    "conditional_levels",
     "find_holes",
     "neighbour_lines",
     "neighbour_model",

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from coded_aperture_benchmarks.reference.subspace import learn_subspace_bank
 from scipy.signal import fftconvolve
 from textures import blurred_texture
 
@@ -10,7 +11,6 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.likelihood.scoring import TEMPERATURE
-from coded_aperture_ros.methods.subspace import learn_subspace_bank
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
 SIZES = np.linspace(3.0, 9.0, 5)
