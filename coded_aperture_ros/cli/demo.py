@@ -29,7 +29,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.share import share_directory
 
 if TYPE_CHECKING:
-    from coded_aperture_ros.ros.demo_monitor import DemoMonitor, Snapshot
+    from coded_aperture_ros.ros.demo_monitor import DemoMonitor
 
 CAMERA_FILE = "demo_camera.yaml"
 # What the scene covers, and a little more.
@@ -176,7 +176,7 @@ def _measure(monitor: "DemoMonitor", children: Children, say: Speaker, seconds: 
     say.table([f"{seconds:g} s", *table(summarise(monitor, seconds))])
 
 
-def _take_snapshot(monitor: "DemoMonitor", children: Children) -> "Snapshot":
+def _take_snapshot(monitor: "DemoMonitor", children: Children) -> dict[str, Any]:
     monitor.want_true_image()
     deadline = time.monotonic() + _SNAPSHOT_TIMEOUT_S
     while (snapshot := monitor.snapshot()) is None:

@@ -8,14 +8,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from coded_aperture_ros.ros.demo_monitor import DemoMonitor, Snapshot
+    from numpy.typing import NDArray
 
+    from coded_aperture_ros.ros.demo_monitor import DemoMonitor
+
+    Snapshot = dict[str, NDArray]
+
+_LATENCIES = ("latency_median_s", "latency_p99_s", "latency_max_s")
 RESULTS = ("coded.png", "depth.png", "all_in_focus.png", "summary.json")
 
 
 def summarise(monitor: "DemoMonitor", seconds: float) -> dict[str, Any]:
     """Return what was measured, ready for JSON; latencies are from the stamp to the reception."""
+    import numpy as np
+
     from coded_aperture_ros.ros import demo_monitor
+    from coded_aperture_ros.ros.diagnostics import percentiles
 
     summary: dict[str, Any] = {"seconds": seconds}
     for name, topic, node in (
@@ -23,21 +31,17 @@ def summarise(monitor: "DemoMonitor", seconds: float) -> dict[str, Any]:
         ("depth", demo_monitor.DEPTH, "depth_node"),
         ("deblur", demo_monitor.DEBLURRED, "deblur_node"),
     ):
-        figures = monitor.figures(topic)
-        entry: dict[str, Any] = {
-            "frames": figures.frames,
-            "rate_hz": round(figures.rate_hz, 3),
-            "frames_in_each_second": figures.rates_hz,
+        arrivals = monitor.arrivals(topic)
+        of_second = np.bincount([int(at_s) for at_s, _ in arrivals], minlength=int(seconds))
+        latencies_s = percentiles([latency_s for _, latency_s in arrivals]) or (math.nan,) * 3
+        summary[name] = {
+            "frames": len(arrivals),
+            "rate_hz": round(len(arrivals) / seconds, 3),
+            "frames_in_each_second": of_second[: int(seconds)].tolist(),
+            **dict(zip(_LATENCIES, map(_number, latencies_s), strict=True)),
         }
-        median, p99, longest = figures.latency_s or (math.nan,) * 3
-        entry.update(
-            latency_median_s=_number(median), latency_p99_s=_number(p99),
-            latency_max_s=_number(longest),
-        )  # fmt: skip
         if node is not None:
-            entry["dropped"] = monitor.count(node, "dropped")
-            entry["rejected"] = monitor.count(node, "rejected")
-        summary[name] = entry
+            summary[name] |= {key: monitor.count(node, key) for key in ("dropped", "rejected")}
     errors = monitor.depth_errors()
     summary["depth"]["median_relative_error"] = _median([e.median_relative for e in errors])
     summary["depth"]["coverage"] = _median([e.coverage for e in errors])
@@ -49,34 +53,34 @@ def write_results(output: Path, snapshot: "Snapshot", summary: dict[str, Any]) -
     from coded_aperture_ros.core.files import atomic_output
     from coded_aperture_ros.imaging import SRGB
     from coded_aperture_ros.io import depth_picture, write_image
+    from coded_aperture_ros.ros.demo_monitor import CODED, DEBLURRED, DEPTH
 
-    write_image(output / "coded.png", snapshot.coded, bits=8, gamma=SRGB)
-    write_image(output / "all_in_focus.png", snapshot.all_in_focus, bits=8, gamma=SRGB)
-    write_image(output / "depth.png", depth_picture(snapshot.depth_m))
+    write_image(output / "coded.png", snapshot[CODED], bits=8, gamma=SRGB)
+    write_image(output / "all_in_focus.png", snapshot[DEBLURRED], bits=8, gamma=SRGB)
+    write_image(output / "depth.png", depth_picture(snapshot[DEPTH]))
     with atomic_output(output / "summary.json") as path:
         path.write_text(json.dumps(summary, indent=2) + "\n")
 
 
 def table(summary: dict[str, Any]) -> list[str]:
     """Return the figures as lines of text."""
-    lines = [
-        f"{'':8}{'rate Hz':>9}{'latency ms: median':>20}{'p99':>7}{'max':>7}{'dropped':>9}",
-    ]
+    lines = [f"{'':8}{'rate Hz':>9}{'latency ms: median':>20}{'p99':>7}{'max':>7}{'dropped':>9}"]
     for name in ("camera", "depth", "deblur"):
         entry = summary[name]
-        latencies = [entry[f"latency_{part}_s"] for part in ("median", "p99", "max")]
+        latencies = (entry[key] for key in _LATENCIES)
         median, p99, longest = ("-" if s is None else f"{s * 1000:.0f}" for s in latencies)
         lines.append(
             f"{name:8}{entry['rate_hz']:9.1f}{median:>20}{p99:>7}{longest:>7}"
             f"{entry.get('dropped', ''):>9}"
         )
-    error, coverage = summary["depth"]["median_relative_error"], summary["depth"]["coverage"]
+    error, coverage = (summary["depth"][key] for key in ("median_relative_error", "coverage"))
     if error is None:
-        lines.append("depth error: -")
-    else:
-        lines.append(f"depth error: median {error:.1%} (70 % most confident pixels), "
-                     f"{coverage:.0%} of pixels have depth")  # fmt: skip
-    return lines
+        return [*lines, "depth error: -"]
+    of_what = "70 % most confident pixels"
+    return [
+        *lines,
+        f"depth error: median {error:.1%} ({of_what}), {coverage:.0%} of pixels have depth",
+    ]
 
 
 class Speaker:
@@ -104,15 +108,18 @@ class Speaker:
 
 def figures_of_snapshot(snapshot: "Snapshot") -> dict[str, Any]:
     """Return what one frame and its results say, ready for JSON."""
-    coded_db, all_in_focus_db = snapshot.psnr_db()
+    from coded_aperture_ros.metrics.errors import psnr_db
+    from coded_aperture_ros.ros import demo_monitor as topics
+
+    sharp, depth_m = snapshot[topics.TRUE_IMAGE], snapshot[topics.DEPTH]
+    error = topics.error_of(depth_m, snapshot[topics.CONFIDENCE], snapshot[topics.TRUE_DEPTH])
     return {
-        "frame": [snapshot.coded.shape[1], snapshot.coded.shape[0]],
-        "depth_image": [snapshot.depth_m.shape[1], snapshot.depth_m.shape[0]],
-        "psnr_coded_db": _number(coded_db),
-        "psnr_all_in_focus_db": _number(all_in_focus_db),
+        "frame": [*sharp.shape[1::-1]],
+        "depth_image": [*depth_m.shape[::-1]],
+        "psnr_coded_db": _number(psnr_db(snapshot[topics.CODED], sharp)),
+        "psnr_all_in_focus_db": _number(psnr_db(snapshot[topics.DEBLURRED], sharp)),
         "snapshot_depth": {
-            name: _number(value)
-            for name, value in dataclasses.asdict(snapshot.depth_error()).items()
+            name: _number(value) for name, value in dataclasses.asdict(error).items()
         },
     }
 

@@ -98,12 +98,11 @@ def run(args: argparse.Namespace) -> int:
     pipeline = pipeline_of(args, camera)
     prior = expected_motion_of(args, camera)
     both_sides = pipeline.estimator.model.stack.has_both_sides
-    frames = named_frames(
-        args,
-        ".npy",
-        _SUFFIXES,
-        lambda path: [*_outputs(path, args), *([_side_output(path)] if both_sides else [])],
-    )
+
+    def files(path: Path) -> dict[str, Path]:
+        return _files(path, args, both_sides)
+
+    frames = named_frames(args, ".npy", _SUFFIXES, lambda path: files(path).values())
     summaries: list[dict[str, Any]] = []
     for _, video in groupby(frames, key=lambda frame: frame.video):
         pipeline.reset()
@@ -115,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
             values = estimate.depth_m
             if args.as_levels or values is None:
                 values = estimate.level
-            _write(frame.output, values, estimate, args)
+            _write(files(frame.output), values, estimate, args)
             summary = _summary(frame, values, estimate, seconds, args)
             summaries.append(summary)
             if not args.json:
@@ -199,40 +198,30 @@ def _in_words(summary: dict[str, Any]) -> str:
     return f"{found}; noise {summary['noise']:.4f}, {summary['seconds']:.2f} s"
 
 
-def _side_output(path: Path) -> Path:
-    """Return the file of how sure the side of the focal plane is."""
-    return path.with_suffix(f".side{'.npy' if path.suffix.lower() == '.npy' else '.tiff'}")
-
-
-def _outputs(path: Path, args: argparse.Namespace) -> list[Path]:
-    """Return the files of depth and confidence, and of pictures and motion if wanted."""
+def _files(path: Path, args: argparse.Namespace, both_sides: bool) -> dict[str, Path]:
+    """Return the file of each result."""
     # A PNG cannot hold floating values.
     suffix = ".tiff" if path.suffix.lower() == ".png" else path.suffix
-    paths = [path, path.with_suffix(f".confidence{suffix}")]
+    ends = {"confidence": f".confidence{suffix}"}
     if args.pictures:
-        paths += [path.with_suffix(".picture.png"), path.with_suffix(".confidence.picture.png")]
+        ends |= {"picture": ".picture.png", "confidence picture": ".confidence.picture.png"}
     if args.motion:
-        paths += [path.with_suffix(".motion.npy"), path.with_suffix(".motion.confidence.npy")]
-    return paths
+        ends |= {"motion": ".motion.npy", "motion confidence": ".motion.confidence.npy"}
+    if both_sides:
+        ends["side"] = f".side{'.npy' if suffix.lower() == '.npy' else '.tiff'}"
+    return {"depth": path, **{name: path.with_suffix(end) for name, end in ends.items()}}
 
 
-def _write(path: Path, values: Any, estimate: Any, args: argparse.Namespace) -> None:
-    import numpy as np
-
-    from coded_aperture_ros.core.files import atomic_output
+def _write(files: dict[str, Path], values: Any, estimate: Any, args: argparse.Namespace) -> None:
     from coded_aperture_ros.io import confidence_picture, depth_picture, write_depth, write_image
 
-    depth_path, confidence_path, *others = _outputs(path, args)
-    write_depth(depth_path, values)
-    write_depth(confidence_path, estimate.confidence)
-    if estimate.side_confidence is not None:
-        write_depth(_side_output(path), estimate.side_confidence)
-    if args.pictures:
-        write_image(others[0], depth_picture(values, unit="" if args.as_levels else "m"))
-        write_image(others[1], confidence_picture(estimate.confidence))
+    results = {"depth": values, "confidence": estimate.confidence}
+    results["side"] = estimate.side_confidence
     if args.motion:
-        for output, motion in zip(
-            others[-2:], (estimate.motion.vectors_px, estimate.motion.confidence), strict=True
-        ):
-            with atomic_output(output) as unfinished:
-                np.save(unfinished, motion)
+        results["motion"] = estimate.motion.vectors_px
+        results["motion confidence"] = estimate.motion.confidence
+    for name in results.keys() & files.keys():
+        write_depth(files[name], results[name])
+    if args.pictures:
+        write_image(files["picture"], depth_picture(values, unit="" if args.as_levels else "m"))
+        write_image(files["confidence picture"], confidence_picture(estimate.confidence))

@@ -2,10 +2,9 @@
 
 import threading
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -19,51 +18,17 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image
 
-from coded_aperture_ros.metrics.errors import DepthError, depth_error, psnr_db
-from coded_aperture_ros.ros.diagnostics import percentiles
+from coded_aperture_ros.metrics.errors import DepthError, depth_error
 from coded_aperture_ros.ros.messages import array_from_image, frame_from_image, stamp_ns
 
-CODED, DEPTH, CONFIDENCE, DEBLURRED = (
-    "image_raw",
-    "depth/image",
-    "depth/confidence",
-    "deblurred/image",
-)
+CODED, DEBLURRED = "image_raw", "deblurred/image"
+DEPTH, CONFIDENCE = "depth/image", "depth/confidence"
 TRUE_DEPTH, TRUE_IMAGE = "ground_truth/depth", "ground_truth/image"
 _MEASURED = (CODED, DEPTH, DEBLURRED)
+_PICTURES = (CODED, DEBLURRED, TRUE_IMAGE)
+_MAPS = (DEPTH, CONFIDENCE, TRUE_DEPTH)
 # Frames to keep until the last of their results has come.
 _KEPT_FRAMES = 60
-
-
-@dataclass(frozen=True)
-class StreamFigures:
-    """What was received on one topic; latency from the stamp to the reception."""
-
-    frames: int
-    rate_hz: float
-    rates_hz: list[int]
-    latency_s: tuple[float, float, float] | None
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """One frame with everything that was made from it; arrays as in the library."""
-
-    coded: NDArray[np.float32]
-    depth_m: NDArray[np.float32]
-    confidence: NDArray[np.float32]
-    all_in_focus: NDArray[np.float32]
-    true_image: NDArray[np.float32]
-    true_depth_m: NDArray[np.float32]
-
-    def depth_error(self) -> DepthError:
-        """Return the error of the depth map."""
-        truth = resampled(self.true_depth_m, self.depth_m.shape)
-        return depth_error(self.depth_m, self.confidence, truth)
-
-    def psnr_db(self) -> tuple[float, float]:
-        """Return the PSNR of the coded and of the all-in-focus frame, in dB."""
-        return psnr_db(self.coded, self.true_image), psnr_db(self.all_in_focus, self.true_image)
 
 
 class DemoMonitor(Node):
@@ -81,7 +46,7 @@ class DemoMonitor(Node):
         self._frames: dict[int, dict[str, Image]] = {}
         self._errors: deque[DepthError] = deque(maxlen=2000)
         self._reported: dict[str, dict[str, str]] = {}
-        self._before: Counter[tuple[str, str]] = Counter()
+        self._before: dict[str, dict[str, str]] = {}
         self._begun_s = time.monotonic()
         self._truth_wanted = False
         for topic in (CODED, DEPTH, CONFIDENCE, DEBLURRED, TRUE_DEPTH):
@@ -95,32 +60,20 @@ class DemoMonitor(Node):
             for arrivals in self._arrivals.values():
                 arrivals.clear()
             self._errors.clear()
-            self._before = Counter(
-                {
-                    (node, key): int(value)
-                    for node, values in self._reported.items()
-                    for key, value in values.items()
-                    if value.isdigit()
-                }
-            )
+            self._before = {node: dict(values) for node, values in self._reported.items()}
 
     def received(self, topic: str) -> int:
         """Return how many messages came on a measured topic since `begin`."""
         with self._lock:
             return len(self._arrivals[topic])
 
-    def figures(self, topic: str) -> StreamFigures:
-        """Return rate and latency of a measured topic since `begin`."""
+    def arrivals(self, topic: str) -> list[tuple[float, float]]:
+        """Return when each message of a measured topic came, s from `begin`, and its latency, s.
+
+        Latencies are from the stamp to the reception.
+        """
         with self._lock:
-            arrivals = list(self._arrivals[topic])
-            elapsed_s = time.monotonic() - self._begun_s
-        seconds = [int(arrived_s - self._begun_s) for arrived_s, _ in arrivals]
-        return StreamFigures(
-            len(arrivals),
-            len(arrivals) / max(elapsed_s, 1e-3),
-            np.bincount(seconds, minlength=max(int(elapsed_s), 0))[: int(elapsed_s)].tolist(),
-            percentiles([latency_s for _, latency_s in arrivals]),
-        )
+            return [(at_s - self._begun_s, latency_s) for at_s, latency_s in self._arrivals[topic]]
 
     def depth_errors(self) -> list[DepthError]:
         """Return the errors of the depth images compared since `begin`."""
@@ -130,7 +83,8 @@ class DemoMonitor(Node):
     def count(self, node: str, key: str) -> int:
         """Return a count from a node's diagnostics since `begin`."""
         with self._lock:
-            return int(self._reported.get(node, {}).get(key, 0)) - self._before[node, key]
+            now, before = (of.get(node, {}).get(key, 0) for of in (self._reported, self._before))
+        return int(now) - int(before)
 
     def want_true_image(self) -> None:
         """Subscribe to the true image as well, for a snapshot."""
@@ -138,24 +92,17 @@ class DemoMonitor(Node):
             self._truth_wanted = True
             self._subscribe(TRUE_IMAGE)
 
-    def snapshot(self) -> Snapshot | None:
-        """Return the newest frame of which everything has been received."""
-        wanted = (CODED, DEPTH, CONFIDENCE, DEBLURRED, TRUE_IMAGE, TRUE_DEPTH)
+    def snapshot(self) -> dict[str, NDArray[np.float32]] | None:
+        """Return the newest frame of which everything has been received: arrays by their topics."""
+        wanted = {*_PICTURES, *_MAPS}
         with self._lock:
-            complete = [
-                frame for frame in self._frames.values() if all(topic in frame for topic in wanted)
-            ]
+            complete = [frame for frame in self._frames.values() if wanted <= frame.keys()]
         if not complete:
             return None
-        frame = complete[-1]
-        return Snapshot(
-            coded=frame_from_image(frame[CODED]),
-            depth_m=array_from_image(frame[DEPTH]),
-            confidence=array_from_image(frame[CONFIDENCE]),
-            all_in_focus=frame_from_image(frame[DEBLURRED]),
-            true_image=frame_from_image(frame[TRUE_IMAGE]),
-            true_depth_m=array_from_image(frame[TRUE_DEPTH]),
-        )
+        return {
+            topic: (frame_from_image if topic in _PICTURES else array_from_image)(image)
+            for topic, image in complete[-1].items()
+        }
 
     def _subscribe(self, topic: str) -> None:
         self.create_subscription(
@@ -172,14 +119,9 @@ class DemoMonitor(Node):
             frame = self._frames.setdefault(stamp, {})
             frame[topic] = image
             self._forget_frames(stamp, topic)
-            if topic not in (DEPTH, CONFIDENCE) or not {DEPTH, CONFIDENCE, TRUE_DEPTH} <= set(
-                frame
-            ):
+            if topic not in (DEPTH, CONFIDENCE) or not {*_MAPS} <= frame.keys():
                 return
-        estimate, truth = array_from_image(frame[DEPTH]), array_from_image(frame[TRUE_DEPTH])
-        error = depth_error(
-            estimate, array_from_image(frame[CONFIDENCE]), resampled(truth, estimate.shape)
-        )
+        error = error_of(*(array_from_image(frame[topic]) for topic in _MAPS))
         with self._lock:
             self._errors.append(error)
 
@@ -198,11 +140,13 @@ class DemoMonitor(Node):
                 self._reported[node] = {pair.key: pair.value for pair in status.values}
 
 
-def resampled(depth_m: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Return a depth map at another size, each value one that it had: depths are never mixed."""
-    if depth_m.shape == shape:
-        return depth_m
-    return cv2.resize(depth_m, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST_EXACT)
+def error_of(
+    depth_m: NDArray[np.float32], confidence: NDArray[np.float32], true_depth_m: NDArray[np.float32]
+) -> DepthError:
+    """Return the error of a depth map, which may be of another size than the truth."""
+    # Each value is one that the truth had: depths are never mixed.
+    truth = cv2.resize(true_depth_m, depth_m.shape[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
+    return depth_error(depth_m, confidence, np.asarray(truth, np.float32))
 
 
 @contextmanager
