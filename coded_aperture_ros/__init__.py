@@ -3,9 +3,8 @@
 The names below are all that most programs need; they are imported when first used.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
+# As in `typing`, whose import would take ten times as long as this package's.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from coded_aperture_ros.bank import FilterBank, learn_bank
     from coded_aperture_ros.deblur import Deblurrer
@@ -33,9 +32,11 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name not in _ROOMS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
     return getattr(import_module(f"{__name__}.{_ROOMS[name]}"), name)
 
 
