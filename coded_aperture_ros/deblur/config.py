@@ -30,6 +30,7 @@ class DeblurConfig:
         "Variance of one channel's shot noise per unit of light; adds to the variance of noise.",
         minimum=0.0,
         maximum=0.1,
+        parameter="noise.gain",
     )
     smoothness: float = option(
         1.0,

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.likelihood import LikelihoodModel
+from coded_aperture_ros.likelihood import BlurLevels, LikelihoodModel
 from coded_aperture_ros.optics import Camera
 
 # Steps between two levels that blur sizes and depths are tabulated at: finer than any estimate.
@@ -92,7 +92,7 @@ class Levels:
         return self._size_table[index], depth
 
 
-def depths_are_measured(model: LikelihoodModel) -> bool:
+def depths_are_measured(model: BlurLevels) -> bool:
     """Return whether a model knows its depths from measurement, better than by a camera file."""
     return not model.mask_digest and model.stack.depths_m is not None
 

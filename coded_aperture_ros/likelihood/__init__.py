@@ -10,11 +10,18 @@ from coded_aperture_ros.likelihood.backends import (
 from coded_aperture_ros.likelihood.filters import FilterLikelihood
 from coded_aperture_ros.likelihood.numpy_engine import NumpyEngine
 from coded_aperture_ros.likelihood.plan import Plan
-from coded_aperture_ros.likelihood.protocol import Cost, Likelihood, LikelihoodModel, MotionField
+from coded_aperture_ros.likelihood.protocol import (
+    BlurLevels,
+    Cost,
+    Likelihood,
+    LikelihoodModel,
+    MotionField,
+)
 from coded_aperture_ros.likelihood.scoring import plausible_ratios, relative_cost, take_logarithm
 
 __all__ = [
     "BACKENDS",
+    "BlurLevels",
     "Cost",
     "Engine",
     "FilterLikelihood",

@@ -89,8 +89,8 @@ class Likelihood(Protocol):
         """Let go of threads and device memory."""
 
 
-class LikelihoodModel(Protocol):
-    """What depth estimation needs to know about a mask: the blur levels, and how to plan."""
+class BlurLevels(Protocol):
+    """What is known of a mask without regard to a method: how it blurs at every level."""
 
     @property
     def stack(self) -> PsfStack:
@@ -98,15 +98,7 @@ class LikelihoodModel(Protocol):
 
     @property
     def window_px(self) -> int:
-        """Side of the patches."""
-
-    @property
-    def stride_px(self) -> int:
-        """Distance between patches, unless another is asked for."""
-
-    @property
-    def fattening(self) -> float:
-        """How far foregrounds are too wide, relative to Hann windows of `window_px`."""
+        """Side of the patches, or of the smallest frame."""
 
     @property
     def noise(self) -> float:
@@ -118,7 +110,19 @@ class LikelihoodModel(Protocol):
 
     @property
     def learned_from(self) -> str:
-        """How the model came to be, for a person to read."""
+        """How the levels came to be, for a person to read."""
+
+
+class LikelihoodModel(BlurLevels, Protocol):
+    """What depth estimation needs to know about a mask: the blur levels, and how to plan."""
+
+    @property
+    def stride_px(self) -> int:
+        """Distance between patches, unless another is asked for."""
+
+    @property
+    def fattening(self) -> float:
+        """How far foregrounds are too wide, relative to Hann windows of `window_px`."""
 
     def plan(
         self, shape: tuple[int, ...], stride_px: int, backend: str = "numpy", threads: int = 1

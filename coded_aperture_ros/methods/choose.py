@@ -1,5 +1,6 @@
 """Which method turns frames into depth: the one place that chooses, for node, command and bag."""
 
+import dataclasses
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -71,3 +72,13 @@ def new_model(
     settings = motion or MotionConfig()
     motions = learn_motion_bank(bank, settings.motions, settings.motion_rank, progress)
     return MotionModel(motions, settings)
+
+
+def with_settings(model: LikelihoodModel, motion: MotionConfig) -> LikelihoodModel:
+    """Return a model with other settings of its method, without learning it anew.
+
+    It is the same one where nothing changes.
+    """
+    if isinstance(model, MotionModel) and model.config != motion:
+        return dataclasses.replace(model, config=motion)
+    return model

@@ -28,6 +28,7 @@ from coded_aperture_ros.ros.diagnostics import (
     DiagnosticsConfig,
     DiagnosticsPublisher,
     Statistics,
+    camera_of,
     status_of,
 )
 from coded_aperture_ros.ros.local_topics import LocalTopics
@@ -159,7 +160,7 @@ class CameraDriverNode(ManagedNode):
         if config.publish_clock:
             topics["/clock"] = ClockMessage
         self._outputs = Outputs(self, topics, local)
-        self._name = config.camera_name or self.get_namespace().rpartition("/")[2] or "camera"
+        self._name = config.camera_name or camera_of(self)
         self._source: Source | None = None
         self._store: CameraInfoStore | None = None
         self._diagnostics: DiagnosticsPublisher | None = None
@@ -344,6 +345,7 @@ class CameraDriverNode(ManagedNode):
             self._last,
             last,
             self.configs[DiagnosticsConfig],
+            hardware_id=self._name,
             waiting=source is not None and (source.live or self._failing),
             active=self._active,
             identity={

@@ -38,14 +38,17 @@ def fitted_camera(camera: Camera, width: int, height: int) -> Camera:
 
 
 class CameraModel:
-    """The camera model to publish: the driver's own if it sends one, else the camera file's."""
+    """The camera model to publish: the driver's own if it sends one, else the camera file's.
+
+    The driver's is scaled to the frames where it is for another size of the same proportions.
+    """
 
     def __init__(self) -> None:
         self._received: CameraInfo | None = None
 
     def receive(self, info: CameraInfo) -> None:
         """Remember a model from the driver; one without a calibration (K is 0) is ignored."""
-        if info.k[0] > 0 and info.k[4] > 0:
+        if info.k[0] > 0 and info.k[4] > 0 and info.width and info.height:
             self._received = info
 
     def info(
@@ -67,6 +70,17 @@ class CameraModel:
             Of the frame.
         """
         info = self._received
-        if info is None or (info.height, info.width) != frame_size:
+        if info is None or self.complaint(frame_size):
             info = camera_info_from_camera(camera, header)
         return scaled_camera_info(info, output_size[1], output_size[0], header)
+
+    def complaint(self, frame_size: tuple[int, int]) -> str:
+        """Say why the driver's model cannot be that of frames (height, width); empty if it can."""
+        info, (height, width) = self._received, frame_size
+        # Frames of the same proportions are taken to be the same view, resized.
+        if info is None or abs(info.height * width / info.width - height) <= 1.0:
+            return ""
+        return (
+            f"camera_info is for {info.width}x{info.height}, which does not have the proportions "
+            f"of the {width}x{height} frames: that of the camera file is published"
+        )

@@ -1,6 +1,8 @@
 """The node that turns coded frames and their depth into all-in-focus frames."""
 
+import dataclasses
 import math
+import threading
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -8,9 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image
 
-from coded_aperture_ros.bank import LearnConfig
+from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT, FilterBank, psf_stack_for_camera
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stamp_order import StampOrder
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, covers_frame
+from coded_aperture_ros.imaging import KnownNoise, channel_noise
+from coded_aperture_ros.likelihood import BlurLevels
+from coded_aperture_ros.optics import Camera, PsfStack
 from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
 from coded_aperture_ros.ros.frame_node import FrameNode
@@ -31,56 +37,85 @@ _WAITING_FRAMES = 200
 _WAITING_BYTES = 256 * 2**20
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class RenderedLevels:
+    """The PSFs of a camera file: all that deblurring needs of a bank, without learning one."""
+
+    stack: PsfStack
+    mask_digest: str
+    learned_from: str = "the camera file"
+    noise: float = 0.0
+
+    @property
+    def window_px(self) -> int:
+        """Side of the smallest frame."""
+        return self.stack.psfs.shape[1]
+
+
+def blur_levels(
+    *,
+    camera: Camera,
+    bank: FilterBank | None = None,
+    depth_range_m: tuple[float, float] | None = None,
+    level_count: int = DEFAULT_LEVEL_COUNT,
+) -> BlurLevels:
+    """Return the levels of a bank, or render those of a camera for a range of depths."""
+    if bank is not None or depth_range_m is None:
+        if bank is None:
+            raise InputError("deblurring needs a bank, or a depth range")
+        return bank
+    stack = psf_stack_for_camera(camera, *depth_range_m, level_count, "deblurring")
+    return RenderedLevels(stack, camera.mask.digest)
+
+
 class DeblurNode(FrameNode[tuple[Image, Image]]):
     """Pairs each coded frame with its own depth image and publishes the frame all in focus."""
 
     outputs: ClassVar = {"deblurred/image": Image, "deblurred/camera_info": CameraInfo}
 
     def __init__(self, **node_options: Any) -> None:
-        super().__init__(
-            "deblur_node",
-            ModelConfig(),
-            DeblurConfig(),
-            fixed={"learn.": LearnConfig()},
-            **node_options,
-        )
+        super().__init__("deblur_node", ModelConfig(), DeblurConfig(), fixed={}, **node_options)
         self._info = CameraModel()
-        self._order = StampOrder()
         self._pairs: StampPairs[Image, Image] = StampPairs(
             _WAITING_FRAMES,
             lambda: self.statistics.count_dropped("no_depth"),
             _WAITING_BYTES,
-            _size_bytes,
+            lambda message: len(message.data),
         )
+        # Of the frames that come, and of those that are deblurred, in the worker's thread.
+        self._arriving, self._deblurred = StampOrder(), StampOrder()
+        self._restarting = threading.Event()
+        self._deblurrer: Deblurrer | None = None
         self.listen_to_frames("image_raw", self._on_image)
         self.listen("depth/image", Image, self._on_depth)
         self.listen("camera_info", CameraInfo, self._info.receive)
         self.begin()
 
     def load(self) -> None:
-        """Load the camera file, load or learn the bank, and prepare the deblurring."""
+        """Load the camera file, and the bank if there is one, and prepare the deblurring."""
         self._range = self.configs[ModelConfig]
-        self._model = FrameModel(self, self.configs)
+        self._model: FrameModel[BlurLevels] = FrameModel(self, self.configs, blur_levels)
         self._deblurrer = self._new_deblurrer()
 
     def unload(self) -> None:
-        """Nothing to end."""
+        """End the deblurrer's threads."""
+        deblurrer, self._deblurrer = self._deblurrer, None
+        if deblurrer is not None:
+            deblurrer.close()
 
     def identity(self) -> dict[str, str]:
         """Return which camera and bank the node works with."""
         return self._model.identity()
 
-    def rest(self) -> None:
-        """Let go of the frames that wait for their depth."""
-        self._pairs.clear()
-
     def restart(self) -> None:
-        """Forget the frames so far."""
-        self._order.forget()
+        """Forget the frames so far, and those that wait for their depth."""
+        self._arriving.forget()
+        self._pairs.clear()
+        self._restarting.set()
 
     def _on_image(self, message: Image) -> None:
         self.statistics.count_received()
-        if self._order.follow(stamp_ns(message.header)) == "restart":
+        if self._arriving.follow(stamp_ns(message.header)) == "restart":
             # The same stamps may come again, and frames from before are not theirs.
             self._pairs.clear()
         self._offer_pair(self._pairs.add_first(stamp_ns(message.header), message))
@@ -101,31 +136,49 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         # Beyond the range is deblurred as the end of the range; NaN stays unknown.
         depth_m = np.clip(depth_m, self._range.near_m, self._range.far_m or math.inf)
         self._model.fit(image.width, image.height)
-        camera = self._model.camera
+        camera, config = self._model.camera, self.configs[DeblurConfig]
         blur_size_px = self._model.blur_size_px(depth_m)
         if not np.isfinite(blur_size_px).any():
             raise MessageError("depth", "no depth is known in the whole frame")
-        sharp = self._present_deblurrer().deblur(frame, blur_size_px)
+        deblurrer = self._present_deblurrer(config)
+        if self._begins_anew(stamp_ns(header)):
+            deblurrer.reset()
+        noise = channel_noise(frame, KnownNoise.of(config, camera, self._model.model))
+        sharp = deblurrer.deblur(frame, blur_size_px, noise)
         if self.wants("deblurred/image"):
             pixels = pixels_from_frame(sharp, image.encoding, gamma)
             self.send("deblurred/image", image_from_array(pixels, image.encoding, header))
+        size = frame.shape[0], frame.shape[1]
+        if complaint := self._info.complaint(size):
+            self.reject("camera_info", complaint)
         if self.wants("deblurred/camera_info"):
-            size = frame.shape[0], frame.shape[1]
             self.send("deblurred/camera_info", self._info.info(camera, size, size, header))
         self.sent(header)
 
-    def _present_deblurrer(self) -> Deblurrer:
-        """Return the deblurrer for the present bank and parameters."""
-        if self._deblurrer.stack is not self._model.bank.stack:
-            self._deblurrer.close()
+    def _begins_anew(self, stamp: int) -> bool:
+        """Return whether a frame is the first one of another video."""
+        if self._restarting.is_set():
+            self._restarting.clear()
+            self._deblurred.forget()
+            self._deblurred.follow(stamp)
+            return True
+        return self._deblurred.follow(stamp) == "restart"
+
+    def _present_deblurrer(self, config: DeblurConfig) -> Deblurrer:
+        """Return the deblurrer for the present PSFs and parameters."""
+        made = self._deblurrer
+        if made is None:  # cleaned up while this frame was in work
+            raise InputError("the node is being cleaned up")
+        if made.stack is not self._model.model.stack:
             self._deblurrer = self._new_deblurrer()
-        config = self.configs[DeblurConfig]
-        if config != self._deblurrer.config:
-            self._deblurrer.reconfigure(config)
-        return self._deblurrer
+            made.close()
+            return self._deblurrer
+        if made.config is not config:
+            made.reconfigure(config)
+        return made
 
     def _new_deblurrer(self) -> Deblurrer:
-        deblurrer = Deblurrer(self._model.bank.stack, self.configs[DeblurConfig])
+        deblurrer = Deblurrer(self._model.model.stack, self.configs[DeblurConfig])
         camera = self._model.camera
         deblurrer.prepare((camera.image_height, camera.image_width))
         return deblurrer
@@ -152,10 +205,6 @@ def depth_of_frame(depth: Image, image: Image) -> NDArray[np.float32]:
     depth_m = array_from_image(depth)
     # Some drivers say 0 where depth is unknown; -Inf is too near.
     return np.where((depth_m > 0) | (depth_m == -np.inf), depth_m, np.float32(np.nan))
-
-
-def _size_bytes(message: Image) -> int:
-    return len(message.data)
 
 
 def main(args: Sequence[str] | None = None) -> int:

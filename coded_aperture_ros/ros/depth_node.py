@@ -1,25 +1,21 @@
 """The node that turns coded frames into metric depth."""
 
 import dataclasses
+import functools
 import math
+import threading
 from collections.abc import Sequence
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image, Imu, PointCloud2
-from std_msgs.msg import Header
 
-from coded_aperture_ros.bank import FilterBank, LearnConfig
+from coded_aperture_ros.bank import LearnConfig
 from coded_aperture_ros.core.blas import slow_blas_warning
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
-from coded_aperture_ros.core.stamp_order import StampOrder
 from coded_aperture_ros.depth import (
     MAP_SIZES,
     DepthConfig,
-    DepthEstimate,
-    DepthEstimator,
     map_size,
     nearest_obstacle_m,
     points_of_depth,
@@ -27,16 +23,10 @@ from coded_aperture_ros.depth import (
 )
 from coded_aperture_ros.depth.config import REAL_TIME_STRIDE_PX
 from coded_aperture_ros.likelihood import LikelihoodModel
-from coded_aperture_ros.methods.motion import (
-    MotionConfig,
-    MotionModel,
-    learn_motion_bank,
-)
-from coded_aperture_ros.methods.two_pixel import (
-    SimpleConfig,
-    neighbour_model_for_camera,
-)
-from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.methods.choose import METHODS, new_model, with_settings
+from coded_aperture_ros.methods.motion import MotionConfig
+from coded_aperture_ros.methods.two_pixel import SimpleConfig
+from coded_aperture_ros.pipeline import FramePipeline, LateFrameError
 from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
 from coded_aperture_ros.ros.frame_node import FrameNode
@@ -73,7 +63,7 @@ class DepthNodeConfig:
         "bank: a filter bank, for any mask; simple: a pixel and its neighbours, without a bank, "
         "for a mask of 2 to 8 equal holes; motion: a bank, and blur by motion told from blur by "
         "defocus",
-        choices=("bank", "simple", "motion"),
+        choices=METHODS,
         read_only=True,
     )
     points_far_m: float = option(
@@ -106,7 +96,7 @@ class DepthNode(FrameNode[Image]):
         "depth/confidence": Image,
         "depth/camera_info": CameraInfo,
         "depth/points": PointCloud2,
-        "depth/motion": Image,  # with method: motion
+        "depth/motion": Image,  # only with method: motion
     }
 
     def __init__(self, **node_options: Any) -> None:
@@ -124,12 +114,10 @@ class DepthNode(FrameNode[Image]):
         if warning:
             self.get_logger().warning(warning)
         self._info = CameraModel()
-        self._order = StampOrder()
         self._gyro = Gyro()
         self._searched = ""
-        self._restarting = False
-        self._motions: MotionModel | None = None
-        self._estimator: DepthEstimator | None = None
+        self._restarting = threading.Event()
+        self._pipeline: FramePipeline | None = None
         self.listen_to_frames("image_raw", self._on_image)
         self.listen("camera_info", CameraInfo, self._info.receive)
         if self._finds_motion:
@@ -140,32 +128,38 @@ class DepthNode(FrameNode[Image]):
     def _finds_motion(self) -> bool:
         return self.configs[DepthNodeConfig].method == "motion"
 
+    def offers(self, topic: str) -> bool:
+        """Return whether the method has this output."""
+        return topic != "depth/motion" or self._finds_motion
+
     def load(self) -> None:
         """Load the camera file and load or learn the bank."""
-        learn = None
-        self._range = self.configs[ModelConfig]
-        if self.configs[DepthNodeConfig].method == "simple":
-            if self._range.bank:
-                raise InputError("method: simple has no bank: leave the parameter bank empty")
-            learn = self._neighbour_model
-        self._model = FrameModel(self, self.configs, learn)
-        if warning := side_warning(self._model.bank):
+        configs = self.configs
+        self._range, method = configs[ModelConfig], configs[DepthNodeConfig].method
+        if method == "simple" and self._range.bank:
+            raise InputError("method: simple has no bank: leave the parameter bank empty")
+        make = functools.partial(
+            new_model,
+            method,
+            learn=configs[LearnConfig],
+            simple=configs[SimpleConfig],
+            motion=configs[MotionConfig],
+        )
+        self._model: FrameModel[LikelihoodModel] = FrameModel(self, configs, make)
+        model, camera = self._model.model, self._model.camera
+        if warning := side_warning(model):
             self.get_logger().warning(warning)
-        self._estimator = self._new_estimator()
+        self._pipeline = FramePipeline(model, camera, configs[DepthConfig], deblur=None)
 
     def unload(self) -> None:
-        """End the estimator's threads."""
-        estimator, self._estimator = self._estimator, None
-        if estimator is not None:
-            estimator.close()
-
-    def rest(self) -> None:
-        """Forget the frames so far: what comes after a pause is another video."""
-        self.restart()
+        """End the pipeline's threads."""
+        pipeline, self._pipeline = self._pipeline, None
+        if pipeline is not None:
+            pipeline.close()
 
     def restart(self) -> None:
         """Begin another video with the next frame."""
-        self._restarting = True
+        self._restarting.set()
         self._gyro.forget()
 
     def identity(self) -> dict[str, str]:
@@ -177,14 +171,19 @@ class DepthNode(FrameNode[Image]):
 
     def process(self, item: Image) -> None:
         """Estimate and publish the depth of one frame."""
-        header = item.header
+        header, config = item.header, self.configs[DepthNodeConfig]
         frame = frame_from_image(item, self.frame_config.gamma)
         frame_size = frame.shape[0], frame.shape[1]
-        size = map_size(frame_size, self.configs[DepthNodeConfig].output_size)
+        size = map_size(frame_size, config.output_size)
         self._model.fit(item.width, item.height)
-        estimator = self._present_estimator()
-        self._keep_order(item, estimator)
-        estimate = self._estimate(estimator, frame, size, header)
+        camera, prior = self._model.camera, None
+        if self._finds_motion:
+            prior = self._gyro.expected(header, self.configs[GyroConfig], camera.intrinsics)
+        try:
+            result = self._present_pipeline()(frame, stamp_ns(header), size=size, prior=prior)
+        except LateFrameError as error:
+            raise MessageError("late", str(error)) from error
+        estimate = result.depth
         if estimate.depth_m is None:
             raise InputError("the bank and the camera file give no depth")
         depth_m = limit_depth(estimate.depth_m, self._range.near_m, self._range.far_m or math.inf)
@@ -196,9 +195,10 @@ class DepthNode(FrameNode[Image]):
         if self.wants("depth/confidence"):
             confidence = image_from_array(estimate.confidence, "32FC1", header)
             self.send("depth/confidence", confidence)
-        config = self.configs[DepthNodeConfig]
+        if complaint := self._info.complaint(frame_size):
+            self.reject("camera_info", complaint)
         if self.wants("depth/camera_info") or self.wants("depth/points"):
-            info = self._info.info(self._model.camera, frame_size, size, header)
+            info = self._info.info(camera, frame_size, size, header)
             if self.wants("depth/camera_info"):
                 self.send("depth/camera_info", info)
             if self.wants("depth/points"):
@@ -206,84 +206,30 @@ class DepthNode(FrameNode[Image]):
                     depth_m, estimate.confidence, info.p, self._range.near_m, config.points_far_m
                 )
                 self.send("depth/points", cloud_from_points(points, header))
-        if estimate.motion is not None and self.wants("depth/motion"):
-            self.send("depth/motion", image_from_motion(estimate.motion.vectors_px, header))
-        obstacle_m = nearest_obstacle_m(depth_m, config.obstacle_share)
-        self.sent(header, estimate.seconds, {"nearest_obstacle_m": obstacle_m})
-
-    def _estimate(
-        self,
-        estimator: DepthEstimator,
-        frame: NDArray[np.float32],
-        size: tuple[int, int],
-        header: Header,
-    ) -> DepthEstimate:
-        if not self._finds_motion:
-            return estimator.estimate(frame, size)
-        intrinsics = self._model.camera.intrinsics
-        expected = self._gyro.expected(header, self.configs[GyroConfig], intrinsics)
-        estimate = estimator.estimate(frame, size, expected)
         if estimate.motion is not None:
             self._searched = estimate.motion.searched
-        return estimate
-
-    def _keep_order(self, item: Image, estimator: DepthEstimator) -> None:
-        """Begin anew where time has gone back; refuse a frame that a later one has overtaken."""
-        if self._restarting:
-            self._restarting = False
-            self._order.forget()
-            estimator.reset()
-        order = self._order.follow(stamp_ns(item.header))
-        if order == "restart":
-            estimator.reset()
-        elif order == "late" and self.configs[DepthConfig].temporal_frames:
-            raise MessageError("late", "a frame is older than the one before it")
+            if self.wants("depth/motion"):
+                self.send("depth/motion", image_from_motion(estimate.motion.vectors_px, header))
+        obstacle_m = nearest_obstacle_m(depth_m, config.obstacle_share)
+        self.sent(header, estimate.seconds, {"nearest_obstacle_m": obstacle_m})
 
     def _on_image(self, message: Image) -> None:
         self.statistics.count_received()
         self.offer(message)
 
-    def _present_estimator(self) -> DepthEstimator:
-        """Return the estimator for the present camera, bank and parameters."""
-        made, model = self._estimator, self._model
-        if made is None:  # cleaned up while this frame was in work
+    def _present_pipeline(self) -> FramePipeline:
+        """Return the pipeline, brought up to date with the camera, the bank and the parameters."""
+        pipeline = self._pipeline
+        if pipeline is None:  # cleaned up while this frame was in work
             raise InputError("the node is being cleaned up")
-        if (
-            self._made_for_bank is not model.bank
-            or made.camera is not model.camera
-            or self._made_for is not self.configs[DepthConfig]
-            or self._made_for_motion is not self.configs[MotionConfig]
-        ):
-            estimator = self._new_estimator()
-            made.close()
-            self._estimator = made = estimator
-        return made
-
-    def _new_estimator(self) -> DepthEstimator:
-        self._made_for, camera = self.configs[DepthConfig], self._model.camera
-        self._made_for_motion = self.configs[MotionConfig]
-        self._made_for_bank = bank = self._model.bank
-        model: LikelihoodModel = bank
-        if self._finds_motion:
-            model = self._motion_model(bank)
-        return DepthEstimator(model, self._made_for, camera)
-
-    def _motion_model(self, bank: FilterBank) -> MotionModel:
-        """Return the model of motions that belongs to a bank; learned anew only for another one."""
-        config = self._made_for_motion
-        if self._motions is None or self._motions.bank.defocus is not bank:
-            self.get_logger().info("learning the filters of motions")
-            motions = learn_motion_bank(bank, config.motions, config.motion_rank)
-            self._motions = MotionModel(motions, config)
-        self._motions = dataclasses.replace(self._motions, config=config)
-        return self._motions
-
-    def _neighbour_model(
-        self, camera: Camera, near_m: float, far_m: float, levels: int
-    ) -> FilterBank:
-        """Make what stands in for a bank with the method for simple masks."""
-        config = self.configs[SimpleConfig]
-        return cast(FilterBank, neighbour_model_for_camera(camera, near_m, far_m, levels, config))
+        motion = self.configs[MotionConfig]
+        self._model.change(lambda model: with_settings(model, motion))
+        model, camera = self._model.model, self._model.camera
+        pipeline.reconfigure(model=model, camera=camera, depth=self.configs[DepthConfig])
+        if self._restarting.is_set():
+            self._restarting.clear()
+            pipeline.reset()
+        return pipeline
 
 
 def main(args: Sequence[str] | None = None) -> int:

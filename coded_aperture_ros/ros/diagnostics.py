@@ -169,6 +169,11 @@ class Statistics:
             )
 
 
+def camera_of(node: Node) -> str:
+    """Return the name of the camera that a node works for: its namespace, unless it has none."""
+    return node.get_namespace().rpartition("/")[2] or "camera"
+
+
 def _by_stage(frames: list[Mapping[str, float]]) -> dict[str, tuple[float, float, float]]:
     by_stage: dict[str, list[float]] = {}
     for stages in frames:
@@ -192,6 +197,7 @@ def status_of(
     last: Summary,
     config: DiagnosticsConfig,
     *,
+    hardware_id: str = "",
     waiting: bool = False,
     active: bool = True,
     identity: Mapping[str, str] = MappingProxyType({}),
@@ -205,6 +211,8 @@ def status_of(
     summary, last : Summary
         Now, and when the status was told before.
     config : DiagnosticsConfig
+    hardware_id : str
+        Of the camera that the frames come from.
     waiting : bool
         The node listens for frames.
     active : bool
@@ -212,7 +220,7 @@ def status_of(
     identity : mapping
         What the node works with.
     """
-    status = DiagnosticStatus(name=f"{name.lstrip('/')}: frames", level=DiagnosticStatus.OK)
+    status = DiagnosticStatus(name=f"{name.lstrip('/')}: frames", hardware_id=hardware_id)
     status.message = f"{summary.rate_hz:.1f} frames/s" if active else "not active"
     warnings = list(_warnings(summary, last, config, waiting)) if active else []
     if warnings:

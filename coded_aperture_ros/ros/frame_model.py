@@ -1,28 +1,28 @@
-"""The camera and the filter bank that frames are worked on with."""
+"""The camera of the frames, and what is prepared for it: a model of depth, or PSFs."""
 
 import dataclasses
 import time
 from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
 
-from coded_aperture_ros.bank import (
-    DEFAULT_LEVEL_COUNT,
-    FilterBank,
-    LearnConfig,
-    learn_bank_for_camera,
-    load_bank,
-)
+from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT, FilterBank, load_bank
+from coded_aperture_ros.bank.guard import guarded_range
 from coded_aperture_ros.calibration.planes.remap import remap_bank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.depth import depths_are_measured
+from coded_aperture_ros.likelihood import BlurLevels
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.ros.camera_model import fitted_camera, required_camera
 from coded_aperture_ros.ros.messages import MessageError
 from coded_aperture_ros.ros.parameters import NodeParameters
+
+Model = TypeVar("Model", bound=BlurLevels)
+Made = TypeVar("Made", bound=BlurLevels, covariant=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,17 +63,31 @@ class ModelConfig:
             raise InputError(f"near_m {self.near_m:g} must be less than far_m {self.far_m:g}")
 
 
+class Maker(Protocol[Made]):
+    """Makes a model from a bank, or from a camera for a range of depths; see `new_model`."""
+
+    def __call__(
+        self,
+        *,
+        camera: Camera,
+        bank: FilterBank | None = None,
+        depth_range_m: tuple[float, float] | None = None,
+        level_count: int = DEFAULT_LEVEL_COUNT,
+    ) -> Made:
+        """Return the model."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
-class _State:
+class _State(Generic[Model]):
     """What belongs together: a frame is worked on with all of one state."""
 
     file_camera: Camera
     camera: Camera
-    bank: FilterBank
+    model: Model
 
 
-class FrameModel:
-    """Camera and bank for the size of the frames that come.
+class FrameModel(Generic[Model]):
+    """Camera and model for the size of the frames that come.
 
     A new camera file is prepared in full before anything changes, so that one that cannot be used
     leaves everything as it was; it takes effect with the next frame that `fit` is called for.
@@ -83,39 +97,31 @@ class FrameModel:
     node : rclpy.node.Node
         To log with.
     parameters : NodeParameters
-        Of the node, with `ModelConfig` and `LearnConfig`.
-    learn : callable, optional
-        Makes what stands in for a bank from a camera, its nearest and farthest depth and the number
-        of levels; by default a bank is learned.
+        Of the node, with `ModelConfig`.
+    make : Maker
+        Makes the model.
 
     Raises
     ------
     InputError
-        If a file does not load, or the bank can be neither loaded nor learned.
+        If a file does not load, or the model cannot be made.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        parameters: NodeParameters,
-        learn: Callable[[Camera, float, float, int], FilterBank] | None = None,
-    ) -> None:
+    def __init__(self, node: Node, parameters: NodeParameters, make: Maker[Model]) -> None:
         self._logger = node.get_logger()
         self._config = config = parameters[ModelConfig]
-        self._learn_config = parameters[LearnConfig]
-        self._learn = learn
+        self._make = make
         self._frame_size: tuple[int, int] | None = None
-        camera = required_camera(config.camera_file)
-        self._first_camera = camera
-        self._file_bank = load_bank(config.bank) if config.bank else None
-        bank = self._file_bank
-        if bank is None:
-            bank = self._learned(camera, config)
+        self._first_camera = camera = required_camera(config.camera_file)
+        self._bank = load_bank(config.bank) if config.bank else None
+        if self._bank is None:
+            model = self._learned(camera, config)
         else:
-            self._warn_of_ends(bank, camera)
-        self._state = _State(camera, camera, bank)
-        self._prepared: _State | None = None
-        self._next: _State | None = None
+            self._warn_of_ends(self._bank, camera)
+            model = make(camera=camera, bank=self._bank)
+        self._state = _State(camera, camera, model)
+        self._prepared: _State[Model] | None = None
+        self._next: _State[Model] | None = None
         parameters.on_change(ModelConfig, self._prepare, self._take_over)
 
     @property
@@ -124,48 +130,46 @@ class FrameModel:
         return self._state.camera
 
     @property
-    def bank(self) -> FilterBank:
-        """The bank for them."""
-        return self._state.bank
+    def model(self) -> Model:
+        """The model for them."""
+        return self._state.model
 
     def identity(self) -> dict[str, str]:
         """Return which camera and bank these are, in words."""
-        bank = self._config.bank or "learned at start"
-        digest = self.bank.mask_digest[:12] or "not known"
+        model, bank = self.model, self._config.bank or "learned at start"
         return {
             "camera_file": self._config.camera_file,
-            "bank": f"{bank}, {self.bank.levels} levels from {self.bank.learned_from}",
-            "mask_digest": digest,
+            "bank": f"{bank}, {len(model.stack)} levels from {model.learned_from}",
+            "mask_digest": model.mask_digest[:12] or "not known",
         }
 
     def _prepare(self, config: ModelConfig) -> None:
         """Make everything for a new camera file, or raise an `InputError`."""
         file_camera = required_camera(config.camera_file)
-        camera = file_camera
+        camera, model, bank = file_camera, self.model, self._bank
         if self._frame_size is not None:
             camera = fitted_camera(file_camera, *self._frame_size)
-        bank = self._file_bank
         if bank is None:
-            bank = self._learned(camera, config)
+            model = self._learned(camera, config)
         elif bank.pattern is not None and _setting(file_camera) != _setting(self._first_camera):
             ranged = bool(config.near_m and config.far_m)
             wanted = (config.near_m, config.far_m) if ranged else (None, None)
-            bank = remap_bank(bank, camera, *wanted)
+            model = self._make(camera=camera, bank=remap_bank(bank, camera, *wanted))
         elif bank.mask_digest and bank.mask_digest != camera.mask.digest:
             raise InputError(
                 f"{config.camera_file}: the bank is for another mask than {camera.mask.name}"
             )
-        self._prepared = _State(file_camera, camera, bank)
+        self._prepared = _State(file_camera, camera, model)
 
     def _take_over(self, config: ModelConfig) -> None:
         self._config, self._next = config, self._prepared
         self._logger.info(f"camera file is {config.camera_file} from the next frame on")
 
     def fit(self, width: int, height: int) -> None:
-        """Make `camera` and `bank` those for frames of this size.
+        """Make `camera` and `model` those for frames of this size.
 
-        A bank that was learned here is learned again for another size. One from a file stays: its
-        blur sizes are in pixels, so they mean other depths then.
+        A model that was learned here is learned again for another size. A bank from a file stays:
+        its blur sizes are in pixels, so they mean other depths then.
 
         Raises
         ------
@@ -174,11 +178,11 @@ class FrameModel:
         """
         if self._next is not None:
             self._state, self._next = self._next, None
-        window_px = self.bank.window_px
-        if min(width, height) < window_px:  # before a bank is learned for it in vain
+        least_px = self.model.window_px
+        if min(width, height) < least_px:  # before a bank is learned for it in vain
             raise MessageError(
                 "size",
-                f"the frame is {width}x{height}, the bank needs at least {window_px}x{window_px}",
+                f"the frame is {width}x{height}, the bank needs at least {least_px}x{least_px}",
             )
         file_camera = self._state.file_camera
         camera = fitted_camera(file_camera, width, height)
@@ -190,14 +194,18 @@ class FrameModel:
             f"frames are {width}x{height} now, not {self.camera.image_width}x"
             f"{self.camera.image_height}{scaled}"
         )
-        bank = self.bank if self._config.bank else self._learned(camera, self._config)
-        self._state = _State(file_camera, camera, bank)
+        model = self.model if self._bank is not None else self._learned(camera, self._config)
+        self._state = _State(file_camera, camera, model)
+
+    def change(self, changed: Callable[[Model], Model]) -> None:
+        """Go on with a changed model; not while a frame is worked on with it."""
+        self._state = dataclasses.replace(self._state, model=changed(self._state.model))
 
     def blur_size_px(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the blur size of depths; NaN stays."""
         sizes = None
-        if depths_are_measured(self.bank):
-            sizes = self.bank.stack.blur_size_at(depth_m)
+        if depths_are_measured(self.model):
+            sizes = self.model.stack.blur_size_at(depth_m)
         return self.camera.blur_size_px(depth_m).astype(np.float32) if sizes is None else sizes
 
     def _warn_of_ends(self, bank: FilterBank, camera: Camera) -> None:
@@ -205,41 +213,37 @@ class FrameModel:
         if depths_m is None or not depths_are_measured(bank):
             depths_m = camera.depth_m(bank.blur_sizes_px)
         near_m, far_m = self._config.near_m, self._config.far_m
-        if near_m and depths_m.min() >= near_m:
-            self._warn_of_end(depths_m.min(), "nearer")
-        if far_m and depths_m.max() <= far_m:
-            self._warn_of_end(depths_m.max(), "farther")
-
-    def _warn_of_end(self, end_m: float, beyond: str) -> None:
-        self._logger.warning(
-            f"the bank ends at {end_m:.2f} m, and what is {beyond} will be taken for that: "
-            "learn it for a little more than near_m to far_m"
+        ends = (
+            (near_m and depths_m.min() >= near_m, depths_m.min(), "nearer"),
+            (far_m and depths_m.max() <= far_m, depths_m.max(), "farther"),
         )
+        for within, end_m, beyond in ends:
+            if within:
+                self._logger.warning(
+                    f"the bank ends at {end_m:.2f} m, and what is {beyond} will be taken for "
+                    "that: learn it for a little more than near_m to far_m"
+                )
 
-    def _learned(self, camera: Camera, config: ModelConfig) -> FilterBank:
+    def _learned(self, camera: Camera, config: ModelConfig) -> Model:
         if not config.far_m:
             raise InputError(
                 "without a bank the depth range is needed: set the parameters near_m and far_m, "
                 "or bank to a file made by 'coded_aperture learn'"
             )
-        # A range that does not suit the camera is told before it is said to be learned.
-        camera.blur_range_px(config.near_m, config.far_m)
+        range_m = config.near_m, config.far_m
+        guarded = guarded_range(camera, *range_m, config.level_count)
         started_s = time.monotonic()
         self._logger.info(
-            f"learning a bank of {config.level_count} levels for {config.near_m:g} to "
-            f"{config.far_m:g} m from {config.camera_file}"
+            f"preparing {config.level_count} levels for {config.near_m:g} to {config.far_m:g} m "
+            f"from {config.camera_file}"
         )
         try:
-            bank = self._learned_for(camera, *guarded_range(camera, config))
+            model = self._make(camera=camera, depth_range_m=guarded[:2], level_count=guarded[2])
         except InputError:  # a level beyond the range that does not fit the window, say
-            bank = self._learned_for(camera, config.near_m, config.far_m, config.level_count)
-        self._logger.info(f"learned the bank in {time.monotonic() - started_s:.1f} s")
-        return bank
-
-    def _learned_for(self, camera: Camera, near_m: float, far_m: float, levels: int) -> FilterBank:
-        if self._learn is not None:
-            return self._learn(camera, near_m, far_m, levels)
-        return learn_bank_for_camera(camera, near_m, far_m, levels, self._learn_config)
+            count = config.level_count
+            model = self._make(camera=camera, depth_range_m=range_m, level_count=count)
+        self._logger.info(f"prepared them in {time.monotonic() - started_s:.1f} s")
+        return model
 
 
 def _setting(camera: Camera) -> tuple[object, ...]:
@@ -251,22 +255,3 @@ def _setting(camera: Camera) -> tuple[object, ...]:
         camera.side,
         camera.lens_mask_distance_mm,
     )
-
-
-def guarded_range(camera: Camera, config: ModelConfig) -> tuple[float, float, int]:
-    """Return a range with one more level on either side, and its number of levels.
-
-    What is too near or beyond the range is the most like one of these levels. Without them it
-    would be taken, with full confidence, for something at the end of the range.
-    """
-    ends = np.array(camera.blur_range_px(config.near_m, config.far_m))
-    step = (ends[1] - ends[0]) / (config.level_count - 1)
-    beyond = np.array([ends[0] - step, ends[1] + step])
-    # At most half of the way to the plane in focus or to infinity.
-    focus_end = np.argmin(np.abs(ends))
-    nearer_focus = abs(beyond[focus_end]) < abs(ends[focus_end]) / 2
-    if ends[0] * ends[1] > 0 and (nearer_focus or beyond[focus_end] * ends[0] < 0):
-        beyond[focus_end] = ends[focus_end] / 2
-    beyond[1] = min(beyond[1], (ends[1] + camera.blur_at_infinity_px) / 2)
-    near_m, far_m = camera.depth_m(beyond)
-    return float(near_m), float(far_m), config.level_count + 2

@@ -17,6 +17,7 @@ from coded_aperture_ros.ros.diagnostics import (
     DiagnosticsConfig,
     DiagnosticsPublisher,
     Statistics,
+    camera_of,
     status_of,
 )
 from coded_aperture_ros.ros.local_topics import LocalTopics
@@ -96,7 +97,8 @@ class FrameNode(ManagedNode, Generic[Item]):
         configs = FrameNodeConfig(), DiagnosticsConfig(), *configs
         super().__init__(name, *configs, fixed=fixed, **node_options)
         self.statistics = Statistics()
-        self._outputs = Outputs(self, self.outputs, local)
+        offered = {topic: kind for topic, kind in self.outputs.items() if self.offers(topic)}
+        self._outputs = Outputs(self, offered, local)
         self._inputs = Inputs(self, local)
         self._logged_s: dict[str, float] = {}
         self._taken_up_s = 0.0
@@ -144,15 +146,19 @@ class FrameNode(ManagedNode, Generic[Item]):
     def process(self, item: Item) -> None:
         """Do the work on one item, in the worker's thread."""
 
-    def rest(self) -> None:
-        """Let go of what waits for more input; called when nobody listens any more."""
-
     def restart(self) -> None:
-        """Forget the frames so far; called, in any thread, when time has gone back."""
+        """Begin another video with the next frame, and let go of what waits for more input.
+
+        Called, in any thread, when time has gone back, and when nobody listens any more.
+        """
 
     def identity(self) -> dict[str, str]:
         """Return what /diagnostics says the node works with."""
         return {}
+
+    def offers(self, topic: str) -> bool:
+        """Return whether the node has an output at all, with the parameters it was started with."""
+        return topic in self.outputs
 
     @property
     def frame_config(self) -> FrameNodeConfig:
@@ -193,7 +199,7 @@ class FrameNode(ManagedNode, Generic[Item]):
         """Listen no more, and wait for the frame in work."""
         self._inputs.close()
         self._end_worker()
-        self.rest()
+        self.restart()
 
     def end(self) -> None:
         """End the threads."""
@@ -269,7 +275,7 @@ class FrameNode(ManagedNode, Generic[Item]):
             self._inputs.open()
         elif not wanted and self._inputs.are_open:
             self._inputs.close()
-            self.rest()
+            self.restart()
 
     def _on_jump(self, jump: TimeJump) -> None:
         self.get_logger().info("time was set back: beginning anew")
@@ -282,6 +288,7 @@ class FrameNode(ManagedNode, Generic[Item]):
             self._last,
             last,
             self.configs[DiagnosticsConfig],
+            hardware_id=camera_of(self),
             waiting=self._inputs.are_open,
             active=self._worker is not None,
             identity=self.identity(),

@@ -17,12 +17,12 @@ from sensor_msgs.msg import CameraInfo, Image
 from small_camera import CAMERA, DEPTH_M, HEIGHT, NEAR_M, WIDTH, coded_wall, write_model
 from std_msgs.msg import Header
 
+from coded_aperture_ros.bank.guard import guarded_range
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import map_size
 from coded_aperture_ros.optics import load_camera, render_psf
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
-from coded_aperture_ros.ros.frame_model import ModelConfig, guarded_range
 from coded_aperture_ros.ros.messages import (
     array_from_image,
     image_from_array,
@@ -392,9 +392,7 @@ def test_a_learned_bank_knows_what_is_out_of_range(
 def test_a_level_is_learned_on_either_side_of_the_range(tmp_path, changes, near_m, far_m):
     (tmp_path / "camera.yaml").write_text(yaml.safe_dump({**CAMERA, **changes}))
     camera = load_camera(tmp_path / "camera.yaml")
-    nearer_m, farther_m, levels = guarded_range(
-        camera, ModelConfig(near_m=near_m, far_m=far_m, level_count=8)
-    )
+    nearer_m, farther_m, levels = guarded_range(camera, near_m, far_m, 8)
     assert nearer_m < near_m < far_m < farther_m
     assert levels == 10
     blur = camera.blur_range_px(nearer_m, farther_m)  # is a valid range of this camera

@@ -17,7 +17,14 @@ NODES = {
     "deblur_node": DeblurNode,
 }
 # What a node may do, but does not with the parameters of this test.
-OTHER_SETTINGS = {"/clock", "/parameter_events", "/image_raw/compressed", "/imu", "/tf_static"}
+OTHER_SETTINGS = {
+    "/clock",
+    "/depth/motion",
+    "/image_raw/compressed",
+    "/imu",
+    "/parameter_events",
+    "/tf_static",
+}
 
 
 @pytest.fixture(scope="module")
