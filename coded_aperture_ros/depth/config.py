@@ -38,12 +38,14 @@ class DepthConfig:
         maximum=100.0,
         parameter="regularize.smoothness",
     )
-    rim: float = option(
+    edge_correction: float = option(
         0.28,
-        "Width of the rim that is taken off foregrounds, as a share of the bank's window.",
+        "How much is taken off foregrounds, which windows fatten, as a share of the window; 0: "
+        "nothing.",
         minimum=0.0,
         maximum=1.0,
         parameter="regularize.edge_correction",
+        formerly="rim",
     )
     noise: float = option(
         0.0,
@@ -91,14 +93,14 @@ class DepthConfig:
     )
     backend: str = option(
         "numpy",
-        "What computes the energies: torch needs PyTorch, cuda a GPU beside; auto takes the GPU "
+        "What computes the costs: torch needs PyTorch, cuda a GPU beside; auto takes the GPU "
         "where there is one.",
         choices=BACKENDS,
         parameter="compute.backend",
     )
     threads: int = option(
         1,
-        "Threads of the processor for the energies; at most as many as it has cores.",
+        "Threads of the processor for the costs; at most as many as it has cores.",
         minimum=1,
         maximum=1024,
         parameter="compute.threads",

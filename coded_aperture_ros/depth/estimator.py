@@ -80,7 +80,7 @@ class DepthEstimator:
         self._levels = Levels.of(model, camera)
         self._regularize = regularize or regularizer(config.regularize, config.smoothness)
         self._neighbours_decide = regularize is not None or config.regularize != "none"
-        self._correct_edges = edge_correction(model, config.rim)
+        self._correct_edges = edge_correction(model, config.edge_correction)
         self._at_unknown = UNKNOWN_RULES[config.unknown]
         frames = config.temporal_frames
         self._average = StaticAverage(2 * frames) if frames else None

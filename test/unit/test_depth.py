@@ -360,7 +360,7 @@ def test_background_is_found_nearer_to_an_edge_with_trimming(bank, stairs):
     frame, _ = stairs
 
     def edge(rim):
-        config = DepthConfig(confidence_threshold=0, rim=rim)
+        config = DepthConfig(confidence_threshold=0, edge_correction=rim)
         depth = DepthEstimator(bank, config).estimate(frame).depth_m
         return np.median((depth < 1.55).sum(axis=1))
 

@@ -29,7 +29,7 @@ MASK = Mask.from_rows(["101", "000", "100"])
 SIZES = np.linspace(7, 17, 6)
 # Few motions, so that tests are quick.
 MOTION = MotionConfig(motion_directions=4, motion_lengths=3, longest_motion_px=9.0)
-CONFIG = DepthConfig(confidence_threshold=0.0, noise=0.001, rim=0.0)
+CONFIG = DepthConfig(confidence_threshold=0.0, noise=0.001, edge_correction=0.0)
 WIDTH, HEIGHT = 160, 128
 INTRINSICS = Intrinsics.pinhole(200.0, WIDTH, HEIGHT)
 

@@ -24,7 +24,7 @@ from coded_aperture_ros.methods.two_pixel.derivatives import channel_kernel, pas
 from coded_aperture_ros.methods.two_pixel.likelihood import TwoPixelLikelihood
 from coded_aperture_ros.optics import Mask, load_camera, render_psf, render_psf_stack
 
-BARE = DepthConfig(regularize="none", rim=0.0, confidence_threshold=0.0, saturation=2.0)
+BARE = DepthConfig(regularize="none", edge_correction=0.0, confidence_threshold=0.0, saturation=2.0)
 THREE_UNEQUAL = ["1100", "0000", "1001"]
 
 

@@ -22,7 +22,7 @@ BANK = "bank"
 PLAIN = "plain-48"
 _PLAIN_WINDOW_PX = 48
 # The minimum of the energies, nothing else.
-_BARE: dict[str, Any] = {"regularize": "none", "rim": 0.0}
+_BARE: dict[str, Any] = {"regularize": "none", "edge_correction": 0.0}
 # The thesis' own method.
 SUBSPACE = "subspace"
 # The method for masks of a few equal holes; `simple-graphcut` and so on are regularised.
