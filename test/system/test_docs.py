@@ -27,7 +27,7 @@ def commands_in(text):
     return [shlex.split(line, comments=True) for line in lines]
 
 
-def test_every_command_in_the_documents_is_understood(documents):
+def test_every_command_in_the_documents_is_understood(documents, caplog):
     """Bench's own commands are understood by the benchmarks, and tested there."""
     commands = {name: commands_in(text) for name, text in documents.items()}
     assert sum(map(len, commands.values())) > 25
@@ -38,6 +38,8 @@ def test_every_command_in_the_documents_is_understood(documents):
                 parser.parse_args(line)
             except SystemExit as error:
                 pytest.fail(f"{name}: {PROGRAM} {shlex.join(line)}: exit status {error.code}")
+            # A former name of an option would be warned of.
+            assert caplog.messages == [], f"{name}: {PROGRAM} {shlex.join(line)}"
 
 
 def help_texts(capsys, parser, command=()):
