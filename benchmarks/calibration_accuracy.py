@@ -19,9 +19,9 @@ from coded_aperture_benchmarks import RayTracedScene
 from coded_aperture_benchmarks.ray_traced import scene_camera
 
 from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank_for_camera
+from coded_aperture_ros.bank.remap import remap_bank
 from coded_aperture_ros.calibration.planes.calibrate import calibrate_planes
 from coded_aperture_ros.calibration.planes.folder import load_planes
-from coded_aperture_ros.calibration.planes.remap import remap_bank
 from coded_aperture_ros.calibration.psf.dots import psf_from_dots
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator

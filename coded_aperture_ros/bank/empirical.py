@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
-from coded_aperture_ros.bank.prior import NaturalImagePrior
+from coded_aperture_ros.bank.prior import NaturalImagePrior, power_spectrum
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.imaging import channel_mean
 
 _WINDOW_PX = 64
 # Cycles per pixel at which a spectrum is kept; the lowest that a window resolves comes first.
@@ -98,11 +99,10 @@ class _Spectrum:
     deviation: NDArray[np.float64]
 
     def __call__(self, shape: tuple[int, int]) -> NDArray[np.float64]:
-        frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1]))
-        frequency[0, 0] = 1 / max(shape)
-        scale = np.log(frequency)
-        power = np.exp(np.interp(scale, np.log(_FREQUENCIES), self.deviation) - self.slope * scale)
-        return np.asarray(power / np.fft.irfft2(power, shape)[0, 0])
+        frequencies = np.log(_FREQUENCIES)
+        return power_spectrum(
+            self.slope, shape, lambda scale: np.interp(scale, frequencies, self.deviation)
+        )
 
 
 def _log_spectra(fourier: WindowedFourierBasis, image: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -110,7 +110,7 @@ def _log_spectra(fourier: WindowedFourierBasis, image: NDArray[np.float32]) -> N
 
     Without their mean: the contrast is another hypothesis.
     """
-    grey = image if image.ndim == 2 else image.mean(axis=2, dtype=np.float32)
+    grey = channel_mean(image)
     if min(grey.shape) < _WINDOW_PX:
         raise InputError(
             f"a sharp image of {grey.shape[1]}x{grey.shape[0]} px is smaller than the "
@@ -123,7 +123,7 @@ def _log_spectra(fourier: WindowedFourierBasis, image: NDArray[np.float32]) -> N
     inside = fourier.multiplicity * (distance < np.log(0.5) + 0.1)
     filters = np.eye(len(edges))[rings] * inside[:, None]
     filters = np.column_stack([filters / filters.sum(axis=0), fourier.multiplicity])
-    power, _ = fourier.power(np.ascontiguousarray(grey, np.float32), _WINDOW_PX // 2)
+    power, _ = fourier.power(grey, _WINDOW_PX // 2)
     means = (power.reshape(-1, fourier.size) @ filters.astype(np.float32)).astype(np.float64)
     means = means[means[:, -1] > _LEAST_CONTRAST**2 * _WINDOW_PX**2, :-1]
     logs = np.log(np.maximum(means, 1e-12))

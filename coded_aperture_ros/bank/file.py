@@ -1,6 +1,7 @@
 """Filter banks on disk: one `.npz` of plain arrays."""
 
 import os
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,25 @@ SCHEMA = "coded-aperture filter bank"
 # Version 2 may leave out high frequencies, and knows its stride.
 VERSION = 2
 
+# What is kept under its own name, and how it is read; then what older banks lack.
+_KEPT: dict[str, Callable[[Any], Any]] = {
+    **dict.fromkeys(("ratios", "basis", "coefficients", "log_determinants"), np.asarray),
+    **dict.fromkeys(("truncation_error", "noise"), float),
+    **dict.fromkeys(("mask_digest", "learned_from"), str),
+    "window_px": int,
+}
+_NEWER: dict[str, tuple[Callable[[Any], Any], Any]] = {
+    "highest_frequency": (float, 1.0),
+    "stride_px": (int, DEFAULT_STRIDE_PX),
+    "level_error": (float, np.nan),
+}
+_OF_PATTERN: dict[str, Callable[[Any], Any]] = {
+    "parts": np.asarray,
+    **dict.fromkeys(("parts_extent", "slope_px_m", "inverse_focus"), float),
+    "image_width": int,
+}
+_OF_PRIOR = ("slopes", "contrasts", "model_error")
+
 
 def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
     """Write a filter bank; the file appears whole or not at all.
@@ -28,26 +48,9 @@ def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
     InputError
         If the folder cannot be written to.
     """
-    arrays = {
-        "blur_sizes_px": bank.stack.blur_sizes_px,
-        "psfs": bank.stack.psfs,
-        "window_px": bank.window_px,
-        "prior_slopes": bank.prior.slopes,
-        "prior_contrasts": bank.prior.contrasts,
-        "prior_model_error": bank.prior.model_error,
-        "noise_range": bank.noise_range,
-        "ratios": bank.ratios,
-        "basis": bank.basis,
-        "coefficients": bank.coefficients,
-        "log_determinants": bank.log_determinants,
-        "truncation_error": bank.truncation_error,
-        "noise": bank.noise,
-        "mask_digest": bank.mask_digest,
-        "learned_from": bank.learned_from,
-        "highest_frequency": bank.highest_frequency,
-        "stride_px": bank.stride_px,
-        "level_error": bank.level_error,
-    }
+    arrays = {name: getattr(bank, name) for name in (*_KEPT, *_NEWER, "noise_range")}
+    arrays |= {f"prior_{name}": getattr(bank.prior, name) for name in _OF_PRIOR}
+    arrays |= {"blur_sizes_px": bank.stack.blur_sizes_px, "psfs": bank.stack.psfs}
     if not bank.stack.in_pixels:
         arrays["blur_sizes_are_indices"] = True
     if bank.stack.depths_m is not None:
@@ -55,7 +58,9 @@ def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
     if isinstance(bank.prior, EmpiricalPrior):
         arrays["prior_deviations"] = bank.prior.deviations
     if bank.pattern is not None:
-        arrays |= _pattern_arrays(bank.pattern)
+        arrays |= {f"pattern_{name}": getattr(bank.pattern, name) for name in _OF_PATTERN}
+        arrays["pattern_mask"] = bank.pattern.mask.transmission
+        arrays["pattern_mask_name"] = bank.pattern.mask.name
     write_archive(path, SCHEMA, VERSION, arrays)
 
 
@@ -77,20 +82,10 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
                 arrays.get("depths_m"),
                 in_pixels="blur_sizes_are_indices" not in arrays,
             ),
-            window_px=int(arrays["window_px"]),
             prior=_prior(arrays),
-            ratios=arrays["ratios"],
-            basis=arrays["basis"],
-            coefficients=arrays["coefficients"],
-            log_determinants=arrays["log_determinants"],
-            truncation_error=float(arrays["truncation_error"]),
-            noise=float(arrays["noise"]),
-            mask_digest=str(arrays["mask_digest"]),
-            learned_from=str(arrays["learned_from"]),
-            highest_frequency=float(arrays.get("highest_frequency", 1.0)),
-            stride_px=int(arrays.get("stride_px", DEFAULT_STRIDE_PX)),
-            level_error=float(arrays.get("level_error", np.nan)),
             pattern=_pattern(arrays),
+            **{name: read(arrays[name]) for name, read in _KEPT.items()},
+            **{name: read(arrays.get(name, old)) for name, (read, old) in _NEWER.items()},
         )
         _check_shapes(bank)
     except KeyError as error:
@@ -100,39 +95,21 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
     return bank
 
 
-def _pattern_arrays(pattern: LearnedPattern) -> dict[str, Any]:
-    return {
-        "pattern_mask": pattern.mask.transmission,
-        "pattern_mask_name": pattern.mask.name,
-        "pattern_parts": pattern.parts,
-        "pattern_parts_extent": pattern.parts_extent,
-        "pattern_slope_px_m": pattern.slope_px_m,
-        "pattern_inverse_focus": pattern.inverse_focus,
-        "pattern_image_width": pattern.image_width,
-    }
-
-
 def _pattern(arrays: dict[str, NDArray[Any]]) -> LearnedPattern | None:
     if "pattern_mask" not in arrays:  # not learned from planes, or by an older version
         return None
     return LearnedPattern(
         mask=Mask(str(arrays["pattern_mask_name"]), arrays["pattern_mask"]),
-        parts=arrays["pattern_parts"],
-        parts_extent=float(arrays["pattern_parts_extent"]),
-        slope_px_m=float(arrays["pattern_slope_px_m"]),
-        inverse_focus=float(arrays["pattern_inverse_focus"]),
-        image_width=int(arrays["pattern_image_width"]),
+        **{name: read(arrays[f"pattern_{name}"]) for name, read in _OF_PATTERN.items()},
     )
 
 
 def _prior(arrays: dict[str, NDArray[Any]]) -> NaturalImagePrior:
-    slopes = tuple(arrays["prior_slopes"].tolist())
-    contrasts = tuple(arrays["prior_contrasts"].tolist())
-    model_error = float(arrays["prior_model_error"])
+    slopes, contrasts, model_error = (arrays[f"prior_{name}"].tolist() for name in _OF_PRIOR)
     if "prior_deviations" not in arrays:
-        return NaturalImagePrior(slopes, contrasts, model_error)
+        return NaturalImagePrior(tuple(slopes), tuple(contrasts), model_error)
     deviations = tuple(tuple(row) for row in arrays["prior_deviations"].tolist())
-    return EmpiricalPrior(slopes, contrasts, model_error, deviations)
+    return EmpiricalPrior(tuple(slopes), tuple(contrasts), model_error, deviations)
 
 
 def _check_shapes(bank: FilterBank) -> None:

@@ -1,6 +1,7 @@
 """What sharp images look like before blur: the natural-image power spectrum."""
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,11 @@ class NaturalImagePrior:
             raise InputError(f"prior model error: expected 0 to 1, got {self.model_error}")
 
 
-def power_spectrum(slope: float, shape: tuple[int, int]) -> NDArray[np.float64]:
+def power_spectrum(
+    slope: float,
+    shape: tuple[int, int],
+    deviation: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None,
+) -> NDArray[np.float64]:
     """Return the prior's power spectrum for unit contrast, laid out as by ``scipy.fft.rfft2``.
 
     Parameters
@@ -55,6 +60,9 @@ def power_spectrum(slope: float, shape: tuple[int, int]) -> NDArray[np.float64]:
         Exponent of the power law.
     shape : (int, int)
         Rows and columns of the image.
+    deviation : callable, optional
+        By how much the logarithm of the power departs from the power law, as a function of that
+        of the frequency in cycles per pixel.
 
     Returns
     -------
@@ -63,11 +71,11 @@ def power_spectrum(slope: float, shape: tuple[int, int]) -> NDArray[np.float64]:
         frequency gets the power of one cycle per image, because a power law has none there.
     """
     rows, columns = shape
-    vertical = np.fft.fftfreq(rows)[:, None]
-    horizontal = np.fft.rfftfreq(columns)[None, :]
-    frequency = np.hypot(vertical, horizontal)
+    frequency = np.hypot(np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(columns))
     frequency[0, 0] = 1 / max(shape)
     power = frequency**-slope
+    if deviation is not None:
+        power *= np.exp(deviation(np.log(frequency)))
     return power / np.mean(np.fft.irfft2(power, shape)[0, 0])
 
 

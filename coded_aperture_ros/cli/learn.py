@@ -243,7 +243,7 @@ def _level_count(args: argparse.Namespace) -> int:
 
 def _remapped(args: argparse.Namespace) -> Any:
     from coded_aperture_ros.bank import load_bank
-    from coded_aperture_ros.calibration.planes.remap import remap_bank
+    from coded_aperture_ros.bank.remap import remap_bank
     from coded_aperture_ros.optics import load_camera
 
     camera, bank = load_camera(args.camera), load_bank(args.remap)

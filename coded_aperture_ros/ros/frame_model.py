@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT, FilterBank, load_bank
 from coded_aperture_ros.bank.guard import guarded_range
-from coded_aperture_ros.calibration.planes.remap import remap_bank
+from coded_aperture_ros.bank.remap import remap_bank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.depth import depths_are_measured

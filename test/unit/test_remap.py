@@ -19,7 +19,7 @@ from coded_aperture_ros.bank import (
     load_bank,
     save_bank,
 )
-from coded_aperture_ros.calibration.planes.remap import refocused, remap_bank
+from coded_aperture_ros.bank.remap import refocused, remap_bank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera, Mask, load_camera, render_psf_stack
 

@@ -9,13 +9,13 @@ import dataclasses
 
 import numpy as np
 
-from coded_aperture_ros.bank import (
-    FilterBank,
+from coded_aperture_ros.bank.learning import (
     LearnConfig,
-    LearnedPattern,
     learn_bank_for_camera,
     learn_bank_for_pattern,
 )
+from coded_aperture_ros.bank.model import FilterBank
+from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera, image_distance
 
@@ -27,7 +27,7 @@ def remap_bank(
     far_m: float | None = None,
     levels: int | None = None,
 ) -> FilterBank:
-    """Make the bank of another setting of the same lens and mask.
+    """Make the bank of another setting of the same lens and mask; all else stays as it is.
 
     Parameters
     ----------
@@ -42,11 +42,6 @@ def remap_bank(
     levels : int, optional
         Number of new levels, with a depth range; by default that of the bank.
 
-    Returns
-    -------
-    FilterBank
-        Of the same window, rank, prior and noise.
-
     Raises
     ------
     InputError
@@ -58,10 +53,13 @@ def remap_bank(
     if levels is not None and near_m is None:
         raise InputError("levels: other levels need a depth range")
     pattern = None if bank.pattern is None else refocused(bank.pattern, camera)
+    learned_from = f"{bank.learned_from}; for a focus at {camera.focus_distance_m:g} m"
     if pattern is None and not bank.stack.in_pixels:
         raise InputError("the bank's levels have no blur sizes in px, so they have no depths")
+    if pattern is None and bank.mask_digest not in ("", camera.mask.digest):
+        raise InputError(f"the bank is for another mask than the camera's {camera.mask.name}")
     if near_m is None or far_m is None:
-        return _with_new_depths(bank, pattern, camera)
+        return _with_new_depths(bank, pattern, camera, learned_from)
     config = LearnConfig(
         window_px=bank.window_px,
         rank=bank.basis_vectors,
@@ -71,12 +69,10 @@ def remap_bank(
     count = bank.levels if levels is None else levels
     if pattern is not None:
         camera.blur_range_px(near_m, far_m)  # refuses what is not on the camera's side
-        learned_from = f"{bank.learned_from}; for a focus at {camera.focus_distance_m:g} m"
         new = learn_bank_for_pattern(
             pattern, near_m, far_m, count, config, bank.prior, learned_from
         )
     elif bank.mask_digest:
-        _check_mask(bank, camera)
         new = learn_bank_for_camera(camera, near_m, far_m, count, config, prior=bank.prior)
     else:
         raise InputError(
@@ -118,13 +114,8 @@ def refocused(pattern: LearnedPattern, camera: Camera) -> LearnedPattern:
     )
 
 
-def _check_mask(bank: FilterBank, camera: Camera) -> None:
-    if bank.mask_digest != camera.mask.digest:
-        raise InputError(f"the bank is for another mask than the camera's {camera.mask.name}")
-
-
 def _with_new_depths(
-    bank: FilterBank, pattern: LearnedPattern | None, camera: Camera
+    bank: FilterBank, pattern: LearnedPattern | None, camera: Camera, learned_from: str
 ) -> FilterBank:
     """Return the same filters with the depths that their blur sizes have now."""
     sizes_px = bank.blur_sizes_px
@@ -135,26 +126,17 @@ def _with_new_depths(
             f"other side of the focus than the camera's side {camera.side}: give a depth range, "
             "and levels are learned there"
         )
-    if pattern is not None:
-        if pattern.image_width != bank.pattern.image_width:  # type: ignore[union-attr]
-            raise InputError(
-                "pictures of another width have other blur sizes: give a depth range, and levels "
-                "are learned for them"
-            )
-        depths_m = pattern.depth_m(sizes_px)
-    else:
-        if bank.mask_digest:
-            _check_mask(bank, camera)
-        depths_m = camera.depth_m(sizes_px)
+    if pattern and bank.pattern and pattern.image_width != bank.pattern.image_width:
+        raise InputError(
+            "pictures of another width have other blur sizes: give a depth range, and levels "
+            "are learned for them"
+        )
+    depths_m = (pattern or camera).depth_m(sizes_px)
     if not np.isfinite(depths_m).all():
         infinite = int((~np.isfinite(depths_m)).sum())
         raise InputError(
             f"{infinite} of {bank.levels} levels are blurred more than infinity is with the focus "
             f"at {camera.focus_distance_m:g} m: give a depth range, and levels are learned for it"
         )
-    return dataclasses.replace(
-        bank,
-        stack=dataclasses.replace(bank.stack, depths_m=depths_m),
-        pattern=pattern,
-        learned_from=f"{bank.learned_from}; for a focus at {camera.focus_distance_m:g} m",
-    )
+    stack = dataclasses.replace(bank.stack, depths_m=depths_m)
+    return dataclasses.replace(bank, stack=stack, pattern=pattern, learned_from=learned_from)
