@@ -33,8 +33,9 @@ def best_settings(
     Parameters
     ----------
     camera : Camera
-        Its focus, side and mask size do not matter, but for the default ranges.
+        Its focus, side and mask size matter only for the default ranges.
     near_m, far_m : float
+        Depth range.
     config : DesignConfig, optional
     focus_range_m, extent_range_mm : tuple of two floats, optional
         What is searched; by default `default_focus_range_m` and `default_extent_range_mm`.
@@ -61,8 +62,11 @@ def best_settings(
         )
     found: dict[str, list[Setting]] = {"far": [], "near": []}
     for focused in refocused_cameras(camera, near_m, far_m, focus_range_m):
-        extent_mm = _largest_extent_mm(focused, near_m, far_m, config, extent_range_mm)
-        if extent_mm is not None:
+        # The largest allowed mask is the best at a focus: levels and blur both grow with its size.
+        sizes_px = [abs(size) for size in focused.blur_range_px(near_m, far_m)]
+        per_mm = [size / focused.mask_extent_mm for size in sizes_px]
+        extent_mm = min(extent_range_mm[1], config.largest_blur_px / max(per_mm))
+        if extent_mm >= extent_range_mm[0] and extent_mm * min(per_mm) >= config.smallest_blur_px:
             candidate = dataclasses.replace(focused, mask_extent_mm=extent_mm)
             found[focused.side].append(setting_of(candidate, near_m, far_m, config))
     best = [_sharpest_of_the_best(settings) for settings in found.values() if settings]
@@ -73,19 +77,3 @@ def _sharpest_of_the_best(settings: list[Setting]) -> Setting:
     most = max(setting.levels for setting in settings)
     as_good = [setting for setting in settings if setting.levels >= _AS_GOOD * most]
     return min(as_good, key=lambda setting: abs(math.log(setting.hole_blur_mean_px)))
-
-
-def _largest_extent_mm(
-    camera: Camera,
-    near_m: float,
-    far_m: float,
-    config: DesignConfig,
-    extent_range_mm: tuple[float, float],
-) -> float | None:
-    """Return the largest allowed mask at this focus: levels and blur both grow with its size."""
-    sizes_px = [abs(size) for size in camera.blur_range_px(near_m, far_m)]
-    per_mm = [size / camera.mask_extent_mm for size in sizes_px]
-    extent_mm = min(extent_range_mm[1], config.largest_blur_px / max(per_mm))
-    if extent_mm < extent_range_mm[0] or extent_mm * min(per_mm) < config.smallest_blur_px:
-        return None
-    return extent_mm

@@ -16,21 +16,21 @@ _SAMPLES = 200
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Curves:
-    """The graphs of thesis figures 3.10 and 3.12, as numbers.
+    """The graphs of thesis figures 3.10 and 3.12, as numbers (all ndarray of float64).
 
     Attributes
     ----------
-    focus_m : ndarray of float64, shape [n]
+    focus_m : [n]
         Focus distances, increasing; those within the depth range, where the side of the focus is
         ambiguous, are left out.
-    levels : ndarray of float64, shape [n]
+    levels : [n]
         Depth levels (eq. 3.29) at each focus distance.
-    hole_blur_mean_px, hole_blur_far_px : ndarray of float64, shape [n]
+    hole_blur_mean_px, hole_blur_far_px : [n]
         Blur of the smallest hole at each focus distance (eq. 3.16): mean over the depth range,
         and at its far end.
-    depth_m, resolution_m : ndarray of float64, shape [k]
+    depth_m, resolution_m : [k]
         Depths in the range, and the depth resolution there (eq. 3.30) at the camera's own focus.
-    level_edges_m : ndarray of float64, shape [levels + 1]
+    level_edges_m : [levels + 1]
         Depths from `near_m` to `far_m` that are one resolvable step of blur size apart.
     """
 
@@ -110,12 +110,8 @@ def refocused_cameras(
 ) -> list[Camera]:
     """Return the camera focused at many distances outside the depth range, nearest first.
 
-    On each side of the range, they are equally spaced in the logarithm of the distance.
-
-    Raises
-    ------
-    InputError
-        If the focus range is not one, or lies within the depth range.
+    On each side of the range, they are equally spaced in the logarithm of the distance. An
+    `InputError` where the focus range is not one, or lies within the depth range.
     """
     low_m, high_m = focus_range_m
     if not 0 < low_m < high_m < math.inf:

@@ -34,24 +34,13 @@ class Openings:
 
 
 def open_cells(mask: Mask) -> NDArray[np.bool_]:
-    """Return which cells are open: those that let through more than half of the most open's light.
-
-    Returns
-    -------
-    ndarray of bool, shape [n, m]
-    """
+    """Return which cells [n, m] let through more than half of the most open one's light."""
     return np.asarray(mask.transmission > 0.5 * mask.transmission.max())
 
 
 @functools.lru_cache(maxsize=16)  # a search asks for the same mask hundreds of times
 def openings_of(mask: Mask) -> Openings:
-    """Measure the openings of a mask.
-
-    Parameters
-    ----------
-    mask : Mask
-        A cell counts as open if it lets through more than half of the most open cell's light.
-    """
+    """Measure the openings of a mask; see `open_cells`."""
     cells = open_cells(mask)
     framed = np.pad(cells, 1)  # the mask's rim is closed, and holds what touches it
     fine = np.kron(framed, np.ones((_POINTS_PER_CELL, _POINTS_PER_CELL), bool)).astype(np.uint8)

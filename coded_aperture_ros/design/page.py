@@ -33,9 +33,8 @@ def write_page(
     Parameters
     ----------
     camera : Camera
-        What the sliders start from.
     near_m, far_m : float
-        Depth range that they start from.
+        The sliders start from the camera and this depth range.
     best : list of Setting
         Settings that the page offers to go to.
     config : DesignConfig
@@ -62,16 +61,10 @@ def write_page(
         "wavelength_nm": config.wavelength_nm,
         "best": [dataclasses.asdict(setting) for setting in best],
     }
-    Path(path).write_text(_template().replace(_PLACE, _as_script(values)), encoding="utf-8")
-
-
-def _template() -> str:
-    return files("coded_aperture_ros.design").joinpath("page.html").read_text(encoding="utf-8")
-
-
-def _as_script(values: dict[str, Any]) -> str:
+    template = files("coded_aperture_ros.design").joinpath("page.html").read_text(encoding="utf-8")
     # The name of a mask file may have anything in it; "</script>" would end the script.
-    return json.dumps(finite(values), allow_nan=False).replace("<", "\\u003c")
+    script = json.dumps(finite(values), allow_nan=False).replace("<", "\\u003c")
+    Path(path).write_text(template.replace(_PLACE, script), encoding="utf-8")
 
 
 def finite(value: Any) -> Any:

@@ -169,17 +169,8 @@ def resolution_m(
 ) -> NDArray[np.float64]:
     """Return how much farther than each depth the next is that can be told apart (eq. 3.30).
 
-    Parameters
-    ----------
-    camera : Camera
-    depth_m : array_like
-    resolution_px : float
-        Change of blur size that is told apart.
-
-    Returns
-    -------
-    ndarray of float64
-        In metres, of the shape of `depth_m`; infinite where even an infinite depth looks the same.
+    In metres; infinite where even an infinite depth looks the same. `resolution_px` is the change
+    of blur size that is told apart.
     """
     return camera.depth_m(camera.blur_size_px(depth_m) + resolution_px) - np.asarray(depth_m)
 

@@ -18,13 +18,8 @@ def fragmentation(
 ) -> None:
     """Draw slices of the frequency responses of the best masks and of the disc (thesis fig. 7.2).
 
-    Parameters
-    ----------
-    analysis : Fragmentation
-    ranges : sequence of (float, float)
-        Of the noise; one row for each, with the mask that is the best for it, its response along a
-        row of frequencies, the disc's, and the noise.
-    path : path-like
+    There is a row for each range of the noise, with the mask that is the best for it, its response
+    along a row of frequencies, the disc's, and the noise.
     """
     figure, panels = new_panels(len(ranges), 2, width=1.2)
     for (low, high), (picture, axes) in zip(ranges, panels, strict=True):

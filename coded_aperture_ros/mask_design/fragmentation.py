@@ -43,12 +43,7 @@ def most_holes(
 ) -> int:
     """Return how many square holes let as much light through as a round aperture (eq. 7.5).
 
-    Parameters
-    ----------
-    focal_length_mm, f_number : float
-        Of the round aperture.
-    smallest_hole_mm : float, optional
-        Side of the smallest hole that diffraction allows.
+    `smallest_hole_mm` is the side of the smallest hole that diffraction allows.
     """
     _check_positive(
         focal_length_mm=focal_length_mm, f_number=f_number, smallest_hole_mm=smallest_hole_mm
@@ -65,10 +60,7 @@ def hole_side_mm(focal_length_mm: float, f_number: float, holes: int) -> float:
 def round_mask(grid: int, holes: int) -> Mask:
     """Return the disc with the light of `holes` cells of a grid, as a mask of that grid's extent.
 
-    Raises
-    ------
-    InputError
-        If the disc is larger than the grid.
+    An `InputError` where the disc is larger than the grid.
     """
     radius = math.sqrt(holes / math.pi) / grid  # of the extent
     if radius > 0.5:
@@ -134,7 +126,7 @@ def analyse_fragmentation(
     Parameters
     ----------
     grid, holes : int
-        So many open cells in a square grid of so many cells a side.
+        Cells along a side of the grid, and open ones.
     blur_sizes_px : array_like of float
         Extents of the grid in the image, px.
     motions : Motions

@@ -9,16 +9,9 @@ CARRIERS = ("transparent", "connected")
 
 
 def smallest_openings(grids: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Return the side of the largest square that every open cell of a mask has a place in.
+    """Return the side of the largest square that each open cell of a mask has a place in [B].
 
-    Parameters
-    ----------
-    grids : ndarray [B, n, n]
-
-    Returns
-    -------
-    ndarray of int [B]
-        Cells; 0 for a mask without an open cell.
+    In cells, of masks [B, n, n]; 0 for a mask without an open cell.
     """
     opened = np.asarray(grids) > 0
     widths = np.zeros(len(opened), np.int64)
@@ -123,18 +116,11 @@ def changed(
 def allowed(
     grids: NDArray[np.bool_], opening: int, light: tuple[float, float], carrier: str
 ) -> NDArray[np.bool_]:
-    """Which masks keep to the constraints [B].
+    """Which masks [B, n, n] keep to the constraints [B].
 
-    Parameters
-    ----------
-    grids : ndarray of bool [B, n, n]
-    opening : int
-        Every open cell lies in an open square of this side.
-    light : (float, float)
-        Least and most open share.
-    carrier : str
-        `transparent`: any pattern can be printed; `connected`: what is closed must hang together
-        with the frame, or it falls out.
+    Every open cell has to lie in an open square of the side `opening`; `light` is the least and
+    the most open share; with the carrier `transparent` any pattern can be printed, with
+    `connected` what is closed must hang together with the frame, or it falls out.
     """
     share = grids.mean(axis=(1, 2))
     fits = (share >= light[0]) & (share <= light[1]) & (share > 0) & (share < 1)

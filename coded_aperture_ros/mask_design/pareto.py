@@ -10,16 +10,11 @@ from numpy.typing import NDArray
 class Front:
     """Masks that no other mask found beats in depth, deblurring and light at once.
 
-    Attributes
-    ----------
-    grids : ndarray of bool [F, n, n]
-        Least depth error first.
-    scores : ndarray, float64 [F, 3]
-        Depth error, deblurring error, and closed share (1 - light): less is better.
+    The least depth error comes first. Of all scores less is better.
     """
 
-    grids: NDArray[np.bool_]
-    scores: NDArray[np.float64]
+    grids: NDArray[np.bool_]  # [F, n, n]
+    scores: NDArray[np.float64]  # [F, 3]: depth error, deblurring error, closed share (1 - light)
 
     @staticmethod
     def empty(cells: int) -> "Front":

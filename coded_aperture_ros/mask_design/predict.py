@@ -85,13 +85,8 @@ class MaskScorer:
     ----------
     scene : SceneConfig, optional
     sigmas : sequence of float, optional
-        Noise behind an open aperture (standard deviation, linear light); divided by the light
+        Noise behind an open aperture (standard deviation, linear light, > 0); divided by the light
         that a mask passes.
-
-    Raises
-    ------
-    InputError
-        If a noise is not above 0.
     """
 
     def __init__(self, scene: SceneConfig | None = None, sigmas: Sequence[float] = SIGMAS) -> None:
@@ -119,13 +114,7 @@ class MaskScorer:
         return self._predict(power, light)
 
     def score_grids(self, grids: NDArray[np.floating]) -> Prediction:
-        """Predict the errors of many masks of one size.
-
-        Parameters
-        ----------
-        grids : ndarray of float [B, n, n]
-            0 closed to 1 open; each with both.
-        """
+        """Predict the errors of many masks of one size [B, n, n], 0 closed to 1 open."""
         cells = grids.shape[-1]
         if cells not in self._matrices:
             self._matrices[cells] = lag_matrix(cells, self.scene, self.frequencies)

@@ -72,26 +72,20 @@ class SearchConfig:
                 f"{self.most_light:g}"
             )
 
+    @property
+    def light(self) -> tuple[float, float]:
+        """Least and most open share."""
+        return self.least_light, self.most_light
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Island:
-    """A population.
+    """A population of masks, and all that is known of those that were ever scored in it."""
 
-    Attributes
-    ----------
-    grids : ndarray of bool [masks, n, n]
-    objective : ndarray, float64 [masks]
-        Less is better; infinite before the first epoch.
-    front : Front
-        Of all masks that were ever scored here.
-    scored : int
-        How many that were.
-    """
-
-    grids: NDArray[np.bool_]
-    objective: NDArray[np.float64]
+    grids: NDArray[np.bool_]  # [masks, n, n]
+    objective: NDArray[np.float64]  # [masks], less is better; infinite before the first epoch
     front: Front
-    scored: int = 0
+    scored: int = 0  # how many were
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -137,7 +131,7 @@ def first_state(config: SearchConfig) -> SearchState:
         for _ in range(_TRIES):
             drawn = random_grids(
                 *(_MASKS, config.cells, config.smallest_opening, config.symmetry, random),
-                light=(config.least_light, config.most_light),
+                config.light,
             )
             grids = np.concatenate([grids, drawn[_allowed(drawn, config)]])[:_MASKS]
             if len(grids) == _MASKS:
@@ -156,18 +150,8 @@ def run_epoch(
 ) -> Island:
     """Change the masks of an island for one epoch.
 
-    Parameters
-    ----------
-    island : Island
-    number, epoch : int
-        Of the island and of the epoch: they choose the random numbers.
-    config : SearchConfig
-    scene : SceneConfig
-
-    Returns
-    -------
-    Island
-        The same for the same arguments, on any machine.
+    The numbers of the island and of the epoch choose the random numbers: the result is the same
+    for the same arguments, on any machine.
     """
     random = np.random.default_rng([config.seed, number, epoch + 1])
     grids, objective, front = island.grids.copy(), island.objective.copy(), island.front
@@ -206,7 +190,8 @@ def search_epochs(
 
     Parameters
     ----------
-    config, scene
+    config : SearchConfig
+    scene : SceneConfig
     run_all : callable
         Gets the arguments of `run_epoch` for every island and returns the islands in order; here
         the work can be shared.
@@ -236,8 +221,7 @@ def _with_migrants(islands: list[Island]) -> tuple[Island, ...]:
 
 
 def _allowed(grids: NDArray[np.bool_], config: SearchConfig) -> NDArray[np.bool_]:
-    light = (config.least_light, config.most_light)
-    return allowed(grids, config.smallest_opening, light, config.carrier)
+    return allowed(grids, config.smallest_opening, config.light, config.carrier)
 
 
 def _objective(

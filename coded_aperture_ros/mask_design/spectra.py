@@ -71,12 +71,9 @@ class SceneConfig:
 
 @dataclasses.dataclass(frozen=True)
 class Frequencies:
-    """The frequencies that count: every second one of a window's spectrum, half of the plane.
+    """The K frequencies that count: every second one of a window, half of the plane.
 
-    Attributes
-    ----------
-    vertical, horizontal : ndarray of int [K]
-        Cycles per window.
+    `vertical` and `horizontal` are whole cycles per window.
     """
 
     vertical: NDArray[np.intp]
@@ -106,18 +103,10 @@ class Frequencies:
 
 
 def autocorrelations(grids: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return the autocorrelations of masks, for light of one in all.
+    """Return the autocorrelations [B, (2 n - 1) n] of masks [B, n, n], for light of one in all.
 
-    Parameters
-    ----------
-    grids : ndarray of float [B, n, n]
-        Transmissions, 0 to 1; each lets some light through.
-
-    Returns
-    -------
-    ndarray, float32 [B, (2 n - 1) n]
-        Lags down (-n+1 to n-1) and right (0 to n-1); those to the left count with their mirror
-        images.
+    Lags go down (-n+1 to n-1) and right (0 to n-1); those to the left count with their mirror
+    images. Each mask has to let some light through.
     """
     n = grids.shape[-1]
     transfer = scipy.fft.rfft2(grids.astype(np.float32), (2 * n, 2 * n))
@@ -129,12 +118,9 @@ def autocorrelations(grids: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def lag_matrix(cells: int, scene: SceneConfig, frequencies: Frequencies) -> NDArray[np.float32]:
-    """Return what turns autocorrelations into expected spectra, of grids of n x n cells.
+    """Return what turns autocorrelations into expected spectra [(2 n - 1) n, levels * K].
 
-    Returns
-    -------
-    ndarray, float32 [(2 n - 1) n, levels * K]
-        For texture of unit variance, as `expected_spectra`; aliasing of the sensor is left out.
+    For texture of unit variance, as `expected_spectra`; aliasing of the sensor is left out.
     """
     offsets = np.arange(-_REACH, _REACH + 1)
     leakage = _window_power()[offsets]
@@ -158,12 +144,9 @@ def lag_matrix(cells: int, scene: SceneConfig, frequencies: Frequencies) -> NDAr
 def expected_spectra(
     mask: Mask, scene: SceneConfig, frequencies: Frequencies
 ) -> NDArray[np.float32]:
-    """Return the spectra that a window is expected to see, of any mask.
+    """Return the spectra that a window is expected to see, of any mask [levels, K].
 
-    Returns
-    -------
-    ndarray, float32 [levels, K]
-        For texture of unit variance before the blur.
+    For texture of unit variance before the blur.
     """
     torus = (_TORUS_PX, _TORUS_PX)
     vertical = np.fft.fftfreq(_TORUS_PX)[:, None]
@@ -185,17 +168,10 @@ def expected_spectra(
 def diffraction_loss(
     smallest_opening: NDArray[np.floating], scene: SceneConfig, frequencies: Frequencies
 ) -> NDArray[np.float32]:
-    """Return the share of the power that is left after diffraction.
+    """Return the share of the power that is left after diffraction [B, K].
 
-    Parameters
-    ----------
-    smallest_opening : ndarray of float [B]
-        Width of the narrowest opening as a share of the mask's, 0 to 1. Its diffraction counts
-        for all of the mask, which errs on the dark side.
-
-    Returns
-    -------
-    ndarray, float32 [B, K]
+    `smallest_opening` is the width of each mask's narrowest opening as a share of the mask's. Its
+    diffraction counts for all of the mask, which errs on the dark side.
     """
     sigma = _AIRY_TO_SIGMA * scene.diffraction_px / smallest_opening[:, None]
     loss: NDArray[np.float32] = np.exp(-((2 * np.pi * sigma * frequencies.radius) ** 2))

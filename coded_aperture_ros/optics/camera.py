@@ -237,19 +237,10 @@ class Camera:
         return (largest_px - smallest_px) / resolution_px + 1.0
 
     def refocused(self, focus_distance_m: float) -> "Camera":
-        """Return the camera with its lens focused at another distance.
+        """Return the camera with its lens focused at another distance, where it can be.
 
         The image distance follows the focus (thesis eq. 3.14) where the focal length is known;
         else `focal_length_px` stays, which is off by about the focal length over the distance.
-
-        Parameters
-        ----------
-        focus_distance_m : float
-
-        Raises
-        ------
-        InputError
-            If the lens cannot be focused there.
         """
         focal_length_px = self.focal_length_px
         if self.focal_length_mm is not None:
