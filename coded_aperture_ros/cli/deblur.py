@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _restorer(args: argparse.Namespace, bank: Any) -> Callable[[NamedFrame], tuple[Any, Any]]:
     """Return a function from a frame to the all-in-focus frame and its map of blur sizes."""
-    from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
+    from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, covers_frame
     from coded_aperture_ros.depth import DepthConfig
     from coded_aperture_ros.imaging import KnownNoise
     from coded_aperture_ros.optics import load_camera
@@ -106,20 +106,24 @@ def _restorer(args: argparse.Namespace, bank: Any) -> Callable[[NamedFrame], tup
     noise = dataclasses.asdict(KnownNoise.of(config, camera, bank))
     config = dataclasses.replace(config, **noise)
     deblurrer = Deblurrer(bank.stack, config)
-    if args.depth != "auto":
-        blur_size_of = _blur_sizes_of_file(args, bank, camera)
-    else:
+    given = None if args.depth == "auto" else _blur_sizes_of_file(args, bank, camera)
+    if given is None:
         with naming(args.camera or args.bank):
             pipeline = FramePipeline(bank, camera, DepthConfig(**noise), config)
 
     def restored(frame: NamedFrame) -> tuple[Any, Any]:
-        if args.depth != "auto":
-            blur_size_px = blur_size_of(frame.image)
-        else:
+        blur_size_px: Any = given
+        if given is None:
             result = pipeline(frame.image, frame.stamp_ns)
             blur_size_px = result.depth.blur_size_px
             if motion_px is None:
                 return result.all_in_focus, blur_size_px
+        elif not covers_frame(given.shape, frame.image.shape):
+            of_map, of_frame = (f"{x.shape[1]} x {x.shape[0]}" for x in (given, frame.image))
+            raise InputError(
+                f"the depth map {args.depth} has {of_map} pixels, this frame {of_frame}: it must "
+                "be of this size, or of this shape and smaller"
+            )
         return deblurrer.deblur(frame.image, blur_size_px, motion_px=motion_px), blur_size_px
 
     return restored
@@ -136,35 +140,21 @@ def _motion(args: argparse.Namespace) -> Any:
     try:
         return np.load(args.motion, allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
-        raise InputError(
-            f"cannot read motion {args.motion}: expected a .npy as depth --motion writes it"
-        ) from error
+        what = "expected a .npy as depth --motion writes it"
+        raise InputError(f"cannot read motion {args.motion}: {what}") from error
 
 
-def _blur_sizes_of_file(args: argparse.Namespace, bank: Any, camera: Any) -> Callable[[Any], Any]:
-    """Return a function from a frame to the blur sizes of the file's depths."""
+def _blur_sizes_of_file(args: argparse.Namespace, bank: Any, camera: Any) -> Any:
+    """Return the blur sizes of the file's depths."""
     import numpy as np
 
-    from coded_aperture_ros.deblur import covers_frame
     from coded_aperture_ros.io import read_depth
 
     depth_m = read_depth(args.depth)
     blur_size_px = camera.blur_size_px(depth_m) if camera else bank.stack.blur_size_at(depth_m)
     if blur_size_px is None:
-        raise InputError(
-            f"{args.bank}: the bank does not know how far its levels are: give --camera, or "
-            "--depth auto"
-        )
+        what = "the bank does not know how far its levels are: give --camera, or --depth auto"
+        raise InputError(f"{args.bank}: {what}")
     if not np.isfinite(blur_size_px).any():
         raise InputError(f"{args.depth}: no pixel has a known depth")
-
-    def of_frame(image: Any) -> Any:
-        of_map, of_image = (f"{each.shape[1]} x {each.shape[0]}" for each in (depth_m, image))
-        if not covers_frame(depth_m.shape, image.shape):
-            raise InputError(
-                f"the depth map {args.depth} has {of_map} pixels, this frame {of_image}: it must "
-                "be of this size, or of this shape and smaller"
-            )
-        return blur_size_px
-
-    return of_frame
+    return blur_size_px

@@ -29,7 +29,7 @@ def add_stereo_options(parser: argparse.ArgumentParser) -> None:
         type=_parallax,
         metavar="PX",
         help="largest distance between the two views of a point; several frames share the scale "
-        f"of the first (default {_USUAL_PARALLAX:.0%} of the width)".replace("%", "%%"),
+        f"of the first (default {_USUAL_PARALLAX * 100:.0f} %% of the width)",
     )
 
 
@@ -48,15 +48,11 @@ class StereoOutput:
         if args.parallax and not self._given:
             args.usage_error("--parallax only goes with --anaglyph or --stereo")
         self._args = args
-        of_camera = args.camera and args.depth != "auto"
-        self._direction = 1 if of_camera else _direction(stack)
-        self._parallax: Any = None
+        self._direction = 1 if args.camera and args.depth != "auto" else _direction(stack)
+        self._parallax: Any = None  # of the first frame, which the others share
 
     def outputs(self, output: Path) -> list[Path]:
-        """Return all files that belong to the all-in-focus picture `output`, which is the first.
-
-        An unknown format, one name for two, and a file in place of a folder are InputErrors.
-        """
+        """Return all files that belong to the all-in-focus picture `output`, which is the first."""
         paths = [output, *self._files(output).values()]
         for index, path in enumerate(paths):
             if path.resolve() in [other.resolve() for other in paths[:index]]:
@@ -79,15 +75,14 @@ class StereoOutput:
         if not self._given:
             return {}
         farness = self._direction * blur_size_px
-        if self._parallax is None:
-            self._parallax = Parallax.of_scene(farness, self._shift_px(sharp))
-        left, right = stereo_pair(sharp, farness, self._parallax)
-        join = {"anaglyph": anaglyph, "stereo": side_by_side}
+        self._parallax = self._parallax or Parallax.of_scene(farness, self._shift_px(sharp))
+        pair = stereo_pair(sharp, farness, self._parallax)
         # Unlike the all-in-focus picture these are to be looked at, not to be computed with.
         gamma = SRGB if self._args.gamma == 1 else self._args.gamma
         files = self._files(output)
         for name, path in files.items():
-            write_image(path, join[name](left, right), bits=8, gamma=gamma)
+            joined = {"anaglyph": anaglyph, "stereo": side_by_side}[name](*pair)
+            write_image(path, joined, bits=8, gamma=gamma)
         return {name: str(path) for name, path in files.items()}
 
     def _shift_px(self, frame: Any) -> float:
@@ -98,18 +93,15 @@ class StereoOutput:
     def _files(self, output: Path) -> dict[str, Path]:
         from coded_aperture_ros.io import PICTURE_SUFFIXES
 
-        into_file = output == Path(self._args.output)
-        files = {}
-        for name, given in self._given.items():
-            path = Path(given)
-            if into_file:
+        if output == Path(self._args.output):
+            for given in self._given.values():
                 check_suffix(given, PICTURE_SUFFIXES)
-            elif path.suffix.lower() in PICTURE_SUFFIXES and not given.endswith("/"):
-                raise InputError(
-                    f"{given}: the all-in-focus pictures go to a folder, name one for --{name} too"
-                )
-            files[name] = path if into_file else path / output.name
-        return files
+            return {name: Path(given) for name, given in self._given.items()}
+        for name, given in self._given.items():
+            if Path(given).suffix.lower() in PICTURE_SUFFIXES and not given.endswith("/"):
+                what = f"the all-in-focus pictures go to a folder, name one for --{name} too"
+                raise InputError(f"{given}: {what}")
+        return {name: Path(given) / output.name for name, given in self._given.items()}
 
 
 def _direction(stack: Any) -> int:

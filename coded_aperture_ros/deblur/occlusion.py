@@ -3,6 +3,7 @@
 from typing import TypeVar
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.workers import Workers
@@ -43,34 +44,36 @@ class OccludedBlur(OnProcessor):
         self.scene_shape = (rows + 2 * self.margin_px, columns + 2 * self.margin_px)
         self.workers = workers or Workers()
         self._basis, self._steps = basis, steps_around(basis, blur_size_px, self)
-        amount = np.abs(basis.table_sizes_px).astype(np.float32)[self._steps]
         psfs = np.maximum(basis.psfs(), 0)
         psfs[psfs < 1e-3 * psfs.max(axis=(1, 2), keepdims=True)] = 0
-        open_at = np.argwhere(psfs.max(axis=0) > 0) - self.margin_px
-        self._offsets = offsets = [(int(down), int(right)) for down, right in open_at]
         # The ray that reaches x from x + offset comes from the PSF at -offset.
-        taps = [psfs[:, self.margin_px - down, self.margin_px - right] for down, right in offsets]
-        self._weights = np.empty((len(offsets), rows, columns), np.float32)
+        taps = np.moveaxis(psfs[:, ::-1, ::-1], 0, -1)
+        self._offsets = [(int(down), int(right)) for down, right in np.argwhere(taps.max(axis=-1))]
+        self._weights = np.empty((len(self._offsets), rows, columns), np.float32)
+        amount = np.abs(basis.table_sizes_px).astype(np.float32)[self._steps]
+        amounts, steps = self._around(amount), self._around(self._steps)
 
         def weigh(index: int, _: int) -> None:
-            seen = _visible(amount, self.margin_px, self.shape, offsets[index])
-            there = _shifted(self._steps, self.margin_px, self.shape, offsets[index])
-            np.take(taps[index], there, out=self._weights[index])
-            self._weights[index] *= seen
+            offset, weight = self._offsets[index], self._weights[index]
+            np.take(taps[offset], steps[offset], out=weight)
+            weight *= _visible(amounts, offset)
 
-        self.workers.each(weigh, range(len(offsets)))
+        self.workers.each(weigh, range(len(self._offsets)))
         self._weights /= np.maximum(self._weights.sum(axis=0), np.float32(1e-6))
+
+    def _around(self, scene: NDArray[Value]) -> NDArray[Value]:
+        """Return views [down, right] of what is so far from every pixel, less the margin."""
+        return sliding_window_view(scene, self.shape, writeable=True)
 
     def forward(self, scene: NDArray[np.float32]) -> NDArray[np.float32]:
         """Blur a scene."""
-        frame = np.zeros(self.shape, np.float32)
+        frame, around = np.zeros(self.shape, np.float32), self._around(scene)
 
         def add(top: int, _: int) -> None:
             band = slice(top, top + _BAND_ROWS)
             product = np.empty_like(frame[band])
             for offset, weights in zip(self._offsets, self._weights, strict=True):
-                there = _shifted(scene, self.margin_px, self.shape, offset)[band]
-                np.multiply(weights[band], there, out=product)
+                np.multiply(weights[band], around[offset][band], out=product)
                 frame[band] += product
 
         self.workers.each(add, range(0, self.shape[0], _BAND_ROWS))
@@ -82,11 +85,11 @@ class OccludedBlur(OnProcessor):
         scenes = [np.zeros(self.scene_shape, np.float32) for _ in range(self.workers.threads)]
 
         def add(top: int, thread: int) -> None:
-            band = slice(top, top + _BAND_ROWS)
+            band, around = slice(top, top + _BAND_ROWS), self._around(scenes[thread])
             product = np.empty_like(frame[band])
             for offset, weights in zip(self._offsets, self._weights, strict=True):
                 np.multiply(weights[band], frame[band], out=product)
-                _shifted(scenes[thread], self.margin_px, self.shape, offset)[band] += product
+                around[offset][band] += product
 
         self.workers.each(add, range(0, self.shape[0], _BAND_ROWS))
         return np.sum(scenes, axis=0)
@@ -96,23 +99,14 @@ class OccludedBlur(OnProcessor):
         return self._basis.ranges(self._steps, count)
 
 
-def _visible(
-    amount: NDArray[np.float32], margin: int, shape: tuple[int, int], offset: tuple[int, int]
-) -> NDArray[np.bool_]:
-    """Return for which pixels nothing is in front of the point `offset` of them."""
-    there = _shifted(amount, margin, shape, offset)
-    seen = np.ones(shape, bool)
-    length = int(np.max(np.abs(offset)))
+def _visible(amounts: NDArray[np.float32], place: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return for which pixels nothing is in front of the point at a place of their surroundings."""
+    centre = len(amounts) // 2
+    offset = place[0] - centre, place[1] - centre
+    seen = np.ones(amounts[place].shape, bool)
+    length = max(abs(offset[0]), abs(offset[1]))
     for step in range(length):
         share = np.float32(step / length)
-        between = (round(offset[0] * step / length), round(offset[1] * step / length))
-        seen &= _shifted(amount, margin, shape, between) >= share * there - _IN_FRONT_PX
+        down, right = (centre + round(way * step / length) for way in offset)
+        seen &= amounts[down, right] >= share * amounts[place] - _IN_FRONT_PX
     return seen
-
-
-def _shifted(
-    scene: NDArray[Value], margin: int, shape: tuple[int, int], offset: tuple[int, int]
-) -> NDArray[Value]:
-    """Return what lies `offset` (down, right) of every pixel of the frame."""
-    top, left = margin + offset[0], margin + offset[1]
-    return scene[top : top + shape[0], left : left + shape[1]]
