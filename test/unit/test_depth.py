@@ -359,8 +359,8 @@ def test_background_is_found_nearer_to_an_edge_with_trimming(bank, stairs):
     """The near plane ends at column 128; where does the map end it?"""
     frame, _ = stairs
 
-    def edge(rim):
-        config = DepthConfig(confidence_threshold=0, edge_correction=rim)
+    def edge(edge_correction):
+        config = DepthConfig(confidence_threshold=0, edge_correction=edge_correction)
         depth = DepthEstimator(bank, config).estimate(frame).depth_m
         return np.median((depth < 1.55).sum(axis=1))
 

@@ -64,18 +64,20 @@ class MotionConfig:
     refinement_px: float = option(
         0.0,
         "Motions that occur are searched for to this accuracy, half a second or more for each; 0: "
-        "they lie where a parabola through the energies of those that are told apart is least.",
+        "they lie where a parabola through the costs of those that are told apart is least.",
         unit="px",
         minimum=0.0,
         maximum=1.0,
         parameter="motion.refinement_px",
     )
-    stillness: float = option(
+    motion_threshold: float = option(
         0.5,
-        "Evidence (natural logarithm) that a patch must have to be taken for moving.",
+        "How much less (natural logarithm) any motion must cost than none, for a patch to count as "
+        "moving.",
         minimum=0.0,
         maximum=100.0,
         parameter="motion.threshold",
+        formerly="stillness",
     )
     prior_motions: int = option(
         3,

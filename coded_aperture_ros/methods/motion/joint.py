@@ -72,7 +72,7 @@ def separate(
     of_motion -= of_motion.min(axis=0)
     some = occurring_motions(of_motion, motions, overlap)
     still = np.hypot(*motions.vectors_px.T) == 0
-    handicap = np.where(still, 0, config.stillness).astype(np.float32)[some, None, None]
+    handicap = np.where(still, 0, config.motion_threshold).astype(np.float32)[some, None, None]
     known = of_motion[some] + handicap
     known = np.minimum(known - known.min(axis=0), np.float32(_ENOUGH_EVIDENCE))
     neighbours = _neighbours(motions)
