@@ -121,7 +121,7 @@ def with_noise_of(camera: Camera | None, config: Any) -> Any:
     )
 
 
-def _compared(one: NDArray[np.float64], two: NDArray[np.float64]) -> NDArray[np.float64]:
+def _compared(one: NDArray, two: NDArray) -> NDArray:
     """Return light, variance and steepness of the usable pixels of two frames [3, pixels]."""
     usable = np.isfinite(one) & np.isfinite(two) & (np.minimum(one, two) > 0)
     usable &= np.maximum(one, two) < _SATURATED
@@ -137,9 +137,7 @@ def _compared(one: NDArray[np.float64], two: NDArray[np.float64]) -> NDArray[np.
     return np.stack([mean[usable], squares[usable], slopes[usable]])
 
 
-def _binned(
-    light: NDArray[np.float64], squares: NDArray[np.float64], steep: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _binned(light: NDArray, squares: NDArray, steep: NDArray) -> tuple[NDArray, NDArray]:
     """Return mean light and variance of groups of equally many pixels, darkest first."""
     bins = np.array_split(np.argsort(light, kind="stable"), _BINS)
     even, uneven = [], []
@@ -156,7 +154,7 @@ def _binned(
     return np.array(means), np.array([_clipped_mean(squares[group]) for group in bins])
 
 
-def _clipped_mean(squares: NDArray[np.float64]) -> float:
+def _clipped_mean(squares: NDArray) -> float:
     """Return the mean square without what noise does not explain: sparks, dead pixels."""
     mean = float(squares.mean())
     for _ in range(3):
@@ -165,9 +163,7 @@ def _clipped_mean(squares: NDArray[np.float64]) -> float:
     return mean
 
 
-def _robust_line(
-    light: NDArray[np.float64], variance: NDArray[np.float64]
-) -> tuple[float, float, float]:
+def _robust_line(light: NDArray, variance: NDArray) -> tuple[float, float, float]:
     """Fit variance over light by a line that is never negative.
 
     Groups far off the line count less (Huber's weights); all errors are relative, as those of

@@ -17,12 +17,7 @@ from coded_aperture_ros.cli.measuring import (
     tell,
     write_report,
 )
-from coded_aperture_ros.cli.options import (
-    add_config_options,
-    add_gamma_option,
-    at_least,
-    table,
-)
+from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, at_least, table
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError
 

@@ -4,10 +4,4 @@ from coded_aperture_ros.simulation.render import render_coded_frame
 from coded_aperture_ros.simulation.scene import PanningScene, Scene, motorcycle_scene
 from coded_aperture_ros.simulation.sensor import SensorModel
 
-__all__ = [
-    "PanningScene",
-    "Scene",
-    "SensorModel",
-    "motorcycle_scene",
-    "render_coded_frame",
-]
+__all__ = ["PanningScene", "Scene", "SensorModel", "motorcycle_scene", "render_coded_frame"]

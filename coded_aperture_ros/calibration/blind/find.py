@@ -194,12 +194,10 @@ class _Search:
             reaches_limit=bool(sizes_px.max() > self.widest_px),
         )
 
-    def _fit(
-        self, parts: NDArray[np.float64], sizes_px: NDArray[np.float64], log_noise: NDArray
-    ) -> FreeFit:
+    def _fit(self, parts: NDArray, sizes_px: NDArray, log_noise: NDArray) -> FreeFit:
         return MaskFit(parts, FreeSizes(sizes_px, self.likelihood.widest_px), log_noise)
 
-    def _mixture(self, sizes_px: NDArray[np.float64]) -> FreeFit:
+    def _mixture(self, sizes_px: NDArray) -> FreeFit:
         """Fit a mixture and the sizes, coarse masks first."""
         parts = random_parts(_COARSE_PARTS, _COARSE_CELLS)
         fit = self._fit(parts, sizes_px, self.likelihood.first_log_noise)
@@ -214,7 +212,7 @@ class _Search:
 
     def _tried(
         self, fit: FreeFit, found: FoundSpectra, extent: float
-    ) -> list[tuple[NDArray[np.float64], float]]:
+    ) -> list[tuple[NDArray, float]]:
         """Return the best grids of some numbers of cells, the best number first.
 
         Each with its width over that of the mixture's grid.
@@ -236,13 +234,13 @@ class _Search:
     def _misfit(self, fit: FreeFit, found: FoundSpectra, cells: int) -> GridMisfit:
         return GridMisfit(self.likelihood, found, cells, fit.sizes_px / cells)
 
-    def _resized(self, fit: FreeFit, cells: NDArray[np.float64]) -> FreeFit:
+    def _resized(self, fit: FreeFit, cells: NDArray) -> FreeFit:
         """Fit sizes, textures and noise to a grid."""
         fit = dataclasses.replace(fit, parts=normalised(cells[None]))
         return fit.climb(self.likelihood, _SIZE_STEPS, masks=False)
 
     def _refined(
-        self, mixture: FreeFit, found: FoundSpectra, cells: NDArray[np.float64], width: float
+        self, mixture: FreeFit, found: FoundSpectra, cells: NDArray, width: float
     ) -> FreeFit:
         """Refine sizes and cells in turn, each with the others as found."""
         fit = self._fit(mixture.parts, mixture.sizes_px * width, mixture.log_noise)
@@ -298,7 +296,7 @@ class _Search:
         misfit = self._misfit(fit, found, len(cells))
         return 1 - misfit.of_grid(cells) / misfit.of_grid(opened)
 
-    def _spectra(self, fit: FreeFit) -> NDArray[np.float64]:
+    def _spectra(self, fit: FreeFit) -> NDArray:
         """Return measured and explained spectra, of the windows of least contrast."""
         found = FoundSpectra.of_fit(fit, self.likelihood)
         _, first = np.unique(found.groups.plane, return_index=True)
@@ -309,31 +307,31 @@ class _Search:
         return spectra.reshape(len(first), 2, n, -1)
 
 
-def _cells(fit: FreeFit) -> NDArray[np.float64]:
+def _cells(fit: FreeFit) -> NDArray:
     """Return a binary mask's open (1) and closed (0) cells [n, n]."""
     return (fit.parts[0] > 0).astype(np.float64)
 
 
-def _widths(extent: float, cells: int) -> NDArray[np.float64]:
+def _widths(extent: float, cells: int) -> NDArray:
     """Return widths of grids of cells to try, near that of the mask as the mixture has it."""
     low, high = extent / _UNCERTAIN, min(extent * _UNCERTAIN, 1.0)
     count = int(np.ceil(np.log(high / low) * cells / _CELL_STEP)) + 1
     return np.geomspace(low, high, count)
 
 
-def _penalty(cells: NDArray[np.float64]) -> float:
+def _penalty(cells: NDArray) -> float:
     """Return what the choice of the cells in the rectangle around the open ones costs."""
     return float(_PER_CELL * cells[_bounds(cells)].size)
 
 
-def _alone(cells: NDArray[np.float64]) -> NDArray[np.intp]:
+def _alone(cells: NDArray) -> NDArray[np.intp]:
     """Return which cells differ from all their neighbours above, below, left and right, flat."""
     padded = np.pad(cells, 1)
     around = (padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:])
     return np.flatnonzero(np.all([other != cells for other in around], axis=0))
 
 
-def _bounds(cells: NDArray[np.float64]) -> tuple[slice, slice]:
+def _bounds(cells: NDArray) -> tuple[slice, slice]:
     """Return the rows and the columns between the first and the last with an open cell."""
     rows, columns = (np.flatnonzero(cells.any(axis=axis)) for axis in (1, 0))
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)

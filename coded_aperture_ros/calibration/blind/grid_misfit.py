@@ -45,11 +45,7 @@ class GridMisfit:
     """
 
     def __init__(
-        self,
-        likelihood: MaskLikelihood,
-        found: FoundSpectra,
-        cells: int,
-        cells_px: NDArray[np.float64],
+        self, likelihood: MaskLikelihood, found: FoundSpectra, cells: int, cells_px: NDArray
     ) -> None:
         self.cells = cells
         self.lags = half_plane(cells - 1)
@@ -62,9 +58,7 @@ class GridMisfit:
         self._behind = (row - down) * self._width + column - across
         self._at_zero = int(np.flatnonzero(~self.lags.any(axis=1))[0])
 
-    def _add_up(
-        self, likelihood: MaskLikelihood, found: FoundSpectra, cells_px: NDArray[np.float64]
-    ) -> None:
+    def _add_up(self, likelihood: MaskLikelihood, found: FoundSpectra, cells_px: NDArray) -> None:
         groups = found.groups
         trust = np.sqrt(likelihood.multiplicity) / (found.signal + found.noise)
         gain = trust * np.exp(groups.textures @ likelihood.texture)
@@ -96,7 +90,7 @@ class GridMisfit:
         self._root = (vectors[:, kept] * roots).T
         self._target = vectors[:, kept].T @ slope / roots
 
-    def _stretched(self, likelihood: MaskLikelihood, cell_px: float) -> NDArray[np.float64]:
+    def _stretched(self, likelihood: MaskLikelihood, cell_px: float) -> NDArray:
         """Return the autocorrelation in pixels of each lag of the grid [pixel lags, lags]."""
         reach = likelihood.spectra.width - 1
         kernel = _square_overlap(
@@ -149,7 +143,7 @@ class GridMisfit:
         by_lag = by_scaled / light - self._light * (by_scaled @ autocorrelation) / light**2
         return float(error @ error), neighbours @ by_lag
 
-    def _neighbours(self, grid: NDArray) -> NDArray[np.float64]:
+    def _neighbours(self, grid: NDArray) -> NDArray:
         """Sum of the two cells at each lag from every cell [n * n, lags]."""
         n = self.cells
         padded = np.zeros((self._width, self._width))
@@ -157,7 +151,7 @@ class GridMisfit:
         return np.asarray(padded.ravel()[self._ahead] + padded.ravel()[self._behind])
 
 
-def _square_overlap(lag: NDArray[np.float64], cell_px: float) -> NDArray[np.float64]:
+def _square_overlap(lag: NDArray, cell_px: float) -> NDArray:
     """Autocorrelation of a cell one pixel's integral away from a point, along one axis.
 
     That of a box one pixel wide, convolved with that of a box as wide as the cell; unit sum.

@@ -42,7 +42,7 @@ def best_grid(
     return min(begun, key=lambda found: found.misfit)
 
 
-def _grey(misfit: GridMisfit, start: NDArray[np.float64]) -> NDArray[np.float64]:
+def _grey(misfit: GridMisfit, start: NDArray) -> NDArray:
     import scipy.optimize
 
     result = scipy.optimize.minimize(
@@ -52,7 +52,7 @@ def _grey(misfit: GridMisfit, start: NDArray[np.float64]) -> NDArray[np.float64]
     return np.asarray(result.x).reshape(start.shape)
 
 
-def _thresholded(misfit: GridMisfit, grey: NDArray[np.float64]) -> NDArray[np.float64]:
+def _thresholded(misfit: GridMisfit, grey: NDArray) -> NDArray:
     thresholds = np.sort(grey.ravel())[::-1][_FEWEST_OPEN - 1 :]
     grids = [(grey >= threshold).astype(np.float64) for threshold in np.unique(thresholds)]
     return min(grids, key=misfit.of_grid)

@@ -32,7 +32,7 @@ def _mask_tile(transmission: NDArray[np.float32]) -> NDArray[np.float32]:
     return drawn
 
 
-def _halves(measured: NDArray[np.float64], explained: NDArray[np.float64]) -> NDArray[np.float32]:
+def _halves(measured: NDArray, explained: NDArray) -> NDArray[np.float32]:
     """Draw two half spectra side by side, zero frequency in the middle."""
     both = np.fft.fftshift(np.stack([measured, explained]), axes=1)[..., :-1]
     # The half with negative horizontal frequencies is the other, turned by 180 degrees.

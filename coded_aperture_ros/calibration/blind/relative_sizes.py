@@ -110,7 +110,7 @@ def _shape(image: NDArray[np.float32], window_px: int) -> _Shape:
     return _Shape(deviation, weight)
 
 
-def _likelihood_of_shifts(first: _Shape, second: _Shape) -> tuple[NDArray[np.float64], float]:
+def _likelihood_of_shifts(first: _Shape, second: _Shape) -> tuple[NDArray, float]:
     """Return what is gained by taking two spectra for one, shifted, and the best correlation.
 
     The gain is that of normal variables of the correlation that is found, for every shift of the
@@ -132,7 +132,7 @@ def _likelihood_of_shifts(first: _Shape, second: _Shape) -> tuple[NDArray[np.flo
     return gain, float(correlation[gain.argmax()])
 
 
-def _consistent(gains: NDArray[np.float64]) -> NDArray[np.float64]:
+def _consistent(gains: NDArray) -> NDArray:
     """Return the shift of every spectrum under which all pairs together gain most [planes]."""
     count = len(gains)
     places = np.arange(-2 * _REACH, 2 * _REACH + 1)

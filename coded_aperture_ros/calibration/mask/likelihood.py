@@ -177,7 +177,7 @@ class MaskLikelihood:
         return float(value), Gradient(by_parts, by_sizes, by_textures, by_noise)
 
 
-def _smooth_functions(window_px: int) -> NDArray[np.float64]:
+def _smooth_functions(window_px: int) -> NDArray:
     """Smooth functions of frequency [9, K] by which textures depart from power laws."""
     vertical = np.fft.fftfreq(window_px)[:, None]
     horizontal = np.fft.rfftfreq(window_px)

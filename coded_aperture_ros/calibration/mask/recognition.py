@@ -62,7 +62,7 @@ def fitted_extent(
 
 def _scores(
     likelihood: MaskLikelihood, fit: MaskFit[LensSizes], mask: Mask, every: int = 1
-) -> NDArray[np.float64]:
+) -> NDArray:
     """Return the score of every extent to try."""
     cells = normalised(square_cells(mask)[None])
     return likelihood.scores(cells, _EXTENTS[:, None] * fit.sizes_px, fit.log_noise, every)

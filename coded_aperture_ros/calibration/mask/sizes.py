@@ -89,7 +89,7 @@ class LensSizes:
         return self.extent_px * (1 - (1 - self.near_ratio) * self._towards_focus)
 
     @property
-    def _towards_focus(self) -> NDArray[np.float64]:
+    def _towards_focus(self) -> NDArray:
         """How near the planes are to the focus in inverse depth: 0 for the most blurred, to 1."""
         v = self.inverse_depths
         share = (v - v.min()) / np.ptp(v)

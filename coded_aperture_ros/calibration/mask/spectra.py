@@ -97,7 +97,7 @@ class MaskSpectra:
         return by_parts, by_sizes
 
 
-def _renderers(pixels: int, cells: int, sizes_px: NDArray) -> NDArray[np.float64]:
+def _renderers(pixels: int, cells: int, sizes_px: NDArray) -> NDArray:
     """Share of every cell's light that falls onto each pixel, one axis [I, pixels, cells]."""
     widths = np.maximum(sizes_px, 1e-3) / cells
     return np.array([cell_shares(pixels, cells, width) for width in widths])

@@ -119,7 +119,7 @@ def _noise(grey: NDArray[np.float32], grid: PatchGrid) -> float:
     return math.sqrt(max(float(np.quantile(power, 0.05)), NOISE_FLOOR**2))
 
 
-def _window_variances(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.float64]:
+def _window_variances(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray:
     n = grid.window_px
     windows = np.lib.stride_tricks.sliding_window_view(grey[grid.top :, grid.left :], (n, n))
     windows = windows[:: grid.stride_px, :: grid.stride_px]

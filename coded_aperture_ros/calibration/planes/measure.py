@@ -79,9 +79,7 @@ def measured_planes(
     largest = min(largest, config.window_px - 1)
     sizes_px = np.linspace(_SMALLEST_PX, largest, _SIZES)
     bank = learn_bank(
-        render_psf_stack(pattern.mask, sizes_px),
-        config,
-        components=pattern.components(sizes_px),
+        render_psf_stack(pattern.mask, sizes_px), config, components=pattern.components(sizes_px)
     )
     measured = []
     for image in planes.images:
@@ -99,7 +97,7 @@ def measured_planes(
     return measured
 
 
-def _measured(size_px: float, sizes_px: NDArray[np.float64]) -> MeasuredPlane:
+def _measured(size_px: float, sizes_px: NDArray) -> MeasuredPlane:
     rows, columns = sizes_px.shape
     down, right = np.meshgrid(
         np.linspace(-0.5, 0.5, rows), np.linspace(-0.5, 0.5, columns), indexing="ij"

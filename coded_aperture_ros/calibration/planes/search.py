@@ -121,7 +121,7 @@ def pattern_of(fit: LensFit, mask: Mask, extent_px: float, image_width: int) -> 
     )
 
 
-def _cropped(mask: NDArray[np.float64], darkest: float = 0.2) -> NDArray[np.float64]:
+def _cropped(mask: NDArray, darkest: float = 0.2) -> NDArray:
     """Crop to the square around the rows and columns with more than `darkest` of the brightest."""
     ranges = []
     for axis in (0, 1):

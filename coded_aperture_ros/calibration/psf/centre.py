@@ -100,13 +100,8 @@ def check_misfit(misfit: float, mask: Mask) -> None:
 
 
 def _like(
-    psfs: NDArray[np.float64],
-    phases: NDArray[np.float64],
-    centroid: NDArray[np.float64],
-    spread: float,
-    mask: Mask,
-    sign: float | None,
-) -> tuple[float, float, NDArray[np.float64]]:
+    psfs: NDArray, phases: NDArray, centroid: NDArray, spread: float, mask: Mask, sign: float | None
+) -> tuple[float, float, NDArray]:
     """Return how different a PSF is from the mask's, at least, for which blur size and middle."""
     width = psfs.shape[1]
     flat = psfs.ravel()
@@ -130,7 +125,7 @@ def _like(
     return misfit, float(found[2]), found[:2]
 
 
-def _moments(psf: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def _moments(psf: NDArray) -> tuple[NDArray, float]:
     """Return the centre of light from the middle, and the spread about it without the pixel's."""
     centre = centres_of(psf) / psf.sum()
     steps = steps_of(len(psf))

@@ -179,9 +179,7 @@ class _Cutter:
     grey: NDArray[np.float64]
     clipped: NDArray[np.bool_]
 
-    def __call__(
-        self, places: NDArray[np.float64], width: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+    def __call__(self, places: NDArray, width: int) -> tuple[NDArray, NDArray, int]:
         """Return windows of whole dots without saturation, their places, and how many have it."""
         half = width // 2
         centres = np.rint(places).astype(int)
@@ -231,12 +229,12 @@ class _Fit:
         return float(np.linalg.norm(halves[0] - halves[1]) / 2)
 
 
-def _extent(psf: NDArray[np.float64]) -> int:
+def _extent(psf: NDArray) -> int:
     """Return the width in px of what is not faint, over the light on its rim."""
     return extent_of(psf - np.median(psf[rim_of(len(psf))]))
 
 
-def _check_gaps(mean: NDArray[np.float64], spacing_px: float) -> None:
+def _check_gaps(mean: NDArray, spacing_px: float) -> None:
     """Refuse dots whose mean window, as wide as their spacing, is lit up to its rim."""
     light = mean - mean.min()
     if light[rim_of(len(mean))].max() > _OVERLAP * light.max() or _extent(mean) > len(mean) - 4:
@@ -246,7 +244,7 @@ def _check_gaps(mean: NDArray[np.float64], spacing_px: float) -> None:
         )
 
 
-def _centroids(light: NDArray[np.float64]) -> NDArray[np.float64]:
+def _centroids(light: NDArray) -> NDArray:
     """Return the centre of light of each window without background, from its middle [N, 2]."""
     total = light.sum(axis=(1, 2))
     usable = np.maximum(total, max(0.1 * float(np.median(total)), 1e-9))
@@ -255,12 +253,8 @@ def _centroids(light: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _by_mask(
-    windows: NDArray[np.float64],
-    offsets: NDArray[np.float64],
-    fine: FinePsf,
-    mask: Mask,
-    sign: float | None,
-) -> NDArray[np.float64]:
+    windows: NDArray, offsets: NDArray, fine: FinePsf, mask: Mask, sign: float | None
+) -> NDArray:
     """Place the dots by the mask that is about right: what they show, they still tell themselves.
 
     Centres of light in pixels err with the place on the pixels, by up to 0.05 px where the blur is
@@ -274,9 +268,7 @@ def _by_mask(
     return offsets
 
 
-def _registered(
-    windows: NDArray[np.float64], offsets: NDArray[np.float64], support: int, rounds: int
-) -> _Fit:
+def _registered(windows: NDArray, offsets: NDArray, support: int, rounds: int) -> _Fit:
     """Fit the PSF, and place, strength and background of every dot, in turn."""
     start = offsets
     width = windows.shape[1]
@@ -311,8 +303,8 @@ def _registered(
 
 
 def _fit_dots(
-    windows: NDArray[np.float64], fine: FinePsf, offsets: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    windows: NDArray, fine: FinePsf, offsets: NDArray
+) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """Fit strength, move and a plane of background to each window, by one Gauss-Newton step.
 
     Returns moves [N, 2], strengths [N], backgrounds and what is left [N, k, k].
@@ -352,7 +344,7 @@ def _fit_dots(
     return np.clip(moves, -_LARGEST_MOVE_PX, _LARGEST_MOVE_PX), strengths, plane, rest
 
 
-def _field_variation(fit: _Fit, places: NDArray[np.float64], shape: tuple[int, ...]) -> float:
+def _field_variation(fit: _Fit, places: NDArray, shape: tuple[int, ...]) -> float:
     """Return the norm of the largest mean difference of a part of the picture from the PSF."""
     part = np.minimum((places / np.array(shape) * _PARTS).astype(int), _PARTS - 1)
     number = part @ np.array([_PARTS, 1])

@@ -84,7 +84,7 @@ def find_lattice(picture: NDArray[np.floating]) -> DotLattice:
     return DotLattice(positions, float(np.linalg.norm(basis[0])) * factor, missing)
 
 
-def _basis(light: NDArray[np.float64]) -> NDArray[np.float64]:
+def _basis(light: NDArray) -> NDArray:
     """Return the two shortest steps of the grid [2, 2], from the autocorrelation."""
     height, width = light.shape
     shape = [fft.next_fast_len(2 * length, real=True) for length in light.shape]
@@ -110,7 +110,7 @@ def _basis(light: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([vectors[0], vectors[across[0]]])
 
 
-def _hills(light: NDArray[np.float64], basis: NDArray[np.float64]) -> NDArray[np.float64]:
+def _hills(light: NDArray, basis: NDArray) -> NDArray:
     """Return row and column of every hill of a picture smoothed over a part of a step [N, 2]."""
     step = float(np.linalg.norm(basis[0]))
     smooth = ndimage.gaussian_filter(light, _SMOOTHING * step)
@@ -123,9 +123,7 @@ def _hills(light: NDArray[np.float64], basis: NDArray[np.float64]) -> NDArray[np
     return found[heights > _DIMMEST * usual].astype(np.float64)
 
 
-def _steps(
-    hills: NDArray[np.float64], basis: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _steps(hills: NDArray, basis: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Count the steps between hills, from neighbour to neighbour.
 
     Returns the steps [N, 2] and the numbers of the hills [N] that can be reached so.
@@ -150,8 +148,8 @@ def _steps(
 
 
 def _smooth(
-    steps: NDArray[np.int64], hills: NDArray[np.float64], step_px: float
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    steps: NDArray[np.int64], hills: NDArray, step_px: float
+) -> tuple[NDArray, NDArray[np.bool_]]:
     """Return where a polynomial grid has each hill [N, 2], and which hills lie near that."""
     kept = np.ones(len(steps), bool)
     i, j = steps.T / max(1, np.abs(steps).max())
@@ -166,7 +164,7 @@ def _smooth(
     return places, kept
 
 
-def _missing(steps: NDArray[np.int64], places: NDArray[np.float64], shape: tuple[int, ...]) -> int:
+def _missing(steps: NDArray[np.int64], places: NDArray, shape: tuple[int, ...]) -> int:
     """Count the places of the grid, well within the picture, where no dot is."""
     terms = np.column_stack([steps, np.ones(len(steps))])
     affine = np.linalg.lstsq(terms, places, rcond=None)[0]

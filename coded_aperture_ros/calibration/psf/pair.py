@@ -68,7 +68,7 @@ class PairPsf:
         check_misfit(misfit, mask)
         return CentredPsf(FinePsf(psf, 1.0), np.zeros(2), width, size, misfit)
 
-    def _like_mask(self, mask: Mask, sign: float | None) -> tuple[NDArray[np.float64], float]:
+    def _like_mask(self, mask: Mask, sign: float | None) -> tuple[NDArray, float]:
         """Return the place (see `at`) and the blur size for which the mask explains most.
 
         Place and size are compared with the pictures themselves: between two places on the pixels,
@@ -166,7 +166,7 @@ def psf_from_pair(
     return PairPsf(first, second, narrow, snr, explained, shift)
 
 
-def _grey(picture: NDArray[np.floating], name: str) -> NDArray[np.float64]:
+def _grey(picture: NDArray[np.floating], name: str) -> NDArray:
     if not np.isfinite(picture).all():
         raise InputError(f"the {name} picture has pixels that are NaN or infinite")
     if np.mean(picture >= SATURATED) > _MOST_SATURATED:
@@ -174,9 +174,7 @@ def _grey(picture: NDArray[np.floating], name: str) -> NDArray[np.float64]:
     return channel_mean(picture).astype(np.float64)
 
 
-def _evenly_lit(
-    sharp: NDArray[np.float64], coded: NDArray[np.float64], width: int
-) -> NDArray[np.float64]:
+def _evenly_lit(sharp: NDArray, coded: NDArray, width: int) -> NDArray:
     """Return the coded picture with the brightness of the sharp one, on the large scale.
 
     Its own may differ by exposure and vignetting: a smooth polynomial.
@@ -196,7 +194,7 @@ def _evenly_lit(
     return np.asarray(coded / gain)
 
 
-def _whole_shift(sharp: NDArray[np.float64], coded: NDArray[np.float64]) -> tuple[int, int]:
+def _whole_shift(sharp: NDArray, coded: NDArray) -> tuple[int, int]:
     """Return how far down and right the coded picture lies, by phase correlation."""
     window = np.outer(*(np.hanning(length) for length in sharp.shape))
     spectra = [fft.rfft2((one - one.mean()) * window) for one in (sharp, coded)]
@@ -212,9 +210,7 @@ def _whole_shift(sharp: NDArray[np.float64], coded: NDArray[np.float64]) -> tupl
     return down, right
 
 
-def _overlapping(
-    sharp: NDArray[np.float64], coded: NDArray[np.float64], shift: tuple[int, int]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _overlapping(sharp: NDArray, coded: NDArray, shift: tuple[int, int]) -> tuple[NDArray, NDArray]:
     """Cut both pictures to what both show."""
 
     def cut(picture: NDArray[np.float64], sign: int) -> NDArray[np.float64]:
@@ -227,7 +223,7 @@ def _overlapping(
     return cut(sharp, -1), cut(coded, 1)
 
 
-def _moved(picture: NDArray[np.float64], move: NDArray[np.float64]) -> NDArray[np.float64]:
+def _moved(picture: NDArray, move: NDArray) -> NDArray:
     """Move a picture down and right by about a pixel, without losing its finest detail."""
     # A Fourier shift takes the picture to repeat: mirrored at its ends, it does so without a step.
     padded = np.pad(picture, _SHIFT_MARGIN_PX, mode="reflect")
@@ -236,14 +232,12 @@ def _moved(picture: NDArray[np.float64], move: NDArray[np.float64]) -> NDArray[n
     return np.asarray(moved[inside, inside])
 
 
-def _textured(picture: NDArray[np.float64], width: int) -> NDArray[np.float64]:
+def _textured(picture: NDArray, width: int) -> NDArray:
     """Take off what changes more slowly than a PSF is wide: light and background."""
     return np.asarray(picture - ndimage.gaussian_filter(picture, width))
 
 
-def _solve(
-    sharp: NDArray[np.float64], coded: NDArray[np.float64], width: int
-) -> tuple[NDArray[np.float64], float, float]:
+def _solve(sharp: NDArray, coded: NDArray, width: int) -> tuple[NDArray, float, float]:
     """Return the PSF, the variance of its values, and the share of the texture explained."""
     one, two = (_textured(part, width).astype(np.float32) for part in (sharp, coded))
     views = np.lib.stride_tricks.sliding_window_view(one, (width, width))[:, :, ::-1, ::-1]
@@ -270,7 +264,7 @@ def _solve(
     return psf.reshape(width, width) / total, variance / total**2, 1 - rest / max(power, 1e-30)
 
 
-def _non_negative(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+def _non_negative(matrix: NDArray, right: NDArray) -> NDArray:
     """Minimise ``x M x / 2 - right x`` over non-negative `x`, by exchanging which values are 0."""
     free = np.ones(len(right), bool)
     x = np.zeros_like(right)

@@ -84,9 +84,7 @@ def psf_stack(
     )
 
 
-def _between(
-    ranked: list[CentredPsf], sizes: NDArray[np.float64], size: float, width: int
-) -> NDArray[np.float64]:
+def _between(ranked: list[CentredPsf], sizes: NDArray, size: float, width: int) -> NDArray:
     if len(sizes) == 1:
         return ranked[0].psf(width)
     above = int(np.clip(np.searchsorted(sizes, size), 1, len(sizes) - 1))
