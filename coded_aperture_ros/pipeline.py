@@ -221,9 +221,7 @@ class FramePipeline:
         deblurrer = self._deblurrer
         if deblurrer is None:
             raise InputError("deblurring: the pipeline was made without it")
-        # What depth has estimated of the noise need not be estimated again.
-        estimated = KnownNoise(estimate.noise)
-        known = KnownNoise.of(deblurrer.config, self.estimator.known_noise, estimated)
+        known = KnownNoise.of(deblurrer.config, self.estimator.known_noise)
         motion_px = None
         if estimate.motion is not None and deblurrer.config.method != "fast":
             motion_px = estimate.motion.vectors_px

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging.frame import grey_image
-from coded_aperture_ros.imaging.patches import PatchGrid, mean_at
+from coded_aperture_ros.imaging.patches import PatchGrid, brightness_at, mean_at
 
 # Passes what alternates from pixel to pixel along rows and columns both, and white noise with its
 # variance unchanged: a texture, blurred or not, has next to nothing there. A sharper filter would
@@ -182,6 +182,8 @@ def grey_noise(
 def channel_noise(frame: NDArray[np.float32], known: KnownNoise) -> float:
     """Return the standard deviation of one channel's noise in a frame, with its shot noise.
 
+    What deblurring reckons with, in nodes, commands and bags alike.
+
     Parameters
     ----------
     frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
@@ -193,8 +195,8 @@ def channel_noise(frame: NDArray[np.float32], known: KnownNoise) -> float:
     InputError
         If the noise has to be estimated and the frame is too small for that.
     """
-    grey, _ = grey_image(frame, _NEVER_SATURATED)
-    channels = 1 if frame.ndim == 2 else frame.shape[2]
+    # Sensors sample green the most; the mean of the channels would count their texture thrice.
+    grey, _ = grey_image(frame if frame.ndim == 2 else frame[..., 1], _NEVER_SATURATED)
     sigma = known.noise
     if not sigma:
         height, width = grey.shape
@@ -204,6 +206,6 @@ def channel_noise(frame: NDArray[np.float32], known: KnownNoise) -> float:
                 f"frame of {width}x{height} px is too small to estimate its noise, give the noise"
             )
         grid = PatchGrid.covering(grey.shape, window_px, window_px)
-        sigma = grey_noise(grey, grid, known, channels).sigma * float(np.sqrt(channels))
+        sigma = grey_noise(grey, grid, known, brightness=brightness_at(grey, grid)).sigma
     light = max(float(grey.mean()), 0.0) if known.noise_gain else 0.0
     return float(np.sqrt(sigma**2 + known.noise_gain * light))
