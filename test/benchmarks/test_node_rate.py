@@ -88,6 +88,8 @@ def test_a_process_that_ends_is_told_with_what_it_said(benchmark, tmp_path):
             time.sleep(0.01)
 
 
+@pytest.mark.serial
+@pytest.mark.slow
 def test_it_measures_a_node(checkout):
     command = [sys.executable, str(checkout / "benchmarks" / "node_rate.py")]
     options = ["--rates", "5", "--seconds", "3", "--warm-up", "1", "-p", "stride_px:=32"]

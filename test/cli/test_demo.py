@@ -61,6 +61,7 @@ def test_an_impossible_output_is_refused_before_anything_starts(tmp_path, capsys
     )
 
 
+@pytest.mark.serial
 def test_a_short_demo(tmp_path):
     process = start("--output", tmp_path / "out", "--seconds", 4, "--json")
     out, err = process.communicate(timeout=150)
@@ -90,6 +91,8 @@ def test_a_short_demo(tmp_path):
     assert "\x1b" not in err and "depth" in err
 
 
+@pytest.mark.serial
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "nodes"), [(signal.SIGINT, 3), (signal.SIGTERM, 1)])
 def test_no_node_outlives_the_demo(tmp_path, number, nodes):
     """With three nodes in full swing, and while the bank is being learned."""
@@ -105,6 +108,8 @@ def test_no_node_outlives_the_demo(tmp_path, number, nodes):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.serial
+@pytest.mark.slow
 def test_a_node_that_dies_is_reported(tmp_path):
     process = start("--output", tmp_path / "out", "--seconds", 60)
     assert wait_until(lambda: len(nodes_of(process)) == 3, 60)

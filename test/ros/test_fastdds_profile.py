@@ -53,6 +53,7 @@ rclpy.shutdown()
 """
 
 
+@pytest.mark.serial
 def test_large_best_effort_messages_arrive(checkout):
     profile = checkout / "config" / "fastdds_shared_memory.xml"
     shared_memory = os.statvfs("/dev/shm")

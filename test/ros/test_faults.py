@@ -69,6 +69,8 @@ def kill(process):
     process.wait()
 
 
+@pytest.mark.serial
+@pytest.mark.slow
 def test_a_killed_driver_comes_back(ros, start):
     images, depths = ros.subscribe("image_raw", Image), ros.subscribe("depth/image", Image)
     driver, depth = start("camera_driver_node"), start("depth_node")
@@ -82,6 +84,7 @@ def test_a_killed_driver_comes_back(ros, start):
     assert depth.poll() is None
 
 
+@pytest.mark.serial
 def test_a_killed_depth_node_comes_back_for_those_who_waited(ros, start):
     sharp, depths = ros.subscribe("deblurred/image", Image), ros.subscribe("depth/image", Image)
     start("camera_driver_node")
@@ -96,6 +99,7 @@ def test_a_killed_depth_node_comes_back_for_those_who_waited(ros, start):
     assert deblur.poll() is None
 
 
+@pytest.mark.serial
 def test_a_late_joiner_gets_depth_at_once(ros, start):
     depths = ros.subscribe("depth/image", Image)
     start("camera_driver_node")
@@ -105,6 +109,8 @@ def test_a_late_joiner_gets_depth_at_once(ros, start):
     assert goes_on(late, GOES_ON_S)
 
 
+@pytest.mark.serial
+@pytest.mark.slow
 def test_frozen_programs_go_on_where_they_were(ros, start):
     """A computer that is overloaded, or suspended."""
     depths = ros.subscribe("depth/image", Image)
@@ -117,6 +123,8 @@ def test_frozen_programs_go_on_where_they_were(ros, start):
         assert goes_on(depths, GOES_ON_S)
 
 
+@pytest.mark.serial
+@pytest.mark.slow
 def test_simulated_time_that_jumps_back(ros, start, parameters):
     """A bag that is played again: the clock and the stamps begin anew."""
     depths = ros.subscribe("depth/image", Image)
@@ -145,6 +153,8 @@ def test_simulated_time_that_jumps_back(ros, start, parameters):
     assert node.poll() is None
 
 
+@pytest.mark.serial
+@pytest.mark.slow
 def test_duplicate_and_swapped_frames_stop_nothing(ros, start, parameters):
     sharp = ros.subscribe("deblurred/image", Image)
     images = ros.publisher("image_raw", Image)

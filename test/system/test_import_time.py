@@ -27,6 +27,7 @@ def test_command_line_help_imports_nothing_slow():
     assert (result.stdout.strip(), result.stderr) == ("", "")
 
 
+@pytest.mark.serial
 def test_command_line_help_is_quick():
     """Processor time, which a busy machine does not lengthen much; the best of three."""
     spent = []
