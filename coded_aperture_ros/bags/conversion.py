@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.bags.figures import check_matplotlib
 from coded_aperture_ros.bags.frames import FrameProcessor
 from coded_aperture_ros.bags.messages import (
     Batch,
@@ -20,6 +19,7 @@ from coded_aperture_ros.bags.record import Record
 from coded_aperture_ros.bags.references import References
 from coded_aperture_ros.bags.workers import Wait, frame_workers, in_order
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.figures import new_figure
 from coded_aperture_ros.core.threads import processors
 from coded_aperture_ros.depth import map_size
 from coded_aperture_ros.imaging import Gamma
@@ -102,7 +102,7 @@ class BagConversion:
             If the bag cannot be read, has no such topics or no frame that can be used, or the
             output cannot be written.
         """
-        check_matplotlib()
+        new_figure(1, 1)  # without matplotlib there would be no report
         started_s = time.perf_counter()
         with Bag(source) as bag:
             try:
@@ -128,7 +128,7 @@ class BagConversion:
                 writer.add_topic(topic)
 
             def begin(batch: Batch) -> Wait | None:
-                return None if batch.index is None else submit(batch.frame.data)
+                return None if batch.index is None else submit(batch.copies[-1].data)
 
             record.start()
             found = batches(bag, image.name, camera_info_topic(bag.topics, image), camera)
@@ -140,8 +140,8 @@ class BagConversion:
                     references.add_messages(batch.copies)
                 if result is not None and batch.index is not None:
                     for topic_name, data in result_messages(result, batch.info, outputs):
-                        writer.write(topic_name, batch.frame.time_ns, data)
-                    record.add(batch.index, batch.frame, result)
+                        writer.write(topic_name, batch.copies[-1].time_ns, data)
+                    record.add(batch.index, batch.copies[-1], result)
                     if references:
                         references.add_frame(batch.index, result)
                 if references:
@@ -197,10 +197,7 @@ class BagConversion:
 def first_frame(bag: Bag, topic: Topic, camera: Camera) -> tuple[bytes, tuple[int, int], Camera]:
     """Return the first message of a topic that can be used, its size, and the camera of that size.
 
-    Raises
-    ------
-    InputError
-        If there is none.
+    An `InputError` if there is none.
     """
     reason = ""
     for message in bag.messages(topic.name):

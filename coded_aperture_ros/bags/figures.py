@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bags.record import Sample
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.figures import new_figure, save_figure
 from coded_aperture_ros.imaging import SRGB, Gamma, decode, pixels_from_linear
 from coded_aperture_ros.io import confidence_picture, depth_picture
 from coded_aperture_ros.metrics.figures import reliability_diagram
 from coded_aperture_ros.metrics.reliability import Reliability
 
-_WIDTH_INCHES, _ROW_INCHES, _DOTS_PER_INCH = 8.0, 1.7, 100
+_WIDTH_INCHES, _ROW_INCHES = 8.0, 1.7
 # Pictures are shown at this width; full size would make the page several times as large.
 _PICTURE_PX = 320
 # An error of this share is white.
@@ -32,12 +32,10 @@ _SERIES = {
 
 def series_plot(series: Sequence[Mapping[str, Any]]) -> bytes:
     """Draw what is known of every frame over time."""
-    from matplotlib.figure import Figure
-
     names = [name for name in _SERIES if any(row.get(name) is not None for row in series)]
     first = series[0]["stamp_ns"]
     seconds = [1e-9 * (row["stamp_ns"] - first) for row in series]
-    figure = Figure(figsize=(_WIDTH_INCHES, _ROW_INCHES * len(names)), layout="constrained")
+    figure = new_figure(_WIDTH_INCHES, _ROW_INCHES * len(names))
     for axes, name in zip(
         figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0], names, strict=True
     ):
@@ -51,7 +49,7 @@ def series_plot(series: Sequence[Mapping[str, Any]]) -> bytes:
             axes.set_ylim(0)
         axes.tick_params(labelsize=8)
     figure.axes[-1].set_xlabel("seconds after the first frame", fontsize=8)
-    return _png(lambda file: figure.savefig(file, dpi=_DOTS_PER_INCH))
+    return _png(lambda file: save_figure(figure, file))
 
 
 def reliability_plot(reliability: Reliability) -> bytes:
@@ -95,20 +93,6 @@ def png(picture: NDArray[np.uint8]) -> bytes:
     """Encode a grey or RGB picture."""
     stored = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
     return bytes(cv2.imencode(".png", stored)[1])
-
-
-def check_matplotlib() -> None:
-    """Refuse to go on without matplotlib.
-
-    Raises
-    ------
-    InputError
-        Saying what to install.
-    """
-    try:
-        import matplotlib.figure  # noqa: F401
-    except ImportError as error:
-        raise InputError("the report needs matplotlib: pip install matplotlib") from error
 
 
 def _light(frame: NDArray[np.float32], gamma: Gamma) -> NDArray[np.uint8]:

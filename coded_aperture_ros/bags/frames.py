@@ -18,16 +18,7 @@ from coded_aperture_ros.pipeline import FramePipeline
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DepthMaps:
-    """Depth of a frame, as far as the new bag has it.
-
-    Attributes
-    ----------
-    depth_m, confidence : ndarray, float32 [rows, columns]
-    noise : float
-        See `DepthEstimate`.
-    motion_px : ndarray, float32 [rows, columns, 2], or None
-        See `MotionField`.
-    """
+    """What the new bag has of a `DepthEstimate`; all maps are float32 and of one size."""
 
     depth_m: NDArray[np.float32]
     confidence: NDArray[np.float32]
@@ -45,15 +36,12 @@ class ProcessedFrame:
         Why something is missing, in a word and in a line; empty if all is well.
     header : std_msgs/Header or None
         Of the frame, as rosbags has it.
-    encoding : str
-        Of the all-in-focus frame.
     maps : DepthMaps or None
-    sharp : ndarray or None
-        All in focus, as stored; None if that was not wanted.
+    sharp, encoding : ndarray or None, str
+        All in focus, as stored in that encoding.
     seconds : dict of str to float
         What `decode`, `depth` and `deblur` took.
     processor_s : float
-        Time of the processor.
     """
 
     fault: str = ""
@@ -68,18 +56,15 @@ class ProcessedFrame:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FrameProcessor:
-    """Reads a frame, estimates its depth, and deblurs it.
+    """Reads the message of a frame, estimates depth, and deblurs; also in another process.
 
     Attributes
     ----------
     pipeline : FramePipeline
-        For frames of this size.
     type_name : str
         Of the messages.
-    size : (int, int)
-        Rows and columns of the frames.
-    map_size : (int, int)
-        Rows and columns of the depth images.
+    size, map_size : (int, int)
+        Rows and columns of the frames and of the depth images.
     gamma : float or "srgb"
         Of 8-bit frames.
     prior : ExpectedMotion or None

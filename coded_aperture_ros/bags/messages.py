@@ -30,39 +30,20 @@ _WAITING_BYTES = 16 * 2**20
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Batch:
-    """Messages in the order of the bag.
+    """Messages in the order of the bag, and the camera model of that time.
 
-    Attributes
-    ----------
-    copies : tuple of Recorded
-    index : int or None
-        Of the frame that the last of them is, if it is one.
-    info : sensor_msgs/CameraInfo
-        The camera model of that time.
+    If the last one is a frame, `index` says which.
     """
 
     copies: tuple[Recorded, ...]
     index: int | None
     info: Any
 
-    @property
-    def frame(self) -> Recorded:
-        """The last message."""
-        return self.copies[-1]
-
 
 def batches(bag: Bag, image_topic: str, info_topic: str | None, camera: Camera) -> Iterator[Batch]:
     """Yield all messages of a bag, up to and with a frame at a time.
 
-    Parameters
-    ----------
-    bag : Bag
-    image_topic : str
-        Of the frames.
-    info_topic : str or None
-        Of the camera models, where the bag has any.
-    camera : Camera
-        Its model counts until the bag has one of this size.
+    The camera file's model counts until the bag has one of the frames' size.
     """
     info = info_of(camera.intrinsics)
     copies: list[Recorded] = []

@@ -34,17 +34,9 @@ img { display: block; max-width: 100% }
 def write_report(
     folder: Path, results: Mapping[str, Any], record: Record, gamma: Gamma = 1.0
 ) -> None:
-    """Write page and JSON into a folder, which is made.
+    """Write the results, ready for JSON, and the page about them into a folder, which is made.
 
-    Parameters
-    ----------
-    folder : pathlib.Path
-    results : mapping
-        What was measured, ready for JSON.
-    record : Record
-        The samples are shown, the series drawn.
-    gamma : float or "srgb"
-        How 8-bit frames are encoded.
+    `gamma` is how 8-bit frames are encoded.
     """
     folder.mkdir()
     text = json.dumps({**results, "series": record.series()}, indent=1, allow_nan=False)

@@ -25,31 +25,17 @@ _STAGES = ("decode", "depth", "deblur")
 
 @dataclasses.dataclass(eq=False)
 class Sample:
-    """A frame that the report shows.
-
-    Attributes
-    ----------
-    frame, sharp : ndarray, [row, column] or [row, column, RGB]
-        float32, linear light; `sharp` may be None.
-    maps : DepthMaps
-    score : FrameScore or None
-        Once its reference has come.
-    """
+    """A frame that the report shows; frames are float32 in linear light."""
 
     index: int
     frame: NDArray[np.float32]
     sharp: NDArray[np.float32] | None
     maps: DepthMaps
-    score: FrameScore | None = None
+    score: FrameScore | None = None  # once its reference has come
 
 
 class Record:
-    """Notes the results of all frames, and keeps a few of them.
-
-    Parameters
-    ----------
-    type_name : str
-        Of the messages of frames.
+    """Notes the results of all frames, of messages of one type, and keeps a few of them.
 
     Attributes
     ----------

@@ -45,15 +45,8 @@ def frame_score(
 ) -> FrameScore:
     """Compare a depth image with a reference of any size that shows the same view.
 
-    Every pixel of the depth image is compared with the nearest one of the reference.
-
-    Parameters
-    ----------
-    depth_m, confidence : ndarray, float32 [rows, columns]
-        Depth is not finite where unknown.
-    reference : ndarray of float32 (m) or uint16 (mm), [reference rows, reference columns]
-        As in a message, see `messages.depth_from_pixels`.
-    apart_ns : int, optional
+    Every pixel of the depth image, not finite where unknown, is compared with the nearest one of
+    the reference, which is float32 (m) or uint16 (mm), see `messages.depth_from_pixels`.
     """
     reference_m = depth_from_pixels(at_size(reference, depth_m.shape))
     known = np.isfinite(reference_m)

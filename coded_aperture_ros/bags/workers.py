@@ -40,7 +40,6 @@ def in_order(
     begin : callable
         Begins to process an item, and returns what waits for the result; None: there is none.
     items : iterable
-        Gone through by whoever takes the results.
     ahead : int
         Items that are taken before the first of them is asked for, at most; bounds the memory.
     """
@@ -61,16 +60,7 @@ def frame_workers(processor: FrameProcessor, first: bytes) -> Iterator[Submit]:
     There are as many processes as processors, which take turns. If the processor remembers frames,
     there is one process, which takes them in their order; with one processor, it is this one.
 
-    Parameters
-    ----------
-    processor : FrameProcessor
-    first : bytes
-        Message of a frame, to prepare with.
-
-    Raises
-    ------
-    InputError
-        If a process ended by itself.
+    They prepare with the message `first`. An `InputError` if a process ended by itself.
     """
     if processors() == 1:
         processor.prepare(first)

@@ -115,19 +115,18 @@ def write_image(
 def read_depth(
     path: str | os.PathLike[str], metres_per_unit: float | None = None
 ) -> NDArray[np.float32]:
-    """Read a depth map in metres.
+    """Read a depth map in metres: 16-bit PNG in millimetres, or float TIFF or `.npy` in metres.
 
     Parameters
     ----------
     path : path-like
-        16-bit PNG in millimetres, or float TIFF or `.npy` in metres.
     metres_per_unit : float, optional
         What one unit of the file is, where it is not as above.
 
     Returns
     -------
     ndarray of float32, shape [h, w]
-        Metres; NaN where the file has 0, a negative number or NaN.
+        NaN where the file has 0, a negative number or NaN.
 
     Raises
     ------

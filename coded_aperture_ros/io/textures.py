@@ -20,21 +20,14 @@ from coded_aperture_ros.io.picture_file import picture_files, read_image
 
 TEXTURES = ("natural", "random", "soft")
 TEST_PICTURES = (
-    "flower",
-    "astronaut",
-    "rocket",
-    "brick",
-    "grass",
-    "coins",
-    "motorcycle_left",
-    "hubble_deep_field",
+    *("flower", "astronaut", "rocket", "brick", "grass", "coins"),
+    *("motorcycle_left", "hubble_deep_field"),
 )
 # Methods with weights to learn may learn them from these, which are never scored.
 TRAINING_PICTURES = ("camera", "chelsea", "coffee", "gravel")
 
-_WHEELS = {"skimage": ("scikit-image", "data"), "sklearn": ("scikit-learn", "datasets/images")}
-_FROM_SKLEARN = ("flower",)
-_SUFFIXES = (".png", ".jpg")
+_SKIMAGE = ("skimage", "scikit-image", "data")
+_INSTALLED = {"flower": ("sklearn", "scikit-learn", "datasets/images")}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -58,12 +51,6 @@ class Textures:
         """Cut crops at places chosen blindly: flat and dark ones are not thrown away.
 
         Pictures take turns, in random order, so that a few crops do not all come from one of them.
-
-        Parameters
-        ----------
-        count, rows, columns : int
-            How many crops, and their size in pixels.
-        random : numpy.random.Generator
 
         Returns
         -------
@@ -114,16 +101,16 @@ def load_textures(kind: str, folder: Path | None = None) -> Textures:
     """
     if kind not in TEXTURES:
         raise InputError(f"unknown texture {kind!r}: use one of {', '.join(TEXTURES)}")
-    if folder is not None:
+    if folder is None:
+        paths = [_installed(name) for name in TEST_PICTURES] if kind != "random" else []
+    else:
         paths = picture_files(folder) if folder.is_dir() else []
         if not paths:
             raise InputError(f"{folder}: expected a folder with pictures")
         check_not_for_training((path.stem for path in paths), folder)
-    elif kind == "random":
-        paths = []
-    else:
-        paths = [_installed(name) for name in TEST_PICTURES]
-    pictures = [_grey(path) for path in paths] if kind != "random" else []
+    if kind == "random":
+        return Textures(kind, ())
+    pictures = [_grey(path) for path in paths]
     if kind == "soft":
         pictures = [_half(picture) for picture in pictures]
     return Textures(kind, tuple(pictures))
@@ -136,19 +123,12 @@ def training_textures() -> Textures:
 
 
 def check_not_for_training(names: Iterable[str], where: object) -> None:
-    """Refuse to score a picture that weights are learned from.
-
-    Parameters
-    ----------
-    names : iterable of str
-        Of the test pictures, without suffix.
-    where : object
-        What to name in the message.
+    """Refuse to score a picture, named without suffix, that weights are learned from.
 
     Raises
     ------
     InputError
-        Naming the picture.
+        Naming the picture, and `where` it is.
     """
     for name in names:
         if name.lower() in TRAINING_PICTURES:
@@ -159,8 +139,7 @@ def check_not_for_training(names: Iterable[str], where: object) -> None:
 
 
 def _installed(name: str) -> Path:
-    package = "sklearn" if name in _FROM_SKLEARN else "skimage"
-    distribution, folder = _WHEELS[package]
+    package, distribution, folder = _INSTALLED.get(name, _SKIMAGE)
     # Finding it imports nothing: both packages take a while to import.
     found = find_spec(package)
     if found is None or found.origin is None:
@@ -168,7 +147,7 @@ def _installed(name: str) -> Path:
             f"test picture {name}: needs {distribution}: pip install {distribution}, or give a "
             "folder of pictures"
         )
-    for suffix in _SUFFIXES:
+    for suffix in (".png", ".jpg"):
         path = Path(found.origin).parent / folder / f"{name}{suffix}"
         if path.is_file():
             return path
@@ -177,12 +156,9 @@ def _installed(name: str) -> Path:
 
 def _grey(path: Path) -> NDArray[np.float32]:
     image = read_image(path)
-    grey = image.mean(axis=2) if image.ndim == 3 else image
-    return np.asarray(grey, np.float32)
+    return np.asarray(image.mean(axis=2) if image.ndim == 3 else image, np.float32)
 
 
 def _half(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    rows, columns = picture.shape
-    return np.asarray(
-        cv2.resize(picture, (columns // 2, rows // 2), interpolation=cv2.INTER_AREA), np.float32
-    )
+    size = picture.shape[1] // 2, picture.shape[0] // 2
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)

@@ -7,6 +7,7 @@ That is the format of `camera_calibration` and `camera_info_manager`: `image_wid
 import dataclasses
 import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -102,26 +103,14 @@ class Intrinsics:
         return cls(image_width, image_height, matrix, camera_name=name)
 
     def scaled(self, width: int, height: int) -> "Intrinsics":
-        """Return the model of the same view resized.
-
-        A scale s moves x to s (x + 1/2) - 1/2. Distortion acts on normalised coordinates.
-        """
+        """Return the model of the same view resized; distortion acts on normalised coordinates."""
         x, y = width / self.image_width, height / self.image_height
-
-        def resized(matrix: tuple[float, ...]) -> tuple[float, ...]:
-            columns = len(matrix) // 3
-            scales = (x,) * columns + (y,) * columns + (1.0,) * columns
-            values = [value * scale for value, scale in zip(matrix, scales, strict=True)]
-            values[2] = x * (matrix[2] + 0.5) - 0.5
-            values[columns + 2] = y * (matrix[columns + 2] + 0.5) - 0.5
-            return tuple(values)
-
         return dataclasses.replace(
             self,
             image_width=width,
             image_height=height,
-            camera_matrix=resized(self.camera_matrix),
-            projection_matrix=resized(self.projection_matrix),
+            camera_matrix=scaled_matrix(self.camera_matrix, x, y),
+            projection_matrix=scaled_matrix(self.projection_matrix, x, y),
         )
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -145,6 +134,19 @@ class Intrinsics:
         with atomic_output(path) as temporary:
             text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
             temporary.write_text(text, encoding="utf-8")
+
+
+def scaled_matrix(matrix: Sequence[float], x: float, y: float) -> tuple[float, ...]:
+    """Return K or P, row by row, of a view that is resized by x and y.
+
+    Pixel centres have whole coordinates: a scale s moves x to s (x + 1/2) - 1/2.
+    """
+    columns = len(matrix) // 3
+    scales = (x,) * columns + (y,) * columns + (1.0,) * columns
+    values = [float(value) * scale for value, scale in zip(matrix, scales, strict=True)]
+    values[2] = x * (float(matrix[2]) + 0.5) - 0.5
+    values[columns + 2] = y * (float(matrix[columns + 2]) + 0.5) - 0.5
+    return tuple(values)
 
 
 def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:

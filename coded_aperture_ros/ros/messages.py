@@ -102,11 +102,7 @@ def image_from_compressed(message: CompressedImage) -> Image:
     MessageError
         See `array_from_compressed`.
     """
-    pixels = array_from_compressed(message)
-    grey = "mono8" if pixels.dtype == np.uint8 else "mono16"
-    if pixels.ndim == 3 and pixels.dtype != np.uint8:
-        raise MessageError("encoding", "compressed colour of 16 bits is not supported")
-    encoding = grey if pixels.ndim == 2 else "rgb8"
+    pixels, encoding = array_from_compressed(message)
     return image_from_array(pixels, encoding, message.header)
 
 

@@ -22,23 +22,11 @@ IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 _NS = 1_000_000_000
-# By the type of the pixels and the number of channels.
-_ENCODINGS = {("u1", 2): "mono8", ("u2", 2): "mono16", ("u1", 3): "rgb8"}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Picture:
-    """An image message.
-
-    Attributes
-    ----------
-    header : std_msgs/Header
-        As rosbags has it.
-    pixels : ndarray, [row, column] or [row, column, RGB]
-        As they are stored.
-    encoding : str
-        Of `sensor_msgs/Image`, in which results of the same kind can be stored.
-    """
+    """An image message: pixels [row, column(, RGB)] as stored, and an encoding for such ones."""
 
     header: Any
     pixels: NDArray
@@ -62,11 +50,7 @@ def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
     message = _read(data, type_name)
     if type_name == IMAGE:
         return Picture(message.header, array_from_image(message), message.encoding)
-    pixels = array_from_compressed(message)
-    encoding = _ENCODINGS.get((pixels.dtype.str[1:], pixels.ndim))
-    if encoding is None:
-        raise MessageError("encoding", f"a picture of {pixels.dtype} in colour is not supported")
-    return Picture(message.header, pixels, encoding)
+    return Picture(message.header, *array_from_compressed(message))
 
 
 def read_depth_image(data: bytes | memoryview) -> Picture:
@@ -91,16 +75,7 @@ def read_camera_info(data: bytes | memoryview) -> Any:
 
 
 def image_data(pixels: NDArray, encoding: str, header: Any) -> memoryview:
-    """Make an image message.
-
-    Parameters
-    ----------
-    pixels : ndarray, [row, column] or [row, column, stored channel]
-        As `check_pixels` wants them.
-    encoding : str
-    header : std_msgs/Header
-        As rosbags has it.
-    """
+    """Make an image message of pixels as `check_pixels` wants them."""
     check_pixels(pixels, encoding)
     return _image_data(pixels, encoding, header)
 
@@ -127,13 +102,7 @@ def _image_data(pixels: NDArray, encoding: str, header: Any) -> memoryview:
 
 
 def camera_info_data(info: Any, size: tuple[int, int], header: Any) -> memoryview:
-    """Make the camera model of a view that was resized to (rows, columns).
-
-    Raises
-    ------
-    MessageError
-        See `scaled_matrices`.
-    """
+    """Make the camera model of a view resized to (rows, columns); see `scaled_matrices`."""
     k, p = scaled_matrices(info, size[1], size[0])
     resized = dataclasses.replace(
         info,

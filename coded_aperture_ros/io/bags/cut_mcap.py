@@ -31,13 +31,7 @@ _CHUNK_HEADER = struct.Struct("<QQQI")
 
 
 class CutMcap:
-    """See `Bag`, whose parts are of this kind where an MCAP file was cut off.
-
-    Raises
-    ------
-    ValueError
-        Or another error, if it does not even begin well.
-    """
+    """A `Part` of a bag, where an MCAP file was cut off; one of `DAMAGE` if it begins badly."""
 
     storage = "mcap"
 
@@ -82,13 +76,7 @@ class CutMcap:
 
 
 def _records_of(path: Path) -> Iterator[tuple[int, bytes, int]]:
-    """Yield complete records, those of chunks one by one: kind, content, bytes used so far.
-
-    Raises
-    ------
-    ValueError
-        If the file does not begin like an MCAP file.
-    """
+    """Yield complete records, those of chunks one by one: kind, content, bytes used so far."""
     with path.open("rb") as file:
         if file.read(len(_MAGIC)) != _MAGIC:
             raise ValueError("it does not begin like an MCAP file")

@@ -9,13 +9,7 @@ from coded_aperture_ros.io.bags.recorded import Recorded, Topic
 
 
 class CutSqlite:
-    """See `Bag`, whose parts are of this kind where a `.db3` file is damaged.
-
-    Raises
-    ------
-    sqlite3.Error
-        If not even the topics can be read.
-    """
+    """A `Part` of a bag, where a `.db3` file is damaged; `sqlite3.Error` if all of it is."""
 
     storage = "sqlite3"
 

@@ -28,9 +28,8 @@ class Bag:
 
     Attributes
     ----------
-    path : pathlib.Path
-    storage : str
-        `mcap` or `sqlite3`.
+    path, storage
+        The storage is `mcap` or `sqlite3`.
     topics : dict of str to Topic
         In the order of their names. Those of the files that can be read.
     damage : str
@@ -96,13 +95,7 @@ class Bag:
 
 
 def check_rosbags() -> None:
-    """Refuse to go on without rosbags.
-
-    Raises
-    ------
-    InputError
-        Saying what to install.
-    """
+    """Refuse to go on without rosbags, with an `InputError` that says what to install."""
     try:
         import rosbags.rosbag2  # noqa: F401
     except ImportError as error:

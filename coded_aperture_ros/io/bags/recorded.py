@@ -10,43 +10,19 @@ METADATA = "metadata.yaml"
 
 @dataclasses.dataclass(frozen=True)
 class Topic:
-    """A topic of a bag.
-
-    Attributes
-    ----------
-    name : str
-    type_name : str
-        As `sensor_msgs/msg/Image`.
-    definition : str
-        Of the message type, with those of the types in it; empty if the bag does not have it.
-    type_hash : str
-        `RIHS01_...`; empty if the bag does not have it.
-    qos : tuple
-        Profiles that were offered, as rosbags represents them.
-    count : int or None
-        Messages, if that is known.
-    """
+    """A topic of a bag; definition and hash of the type are empty if the bag does not have them."""
 
     name: str
-    type_name: str
-    definition: str = ""
-    type_hash: str = ""
-    qos: tuple[Any, ...] = ()
-    count: int | None = None
+    type_name: str  # as `sensor_msgs/msg/Image`
+    definition: str = ""  # with those of the types in it
+    type_hash: str = ""  # `RIHS01_...`
+    qos: tuple[Any, ...] = ()  # profiles that were offered, as rosbags represents them
+    count: int | None = None  # messages, if that is known
 
 
 @dataclasses.dataclass(frozen=True)
 class Recorded:
-    """One message of a bag.
-
-    Attributes
-    ----------
-    topic : str
-    time_ns : int
-        When it was recorded.
-    data : bytes
-        As it was sent (CDR).
-    """
+    """One message of a bag, as it was sent (CDR), and when it was recorded."""
 
     topic: str
     time_ns: int

@@ -44,7 +44,6 @@ def image_topic(
     Parameters
     ----------
     topics : mapping of str to Topic
-        Of the bag.
     wanted : str or None
         Its name; by default the only topic of images, or the only one of these called `image_raw`.
     others : str or None
@@ -95,13 +94,7 @@ def camera_info_topic(topics: Mapping[str, Topic], image: Topic) -> str | None:
 
 
 def check_outputs(topics: Mapping[str, Topic], outputs: Outputs) -> None:
-    """Refuse results with the names of topics that the bag has already.
-
-    Raises
-    ------
-    InputError
-        Naming one of them.
-    """
+    """Refuse results with the name of a topic that the bag has already, by an `InputError`."""
     for name in dataclasses.astuple(outputs):
         if name in topics:
             raise InputError(f"it has a topic {name} already: say --namespace NAME for the results")

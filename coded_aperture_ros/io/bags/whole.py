@@ -10,13 +10,7 @@ from coded_aperture_ros.io.bags.recorded import SUFFIXES, Recorded, Topic
 
 
 class WholeBag:
-    """See `Bag`, whose parts are of this kind if nothing is wrong with them.
-
-    Raises
-    ------
-    rosbags.rosbag2.ReaderError
-        Or another error, if the bag is damaged.
-    """
+    """A `Part` of a bag with which nothing is wrong; one of `DAMAGE` if there is."""
 
     damage = ""
 

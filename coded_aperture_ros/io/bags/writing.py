@@ -21,10 +21,7 @@ _NO_HASH = "RIHS01_" + 64 * "0"
 class BagWriter:
     """Writes messages into a new bag; made by `bag_output`.
 
-    Attributes
-    ----------
-    folder : pathlib.Path
-        Where the bag is before it has its name; what else is put there comes along.
+    What else is put into its `folder`, before the bag has its name, comes along.
     """
 
     def __init__(self, folder: Path, storage: str) -> None:

@@ -4,7 +4,6 @@ A message is whatever has the fields of its type: those of rclpy and those read 
 """
 
 from coded_aperture_ros.io.messages.camera_model import scaled_matrices
-from coded_aperture_ros.io.messages.compressed import array_from_compressed
 from coded_aperture_ros.io.messages.depth import (
     depth_from_pixels,
     limit_depth,
@@ -14,6 +13,7 @@ from coded_aperture_ros.io.messages.encodings import (
     ENCODINGS,
     Encoding,
     MessageError,
+    array_from_compressed,
     array_from_image,
     check_pixels,
     encoding_of,

@@ -40,17 +40,9 @@ def millimetres_from_depth(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 
 def depth_from_pixels(pixels: NDArray) -> NDArray[np.float32]:
-    """Return a depth image of another camera in metres.
+    """Return a depth image of another camera, float32 (m) or uint16 (mm), in metres.
 
-    Parameters
-    ----------
-    pixels : ndarray of float32 (metres) or uint16 (millimetres), [row, column]
-
-    Returns
-    -------
-    float32, [row, column]
-        NaN where the message says nothing: 0, negative, NaN, and infinities, which are no
-        distance.
+    NaN where the message says nothing: 0, negative, NaN, and infinities, which are no distance.
     """
     depth_m = pixels * _MILLIMETRE if pixels.dtype == np.uint16 else pixels
     known = np.isfinite(depth_m) & (depth_m > 0)

@@ -1,7 +1,4 @@
-"""How `sensor_msgs/Image` stores pixels, for messages of any library.
-
-Nothing here needs ROS: a message is whatever has the fields of its type.
-"""
+"""How `sensor_msgs/Image` and `sensor_msgs/CompressedImage` store pixels."""
 
 import sys
 from dataclasses import dataclass
@@ -12,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.imaging import decode_picture
 
 
 class MessageError(InputError):
@@ -30,11 +28,6 @@ class Encoding:
     channels: int
     to_rgb: int | None = None  # OpenCV's colour conversions; None where there is nothing to do
     from_rgb: int | None = None
-
-    @property
-    def pixel_bytes(self) -> int:
-        """Return the bytes of one pixel."""
-        return np.dtype(self.dtype).itemsize * self.channels
 
 
 ENCODINGS = {
@@ -84,7 +77,7 @@ def array_from_image(message: Any) -> NDArray:
     height, width, step = message.height, message.width, message.step
     if height == 0 or width == 0:
         raise MessageError("size", f"the image is empty ({width}x{height})")
-    row_bytes = width * encoding.pixel_bytes
+    row_bytes = width * np.dtype(encoding.dtype).itemsize * encoding.channels
     if step < row_bytes:
         raise MessageError(
             "step", f"step is {step} bytes, {width} pixels of {message.encoding} need {row_bytes}"
@@ -104,14 +97,47 @@ def array_from_image(message: Any) -> NDArray:
     return pixels if encoding.to_rgb is None else cv2.cvtColor(pixels, encoding.to_rgb)
 
 
-def check_pixels(pixels: NDArray, encoding: str) -> Encoding:
-    """Check that pixels are exactly as an encoding stores them, and return that.
+def array_from_compressed(message: Any) -> tuple[NDArray, str]:
+    """Return the pixels of a compressed image message, and the encoding that they have.
 
     Parameters
     ----------
-    pixels : array, [row, column] or [row, column, stored channel]
+    message : sensor_msgs/CompressedImage
+        Of rclpy, of a bag, or anything with its fields; JPEG, PNG or another format that OpenCV
+        reads.
+
+    Returns
+    -------
+    pixels : ndarray of uint8 or uint16, [row, column] or [row, column, RGB]
     encoding : str
-        One of `ENCODINGS`.
+        `mono8`, `mono16` or `rgb8`.
+
+    Raises
+    ------
+    MessageError
+        Of kind "encoding" for the compressed depth of image_transport and for colours of 16 bits,
+        or "data".
+    """
+    if "compressedDepth" in message.format:
+        raise MessageError(
+            "encoding", f"format {message.format!r} is compressed depth, expected a picture"
+        )
+    pixels = decode_picture(message.data)
+    if pixels is None or pixels.dtype not in (np.uint8, np.uint16):
+        raise MessageError(
+            "data",
+            f"{len(message.data)} bytes of {message.format!r} are not a picture that can be read",
+        )
+    if pixels.ndim == 2:
+        return pixels, "mono8" if pixels.dtype == np.uint8 else "mono16"
+    if pixels.dtype != np.uint8:
+        raise MessageError("encoding", "compressed colour of 16 bits is not supported")
+    # image_transport stores pictures in the usual way, whatever encoding they had before.
+    return cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), "rgb8"
+
+
+def check_pixels(pixels: NDArray, encoding: str) -> Encoding:
+    """Check that pixels [row, column(, stored channel)] are exactly as an encoding stores them.
 
     Raises
     ------

@@ -16,24 +16,26 @@ _LUMINANCE = np.array([[0.2126, 0.7152, 0.0722]], np.float32)
 def frame_from_image(message: Any, gamma: Gamma = 1.0) -> NDArray[np.float32]:
     """Return an image message as the frame that the library works on.
 
+    See `array_from_image` and `frame_from_pixels`.
+    """
+    return frame_from_pixels(array_from_image(message), gamma)
+
+
+def frame_from_pixels(pixels: NDArray, gamma: Gamma = 1.0) -> NDArray[np.float32]:
+    """Return stored pixels as the frame that the library works on.
+
     Parameters
     ----------
-    message : sensor_msgs/Image
-        See `array_from_image`.
+    pixels : ndarray of uint8, uint16 or float, [row, column] or [row, column, RGB]
     gamma : float or "srgb"
         Turns 8-bit values into linear light; 1 for a linear sensor. 16-bit and
         float images are linear by definition.
 
     Returns
     -------
-    float32, [row, column] or [row, column, RGB]
+    float32, of the same shape
         Linear light; integers are scaled to [0, 1], floats are taken as they are.
     """
-    return frame_from_pixels(array_from_image(message), gamma)
-
-
-def frame_from_pixels(pixels: NDArray, gamma: Gamma = 1.0) -> NDArray[np.float32]:
-    """Return pixels as they are stored as the frame that the library works on."""
     if pixels.dtype == np.float32:
         return pixels
     if pixels.dtype == np.uint8 and gamma == 1.0:

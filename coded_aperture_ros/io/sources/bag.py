@@ -21,9 +21,7 @@ class BagSource(FileSource[tuple[int, Recorded]]):
     Parameters
     ----------
     path : path-like
-        See `Bag`.
     loop : bool
-        Begin again after the last frame.
     topic : str, optional
         By default the only topic of images, or `image_raw`.
 

@@ -18,21 +18,15 @@ Stored = TypeVar("Stored")
 
 
 class FileSource(ABC, Generic[Stored]):
-    """Frames that files have in a row.
+    """Frames that files have in a row; with `loop` they begin again after the last one.
 
     After an `InputError`, for a frame that cannot be used, the next `read` goes on behind it.
 
-    Parameters
+    Attributes
     ----------
     files : tuple of pathlib.Path
     length : int or None
         Number of frames, if it is known.
-    loop : bool
-        Begin again after the last frame.
-
-    Attributes
-    ----------
-    files, length
     damage : str
         What is wrong with the files, in words; empty if nothing is, or nothing was met yet.
     """

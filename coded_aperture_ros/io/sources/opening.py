@@ -24,7 +24,7 @@ _BAG = "bag:"
 
 
 def open_files(text: str, loop: bool = False) -> FileSource[Any]:
-    """Return the source of the frames in files.
+    """Return the source of the frames in files; with `loop` it begins again after the last one.
 
     Parameters
     ----------
@@ -32,7 +32,6 @@ def open_files(text: str, loop: bool = False) -> FileSource[Any]:
         Path of a picture, a folder of pictures (in the order of their names), a video or a bag; or
         `bag:` and the path of a bag, which may end in `#` and the topic of the frames.
     loop : bool, optional
-        Begin again after the last frame.
 
     Raises
     ------
@@ -76,11 +75,10 @@ def open_source(
         To simulate, or whose image size to ask a device for.
     rate_hz : float
     loop : bool
-        Of files: begin again after the last frame.
+        Of files.
     noise : float
         Of the simulator.
     device : DeviceConfig, optional
-        Of a camera.
 
     Raises
     ------
