@@ -21,4 +21,6 @@ colcon build --packages-select coded_aperture_ros
 source install/local_setup.bash
 # pytest's plugins of ROS itself are for tests of another kind.
 export PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 CODED_APERTURE_NO_SKIPS=1
+# What is tested is what colcon has installed, not the checkout beside it.
+export PYTHONSAFEPATH=1
 python3 -m pytest -p pytest_timeout -p _hypothesis_pytestplugin test/ros "$@"

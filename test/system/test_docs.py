@@ -6,6 +6,7 @@ import runpy
 import shlex
 
 import pytest
+import yaml
 from cli_scene import call
 
 from coded_aperture_ros.cli.main import make_parser
@@ -112,3 +113,29 @@ def test_the_architecture_names_every_room(checkout, documents):
     rooms = {path.name for path in package.iterdir() if (path / "__init__.py").is_file()}
     table = documents["docs/architecture.md"].split("## Rooms")[1].split("\n## ")[0]
     assert set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == rooms
+
+
+def test_make_has_what_documents_and_ci_call(documents, checkout):
+    targets = set(re.findall(r"^([a-z-]+):", (checkout / "Makefile").read_text(), re.MULTILINE))
+    ci = [checkout / ".ci/run", *(checkout / ".github/workflows").glob("*.yml")]
+    texts = {**documents, **{path.name: path.read_text() for path in ci}}
+    for name, text in texts.items():
+        lines = re.findall(r"(?:^    |^(?:.*run: )?|`)make ((?:[a-z-]+ ?)+)", text, re.MULTILINE)
+        called = {word for line in lines for word in line.split()}
+        if name in (".ci/run", "run", "tests.yml", "CONTRIBUTING.md"):
+            assert called, name
+            assert called <= targets, name
+
+
+def test_hosted_ci_runs_what_it_should(checkout):
+    """Every Python from wheels, the oldest versions, the documents, and an installed ROS."""
+    jobs = yaml.safe_load((checkout / ".github/workflows/tests.yml").read_text())["jobs"]
+    pythons = jobs["wheels"]["strategy"]["matrix"]["python"]
+    assert pythons == ["3.10", "3.11", "3.12", "3.13"]
+    assert jobs["jazzy"]["container"]["image"] == "ros:jazzy"
+    run = {name: [step.get("run", "") for step in job["steps"]] for name, job in jobs.items()}
+    assert {"make lint", "make test-all"} <= set(run["wheels"])
+    assert "make test-oldest" in run["oldest"]
+    assert "make docs" in run["docs"]
+    assert "make test-installed" in run["jazzy"]
+    assert "CODED_APERTURE_NO_SKIPS=1" in (checkout / "scripts/test_installed_ros.sh").read_text()

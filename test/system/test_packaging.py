@@ -50,6 +50,7 @@ def test_versions_are_equal(checkout, manifest):
     assert re.fullmatch(r"\d+\.\d+\.\d+", version)
     assert manifest.findtext("version") == version
     assert distribution(PACKAGE).version == version
+    assert f"version: {version}\n" in (checkout / "CITATION.cff").read_text()
 
 
 def test_manifest_is_valid(checkout):
@@ -110,9 +111,9 @@ def test_extras(requirements):
     evaluation = {"rosbags", "matplotlib", "scikit-image", "scikit-learn", "tqdm"}
     assert evaluation == names_in_extra(requirements, "eval")
     assert {"torch"} == names_in_extra(requirements, "gpu")
-    assert {"pytest", "hypothesis", "ruff", "mypy", "colcon-core", "colcon-ros"} <= names_in_extra(
-        requirements, "dev"
-    )
+    dev = {"pytest", "pytest-xdist", "hypothesis", "ruff", "mypy", "colcon-core", "colcon-ros"}
+    assert dev <= names_in_extra(requirements, "dev")
+    assert {"sphinx", "myst-parser", "numpydoc"} == names_in_extra(requirements, "docs")
 
 
 def test_ros_comes_only_with_its_extra(requirements):
