@@ -4,6 +4,7 @@ import argparse
 import re
 import runpy
 import shlex
+import textwrap
 
 import pytest
 import yaml
@@ -139,3 +140,23 @@ def test_hosted_ci_runs_what_it_should(checkout):
     assert "make docs" in run["docs"]
     assert "make test-installed" in run["jazzy"]
     assert "CODED_APERTURE_NO_SKIPS=1" in (checkout / "scripts/test_installed_ros.sh").read_text()
+
+
+def indented_blocks(text):
+    """Return the indented blocks of a document, without their indentation."""
+    blocks = re.findall(r"(?:^    .*\n|^\n(?=    ))+", text, re.MULTILINE)
+    return [textwrap.dedent(block).strip("\n") for block in blocks if block.strip()]
+
+
+def test_calibration_prints_what_its_document_shows(documents, tmp_path, monkeypatch, capsys):
+    """From the camera file in the document to the levels, and to the printed mask."""
+    monkeypatch.chdir(tmp_path)
+    text = documents["docs/calibration.md"]
+    camera, command, shown = indented_blocks(text)[:3]
+    (tmp_path / "camera.yaml").write_text(camera)
+    result = call(capsys, *shlex.split(command)[1:])
+    assert (result.status, result.out.rstrip("\n")) == (0, shown), result.err
+    printed = [line for line in commands_in(text) if line[:2] == ["mask", "print"]]
+    assert len(printed) == 2
+    for line in printed:
+        assert call(capsys, *line).status == 0
