@@ -23,16 +23,8 @@ def safe_blur_map(
 ) -> NDArray[np.float32]:
     """Return the blur sizes that do the least harm where the depth may be wrong.
 
-    Parameters
-    ----------
-    blur : ndarray, float32
-        Signed blur sizes in px of the frame, finite.
-    reach_px : float
-        How far edges of the depth may be off, px of the frame; 0: the depth is exact.
-    reduction : int
-        How many times smaller than the frame the map is.
-    moves : bool
-        Whether something has moved during the exposure.
+    `reach_px` says how far its edges may be off, in px of the frame; 0: it is exact. The map is
+    `reduction` times smaller. `moves`: something has moved during the exposure.
     """
     if not reach_px:
         return blur
@@ -41,10 +33,7 @@ def safe_blur_map(
 
 
 def without_specks(blur: NDArray[np.float32], reduction: int = 1) -> NDArray[np.float32]:
-    """Return blur sizes without small spots that are sharper than all around them.
-
-    `reduction` says how many times smaller than the frame the map is.
-    """
+    """Return blur sizes without small spots that are sharper than all around them."""
     amount = np.abs(blur)
     side = _SPECK_PX // reduction | 1
     square = np.ones((side, side), np.uint8)

@@ -43,25 +43,15 @@ def wiener_filters(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class InverseBasis:
-    """A few filters whose combinations give the inverse filters of all levels.
-
-    Attributes
-    ----------
-    stack : PsfStack
-        L levels.
-    generators : ndarray, float32 [L, G, R]
-        Basis filter r is the sum, with these weights, of the inverse filters of all levels for
-        each of the G `MODEL_ERRORS`.
-    noise : float
-        Noise that the basis is best for.
-    coarse : ndarray, complex64 [R, n]
-        The basis filters, orthogonal, at a coarse sampling of the frequencies, times how much of
-        each there is in blurred photographs: `coarse_weight`, float32 [n].
-    """
+    """A few filters whose combinations give the inverse filters of all levels."""
 
     stack: PsfStack
+    # Each is the sum, with these weights [L, G, R], of the inverse filters of all levels for each
+    # of the G `MODEL_ERRORS`, at the noise that the basis is best for.
     generators: NDArray[np.float32]
     noise: float
+    # They are orthogonal at a coarse sampling of the frequencies [R, n], times how much of each
+    # there is in blurred photographs [n].
     coarse: NDArray[np.complex64]
     coarse_weight: NDArray[np.float32]
 

@@ -31,30 +31,14 @@ RANGES = 4
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Fit:
-    """A frame to be explained by a sharp scene: ``min ||g - H_d f||^2 + alpha prior(f)``.
+    """A frame to be explained by a sharp scene: ``min ||g - H_d f||^2 + alpha prior(f)``."""
 
-    Attributes
-    ----------
-    operator : BlurOperator
-        ``H_d``.
-    channels : list of ndarray, float32 [rows, columns]
-        ``g``: brightness and colour differences.
-    weight : ndarray, float32 [rows, columns]
-        How much every pixel of the frame counts, 0 to 1.
-    start : list of ndarray, float32 [rows, columns]
-        Where to begin, such as the last frame's result.
-    noise : float
-        Standard deviation.
-    config : DeblurConfig
-        `smoothness` is a factor of ``alpha``; `tolerance` and `iterations` say when to stop.
-    """
-
-    operator: BlurOperator
-    channels: list[NDArray[np.float32]]
-    weight: NDArray[np.float32]
-    start: list[NDArray[np.float32]]
-    noise: float
-    config: DeblurConfig
+    operator: BlurOperator  # H_d
+    channels: list[NDArray[np.float32]]  # g [rows, columns]: brightness and colour differences
+    weight: NDArray[np.float32]  # how much every pixel of the frame counts, 0 to 1
+    start: list[NDArray[np.float32]]  # where to begin, such as the last frame's result
+    noise: float  # standard deviation
+    config: DeblurConfig  # with a factor of alpha, and when to stop
 
 
 class Iterative(abc.ABC):

@@ -32,8 +32,6 @@ class OccludedBlur(OnProcessor):
     Surfaces that the pinhole in the middle of the aperture does not see are not in the depth map;
     the denominator leaves their light out. Exact near foregrounds that are sharper than what is
     behind them. It needs memory for as many frames as the largest PSF has pixels.
-
-    Parameters are those of `SpreadingBlur`.
     """
 
     def __init__(

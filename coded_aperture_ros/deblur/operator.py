@@ -92,15 +92,8 @@ class SpreadingBlur(OnProcessor):
     The denominator, which is 1 on a plane, keeps the brightness near depth edges, where light from
     behind a foreground is missing and that of others takes its place.
 
-    Parameters
-    ----------
-    basis : PsfBasis
-    blur_size_px : ndarray, float32 [rows, columns]
-        Signed blur size of every pixel, finite.
-    workers : Workers, optional
-        Threads to share the work with.
-    motion : MotionParts, optional
-        Of the same size. By default nothing moves.
+    `blur_size_px` is that of every pixel [rows, columns], signed and finite. `motion` is of the
+    same size; by default nothing moves.
     """
 
     def __init__(

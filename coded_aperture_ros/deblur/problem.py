@@ -11,29 +11,14 @@ from coded_aperture_ros.deblur.video import VideoState
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Problem:
-    """All that is known of one frame when its blur is to be removed.
+    """All that is known of one frame when its blur is to be removed."""
 
-    Attributes
-    ----------
-    channels : list of ndarray, float32 [rows, columns]
-        See `opponents`; averaged over the frames of a video.
-    frame_count : ndarray, float32 [rows, columns] or [1, 1]
-        How many frames they are the mean of.
-    measured : ndarray, bool [rows, columns]
-        Which pixels count: neither saturated nor impossible.
-    blur_size_px : ndarray, float32
-        Signed blur sizes, finite; so many times smaller than the frame as the method asks for.
-    motion_px : ndarray, float32 [rows, columns, 2], or None if nothing moves
-    noise : float
-        Standard deviation of one channel of one frame.
-    """
-
-    channels: list[NDArray[np.float32]]
-    frame_count: NDArray[np.float32]
-    measured: NDArray[np.bool_]
-    blur_size_px: NDArray[np.float32]
-    motion_px: NDArray[np.float32] | None
-    noise: float
+    channels: list[NDArray[np.float32]]  # [rows, columns], see `opponents`; averaged in a video
+    frame_count: NDArray[np.float32]  # that they are the mean of [rows, columns] or [1, 1]
+    measured: NDArray[np.bool_]  # neither saturated nor impossible [rows, columns]
+    blur_size_px: NDArray[np.float32]  # signed, finite; as much smaller as the method asks for
+    motion_px: NDArray[np.float32] | None  # [rows, columns, 2]; None if nothing moves
+    noise: float  # standard deviation of one channel of one frame
 
 
 class Method(Protocol):

@@ -20,23 +20,14 @@ _STEPS = 16
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PsfBasis:
-    """A few kernels whose combinations are the PSFs of all blur sizes, fractional ones too.
+    """A few kernels whose combinations are the PSFs of all blur sizes, fractional ones too."""
 
-    Attributes
-    ----------
-    kernels : ndarray, float32 [R, k, k]
-    table : ndarray, float32 [R, steps]
-        How much of each kernel there is in the PSFs of `table_sizes_px`.
-    table_sizes_px : ndarray, float64 [steps]
-        Signed blur sizes, ascending and equally many between all levels of the stack.
-    in_pixels : bool
-        Whether the sizes are pixels, and not mere indices of levels.
-    """
-
-    kernels: NDArray[np.float32]
+    kernels: NDArray[np.float32]  # [R, k, k]
+    # How much of each there is in the PSFs [R, steps] of these signed sizes, which ascend, equally
+    # many between all levels of the stack.
     table: NDArray[np.float32]
     table_sizes_px: NDArray[np.float64]
-    in_pixels: bool = True
+    in_pixels: bool = True  # and not mere indices of levels
 
     @classmethod
     def of(cls, stack: PsfStack, tolerance: float = _TOLERANCE) -> "PsfBasis":

@@ -137,10 +137,7 @@ def anaglyph(left: NDArray[np.float32], right: NDArray[np.float32]) -> NDArray[n
 
 
 def side_by_side(left: NDArray[np.float32], right: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return one picture of twice the width, with the left eye's view on the left.
-
-    Parameters and errors are those of `anaglyph`.
-    """
+    """Return one picture of twice the width, left on the left; else like `anaglyph`."""
     _check_pair(left, right)
     return np.concatenate([left, right], axis=1)
 
@@ -246,14 +243,8 @@ def _painted(
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
     """Go through the pixels of a view that intervals ``start <= column < stop`` of rows cover.
 
-    Returns
-    -------
-    interval : ndarray, int [P]
-        Index of the interval that each covered pixel belongs to, in the order given.
-    target : ndarray, int [P]
-        Flat index of the pixel in a view of `width` columns.
-    distance : ndarray, float32 [P]
-        From the interval's start to the pixel.
+    Returns, for each, the index of its interval, in the order given; its flat index in a view of
+    `width` columns; and its distance from the interval's start.
     """
     first = np.maximum(np.ceil(start), 0).astype(np.intp)
     counts = np.maximum(np.minimum(np.ceil(stop), width).astype(np.intp) - first, 0)

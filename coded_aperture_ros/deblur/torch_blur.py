@@ -11,18 +11,14 @@ from coded_aperture_ros.imaging import periodic_shape
 
 
 class TorchBlur:
-    """The operator of `SpreadingBlur`, all kernels at once.
-
-    Parameters are those of `SpreadingBlur`, and the `device`, `cpu` or `cuda`. The `threads` of
-    the processor are PyTorch's for the whole process.
-    """
+    """The operator of `SpreadingBlur`, all kernels at once, on the device `cpu` or `cuda`."""
 
     fft = torch.fft
 
     def __init__(
         self, basis: PsfBasis, blur_size_px: NDArray[np.float32], device: str, threads: int = 1
     ) -> None:
-        torch.set_num_threads(threads)
+        torch.set_num_threads(threads)  # of the whole process
         rows, columns = blur_size_px.shape
         self.shape, self.margin_px = (rows, columns), basis.margin_px
         self.scene_shape = periodic_shape(self.shape, 2 * self.margin_px)
