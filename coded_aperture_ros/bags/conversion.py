@@ -48,46 +48,26 @@ Progress = Callable[[Iterable[Any], int | None], Iterable[Any]]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class BagConversion:
-    """What to make of the frames of a bag.
+    """What to make of the frames of a bag."""
 
-    Attributes
-    ----------
-    topic, reference_topic : str or None
-        Of the coded frames (by default found out), and of the depth to compare with.
-    namespace : str or None
-        Of the results; by default the camera's.
-    camera : Camera
-    new_pipeline : callable
-        Returns the pipeline for the camera of the frames, which may be resized.
-    gamma : float or "srgb"
-        Of 8-bit frames.
-    map_size : str
-        Of the depth images, see `depth.map_size`.
-    motion : bool
-        Whether the pipeline's method finds motion.
-    prior : ExpectedMotion or None
-        Of all frames, for such a method.
-    """
-
-    topic: str | None
-    reference_topic: str | None
-    namespace: str | None
+    topic: str | None  # of the coded frames; by default it is found out
+    reference_topic: str | None  # of the depth to compare with
+    namespace: str | None  # of the results; by default the camera's
     camera: Camera
-    new_pipeline: Callable[[Camera], FramePipeline]
-    gamma: Gamma = 1.0
-    map_size: str = "auto"
-    motion: bool = False
-    prior: ExpectedMotion | None = None
+    new_pipeline: Callable[[Camera], FramePipeline]  # for the camera at the frames' size
+    gamma: Gamma = 1.0  # of 8-bit frames
+    map_size: str = "auto"  # of the depth images, see `depth.map_size`
+    motion: bool = False  # whether the pipeline's method finds motion
+    prior: ExpectedMotion | None = None  # of all frames, for such a method
 
     def run(
         self, source: Path, target: Path, progress: Progress = lambda steps, total: steps
     ) -> dict[str, Any]:
-        """Convert all frames of a bag into another bag, with a report in its folder.
+        """Convert all frames of a bag into another one, with a report in its folder.
 
         Parameters
         ----------
         source, target : pathlib.Path
-            Bags.
         progress : callable, optional
             Given the steps and their number, if it is known, it returns the steps.
 

@@ -28,55 +28,28 @@ class DepthMaps:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ProcessedFrame:
-    """What was made of a frame; also of one that could not be used.
+    """What was made of a frame; also of one that could not be used."""
 
-    Attributes
-    ----------
-    fault, reason : str
-        Why something is missing, in a word and in a line; empty if all is well.
-    header : std_msgs/Header or None
-        Of the frame, as rosbags has it.
-    maps : DepthMaps or None
-    sharp, encoding : ndarray or None, str
-        All in focus, as stored in that encoding.
-    seconds : dict of str to float
-        What `decode`, `depth` and `deblur` took.
-    processor_s : float
-    """
-
-    fault: str = ""
-    reason: str = ""
-    header: Any = None
-    encoding: str = ""
+    fault: str = ""  # why something is missing, in a word; empty if all is well
+    reason: str = ""  # and in a line
+    header: Any = None  # of the frame, as rosbags has it
     maps: DepthMaps | None = None
-    sharp: NDArray | None = None
-    seconds: dict[str, float] = dataclasses.field(default_factory=dict)
+    sharp: NDArray | None = None  # all in focus, as stored in the encoding
+    encoding: str = ""
+    seconds: dict[str, float] = dataclasses.field(default_factory=dict)  # by stage
     processor_s: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FrameProcessor:
-    """Reads the message of a frame, estimates depth, and deblurs; also in another process.
-
-    Attributes
-    ----------
-    pipeline : FramePipeline
-    type_name : str
-        Of the messages.
-    size, map_size : (int, int)
-        Rows and columns of the frames and of the depth images.
-    gamma : float or "srgb"
-        Of 8-bit frames.
-    prior : ExpectedMotion or None
-        Of all frames.
-    """
+    """Reads the message of a frame, estimates depth, and deblurs; also in another process."""
 
     pipeline: FramePipeline
-    type_name: str
-    size: tuple[int, int]
-    map_size: tuple[int, int]
-    gamma: Gamma = 1.0
-    prior: ExpectedMotion | None = None
+    type_name: str  # of the messages
+    size: tuple[int, int]  # rows and columns of the frames
+    map_size: tuple[int, int]  # and of the depth images
+    gamma: Gamma = 1.0  # of 8-bit frames
+    prior: ExpectedMotion | None = None  # of all frames
 
     @property
     def remembers(self) -> bool:

@@ -46,8 +46,8 @@ def write_report(
 
 def _page(results: Mapping[str, Any], record: Record, gamma: Gamma) -> str:
     title = html.escape(f"Depth of {results['input']}")
-    parts = [f"<h1>{title}</h1>", *(_warning(text) for text in _warnings(results))]
-    parts.append(_table(_facts(results)))
+    warnings = [f'<p class="warning">{html.escape(text)}</p>' for text in _warnings(results)]
+    parts = [f"<h1>{title}</h1>", *warnings, _table(_facts(results))]
     parts.append(f"<h2>Frame by frame</h2>{_image(series_plot(record.series()), 'series')}")
     if record.scores:
         reliability = Reliability.total([score.reliability for score in record.scores.values()])
@@ -82,12 +82,13 @@ def _warnings(results: Mapping[str, Any]) -> Iterable[str]:
 
 def _facts(results: Mapping[str, Any]) -> dict[str, str]:
     depth, reference = results["depth"], results["reference"]
+    median_m = depth["median_depth_m"]
     facts = {
         "frames": f"{results['frames']} of {results['topic']}, "
         f"{results['used']} with depth of {_size(results['depth_size'])}",
         "size of the frames": _size(results["size"]),
         "pixels with depth": _share(depth["coverage"]),
-        "median depth": _metres(depth["median_depth_m"]),
+        "median depth": "-" if median_m is None else f"{median_m:.2f} m",
         "noise": f"{depth['noise']:.4f}",
     }
     if reference is not None:
@@ -130,10 +131,6 @@ def _table(facts: Mapping[str, str]) -> str:
     return f"<table>{''.join(rows)}</table>"
 
 
-def _warning(text: str) -> str:
-    return f'<p class="warning">{html.escape(text)}</p>'
-
-
 def _image(data: bytes, alt: str = "") -> str:
     coded = base64.b64encode(data).decode("ascii")
     return f'<img alt="{html.escape(alt)}" src="data:image/png;base64,{coded}">'
@@ -146,7 +143,3 @@ def _size(size: Iterable[int]) -> str:
 
 def _share(value: float | None) -> str:
     return "-" if value is None else f"{100 * value:.1f} %"
-
-
-def _metres(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f} m"

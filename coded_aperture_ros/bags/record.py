@@ -35,29 +35,15 @@ class Sample:
 
 
 class Record:
-    """Notes the results of all frames, of messages of one type, and keeps a few of them.
-
-    Attributes
-    ----------
-    frames : int
-        All that came, also those that could not be used.
-    faults : Counter of str
-        Frames that could not be used, by the reason in a word.
-    reasons : dict of str to str
-        The first of each in a line.
-    samples : dict of int to Sample
-        At most four, spread over the recording, by index.
-    scores : dict of int to FrameScore
-        By index, without the references themselves.
-    """
+    """Notes the results of all frames, of messages of one type, and keeps a few of them."""
 
     def __init__(self, type_name: str) -> None:
         self._type_name = type_name
-        self.frames = 0
-        self.faults: Counter[str] = Counter()
-        self.reasons: dict[str, str] = {}
-        self.samples: dict[int, Sample] = {}
-        self.scores: dict[int, FrameScore] = {}
+        self.frames = 0  # also those that could not be used
+        self.faults: Counter[str] = Counter()  # those, by the reason in a word
+        self.reasons: dict[str, str] = {}  # the first of each in a line
+        self.samples: dict[int, Sample] = {}  # at most four, spread over the recording, by index
+        self.scores: dict[int, FrameScore] = {}  # by index, without the references themselves
         self._rows: dict[int, dict[str, Any]] = {}
         self._spacing = 1
         self._start_s = time.perf_counter()

@@ -16,13 +16,7 @@ _WAITING = 64
 
 
 class References:
-    """Pairs depth images with the references of the same time, whichever comes first.
-
-    Parameters
-    ----------
-    topic : str
-        Of the references.
-    """
+    """Pairs depth images with the references of the same time, whichever comes first."""
 
     def __init__(self, topic: str) -> None:
         self.topic = topic
@@ -44,13 +38,7 @@ class References:
             self._frames[index] = stamp_ns_of(result.header), result.maps
 
     def scores(self, end: bool = False) -> Iterator[tuple[int, FrameScore]]:
-        """Yield what can be scored by now, with the frames' indices; in the end what is left.
-
-        Raises
-        ------
-        MessageError
-            See `score.at_size`.
-        """
+        """Yield what can be scored by now, with the frames' indices; in the end what is left."""
         for index, (stamp_ns, maps) in list(self._frames.items()):
             nearest = min(self._references, key=lambda at: abs(at - stamp_ns), default=None)
             apart_ns = TOLERANCE_NS + 1 if nearest is None else abs(nearest - stamp_ns)

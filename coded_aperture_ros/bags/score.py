@@ -17,24 +17,12 @@ RIGHT_WITHIN = 0.05
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FrameScore:
-    """How good the depth of one frame is.
+    """How good the depth of one frame is."""
 
-    Attributes
-    ----------
-    error : RelativeError
-        Of the pixels of the depth image whose reference is known.
-    apart_ns : int
-        How far the stamps of depth and reference are apart.
-    reliability : Reliability
-        Of the pixels that have both depth and reference; right is within 5 %.
-    reference_m : ndarray, float32 [rows, columns]
-        As it was compared.
-    """
-
-    error: RelativeError
-    apart_ns: int
-    reliability: Reliability
-    reference_m: NDArray[np.float32]
+    error: RelativeError  # of the pixels of the depth image whose reference is known
+    apart_ns: int  # between the stamps of depth and reference
+    reliability: Reliability  # of the pixels that have both; right is within 5 %
+    reference_m: NDArray[np.float32]  # as it was compared, [rows, columns]
 
 
 def frame_score(

@@ -73,10 +73,7 @@ def read_pixels(path: str | os.PathLike[str]) -> NDArray:
 
 
 def write_image(
-    path: str | os.PathLike[str],
-    image: NDArray,
-    bits: int | None = None,
-    gamma: Gamma = 1.0,
+    path: str | os.PathLike[str], image: NDArray, bits: int | None = None, gamma: Gamma = 1.0
 ) -> None:
     """Write a picture; the suffix decides the format.
 
@@ -100,16 +97,12 @@ def write_image(
     suffix = path.suffix.lower()
     if suffix not in PICTURE_SUFFIXES:
         raise InputError(f"{path}: unknown picture format, use one of {' '.join(PICTURE_SUFFIXES)}")
-    if suffix == ".npy":
-        _write_array(path, image.astype(np.float32))
-        return
-    if image.dtype == np.uint8:
-        _write_pixels(path, image)
-    elif bits is None and suffix in _TIFF:
-        _write_pixels(path, image.astype(np.float32))
-    else:
+    if suffix == ".npy" or (suffix in _TIFF and bits is None and image.dtype != np.uint8):
+        image = image.astype(np.float32)
+    elif image.dtype != np.uint8:
         bits = bits or (16 if suffix == ".png" else 8)
-        _write_pixels(path, pixels_from_linear(image, bits, gamma if bits == 8 else 1.0))
+        image = pixels_from_linear(image, bits, gamma if bits == 8 else 1.0)
+    _write(path, image)
 
 
 def read_depth(
@@ -160,13 +153,11 @@ def write_depth(path: str | os.PathLike[str], depth_m: NDArray) -> None:
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix == ".npy":
-        _write_array(path, depth_m.astype(np.float32))
-    elif suffix in _TIFF:
-        _write_pixels(path, depth_m.astype(np.float32))
+    if suffix in (".npy", *_TIFF):
+        _write(path, depth_m.astype(np.float32))
     elif suffix == ".png":
         millimetres = np.clip(np.rint(depth_m / _MILLIMETRE), 1, 65535)
-        _write_pixels(path, np.nan_to_num(millimetres, nan=0.0).astype(np.uint16))
+        _write(path, np.nan_to_num(millimetres, nan=0.0).astype(np.uint16))
     else:
         raise InputError(f"{path}: unknown depth format, use .npy, .tif or .png")
 
@@ -198,17 +189,17 @@ def _read_array(path: Path) -> NDArray:
     return array
 
 
-def _write_array(path: Path, array: NDArray) -> None:
-    with atomic_output(path) as temporary, temporary.open("wb") as file:
-        np.save(file, array)
-
-
-def _write_pixels(path: Path, pixels: NDArray) -> None:
-    if pixels.ndim == 3:
-        pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
+def _write(path: Path, pixels: NDArray) -> None:
+    suffix = path.suffix.lower()
     with atomic_output(path) as temporary:
+        if suffix == ".npy":
+            with temporary.open("wb") as file:
+                np.save(file, pixels)
+            return
+        if pixels.ndim == 3:
+            pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
         try:
-            written = cv2.imwrite(str(temporary), pixels, _ENCODING.get(path.suffix.lower(), ()))
+            written = cv2.imwrite(str(temporary), pixels, _ENCODING.get(suffix, ()))
         except cv2.error as error:
             raise InputError(f"cannot write {path}: {error.err}") from error
         if not written:

@@ -34,6 +34,7 @@ from coded_aperture_ros.io.messages import array_from_image
 RESULTS = ("depth/image", "depth/confidence", "depth/camera_info")
 DEBLURRED = ("deblurred/image", "deblurred/camera_info")
 STORAGES = ("mcap", "sqlite3")
+FEW_MOTIONS = ("--motion-directions", 2, "--motion-lengths", 2, "--motion-rank", 32)
 
 
 def command(scene, source, target, *options):
@@ -314,7 +315,8 @@ def test_examples_of_the_help(scene, tmp_path, capsys, monkeypatch):
     shown = examples(capsys, "bag")
     assert len(shown) == 3
     for arguments in shown:
-        result = call(capsys, *arguments)
+        fewer = FEW_MOTIONS if "--motion" in arguments else ()
+        result = call(capsys, *arguments, *fewer)
         assert (result.status, result.err) == (0, ""), arguments
         assert "2 of 2 frames" in result.out
     assert (tmp_path / "scored" / "report" / "report.html").is_file()
@@ -333,8 +335,16 @@ def test_the_simple_method_needs_no_bank(scene, tmp_path, capsys):
 
 @pytest.mark.parametrize("options", [("--motion",), ("--method", "motion")])
 def test_motion_is_found_as_by_depth(scene, tmp_path, capsys, options):
-    few = ("--motion-directions", 2, "--motion-lengths", 2, "--motion-rank", 32)
-    settings = (*options, *few, "--longest-motion-px", 6, "--stride-px", 16, "--unknown", "nearest")
+    settings = (
+        *options,
+        *FEW_MOTIONS,
+        "--longest-motion-px",
+        6,
+        "--stride-px",
+        16,
+        "--unknown",
+        "nearest",
+    )
     bag = write_bag(tmp_path / "in", recording(scene, frames=2))
     sizes = ("--output-size", "full")
     arguments = command(scene, bag, tmp_path / "out", "--deblur", "cg", *sizes, *settings)
