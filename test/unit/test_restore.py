@@ -97,11 +97,13 @@ def test_plane_is_convolved_with_its_psf_and_nothing_wraps_around(operator, stac
     top = blur.margin_px - margin
     expected = expected[top : top + sharp.shape[0], top : top + sharp.shape[1]]
     assert blur.forward(scene) == pytest.approx(expected, abs=1e-3)
-    # What the frame does not see has no part in it.
-    rim = scene.copy()
-    margin = blur.margin_px
-    rim[2 * margin : -2 * margin, 2 * margin : -2 * margin] += 1
-    assert frame_within(rim, blur).shape == sharp.shape
+    # What lies beyond the reach of the PSFs has no part in it.
+    rows, columns = (length + 2 * blur.margin_px for length in sharp.shape)
+    beyond = scene.copy()
+    beyond[rows:] += 1
+    beyond[:, columns:] += 1
+    assert blur.forward(beyond) == pytest.approx(blur.forward(scene), abs=1e-4)
+    assert frame_within(scene, blur).shape == sharp.shape
     flat = blur.forward(np.full(blur.scene_shape, 0.4, np.float32))
     assert flat == pytest.approx(0.4, abs=1e-4)
 

@@ -10,6 +10,7 @@ import pytest
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera, load_bank, save_bank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.threads import processors
+from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.optics import Camera, Mask
 from coded_aperture_ros.simulation import render_coded_frame
@@ -44,47 +45,59 @@ def plane_at(camera, depth_m, noise=0.002, seed=1):
     return (frame + random.normal(0, noise, SHAPE)).astype(np.float32)
 
 
-@pytest.mark.parametrize(("temporal_frames", "warm_up"), [(0.0, 30), (3.0, 100)])
-def test_memory_does_not_grow(bank, camera, temporal_frames, warm_up):
-    frames = [plane_at(camera, 1.5, seed=seed) for seed in range(4)]
-    config = dataclasses.replace(EVERYTHING, temporal_frames=temporal_frames)
-    estimator = DepthEstimator(bank, config)
+def growth(call, warm_up):
+    """Return how many bytes more are held after `call` of numbers up to three times the warm-up."""
 
     def size_after(count):
-        for i in range(count):
-            estimator.estimate(frames[i // 2 % 4])  # each twice: still, then another scene
+        for number in range(count):
+            call(number)
         gc.collect()
         return tracemalloc.get_traced_memory()[0]
 
     tracemalloc.start()
     try:
         before = size_after(warm_up)
-        grown = size_after(3 * warm_up) - before
+        return size_after(3 * warm_up) - before
     finally:
         tracemalloc.stop()
-        estimator.close()
+
+
+@pytest.fixture(scope="module")
+def frames(camera):
+    return [plane_at(camera, 1.5, seed=seed) for seed in range(4)]
+
+
+@pytest.mark.parametrize(("temporal_frames", "warm_up"), [(0.0, 30), (3.0, 100)])
+def test_memory_does_not_grow(bank, frames, temporal_frames, warm_up):
+    config = dataclasses.replace(EVERYTHING, temporal_frames=temporal_frames)
+    estimator = DepthEstimator(bank, config)
+    # Each twice: static, then another scene.
+    grown = growth(lambda number: estimator.estimate(frames[number // 2 % 4]), warm_up)
+    estimator.close()
     assert grown < 50_000  # less than half a frame
 
 
-def test_memory_does_not_grow_with_changes_of_size(bank, camera):
+def test_memory_does_not_grow_with_changes_of_size(bank, frames):
     """Each size is planned anew; the plans before are let go."""
-    frame = plane_at(camera, 1.5)
-    config = dataclasses.replace(EVERYTHING, temporal_frames=3.0)
-    estimator = DepthEstimator(bank, config)
+    estimator = DepthEstimator(bank, dataclasses.replace(EVERYTHING, temporal_frames=3.0))
+    grown = growth(lambda number: estimator.estimate(frames[0][: 96 + 8 * (number % 2)]), 4)
+    estimator.close()
+    assert grown < 50_000
 
-    def size_after(count):
-        for i in range(count):
-            estimator.estimate(frame[: 96 + 8 * (i % 2)])
-        gc.collect()
-        return tracemalloc.get_traced_memory()[0]
 
-    tracemalloc.start()
-    try:
-        before = size_after(4)
-        grown = size_after(12) - before
-    finally:
-        tracemalloc.stop()
-        estimator.close()
+@pytest.mark.parametrize("options", [{}, {"method": "cg", "iterations": 2}])
+def test_memory_of_deblurring_does_not_grow(bank, frames, options):
+    """Nor with other sizes of frames, or other settings."""
+    configs = [DeblurConfig(temporal_frames=count, **options) for count in (0.0, 3.0)]
+    deblurrer = Deblurrer(bank.stack, configs[0])
+
+    def deblur(number):
+        deblurrer.reconfigure(configs[number // 3 % 2])
+        frame = frames[number % 4][: 96 + 8 * (number // 6 % 2)]
+        deblurrer.deblur(frame, np.full(frame.shape, 6.0, np.float32), 0.002)
+
+    grown = growth(deblur, 24)
+    deblurrer.close()
     assert grown < 50_000
 
 
@@ -113,12 +126,12 @@ def test_missing_pytorch_is_found_before_the_first_frame(backend, monkeypatch):
         DepthConfig(backend=backend)
 
 
-def test_stride_is_the_banks_unless_told(bank, camera):
+def test_stride_is_the_banks_unless_configured(bank, camera):
     frame, coarse = plane_at(camera, 1.5), dataclasses.replace(bank, stride_px=16)
-    told = DepthEstimator(bank, dataclasses.replace(EVERYTHING, stride_px=16)).estimate(frame)
+    configured = DepthEstimator(bank, dataclasses.replace(EVERYTHING, stride_px=16)).estimate(frame)
     of_bank = DepthEstimator(coarse, EVERYTHING).estimate(frame)
-    assert np.array_equal(of_bank.level, told.level)
-    assert np.array_equal(of_bank.confidence, told.confidence)
+    assert np.array_equal(of_bank.level, configured.level)
+    assert np.array_equal(of_bank.confidence, configured.confidence)
     estimator = DepthEstimator(coarse, dataclasses.replace(EVERYTHING, stride_px=8))
     overruled = estimator.estimate(frame)
     assert np.array_equal(overruled.level, DepthEstimator(bank, EVERYTHING).estimate(frame).level)
