@@ -34,12 +34,7 @@ def restore_quadratic(fit: Fit) -> tuple[list[NDArray[np.float32]], int]:
 
     ``alpha`` is the variance of the noise, and of the model's error, over that of photographs. The
     preconditioner solves the problem in the Fourier domain, for each of some ranges of blur sizes.
-
-    Returns
-    -------
-    channels : list of ndarray, float32 [rows, columns]
-    iterations : int
-        The most that a channel took.
+    Returns the channels, and the most iterations that one took.
     """
     operator = fit.operator
     alpha = float(fit.config.smoothness * (fit.noise**2 + MODEL_ERROR**2) / _CONTRAST)

@@ -25,20 +25,9 @@ def filled_blur_map(
 ) -> NDArray[np.float32]:
     """Fill the gaps of a blur map and bring it to the size of its frame, or a part of that.
 
-    Gaps take the value of the nearest known pixel. The frame guides the edges of a smaller map.
-
-    Parameters
-    ----------
-    blur_size_px : ndarray, float32 [map rows, map columns]
-        Signed blur sizes in pixels of the frame; not finite where unknown.
-    frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
-    reduction : int, optional
-        So many times smaller than the frame the map shall be.
-
-    Returns
-    -------
-    ndarray, float32 [rows / reduction, columns / reduction], rounded up
-        Finite; still in pixels of the frame.
+    Gaps, which are not finite, take the value of the nearest known pixel. The frame guides the edges
+    of a smaller map. The result is [rows / reduction, columns / reduction], rounded up; its values
+    are still in pixels of the frame.
 
     Raises
     ------

@@ -18,14 +18,8 @@ def measured_pixels(
     """Return a frame whose impossible pixels are filled, and which pixels have been measured.
 
     Pixels that are not finite, or far from [0, 1], are impossible. From a brightness of
-    `saturation` on, at most 2, they are kept, but have not been measured.
-
-    Returns
-    -------
-    frame : ndarray, float32, like `frame`
-        Finite.
-    measured : ndarray, bool [rows, columns]
-        In all channels.
+    `saturation` on, at most 2, they are kept, but have not been measured. What has been measured
+    [rows, columns] is so in all channels.
     """
     # A NaN makes both comparisons false.
     measured = (frame > _DARKEST) & (frame < saturation)

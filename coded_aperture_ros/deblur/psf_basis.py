@@ -84,12 +84,8 @@ class PsfBasis:
     ) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
         """Divide a scene with these `steps` among at most `count` ranges of blur sizes.
 
-        Returns
-        -------
-        list of (share, power)
-            ``share``, float32 [rows, columns]: square root of how far a pixel belongs to the
-            range; the squares sum to one. ``power``, float32 as by ``rfft2`` of the scene: mean of
-            ``|H|^2`` over its pixels.
+        Each has a share [rows, columns], the square root of how far a pixel belongs to it, so that
+        the squares sum to one; and a power, as by ``rfft2``, the mean of ``|H|^2`` over its pixels.
         """
         shape = (steps.shape[0], steps.shape[1])
         # Powers are the transforms of autocorrelations, which are small images.

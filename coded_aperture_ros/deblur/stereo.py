@@ -228,10 +228,9 @@ def _fill_holes(
 
 
 def _mirrored(distance: NDArray[np.float32], span: NDArray[np.intp]) -> NDArray[np.float32]:
-    """Return how far back to go for what lies beyond a surface's end, to and fro within it.
+    """Return how far back to go for what lies beyond a surface's end, to and fro within its span.
 
-    `distance` >= 0 is from the edge of the surface's last pixel, `span` >= 0 from its first to its
-    last pixel.
+    The `distance` >= 0 is from the edge of the surface's last pixel.
     """
     period = np.maximum(span, 1)
     phase = np.maximum(distance - np.float32(0.5), 0) % (2 * period)
