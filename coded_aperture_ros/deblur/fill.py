@@ -25,9 +25,9 @@ def filled_blur_map(
 ) -> NDArray[np.float32]:
     """Fill the gaps of a blur map and bring it to the size of its frame, or a part of that.
 
-    Gaps, which are not finite, take the value of the nearest known pixel. The frame guides the edges
-    of a smaller map. The result is [rows / reduction, columns / reduction], rounded up; its values
-    are still in pixels of the frame.
+    Gaps, which are not finite, take the value of the nearest known pixel. The frame guides the
+    edges of a smaller map. The result is [rows / reduction, columns / reduction], rounded up; its
+    values are still in pixels of the frame.
 
     Raises
     ------

@@ -92,10 +92,6 @@ class OccludedBlur(OnProcessor):
         self.workers.each(add, range(0, self.shape[0], _BAND_ROWS))
         return np.sum(scenes, axis=0)
 
-    def ranges(self, count: int) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-        """Divide the scene among ranges of blur sizes."""
-        return self._basis.ranges(self._steps, count)
-
 
 def _visible(amounts: NDArray[np.float32], place: tuple[int, int]) -> NDArray[np.bool_]:
     """Return for which pixels nothing is in front of the point at a place of their surroundings."""

@@ -46,12 +46,18 @@ class OnProcessor:
     """An operator on arrays of NumPy, with the Fourier transforms of SciPy."""
 
     fft: Any = scipy.fft
+    _basis: PsfBasis
+    _steps: NDArray[np.intp]  # of the scene, see `PsfBasis.steps_of`
 
     def array(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the array itself."""
         return values
 
     to_numpy = array
+
+    def ranges(self, count: int) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+        """Divide the scene among ranges of blur sizes."""
+        return self._basis.ranges(self._steps, count)
 
 
 def scene_around(
@@ -157,7 +163,7 @@ class SpreadingBlur(OnProcessor):
 
     def ranges(self, count: int) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
         """Divide the scene among ranges of blur sizes, and motions."""
-        ranges = self._basis.ranges(self._steps, count)
+        ranges = super().ranges(count)
         moving = list(zip(self._parts, self._traces, strict=True))
         return [
             (share * part, power * np.abs(trace) ** 2)
