@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output
-from coded_aperture_ros.cli.options import add_numbers, table
+from coded_aperture_ros.cli.options import add_numbers, add_texts, table
 from coded_aperture_ros.cli.progress import progress
 
 _EPILOG = """examples:
@@ -44,10 +44,8 @@ def add_parser(subparsers: Any) -> None:
         parser.add_argument(
             name, type=float, default=default, metavar=metavar, help=f"{what} (default {default:g})"
         )
-    parser.add_argument(
-        "--output",
-        metavar="DIR",
-        help="write the masks (.npy) and a figure (.png) into this folder",
+    add_texts(
+        parser, ("--output", "DIR", "write the masks (.npy) and a figure (.png) into this folder")
     )
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
-from coded_aperture_ros.cli.options import mask_of
+from coded_aperture_ros.cli.options import add_texts, mask_of
 
 _EPILOG = """examples:
   the mask of a camera file, in its size, on a round piece that fits a filter ring of 77 mm:
@@ -16,7 +16,6 @@ _EPILOG = """examples:
   Levin's mask, 26 mm wide, with a line that says what it is for:
     coded_aperture mask print levin --extent-mm 26 --label "50 mm f/1.4" -o mask.svg
 """
-_SUFFIXES = (".pdf", ".svg")
 
 
 def add_parser(subparsers: Any) -> None:
@@ -32,9 +31,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "mask", nargs="?", metavar="NAME|FILE", help="name or file (PNG, .npy) of the mask"
     )
-    parser.add_argument(
-        "--camera", metavar="YAML", help="camera file whose mask and mask size are taken"
-    )
+    add_texts(parser, ("--camera", "YAML", "camera file whose mask and mask size are taken"))
     for name, metavar, what in (
         ("--extent-mm", "M", "outer width of the mask's grid; needed without --camera"),
         ("--outer-mm", "D", "diameter of the round piece that goes into the lens (default: 5 mm of "
@@ -58,9 +55,8 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.optics import load_camera
 
     _check_usage(args)
-    check_suffix(args.output, _SUFFIXES)
-    inputs = [Path(name) for name in (args.camera, args.mask) if name]
-    check_output(args.output, inputs)
+    check_suffix(args.output, (".pdf", ".svg"))
+    check_output(args.output, [Path(name) for name in (args.camera, args.mask) if name])
     camera = args.camera and load_camera(args.camera)
     mask = camera.mask if camera else mask_of(args.mask)
     extent_mm = args.extent_mm or camera.mask_extent_mm

@@ -10,6 +10,7 @@ from coded_aperture_ros.cli.checks import check_output, check_suffix
 from coded_aperture_ros.cli.options import (
     add_config_options,
     add_sigmas_option,
+    add_texts,
     at_least,
     config_from,
     folder_of,
@@ -48,19 +49,16 @@ def add_parser(subparsers: Any) -> None:
         "masks", nargs="*", metavar="NAME|FILE", help="masks (default: all with names)"
     )
     add_sigmas_option(parser, (0.001, 0.005), ", above 0")
-    parser.add_argument(
-        "--images",
-        metavar="DIR",
-        help="predict the depth error with the sharp pictures of this folder too",
+    add_texts(
+        parser,
+        ("--images", "DIR", "predict the depth error with the sharp pictures of this folder too"),
+        ("--figure", "PNG", "draw the distances of all pairs of levels (figure 9.5)"),
     )
     parser.add_argument(
         "--windows",
         type=at_least(1),
         metavar="N",
         help="of the pictures, in all (default 768; a quarter of a second for each mask)",
-    )
-    parser.add_argument(
-        "--figure", metavar="PNG", help="draw the distances of all pairs of levels (figure 9.5)"
     )
     parser.add_argument("--json", action="store_true", help="print the scores as JSON")
     parser.add_late_options = _add_late_options

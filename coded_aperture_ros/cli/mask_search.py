@@ -7,7 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, check_suffix
-from coded_aperture_ros.cli.options import add_config_options, add_jobs_option, config_from, table
+from coded_aperture_ros.cli.options import (
+    add_config_options,
+    add_jobs_option,
+    add_texts,
+    config_from,
+    table,
+)
 from coded_aperture_ros.cli.progress import progress
 
 _SHOWN = 8
@@ -32,20 +38,15 @@ def add_parser(subparsers: Any) -> None:
         "cell, which --mask and camera files take.",
         epilog=_EPILOG,
     )
-    parser.add_argument(
-        "-o", "--output", metavar="FILE", help="picture of the best mask to write (.png or .npy)"
-    )
-    parser.add_argument(
-        "--checkpoint",
-        metavar="NPZ",
-        help="file that the search is saved to after every round, and goes on from",
-    )
+    add_texts(
+        parser,
+        ("-o --output", "FILE", "picture of the best mask to write (.png or .npy)"),
+        ("--checkpoint", "NPZ", "file that the search is saved to after every round, and goes on "
+         "from"),
+        ("--scheduler", "ADDRESS", "Dask scheduler whose workers share the search, instead of "
+         "processes here"),
+    )  # fmt: skip
     add_jobs_option(parser)
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="Dask scheduler whose workers share the work, instead of processes here",
-    )
     parser.add_argument("--json", action="store_true", help="print the Pareto front as JSON")
     parser.add_late_options = _add_late_options
 

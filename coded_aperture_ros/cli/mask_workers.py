@@ -16,10 +16,7 @@ RunAll = Callable[[list[tuple[Any, ...]]], list[Any]]
 def local_processes(jobs: int) -> Iterator[RunAll]:
     """Yield what runs the epochs of all islands in processes; with one job, in this one.
 
-    Raises
-    ------
-    InputError
-        If a process ended by itself.
+    An `InputError` where a process ended by itself.
     """
     if jobs == 1:
         yield lambda tasks: [_run(task) for task in tasks]
@@ -42,12 +39,8 @@ def dask_workers(address: str) -> Iterator[RunAll]:
     """Yield what runs the epochs of all islands on the workers of a Dask scheduler.
 
     A worker that dies loses nothing: an epoch depends only on its arguments, which this process
-    keeps, and the scheduler gives it to another worker.
-
-    Raises
-    ------
-    InputError
-        If Dask is missing, or no scheduler answers.
+    keeps, and the scheduler gives it to another worker. An `InputError` where Dask is missing, or
+    no scheduler answers.
     """
     try:
         from distributed import Client

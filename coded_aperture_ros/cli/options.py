@@ -200,6 +200,12 @@ def add_numbers(parser: argparse._ActionsContainer, *numbers: tuple[str, int, in
         )
 
 
+def add_texts(parser: argparse.ArgumentParser, *texts: tuple[str, str, str]) -> None:
+    """Add options that are texts, such as names of files: names, metavar, and what each is."""
+    for names, metavar, what in texts:
+        parser.add_argument(*names.split(), metavar=metavar, help=what)
+
+
 def add_jobs_option(parser: argparse.ArgumentParser) -> None:
     """Add how many processes share the work."""
     parser.add_argument(
