@@ -143,7 +143,8 @@ def check_gyroscope_options(args: argparse.Namespace) -> None:
             args.usage_error("--exposure: only with --angular-velocity")
         return
     for name in ("motion", "camera", "exposure"):
-        if getattr(args, name) in (None, False):
+        # An exposure of 0 is equal to False, and is given all the same.
+        if (given := getattr(args, name)) is None or given is False:
             args.usage_error(f"--angular-velocity: needs --{name} too")
 
 

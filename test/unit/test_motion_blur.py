@@ -249,6 +249,7 @@ def test_the_program_estimates_and_removes_motion(moving_file, capsys):
     result = call(capsys, "depth", "--bank", bank, *options, *known, coded, "-o", depth)
     assert json.loads(result.out)[0]["searched"] == ""
     result = call(capsys, "depth", "--bank", bank, *options, *known[:-1], 0, coded, "-o", depth)
+    assert result.status == 0, result.err
     assert "exposure of 0 s" in json.loads(result.out)[0]["searched"]
 
     sharp = ("--depth", depth, "--motion", folder / "depth.motion.npy", "-o", folder / "s.png")
