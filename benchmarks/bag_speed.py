@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from coded_aperture_benchmarks import CodedVideo, load_video
+from coded_aperture_benchmarks.frames.video import CodedVideo, load_video
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera, save_bank
 from coded_aperture_ros.core.threads import processors

@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from coded_aperture_benchmarks import RayTracedScene
-from coded_aperture_benchmarks.ray_traced import scene_camera
+from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, scene_camera
 
 from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.bank.remap import remap_bank

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from coded_aperture_benchmarks import RayTracedScene
+from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene
 
 from coded_aperture_ros.bank import learn_bank, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from coded_aperture_benchmarks import RayTracedScene
+from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError

@@ -1,25 +1,101 @@
 """The benchmarks' command line, which `coded_aperture bench` hands its arguments to."""
 
 import argparse
+import dataclasses
 import sys
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Mapping, Sequence
+from functools import partial
 from importlib import import_module
 from typing import Any
 
-from coded_aperture_ros.cli.options import CommandParser, add_commands
+from coded_aperture_benchmarks.run import run
+from coded_aperture_ros.cli.options import CommandParser
 
-BENCHMARKS: dict[str, Any] = {
-    name: import_module(f"coded_aperture_benchmarks.commands.bench_{name.replace('-', '_')}")
-    for name in (
-        "accuracy",
-        "deblur",
-        "speed",
-        "simple-speed",
-        "motion",
-        "masks",
-        "sign",
-        "blind",
-    )
+
+@dataclasses.dataclass(frozen=True)
+class Group:
+    """Benchmarks of one kind: the help of each, by its name."""
+
+    help: str
+    description: str
+    examples: str
+    suites: Mapping[str, str]
+
+
+_ACCURACY = Group(
+    help="of blur identification and depth",
+    description="Measure how well blur and depth are identified.",
+    examples="""examples:
+  all of the thesis' masks we have, with and without regularisation:
+    coded_aperture bench accuracy stair --masks two_hole four_hole annulus levin veeraraghavan \\
+        zhou mura --methods bank bank-graphcut
+  what happens at an occluding edge:
+    coded_aperture bench accuracy two-plane
+  masks of a few equal holes, next to table 5.1 of the thesis:
+    coded_aperture bench accuracy simple
+  metric depth of ray-traced scenes:
+    coded_aperture bench accuracy scenes desk/ corridor/
+  how much steadier the depth of a video is when it is filtered over time:
+    coded_aperture bench accuracy video rendered/video/
+""",
+    suites={
+        "stair": "a stair of blur sizes, as in the thesis",
+        "two-plane": "two planes, one before the other",
+        "simple": "planes behind masks of a few equal holes",
+        "scenes": "ray-traced scenes with true depth",
+        "video": "videos with true depth, filtered over time",
+    },
+)
+_DEBLUR = Group(
+    help="quality of the all-in-focus frames, and speed",
+    description="Measure how good all-in-focus frames are, beside those of other methods, and how "
+    "long they take.",
+    examples="""examples:
+  the thesis' stair of blur sizes, next to the numbers of the thesis:
+    coded_aperture bench deblur stair
+  ray-traced scenes, by the true and by the estimated depth, with pictures:
+    coded_aperture bench deblur scenes desk/ corridor/ --output results/
+  a photograph of a flat page, whose PSF was measured:
+    coded_aperture bench deblur photograph real_photo/
+  how long a frame takes:
+    coded_aperture bench deblur speed
+""",
+    suites={
+        "stair": "a stair of blur sizes, as in the thesis",
+        "scenes": "ray-traced scenes with a true all-in-focus frame",
+        "photograph": "a photograph of a flat page, with its measured PSF",
+        "speed": "how long a frame takes",
+    },
+)
+_MOTION = Group(
+    help="of depth and deblurring while things move",
+    description="Measure how well defocus and motion are told apart, and what it costs.",
+    examples="""examples:
+  table 7.1 of the thesis, and natural texture:
+    coded_aperture bench motion table
+  depth and all-in-focus frames of scenes in which an object moves:
+    coded_aperture bench motion scenes --deblur cg
+  time of a frame, with and without motion, and with what a gyroscope knows:
+    coded_aperture bench motion speed
+""",
+    suites={
+        "table": "planes that move, as in the thesis",
+        "scenes": "an object that moves in front of a scene that does not",
+        "speed": "time of a frame with and without motion",
+    },
+)
+# By name a group, or a benchmark's help. A suite's module has its name, below a group that of the
+# group too; those of `accuracy` came first.
+BENCHMARKS: dict[str, Group | str] = {
+    "accuracy": _ACCURACY,
+    "deblur": _DEBLUR,
+    "speed": "of depth: stages, roofline, scaling, other methods",
+    "simple-speed": "of depth behind masks of a few equal holes",
+    "motion": _MOTION,
+    "masks": "predicted against measured errors of random masks",
+    "sign": "the two sides of the focal plane, told apart",
+    "blind": "masks found from planes at unknown distances, and what deblurring loses by them",
 }
 _EPILOG = """examples:
   blur identification on the thesis' stair of blur sizes, next to the numbers of the thesis:
@@ -44,22 +120,56 @@ _EPILOG = """examples:
 
 
 def make_parser(program: str) -> argparse.ArgumentParser:
-    """Return the parser of all benchmarks."""
+    """Return the parser of all benchmarks; a suite is imported once it was chosen."""
     parser = CommandParser(
         prog=program,
         description="Measure how good the methods are, on frames whose truth is known, and how "
         "fast.",
         epilog=_EPILOG,
     )
-    add_commands(parser, "benchmark", BENCHMARKS.values())
+    chosen = _choice(parser, "benchmark")
+    for name, described in BENCHMARKS.items():
+        if isinstance(described, str):
+            _add_suite(chosen, name, name, described)
+            continue
+        group = chosen.add_parser(
+            name,
+            help=described.help,
+            description=described.description,
+            epilog=described.examples,
+        )
+        frames = _choice(group, "frames")
+        prefix = "" if described is _ACCURACY else f"{name}_"
+        for suite, what in described.suites.items():
+            _add_suite(frames, suite, prefix + suite, what)
     return parser
+
+
+def _choice(parser: argparse.ArgumentParser, dest: str) -> Any:
+    return parser.add_subparsers(
+        dest=dest, metavar=dest.upper(), required=True, parser_class=CommandParser
+    )
+
+
+def _add_suite(subparsers: Any, name: str, module: str, what: str) -> None:
+    parser = subparsers.add_parser(name, help=what)
+    parser.add_late_options = partial(_describe, module.replace("-", "_"))
+
+
+def _describe(module: str, parser: argparse.ArgumentParser) -> None:
+    """Add what a suite says of itself to its parser."""
+    suite = import_module(f"coded_aperture_benchmarks.suites.{module}").SUITE
+    parser.description = textwrap.fill(suite.description, 79)
+    parser.epilog = suite.examples
+    for add in suite.options:
+        add(parser)
+    parser.set_defaults(suite=suite)
 
 
 def main(arguments: Sequence[str] | None = None, program: str = "coded_aperture bench") -> int:
     """Run one benchmark; return its exit status."""
     args = make_parser(program).parse_args(arguments)
-    status: int = BENCHMARKS[args.benchmark].run(args)
-    return status
+    return run(args.suite, args)
 
 
 if __name__ == "__main__":

@@ -11,8 +11,8 @@ import time
 import numpy as np
 import pytest
 from cli_scene import CAMERA, HEIGHT, WIDTH, call
-from coded_aperture_benchmarks.commands.bench_methods import reference_methods
-from coded_aperture_benchmarks.commands.bench_stair import lost_cells
+from coded_aperture_benchmarks.reference import REFERENCE_METHODS
+from coded_aperture_benchmarks.suites.stair import lost_cells
 
 from coded_aperture_ros.io import read_image, write_image
 from coded_aperture_ros.optics import Mask
@@ -66,9 +66,9 @@ def test_other_processes_measure_the_same(capsys):
 
 def test_the_table_names_the_cells_of_the_thesis(capsys, monkeypatch):
     """Masks down, noise across, our number beside that of the same cell; nothing is computed."""
-    from coded_aperture_benchmarks.commands import bench_stair
+    from coded_aperture_benchmarks import identification
 
-    monkeypatch.setattr(bench_stair, "identify", guess_zero)
+    monkeypatch.setattr(identification, "identify", guess_zero)
     result = call(
         capsys,
         *("bench", "accuracy", "stair", "--jobs", 1, "--repeats", 1, "--textures", "random"),
@@ -85,7 +85,7 @@ def test_the_table_names_the_cells_of_the_thesis(capsys, monkeypatch):
 
 
 def guess_zero(method, coded, noise, setting):
-    from coded_aperture_benchmarks.commands.bench_methods import Identified
+    from coded_aperture_benchmarks.identification import Identified
 
     return Identified(np.zeros(coded.shape), None, None, 0.5)
 
@@ -106,7 +106,7 @@ def test_a_method_that_beats_the_bank_is_named():
 
 def test_reference_methods_take_part(capsys):
     pytest.importorskip("skimage")
-    name = reference_methods()[-1]
+    name = REFERENCE_METHODS[-1]
     result = call(capsys, *STAIR, "--sigmas", 0, "--methods", "bank", name)
     assert (result.status, result.err) == (0, "")
     assert f"random texture, {name}" in result.out
@@ -241,9 +241,9 @@ def test_bad_input_is_one_line(capsys, tmp_path, monkeypatch, arguments, hint):
 
 
 def test_results_that_cannot_be_written_are_not_computed(capsys, tmp_path, monkeypatch):
-    from coded_aperture_benchmarks.commands import bench_stair
+    from coded_aperture_benchmarks import run
 
-    monkeypatch.setattr(bench_stair, "measure_cells", pytest.fail)
+    monkeypatch.setattr(run, "measure_cells", pytest.fail)
     (tmp_path / "file").touch()
     result = call(capsys, *STAIR, "--output", tmp_path / "file")
     assert (result.status, result.out) == (1, "")
@@ -299,17 +299,17 @@ def _group(leader):
 
 
 def test_planes_are_found_if_they_are_of_the_same_camera(tmp_path, folder):
-    from coded_aperture_benchmarks.commands.bench_scenes import _planes_of
+    from coded_aperture_benchmarks.suites.scenes import planes_of
 
-    assert _planes_of(folder, "levin") == []
+    assert planes_of(folder, "levin") == []
     planes = tmp_path / "calib"
     planes.mkdir()
     (planes / "planes.json").write_text("[]")
     shutil.copy(folder / "meta.json", planes)
-    assert _planes_of(folder, "levin") == [planes]
+    assert planes_of(folder, "levin") == [planes]
     other = json.loads((folder / "meta.json").read_text()) | {"focus_distance_m": 3.0}
     (planes / "meta.json").write_text(json.dumps(other))
-    assert _planes_of(folder, "levin") == []
+    assert planes_of(folder, "levin") == []
 
 
 @pytest.mark.parametrize("words", [(), ("accuracy",), ("motion",), ("blind",)])

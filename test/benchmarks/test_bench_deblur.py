@@ -7,30 +7,29 @@ import cv2
 import numpy as np
 import pytest
 from cli_scene import CAMERA, call, texture
-from coded_aperture_benchmarks import (
-    deblurring_error,
-    load_textures,
-    make_stair,
-    noise_of,
-    picture_score,
-    residual_rms,
-    thesis_deblurring_error,
-)
-from coded_aperture_benchmarks.commands.bench_deblur_methods import (
+from coded_aperture_benchmarks.deblurring import (
     ahead,
     ahead_text,
     own_methods,
-    reference_methods,
 )
+from coded_aperture_benchmarks.frames.stair import make_stair
 from coded_aperture_benchmarks.reference.deblurring import (
     PLANE_METHODS,
     best_strength,
     deblur_by_planes,
 )
+from coded_aperture_benchmarks.reference.thesis_tables import thesis_deblurring_error
+from coded_aperture_benchmarks.restoration import (
+    deblurring_error,
+    noise_of,
+    picture_score,
+    residual_rms,
+)
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io import read_image, write_image
+from coded_aperture_ros.io.textures import load_textures
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation import render_coded_frame
 
@@ -161,7 +160,7 @@ def test_reference_methods_deblur_every_pixel_with_its_level(method, strength, s
     np.testing.assert_allclose(colour, np.dstack([found, again]), atol=1e-6)
 
 
-@pytest.mark.parametrize("method", reference_methods())
+@pytest.mark.parametrize("method", PLANE_METHODS)
 def test_the_best_strength_is_found_from_the_middle(method):
     ladder = PLANE_METHODS[method].ladder
     assert list(ladder) == sorted(set(ladder))
@@ -233,7 +232,7 @@ def test_a_stair_is_deblurred_by_both_depths(capsys, tmp_path):
 
 
 def test_the_table_shows_the_cell_of_the_thesis():
-    from coded_aperture_benchmarks.commands.bench_deblur_stair import _tables
+    from coded_aperture_benchmarks.suites.deblur_stair import tables_of
 
     def row(mask, sigma, depth, error, thesis):
         return {
@@ -246,7 +245,7 @@ def test_the_table_shows_the_cell_of_the_thesis():
         for mask, sigma, thesis in (("mura", 0.0, 0.21), ("mura", 0.001, 0.23), ("disc", 0.0, None))
         for depth, error in (("true", 0.1), ("estimated", 0.12))
     ] + [row("disc", 0.001, "true", 0.1, None), row("disc", 0.001, "estimated", 0.13, None)]
-    *_, title, header, mura, disc = _tables(rows).splitlines()
+    *_, title, header, mura, disc = tables_of(rows).splitlines()
     assert title == "natural texture, wiener [thesis: Wiener filtering]"
     assert header.split() == ["mask", "sigma", "0", "sigma", "0.001", "time"]
     assert mura.startswith("mura (~h)  0.100 / 0.120 [0.21]  0.100 / 0.120 [0.23]")
@@ -351,9 +350,9 @@ def test_a_psf_the_wrong_way_round_is_turned(capsys, page):
     with np.load(page / "levin_letters.npz") as arrays:
         image, psf = arrays["image"], arrays["psf"]
     np.savez(page / "levin_letters.npz", image=image, psf=3 * psf[::-1, ::-1])
-    from coded_aperture_benchmarks.commands.bench_deblur_photograph import _photograph
+    from coded_aperture_benchmarks.suites.deblur_photograph import photograph
 
-    _photograph.cache_clear()
+    photograph.cache_clear()
     turned = json_of(capsys, *PHOTOGRAPH, page, *methods)
     assert (right["psf_rotated"], turned["psf_rotated"]) == (False, True)
     assert turned["cells"][1]["ratio"] == pytest.approx(right["cells"][1]["ratio"], rel=0.01)

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 from cli_scene import call, picture_folder
-from coded_aperture_benchmarks.random_masks import patches_of_columns
+from coded_aperture_benchmarks.frames.random_masks import patches_of_columns
 
 from coded_aperture_ros.io.textures import Textures
 

@@ -7,11 +7,12 @@ import cv2
 import numpy as np
 import pytest
 from cli_scene import call
-from coded_aperture_benchmarks.commands import bench_speed
-from coded_aperture_benchmarks.commands.bench_speed import _tables
-from coded_aperture_benchmarks.speed import accuracy, frames, machine, rivals, thread_counts
+from coded_aperture_benchmarks.frames.stair import blur_stack
+from coded_aperture_benchmarks.speed import accuracy, frames, machine, thread_counts
+from coded_aperture_benchmarks.speed import baselines as rivals
 from coded_aperture_benchmarks.speed.setting import Setting, published_size
-from coded_aperture_benchmarks.stair import blur_stack
+from coded_aperture_benchmarks.suites import speed as bench_speed
+from coded_aperture_benchmarks.suites.speed import _text
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank
 from coded_aperture_ros.core.threads import processors
@@ -94,7 +95,7 @@ def test_tables_name_what_was_measured(small, capsys, monkeypatch):
     assert not {"average", "temporal"} & set(results["main"]["stages"])
     assert results["comparison"]["denoising"] is None
     assert results["comparison"]["graph_cut"] is None
-    text = _tables(results)
+    text = _text(results)
     for part in (
         *("96x80 frames to 96x80 maps, 3 levels", "from p50, ", " sustained", "FLOP/pixel", "GB/s"),
         *("attained", "time ~ pixels^", "time ~ levels^", "speed-up p50", "* extrapolated"),
@@ -118,7 +119,7 @@ def test_accuracy_of_a_setting_is_that_over_the_best_of_its_window(monkeypatch):
     # Of three levels on one small stair: neither need be the better one.
     assert 0 < found["reference_level_error"] < 13
     assert 0 < found["level_error"] < 13
-    line = bench_speed._accuracy_line({"accuracy": found, "setting": {"window_px": 32}})
+    line = bench_speed.accuracy_line({"accuracy": found, "setting": {"window_px": 32}})
     assert line.startswith("accuracy: mean error ")
 
 

@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 import pytest
 from cli_scene import call, texture
-from coded_aperture_benchmarks import (
+from coded_aperture_benchmarks.frames.video import (
     CodedVideo,
     check_video,
     load_video,
     moving_pixels,
     score_video,
 )
-from coded_aperture_benchmarks.commands.bench_video import _ratios, _tables, _ways
+from coded_aperture_benchmarks.suites.video import ratios, tables_of, ways
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import SRGB, pixels_from_linear
@@ -333,9 +333,9 @@ def test_filters_over_time_are_measured_beside_none(capsys, ray_traced):
     assert filters == [("none", 0), ("causal", 3), ("windowed", 3)]
     causal, windowed = results["ratios_to_raw"]
     assert (causal["filter"], windowed["filter"]) == ("causal", "windowed")
-    for ratios in (causal, windowed):
-        assert ratios["flicker mean"] < 0.9
-        assert ratios["mean"] < 1.1
+    for row in (causal, windowed):
+        assert row["flicker mean"] < 0.9
+        assert row["mean"] < 1.1
 
 
 def test_tables_and_pictures_are_written(capsys, ray_traced, tmp_path):
@@ -353,13 +353,13 @@ def test_tables_and_pictures_are_written(capsys, ray_traced, tmp_path):
 
 
 def test_all_are_compared_with_every_frame_and_patch_by_itself():
-    assert list(_ways(["semiglobal"], [4.0])) == [
+    assert list(ways(["semiglobal"], [4.0])) == [
         ("none", "none", 0.0),
         ("semiglobal", "none", 0.0),
         ("semiglobal", "causal", 4.0),
         ("semiglobal", "windowed", 4.0),
     ]
-    assert len(list(_ways(["none", "tv", "tv"], [2.0, 8.0]))) == 10
+    assert len(list(ways(["none", "tv", "tv"], [2.0, 8.0]))) == 10
 
     def row(how, time_filter, past, median):
         error = {"median": median, "mean": 2 * median, "within_10_percent": 1.0, "coverage": 1.0}
@@ -383,13 +383,13 @@ def test_all_are_compared_with_every_frame_and_patch_by_itself():
         row("tv", "causal", 4.0, 0.1),
         row("none", "windowed", 2.5, 0.1),
     ]
-    regularized, causal, windowed = _ratios(rows)
+    regularized, causal, windowed = ratios(rows)
     assert (regularized["filter"], regularized["median"]) == ("none", 0.4)
     assert (causal["regularize"], causal["median"], causal["mean"]) == ("tv", 0.2, 0.2)
     assert (windowed["regularize"], windowed["change robust"]) == ("none", 0.2)
     assert causal["flicker median"] is causal["moving mean"] is None
     assert causal["change"] is None  # nothing to divide by
-    text = _tables(rows, [causal, windowed])
+    text = tables_of(rows, [causal, windowed])
     assert "causal 4" in text
     assert "windowed 2.5" in text
     assert "0.20" in text

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from cli_scene import call
-from coded_aperture_benchmarks import load_textures
-from coded_aperture_benchmarks.sides import SideEstimates, SideFrame, SideScore
+from coded_aperture_benchmarks.frames.sides import SideEstimates, SideFrame, SideScore
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
@@ -18,6 +17,7 @@ from coded_aperture_ros.depth.side_finder import SideFinder
 from coded_aperture_ros.depth.sides import far_log_odds, given_side, side_confidence
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.io import write_image
+from coded_aperture_ros.io.textures import load_textures
 from coded_aperture_ros.methods.motion import MotionConfig, learn_motion_bank
 from coded_aperture_ros.optics import Mask, render_psf
 from coded_aperture_ros.optics.camera import camera_from_mapping
@@ -302,7 +302,7 @@ def test_the_benchmark_tells_masks_apart(capsys):
     assert zhou["right"] > 0.9 and zhou["confident_right"] > 0.95
     assert zhou["level_error"] < 1.5 * zhou["told_level_error"] + 0.5
     assert disc["confident"] == 0 and disc["confident_right"] is None
-    assert "side told" in call(capsys, *arguments[:-3], 2, "--levels", 9, "--jobs", 1).out
+    assert "oracle" in call(capsys, *arguments[:-3], 2, "--levels", 9, "--jobs", 1).out
 
 
 def test_a_wrong_side_is_scored_as_one(camera):
@@ -315,4 +315,4 @@ def test_a_wrong_side_is_scored_as_one(camera):
     score = SideScore.of([SideEstimates(frame, estimates, truth, frame.depth_m)], 1.0, 0.55)
     assert score.right == score.confident_right == pytest.approx(0.8)
     assert score.level_error == pytest.approx(0.2 * 12)
-    assert (score.told_level_error, score.confident, score.within) == (0, 1, 1)
+    assert (score.oracle_level_error, score.confident, score.within) == (0, 1, 1)

@@ -2,13 +2,18 @@
 
 import numpy as np
 import pytest
-from coded_aperture_benchmarks import Textures, load_textures, make_two_planes, two_plane_error
-from coded_aperture_benchmarks.two_plane import composite, reach_px
+from coded_aperture_benchmarks.frames.two_plane import (
+    composite,
+    make_two_planes,
+    reach_px,
+    two_plane_error,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.io.textures import Textures, load_textures
 from coded_aperture_ros.optics import MASK_NAMES, Mask, render_psf
 
 RANDOM = load_textures("random")

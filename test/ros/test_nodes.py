@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from coded_aperture_benchmarks import load_textures
 from depth_chain import DEPTH_OUTPUTS, Chain, mono8, stamped
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
@@ -20,6 +19,7 @@ from std_msgs.msg import Header
 from coded_aperture_ros.bank.guard import guarded_range
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import map_size
+from coded_aperture_ros.io.textures import load_textures
 from coded_aperture_ros.optics import load_camera, render_psf
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from blind_scene import CONFIG, MASK, SIZES_PX, names, plane, planes
 from cli_scene import call, examples, wrong_usage
-from coded_aperture_benchmarks.blind_planes import (
+from coded_aperture_benchmarks.frames.blind_planes import (
     deblurring_loss,
     make_blind_planes,
     mask_correlation,

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from coded_aperture_benchmarks import RayTracedScene
+from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.metrics.errors import depth_error, psnr_db

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from cli_scene import CAMERA, HEIGHT, WIDTH, call, camera_file, texture
-from coded_aperture_benchmarks.moving_frame import MovingObject, render_moving_frame
+from coded_aperture_benchmarks.frames.moving_frame import MovingObject, render_moving_frame
 from deblur_scene import assert_adjoint
 from scipy.signal import fftconvolve
 

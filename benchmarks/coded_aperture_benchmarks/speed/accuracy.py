@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from coded_aperture_benchmarks.frames.stair import LEVELS, blur_stack, level_error, make_stair
 from coded_aperture_benchmarks.speed.setting import MASK, Setting
-from coded_aperture_benchmarks.stair import LEVELS, blur_stack, level_error, make_stair
 from coded_aperture_ros.bank import FilterBank, learn_bank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthEstimator

@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from coded_aperture_benchmarks.frames.stair import blur_stack
 from coded_aperture_benchmarks.speed.accuracy import StairAccuracy
-from coded_aperture_benchmarks.speed.frames import NOISE, moving_frames
-from coded_aperture_benchmarks.speed.machine import Rates, machine_rates, roofline
-from coded_aperture_benchmarks.speed.rivals import (
+from coded_aperture_benchmarks.speed.baselines import (
     NonLocalMeans,
     ThesisFilters,
     graph_cut_results,
     ways_to_regularise,
 )
+from coded_aperture_benchmarks.speed.frames import NOISE, moving_frames
+from coded_aperture_benchmarks.speed.machine import Rates, machine_rates, roofline
 from coded_aperture_benchmarks.speed.setting import MASK, Extent, Setting
 from coded_aperture_benchmarks.speed.video import VideoRun
 from coded_aperture_benchmarks.speed.work import (
@@ -24,7 +25,6 @@ from coded_aperture_benchmarks.speed.work import (
     TEMPORAL_STAGES,
     FrameWork,
 )
-from coded_aperture_benchmarks.stair import blur_stack
 from coded_aperture_ros.bank import FilterBank, learn_bank
 from coded_aperture_ros.core.threads import processors
 from coded_aperture_ros.metrics.times import fitted_slope

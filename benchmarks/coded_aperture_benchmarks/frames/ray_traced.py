@@ -1,0 +1,169 @@
+"""Ray-traced scenes on disk: coded and all-in-focus picture, true depth and the camera."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank_for_camera
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.imaging import SRGB
+from coded_aperture_ros.io import read_depth, read_image
+from coded_aperture_ros.optics import Camera, Mask
+
+_META = "meta.json"
+# The stills' pictures store 65520 for 1.0, depth is in tenths of a millimetre.
+_FULL_SCALE = np.float32(65535 / 65520)
+_DEPTH_UNIT_M = 1e-4
+_EDGE_JUMP_PX = 1.0
+# Banks are learned for a little more than what there is to see.
+RANGE_MARGIN = 0.02
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RayTracedScene:
+    """A scene with its truth.
+
+    Attributes
+    ----------
+    coded, sharp : ndarray, float32 [rows, columns, 3]
+        Linear light: as the coded camera sees it, and all in focus. Without sensor noise.
+    depth_m : ndarray, float32 [rows, columns]
+    camera : Camera
+    """
+
+    coded: NDArray[np.float32]
+    sharp: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+    camera: Camera
+
+    @classmethod
+    def load(cls, folder: Path, mask_name: str) -> "RayTracedScene":
+        """Read a scene folder: `meta.json`, `aif_linear.png`, `depth_0.1mm.png`, coded pictures.
+
+        Raises
+        ------
+        InputError
+            Naming what is missing.
+        """
+        sharp, depth_m = load_sharp(folder)
+        return cls(
+            coded=read_image(folder / f"coded_{mask_name}_linear.png") * _FULL_SCALE,
+            sharp=sharp,
+            depth_m=depth_m,
+            camera=scene_camera(folder, mask_name),
+        )
+
+    @classmethod
+    def load_views(cls, folder: Path, mask_name: str, most: int) -> "list[RayTracedScene]":
+        """Read a still, or at most so many frames, spread over it, of a video's folder.
+
+        A video's folder has `meta.json` with the number of `frames`, and `aif_NNN.png`,
+        `depth_NNN.png` and coded pictures.
+
+        Raises
+        ------
+        InputError
+            Naming what is missing.
+        """
+        camera = scene_camera(folder, mask_name)  # first: it checks what the folder says
+        frames = _meta(folder).get("frames")
+        if frames is None:
+            return [cls.load(folder, mask_name)]
+        numbers = np.unique(np.linspace(0, frames - 1, most).round().astype(int))
+        return [
+            cls(
+                coded=read_image(folder / f"coded_{mask_name}_{number:03d}.png"),
+                sharp=read_image(folder / f"aif_{number:03d}.png", SRGB),
+                depth_m=read_depth(folder / f"depth_{number:03d}.png", _DEPTH_UNIT_M),
+                camera=camera,
+            )
+            for number in numbers
+        ]
+
+    def edge_distance_px(self) -> NDArray[np.float64]:
+        """Return every pixel's distance from the nearest depth edge; infinite without one.
+
+        A depth edge is a jump of more than one pixel in blur size between neighbours.
+        """
+        size = self.camera.blur_size_px(self.depth_m)
+        jump = ndimage.maximum_filter(size, 3) - ndimage.minimum_filter(size, 3) > _EDGE_JUMP_PX
+        if not jump.any():  # the transform would measure to a point outside of the picture
+            return np.full(jump.shape, np.inf)
+        distance: NDArray[np.float64] = ndimage.distance_transform_edt(~jump)
+        return distance
+
+
+def bank_for(
+    camera: Camera,
+    depth_m: NDArray[np.float32],
+    levels: int,
+    config: LearnConfig | None = None,
+) -> FilterBank:
+    """Learn a bank for a camera and a little more than the depths there are; NaN is unknown."""
+    nearest_m = float(np.nanmin(depth_m)) * (1 - RANGE_MARGIN)
+    farthest_m = float(np.nanmax(depth_m)) * (1 + RANGE_MARGIN)
+    return learn_bank_for_camera(camera, nearest_m, farthest_m, levels, config)
+
+
+def load_sharp(folder: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Read a still's sharp picture and its depth, for cameras other than that of the scene.
+
+    Returns
+    -------
+    sharp : ndarray, float32 [rows, columns, 3]
+        Linear light.
+    depth_m : ndarray, float32 [rows, columns]
+
+    Raises
+    ------
+    InputError
+        Naming what is missing.
+    """
+    return (
+        read_image(folder / "aif_linear.png") * _FULL_SCALE,
+        read_depth(folder / "depth_0.1mm.png", _DEPTH_UNIT_M),
+    )
+
+
+def scene_camera(folder: Path, mask_name: str) -> Camera:
+    """Read from a scene's folder the camera that it was rendered with.
+
+    Raises
+    ------
+    InputError
+        Naming the folder or file, if it describes no camera or was not rendered with the mask.
+    """
+    meta = _meta(folder)
+    try:
+        rows = meta["masks"].get(mask_name)
+        if rows is None:
+            raise InputError(
+                f"{folder}: not rendered with mask {mask_name}: use {', '.join(meta['masks'])}"
+            )
+        return Camera(
+            focal_length_px=meta["fx"],
+            focus_distance_m=meta["focus_distance_m"],
+            image_width=meta["width"],
+            image_height=meta["height"],
+            mask=Mask.from_rows(rows, mask_name),
+            mask_extent_mm=meta["aperture_width_m"] * 1e3,
+        )
+    except KeyError as error:
+        raise InputError(f"{folder / _META}: has no {error.args[0]}") from error
+    except (TypeError, AttributeError) as error:
+        raise InputError(f"{folder / _META}: expected an object with objects: {error}") from error
+
+
+def _meta(folder: Path) -> dict[str, Any]:
+    try:
+        meta: dict[str, Any] = json.loads((folder / _META).read_text())
+    except OSError as error:
+        raise InputError(f"{folder}: not a ray-traced scene, no {_META}") from error
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{folder / _META}: not JSON: {error}") from error
+    return meta

@@ -1,0 +1,180 @@
+"""The one runner of all benchmarks: cells -> what was measured -> JSON, table, figure."""
+
+import argparse
+import dataclasses
+import json
+import math
+import multiprocessing
+import signal
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+from coded_aperture_ros.cli.checks import check_output
+from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.files import atomic_output
+
+RESULTS = "results.json"
+
+Cell = TypeVar("Cell")
+Result = TypeVar("Result")
+Row = dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class Suite:
+    """One benchmark: its options, its cells, and what becomes of them.
+
+    Attributes
+    ----------
+    description, examples : str
+        For its help.
+    options : sequence of callable
+        Each adds options to an `argparse.ArgumentParser`; see `options`.
+    cells : callable
+        From the options to what is measured, one by one. Refuses first what cannot be measured:
+        with `args.usage_error`, or an `InputError` about what was read.
+    measure : callable
+        Measures one cell. A module's function, so that other processes can import it.
+    results : callable
+        From the options, what was measured in the cells' order, and the seconds that took, to a
+        dictionary for JSON, where NaN becomes null.
+    text : callable
+        From that dictionary to tables.
+    draw : callable, optional
+        Draws what was measured into a folder. Tables that are small enough to be read have none.
+    """
+
+    description: str
+    examples: str
+    options: Sequence[Callable[[argparse.ArgumentParser], None]]
+    cells: Callable[[argparse.Namespace], Sequence[Any]]
+    measure: Callable[[Any], Any]
+    results: Callable[[argparse.Namespace, list[Any], float], Row]
+    text: Callable[[Row], str]
+    draw: Callable[[argparse.Namespace, list[Any], Path], None] | None = None
+
+
+def run(suite: Suite, args: argparse.Namespace) -> int:
+    """Measure all cells of a suite, then write and print the results; return the exit status.
+
+    Of the options, `jobs` says how many processes share the work (1 without it), `output` names
+    a folder for JSON and figures, and `json` asks for JSON instead of tables.
+
+    Raises
+    ------
+    InputError
+        If something cannot be measured, or the results cannot be written.
+    """
+    cells = suite.cells(args)
+    folder = _output_folder(args)
+    start = time.perf_counter()
+    measured = measure_cells(suite.measure, cells, getattr(args, "jobs", 1))
+    seconds = round(time.perf_counter() - start, 1)
+    results = suite.results(args, measured, seconds)
+    as_json = json.dumps(_without_nan(results), indent=1, allow_nan=False)
+    if folder is not None:
+        with atomic_output(folder / RESULTS) as path:
+            path.write_text(as_json + "\n")
+        if suite.draw is not None:
+            suite.draw(args, measured, folder)
+    print(as_json if args.json else suite.text(results))
+    if folder is not None and not args.json:
+        print(f"{'figures and ' if suite.draw else ''}{RESULTS}: {folder}")
+    return 0
+
+
+def _output_folder(args: argparse.Namespace) -> Path | None:
+    """Find out before an hour of work whether its results can be written."""
+    if getattr(args, "output", None) is None:
+        return None
+    folder = Path(args.output)
+    if folder.is_file():
+        raise InputError(f"cannot write {folder}: it is a file, expected a folder")
+    check_output(folder / RESULTS)
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise InputError(
+            "--output: figures need matplotlib: pip install matplotlib, or use --json"
+        ) from error
+    return folder
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def measure_cells(
+    measure: Callable[[Cell], Result], cells: Sequence[Cell], jobs: int
+) -> list[Result]:
+    """Measure every cell and return the results in order.
+
+    Parameters
+    ----------
+    measure : callable
+        A module's function, so that another process can import it.
+    cells : sequence
+        What it is called with, one at a time.
+    jobs : int
+        Number of processes; with 1 all happens in this one.
+
+    Raises
+    ------
+    InputError
+        As `measure` does, or if a process ended by itself.
+    """
+    jobs = min(jobs, len(cells))
+    if jobs <= 1:
+        return [measure(cell) for cell in progress(cells, len(cells), "cell")]
+    # A forked process would inherit the locks of libraries' threads, but not the threads.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, context, initializer=_use_one_thread) as pool:
+        with _no_interrupts():
+            futures = [pool.submit(measure, cell) for cell in cells]
+        try:
+            for future in progress(as_completed(futures), len(futures), "cell"):
+                future.result()  # the first error ends the run
+        except BrokenProcessPool as error:
+            raise InputError(
+                "a process of the benchmark ended by itself, perhaps for lack of memory: "
+                "use fewer --jobs"
+            ) from error
+        except BaseException:
+            # Cells take minutes: do not wait for those that are under way.
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in multiprocessing.active_children():
+                process.terminate()
+            raise
+    return [future.result() for future in futures]
+
+
+@contextmanager
+def _no_interrupts() -> Iterator[None]:
+    """Start processes that ignore Ctrl-C, which a terminal sends to all: we answer it for them."""
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+
+
+def _use_one_thread() -> None:
+    """Leave the other processors to the other processes.
+
+    BLAS reads its environment, which `coded_aperture` has set, when NumPy is imported.
+    """
+    import cv2
+
+    cv2.setNumThreads(1)

@@ -1,0 +1,252 @@
+"""`coded_aperture bench accuracy scenes`: metric depth of ray-traced scenes."""
+
+import dataclasses
+import itertools
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, bank_for, scene_camera
+from coded_aperture_benchmarks.identification import regularizations
+from coded_aperture_benchmarks.options import (
+    NOISE_SEED,
+    REGULARIZE,
+    RESULTS,
+    SCENE_MASKS,
+    WINDOW_AS_LEARN,
+    Args,
+    added_noise,
+    check_known,
+    folders,
+    header,
+    number,
+)
+from coded_aperture_benchmarks.rows import columns, mean_of
+from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_ros.bank import FilterBank, LearnConfig
+from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_planes
+from coded_aperture_ros.calibration.planes.folder import load_folder
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.metrics import Reliability
+from coded_aperture_ros.metrics.figures import reliability_diagram
+
+_NEAR_EDGE_PX = 16
+_RIGHT_WITHIN, _SHARE_WITHIN = 0.05, 0.10
+_PLANES = "calib"
+# Spread over a video; the frames between are much like them.
+_VIDEO_FRAMES = 4
+_NAMES = ("scene", "mask", "learned_from", "regularize")
+
+
+@dataclasses.dataclass(frozen=True)
+class Cell:
+    """One scene through one mask, and what the bank is learned from.
+
+    `planes` is a folder of calibration planes, or None to learn from the camera.
+    """
+
+    folder: Path
+    planes: Path | None
+    mask: str
+    config: DepthConfig
+    noise: float
+    levels: int
+    window_px: int | None
+    seed: int
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Measured:
+    """The numbers of a cell, for JSON, and the reliability of its confidence."""
+
+    row: Row
+    reliability: Reliability
+
+
+def _cells(args: Args) -> list[Cell]:
+    check_known(args, "regularize", filter(None, args.regularize), regularizations())
+    configs = [DepthConfig(regularize=how) if how else DepthConfig() for how in args.regularize]
+    return [
+        Cell(folder, planes, mask, config, args.noise, args.levels, args.window, args.seed)
+        for folder, mask in itertools.product(args.folders, args.masks)
+        for planes in (None, *planes_of(folder, mask))
+        for config in configs
+    ]
+
+
+def planes_of(folder: Path, mask: str) -> list[Path]:
+    """Return the folder of calibration planes of the same camera in or beside a scene's."""
+    camera = scene_camera(folder, mask)
+    for parent in (folder, folder.resolve().parent):
+        planes = parent / _PLANES
+        if (planes / "planes.json").is_file():
+            try:
+                same = scene_camera(planes, mask) == camera
+            except InputError:
+                same = False
+            if same:
+                return [planes]
+    return []
+
+
+def measure(cell: Cell) -> Measured:
+    """Measure one scene through one mask."""
+    views = RayTracedScene.load_views(cell.folder, cell.mask, _VIDEO_FRAMES)
+    truth = np.concatenate([view.depth_m for view in views])
+    threshold = cell.config.confidence_threshold
+    estimator = DepthEstimator(
+        _bank(cell, views[0], truth),
+        dataclasses.replace(cell.config, confidence_threshold=0.0),
+        # A bank that was learned from planes knows their depths, and not this camera.
+        None if cell.planes else views[0].camera,
+    )
+    random = np.random.default_rng(cell.seed)
+    estimates, seconds = [], []
+    for view in views:
+        noise = cell.noise * random.standard_normal(view.coded.shape, dtype=np.float32)
+        start = time.perf_counter()
+        estimates.append(estimator.estimate((view.coded + noise).astype(np.float32)))
+        seconds.append(time.perf_counter() - start)
+    # One above the other, to be scored as one picture; with a camera or planes there are depths.
+    depth = np.concatenate([np.asarray(each.depth_m) for each in estimates])
+    confident = np.concatenate(
+        [np.asarray(each.where_confident(threshold).depth_m) for each in estimates]
+    )
+    confidence = np.concatenate([each.confidence for each in estimates])
+    near_edge = np.concatenate([view.edge_distance_px() for view in views]) <= _NEAR_EDGE_PX
+
+    known = np.isfinite(depth) & np.isfinite(truth)
+    right = np.abs(depth[known] - truth[known]) <= _RIGHT_WITHIN * truth[known]
+    reliability = Reliability.of(confidence[known], right)
+    row = {
+        "scene": cell.folder.resolve().name,
+        "mask": cell.mask,
+        "learned_from": "planes" if cell.planes else "camera",
+        "regularize": cell.config.regularize,
+        "frames": len(views),
+        "confident": _score(confident, truth, near_edge),
+        "everywhere": _score(depth, truth, near_edge),
+        "confidence_threshold": threshold,
+        "expected_calibration_error": round(reliability.expected_calibration_error, 4),
+        "reliability": reliability.rows(),
+        "noise_estimated": mean_of((each.noise for each in estimates), 6),
+        "seconds": mean_of(seconds, 3),
+    }
+    return Measured(row, reliability)
+
+
+def _bank(cell: Cell, view: RayTracedScene, depth_m: NDArray[np.float32]) -> FilterBank:
+    config = LearnConfig()
+    if cell.window_px is not None:
+        config = dataclasses.replace(config, window_px=cell.window_px)
+    if cell.planes is not None:
+        return learn_bank_from_planes(load_folder(cell.planes), cell.levels, config)
+    return bank_for(view.camera, depth_m, cell.levels, config)
+
+
+def _score(
+    depth_m: NDArray[np.float32], truth: NDArray[np.float32], near_edge: NDArray[np.bool_]
+) -> dict[str, Row]:
+    """Return median relative error, coverage and share within 10 %: all, near edges and away."""
+    relative = np.abs(depth_m - truth) / truth
+    has_truth = np.isfinite(truth)
+    score = {}
+    for name, part in (("all", has_truth), ("near_edges", near_edge), ("away", ~near_edge)):
+        part = part & has_truth
+        errors = relative[part & np.isfinite(relative)]
+        within = errors <= _SHARE_WITHIN
+        score[name] = {
+            "median_error": round(float(np.median(errors)), 4) if errors.size else None,
+            "within_10_percent": round(float(np.mean(within)), 4) if errors.size else None,
+            "coverage": round(errors.size / max(np.count_nonzero(part), 1), 4),
+        }
+    return score
+
+
+def _results(args: Args, measured: list[Measured], seconds: float) -> Row:
+    return {
+        "benchmark": "scenes",
+        **header(args, "noise", "levels", "seed"),
+        "seconds": seconds,
+        "cells": [cell.row for cell in measured],
+    }
+
+
+def _text(results: Row) -> str:
+    rows = results["cells"]
+    names = {name: f"{{{name}}}" for name in _NAMES}
+    parts = [
+        "median relative error of depth / share of pixels within 10 % / coverage, in per cent; "
+        f"edges: within {_NEAR_EDGE_PX} px"
+    ]
+    for key, title in (
+        ("confident", f"confidence at least {rows[0]['confidence_threshold']:g}"),
+        ("everywhere", "every pixel"),
+    ):
+        described = {
+            **names,
+            "all": lambda row, key=key: _score_text(row[key]["all"]),
+            "near edges": lambda row, key=key: _score_text(row[key]["near_edges"]),
+            "away": lambda row, key=key: _score_text(row[key]["away"]),
+            "time": "{seconds:.1f} s",
+        }
+        parts.append(f"{title}\n{columns(rows, described)}")
+    reliability = {
+        **names,
+        "calibration error": "{expected_calibration_error:.3f}",
+        "confidence: share right": lambda row: " ".join(
+            f"{bin_['confidence']:.2f}:{bin_['share_right']:.2f}" for bin_ in row["reliability"]
+        ),
+    }
+    title = f"confidence against share of pixels right to {100 * _RIGHT_WITHIN:g} %"
+    return "\n\n".join([*parts, f"{title}\n{columns(rows, reliability)}"])
+
+
+def _score_text(score: Row) -> str:
+    coverage = f"{100 * score['coverage']:.0f}"
+    if score["median_error"] is None:
+        return f"- / - / {coverage}"
+    error, share = (100 * score[name] for name in ("median_error", "within_10_percent"))
+    return f"{error:.1f} / {share:.0f} / {coverage}"
+
+
+def _draw(_: Args, measured: list[Measured], folder: Path) -> None:
+    curves = {", ".join(cell.row[name] for name in _NAMES): cell.reliability for cell in measured}
+    title = f"depth right to {100 * _RIGHT_WITHIN:g} %"
+    reliability_diagram(curves, folder / "reliability.png", title)
+
+
+SUITE = Suite(
+    description="Median relative error of the depth of ray-traced scenes, coverage, and how "
+    "often the depth is right to 5 % where the confidence says so. The bank is learned from the "
+    "camera, for the scene's range of depths.",
+    examples="""examples:
+  two scenes, with and without graph cuts, and whether the confidence can be trusted:
+    coded_aperture bench accuracy scenes desk/ corridor/ --regularize none graphcut
+  all masks that the scene was rendered with, results and figures into a folder:
+    coded_aperture bench accuracy scenes desk/ --masks levin four_hole disk --output results/
+a scene's folder has:
+  meta.json (camera and masks), depth_0.1mm.png, aif_linear.png, coded_MASK_linear.png
+  or, for a video, depth_NNN.png, aif_NNN.png, coded_MASK_NNN.png
+where a folder calib/ in it or beside it has pictures of planes from the same camera, a bank that is
+learned from these is measured too
+""",
+    options=(
+        folders("a scene"),
+        SCENE_MASKS,
+        added_noise(0.002),
+        number("--levels", 2, 30, "blur levels of the bank"),
+        REGULARIZE,
+        WINDOW_AS_LEARN,
+        NOISE_SEED,
+        *RESULTS,
+    ),
+    cells=_cells,
+    measure=measure,
+    results=_results,
+    text=_text,
+    draw=_draw,
+)
