@@ -78,12 +78,17 @@ def fit_fine(
     rows = rows * strengths[:, None, None]
     damping = ridge / max(float((start.light**2).mean()), 1e-30)
 
-    def normal(light: NDArray[np.float64]) -> NDArray[np.float64]:
-        seen = rows @ light @ columns.transpose(0, 2, 1)
-        back = (rows.transpose(0, 2, 1) @ seen @ columns).sum(axis=0)
-        return np.asarray(back + damping * light)
+    # All dots' rows below each other: large products instead of many small ones.
+    every = rows.reshape(-1, cells)
 
-    wanted = (rows.transpose(0, 2, 1) @ windows @ columns).sum(axis=0)
+    def back(windows: NDArray[np.float64]) -> NDArray[np.float64]:
+        return every.T @ (windows @ columns).reshape(-1, cells)
+
+    def normal(light: NDArray[np.float64]) -> NDArray[np.float64]:
+        seen = (every @ light).reshape(rows.shape) @ columns.transpose(0, 2, 1)
+        return back(seen) + damping * light
+
+    wanted = back(windows)
     # Nothing in the matrix is negative: no eigenvalue is larger than its largest sum of a row.
     largest = float(normal(np.ones_like(start.light)).max())
     light = ahead = start.light
