@@ -50,10 +50,7 @@ def frame_score(
 def at_size(reference: NDArray, shape: tuple[int, ...]) -> NDArray:
     """Return a reference at the size (rows, columns) of another depth image, by nearest pixels.
 
-    Raises
-    ------
-    MessageError
-        Of kind "reference", if the proportions differ: it would be of another view.
+    A `MessageError` of kind "reference" if the proportions differ: it would be of another view.
     """
     height, width = reference.shape
     if abs(height * shape[1] - width * shape[0]) > max(height, width):

@@ -32,18 +32,10 @@ _INSTALLED = {"flower": ("sklearn", "scikit-learn", "datasets/images")}
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Textures:
-    """Where sharp crops come from.
+    """Where sharp crops come from."""
 
-    Attributes
-    ----------
-    kind : str
-        One of `TEXTURES`, or `training`.
-    pictures : tuple of ndarray, float32 [rows, columns]
-        Grey, 0 to 1; none for random texture.
-    """
-
-    kind: str
-    pictures: tuple[NDArray[np.float32], ...]
+    kind: str  # one of `TEXTURES`, or `training`
+    pictures: tuple[NDArray[np.float32], ...]  # grey, 0 to 1; none for random texture
 
     def crops(
         self, count: int, rows: int, columns: int, random: np.random.Generator

@@ -6,17 +6,17 @@ from pathlib import Path
 from typing import Protocol
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.io.bags.complete import CompleteBag
 from coded_aperture_ros.io.bags.cut_mcap import CutMcap
 from coded_aperture_ros.io.bags.cut_sqlite import CutSqlite
 from coded_aperture_ros.io.bags.damage import DAMAGE, in_a_line
 from coded_aperture_ros.io.bags.recorded import METADATA, SUFFIXES, Recorded, Topic
-from coded_aperture_ros.io.bags.whole import WholeBag
 
 _CUT: dict[str, type] = {"mcap": CutMcap, "sqlite3": CutSqlite}
 
 
 class Part(Protocol):
-    """A whole bag, or one file of it; the attributes are those of `Bag`."""
+    """A complete bag, or one file of it; the attributes are those of `Bag`."""
 
     path: Path
     storage: str
@@ -31,23 +31,14 @@ class Part(Protocol):
 
 
 def open_parts(path: Path, files: list[Path]) -> tuple[list[Part], list[str]]:
-    """Open a bag, or, where that cannot be done, its files one by one.
+    """Open a bag, or, where that cannot be done, its files one by one; and say what is wrong.
 
-    Returns
-    -------
-    parts : list of Part
-    damage : list of str
-        What is wrong with the bag, in words.
-
-    Raises
-    ------
-    InputError
-        If nothing in it can be read.
+    An `InputError` if nothing in it can be read.
     """
     damage, refused = [], ""
     if path.is_file() or (path / METADATA).is_file():
         try:
-            return [WholeBag(path)], []
+            return [CompleteBag(path)], []
         except PermissionError as error:
             raise InputError(f"cannot read {path}: {error.strerror}") from error
         except DAMAGE as error:
@@ -58,7 +49,7 @@ def open_parts(path: Path, files: list[Path]) -> tuple[list[Part], list[str]]:
         damage.append(f"it has no {METADATA}, as if the recording was cut off")
     parts: list[Part] = []
     for file in sorted(files, key=_by_number):
-        for kind in (WholeBag, _CUT[SUFFIXES[file.suffix.lower()]]):
+        for kind in (CompleteBag, _CUT[SUFFIXES[file.suffix.lower()]]):
             try:
                 parts.append(kind(file))
                 break

@@ -41,20 +41,9 @@ def image_topic(
 ) -> Topic:
     """Return the topic of the coded frames.
 
-    Parameters
-    ----------
-    topics : mapping of str to Topic
-    wanted : str or None
-        Its name; by default the only topic of images, or the only one of these called `image_raw`.
-    others : str or None
-        Topics of images that are something else.
-    named_by : str, optional
-        What a user writes before the topic's name.
-
-    Raises
-    ------
-    InputError
-        If there is no such topic, or several could be meant.
+    By default that is the only topic of images besides `others`, or the only one of these called
+    `image_raw`. An `InputError`, with what a user writes to name one (`named_by`), if there is no
+    such topic, or several could be meant.
     """
     images = {
         name: topic

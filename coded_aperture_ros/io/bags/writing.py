@@ -77,14 +77,7 @@ def _known_type(topic: Topic) -> tuple[str, str]:
 
 
 def check_bag_output(path: Path, inputs: Iterable[Path], overwrite: bool) -> None:
-    """Check that a bag can be written, before anything is computed.
-
-    Raises
-    ------
-    InputError
-        If it exists and must not be overwritten or is no bag, is an input, or its folder cannot be
-        written to.
-    """
+    """Check that a bag can be written, before anything is computed; an `InputError` if not."""
     for given in inputs:
         if path.exists() and given.exists() and path.samefile(given):
             raise InputError(f"{path}: this is the input, and would be overwritten: use another")
@@ -105,8 +98,7 @@ def bag_output(path: Path, storage: str) -> Iterator[BagWriter]:
     ----------
     path : pathlib.Path
         Folder of the bag. Missing parent folders are created.
-    storage : str
-        `mcap` or `sqlite3`.
+    storage : {"mcap", "sqlite3"}
 
     Raises
     ------

@@ -103,14 +103,12 @@ def array_from_compressed(message: Any) -> tuple[NDArray, str]:
     Parameters
     ----------
     message : sensor_msgs/CompressedImage
-        Of rclpy, of a bag, or anything with its fields; JPEG, PNG or another format that OpenCV
-        reads.
+        Or anything with its fields; JPEG, PNG or another format that OpenCV reads.
 
     Returns
     -------
     pixels : ndarray of uint8 or uint16, [row, column] or [row, column, RGB]
-    encoding : str
-        `mono8`, `mono16` or `rgb8`.
+    encoding : {"mono8", "mono16", "rgb8"}
 
     Raises
     ------

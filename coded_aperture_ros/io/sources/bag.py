@@ -13,17 +13,10 @@ from coded_aperture_ros.io.sources.source import Capture
 
 
 class BagSource(FileSource[tuple[int, Recorded]]):
-    """The images of a topic of a bag.
+    """The images of a topic of a bag, by default of the only one, or of `image_raw`.
 
     The stamps are those of the messages, or, where a message has none, the times of their
     recording; so with `loop` they jump back.
-
-    Parameters
-    ----------
-    path : path-like
-    loop : bool
-    topic : str, optional
-        By default the only topic of images, or `image_raw`.
 
     Raises
     ------

@@ -132,7 +132,7 @@ class DeviceSource:
             "rate_hz": (cv2.CAP_PROP_FPS, self._rate_hz),
         }
         wanted = {name: setting for name, setting in size.items() if setting[1]}
-        self.refused = self._set(device, wanted) + self._set(device, _light(self._config))
+        self.refused = self._set(device, {**wanted, **_light(self._config)})
         self._device = device
         return device
 

@@ -9,7 +9,7 @@ from rosbags.rosbag2 import Reader
 from coded_aperture_ros.io.bags.recorded import SUFFIXES, Recorded, Topic
 
 
-class WholeBag:
+class CompleteBag:
     """A `Part` of a bag with which nothing is wrong; one of `DAMAGE` if there is."""
 
     damage = ""
