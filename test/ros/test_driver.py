@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from ros_helpers import Ros, wait_until
+from ros_helpers import wait_until
 from sensor_msgs.msg import CameraInfo, Image
 
 from coded_aperture_ros.core.errors import InputError
@@ -46,13 +46,6 @@ def folder(tmp_path_factory, pictures):
     for index, picture in enumerate(pictures):
         cv2.imwrite(str(path / f"{index}.png"), picture[:, :, ::-1])
     return path
-
-
-@pytest.fixture
-def ros():
-    ros = Ros()
-    yield ros
-    ros.close()
 
 
 def drive(ros, camera_file, source, **parameters):

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from rclpy.qos import qos_profile_sensor_data
-from ros_helpers import Ros, start_node, wait_until
+from ros_helpers import start_node, wait_until
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, PointCloud2
 from small_camera import coded_wall, write_model
@@ -32,13 +32,6 @@ def parameters(tmp_path_factory):
     cv2.imwrite(str(folder / "pictures" / "0.png"), np.rint(255 * wall).astype(np.uint8))
     source = {"source": str(folder / "pictures"), "rate_hz": 30.0, "encoding": "mono8"}
     return {**model, **source}
-
-
-@pytest.fixture
-def ros():
-    ros = Ros()
-    yield ros
-    ros.close()
 
 
 @pytest.fixture

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 import yaml
-from ros_helpers import Ros, wait_until
+from rclpy.parameter import Parameter
+from ros_helpers import wait_until
 from sensor_msgs.msg import Image, Imu
 from small_camera import CAMERA as SMALL
 from small_camera import FAR_M, NEAR_M, coded_wall
@@ -15,7 +16,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Intrinsics, load_camera
 from coded_aperture_ros.ros.depth_node import DepthNode
 from coded_aperture_ros.ros.gyro import Gyro, GyroConfig, rotation_of
-from coded_aperture_ros.ros.messages import image_from_array, pixels_from_frame
+from coded_aperture_ros.ros.messages import array_from_image, image_from_array, pixels_from_frame
 
 CAMERA = Intrinsics.pinhole(500.0, 640, 480)
 
@@ -75,13 +76,6 @@ def test_what_was_said_before_time_went_back_does_not_count():
     assert gyro.expected(frame(0), GyroConfig(exposure_s=0.02), CAMERA).angle_rad is None
 
 
-@pytest.fixture
-def ros():
-    ros = Ros()
-    yield ros
-    ros.close()
-
-
 def test_the_node_finds_motion_and_says_what_it_knew_of_it(ros, tmp_path):
     (tmp_path / "camera.yaml").write_text(yaml.safe_dump(SMALL))
     small = {"motion.directions": 2, "motion.lengths": 2, "motion.longest_px": 6.0}
@@ -125,6 +119,39 @@ def test_the_node_finds_motion_and_says_what_it_knew_of_it(ros, tmp_path):
     assert np.isfinite(field).any()
     assert np.nanmedian(np.hypot(field[..., 0], field[..., 1])) < 2  # the wall stands still
     assert wait_until(lambda: len(depths) == 3)
+
+
+def test_motion_with_the_nearest_depth_where_it_is_unknown(ros, tmp_path):
+    """The setting of a moving robot that must not run into anything."""
+    (tmp_path / "camera.yaml").write_text(yaml.safe_dump(SMALL))
+    node = ros.make(
+        DepthNode,
+        {
+            "camera_file": str(tmp_path / "camera.yaml"),
+            "near_m": NEAR_M,
+            "far_m": FAR_M,
+            "method": "motion",
+            "confidence.unknown": "nearest",
+            "learn.level_count": 6,
+            "learn.window_px": 32,
+            "learn.rank": 32,
+            "motion.directions": 2,
+            "motion.lengths": 2,
+            "motion.longest_px": 6.0,
+        },
+    )
+    depths, images = ros.subscribe("depth/image", Image), ros.publisher("image_raw", Image)
+    assert wait_until(images.get_subscription_count)
+    pixels = pixels_from_frame(coded_wall(load_camera(tmp_path / "camera.yaml")), "mono8")
+    for seconds, smoothness in ((10, 1.0), (11, 2.0)):
+        setting = Parameter("motion.smoothness", value=smoothness)
+        assert node.set_parameters([setting])[0].successful
+        header = Header()
+        header.stamp.sec = seconds
+        images.publish(image_from_array(pixels, "mono8", header))
+        assert wait_until(lambda count=seconds - 9: len(depths) == count)
+    assert node.statistics.summary().rejected == {}
+    assert not np.isnan(array_from_image(depths[0])).any()
 
 
 @pytest.mark.parametrize("axes", ["x y", "x y y", "x y w", "x y z z", "", "xy z x", "x y -z"])

@@ -8,13 +8,11 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from ros_helpers import Ros, wait_until
+from ros_helpers import wait_until
 from sensor_msgs.msg import CameraInfo, Image
-from small_camera import coded_wall, write_model
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
@@ -24,32 +22,10 @@ from coded_aperture_ros.ros.messages import image_from_array, pixels_from_frame
 SECONDS = itertools.count(100)
 
 
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    return write_model(tmp_path_factory.mktemp("camera"))
-
-
-@pytest.fixture(scope="module")
-def camera_file(model):
-    return model["camera_file"]
-
-
-@pytest.fixture(scope="module")
-def wall(camera_file):
-    return coded_wall(load_camera(camera_file))
-
-
-@pytest.fixture
-def ros():
-    ros = Ros()
-    yield ros
-    ros.close()
-
-
-def frame_of(wall, seconds=None):
+def frame_of(coded, seconds=None):
     header = Header(frame_id="optical")
     header.stamp.sec = next(SECONDS) if seconds is None else seconds
-    return image_from_array(pixels_from_frame(wall, "mono8"), "mono8", header)
+    return image_from_array(pixels_from_frame(coded, "mono8"), "mono8", header)
 
 
 class Manager:
@@ -75,12 +51,12 @@ class Manager:
         return future.result()
 
 
-def results_go_on(images, wall, received, timeout_s=3.0):
+def results_go_on(images, coded, received, timeout_s=3.0):
     """Return whether depth comes of frames that are sent now."""
     before = len(received)
 
     def sent_and_received():
-        images.publish(frame_of(wall))
+        images.publish(frame_of(coded))
         return len(received) > before
 
     end = time.monotonic() + timeout_s
@@ -91,28 +67,28 @@ def results_go_on(images, wall, received, timeout_s=3.0):
     return False
 
 
-def test_a_node_starts_by_itself_and_obeys_a_manager(ros, model, wall):
+def test_a_node_starts_by_itself_and_obeys_a_manager(ros, model, coded):
     ros.make(DepthNode, model)
     images, depths = ros.publisher("image_raw", Image), ros.subscribe("depth/image", Image)
     manager = Manager(ros, "depth_node")
     assert manager.state == State.PRIMARY_STATE_ACTIVE
-    assert results_go_on(images, wall, depths)
+    assert results_go_on(images, coded, depths)
     assert manager.ask(Transition.TRANSITION_DEACTIVATE)
     assert manager.state == State.PRIMARY_STATE_INACTIVE
-    assert not results_go_on(images, wall, depths, 0.5)
+    assert not results_go_on(images, coded, depths, 0.5)
     assert manager.ask(Transition.TRANSITION_ACTIVATE)
-    assert results_go_on(images, wall, depths)
+    assert results_go_on(images, coded, depths)
     assert manager.ask(Transition.TRANSITION_DEACTIVATE)
     assert manager.ask(Transition.TRANSITION_CLEANUP)
     assert manager.state == State.PRIMARY_STATE_UNCONFIGURED
     assert ros.probe.count_publishers("depth/image") == 0
     assert manager.ask(Transition.TRANSITION_CONFIGURE)
     assert manager.ask(Transition.TRANSITION_ACTIVATE)
-    assert results_go_on(images, wall, depths)
+    assert results_go_on(images, coded, depths)
 
 
 def test_a_managed_node_waits_and_can_be_configured_once_its_file_is_there(
-    ros, model, wall, tmp_path
+    ros, model, coded, tmp_path
 ):
     bank = tmp_path / "later.npz"
     ros.make(DepthNode, {**model, "bank": str(bank), "autostart": False})
@@ -124,17 +100,17 @@ def test_a_managed_node_waits_and_can_be_configured_once_its_file_is_there(
     shutil.copy(model["bank"], bank)
     assert manager.ask(Transition.TRANSITION_CONFIGURE)
     assert manager.ask(Transition.TRANSITION_ACTIVATE)
-    assert results_go_on(images, wall, depths)
+    assert results_go_on(images, coded, depths)
 
 
-def test_an_impossible_transition_is_refused_and_the_node_lives_on(ros, model, wall):
+def test_an_impossible_transition_is_refused_and_the_node_lives_on(ros, model, coded):
     ros.make(DepthNode, model)
     images, depths = ros.publisher("image_raw", Image), ros.subscribe("depth/image", Image)
     manager = Manager(ros, "depth_node")
     for transition in (Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_CLEANUP, 77):
         assert not manager.ask(transition)
     assert manager.state == State.PRIMARY_STATE_ACTIVE
-    assert results_go_on(images, wall, depths)
+    assert results_go_on(images, coded, depths)
 
 
 def test_a_bank_replaced_on_disk_is_read_when_configured_again(ros, model, tmp_path):
@@ -201,14 +177,14 @@ def test_nodes_of_one_process_hand_messages_over_as_they_are(ros, model, camera_
     assert wait_until(lambda: len(raw) >= 3)
 
 
-def test_frames_from_before_a_jump_back_in_time_are_forgotten(ros, model, wall):
+def test_frames_from_before_a_jump_back_in_time_are_forgotten(ros, model, coded):
     node = ros.make(DepthNode, {**model, "temporal.frames": 5})
     images, depths = ros.publisher("image_raw", Image), ros.subscribe("depth/image", Image)
     assert wait_until(lambda: images.get_subscription_count())
 
     def send(seconds, nanoseconds=0):
         before = node.statistics.summary()
-        frame = frame_of(wall, seconds)
+        frame = frame_of(coded, seconds)
         frame.header.stamp.nanosec = nanoseconds
         images.publish(frame)
         assert wait_until(

@@ -1,19 +1,21 @@
 """depth_node and deblur_node over real DDS."""
 
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from depth_chain import DEPTH_OUTPUTS, Chain, mono8, stamped
 from diagnostic_msgs.msg import DiagnosticArray
+from node_chains import DEPTH_OUTPUTS, Chain, DeblurChain, mono8, stamped, wall
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import ReliabilityPolicy, qos_profile_sensor_data
-from ros_helpers import Ros, wait_until
+from ros_helpers import wait_until
 from scipy.signal import fftconvolve
 from sensor_msgs.msg import CameraInfo, Image
-from small_camera import CAMERA, DEPTH_M, HEIGHT, NEAR_M, WIDTH, coded_wall, write_model
+from small_camera import CAMERA, DEPTH_M, HEIGHT, NEAR_M, WIDTH
 from std_msgs.msg import Header
 
 from coded_aperture_ros.bank.guard import guarded_range
@@ -21,6 +23,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import map_size
 from coded_aperture_ros.io.textures import load_textures
 from coded_aperture_ros.optics import load_camera, render_psf
+from coded_aperture_ros.ros import frame_node
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
 from coded_aperture_ros.ros.messages import (
@@ -29,29 +32,7 @@ from coded_aperture_ros.ros.messages import (
     pixels_from_frame,
     stamp_ns,
 )
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    return write_model(tmp_path_factory.mktemp("camera"))
-
-
-@pytest.fixture(scope="module")
-def camera_file(model):
-    return Path(model["camera_file"])
-
-
-@pytest.fixture(scope="module")
-def coded(camera_file):
-    """Return a frame of a textured wall at DEPTH_M."""
-    return coded_wall(load_camera(camera_file))
-
-
-@pytest.fixture
-def ros():
-    ros = Ros()
-    yield ros
-    ros.close()
+from coded_aperture_ros.ros.rate_limit import RateLimit
 
 
 def test_a_frame_in_gives_depth_out(ros, model, coded):
@@ -96,6 +77,75 @@ def test_the_drivers_camera_info_is_scaled_and_passed_on(ros, model, coded):
     assert list(info.k) == [205, 0, 29.75, 0, 210, 24.75, 0, 0, 1]
     assert list(info.d) == [0.1, 0, 0, 0, 0]
     assert info.header.frame_id == "front_optical_frame"
+
+
+def calibration(width, height):
+    """Return a camera model for frames of some size."""
+    given = CameraInfo(width=width, height=height, distortion_model="plumb_bob")
+    given.k = [410.0, 0.0, 60.0, 0.0, 420.0, 50.0, 0.0, 0.0, 1.0]
+    given.d = [0.1, 0.0, 0.0, 0.0, 0.0]
+    return given
+
+
+@pytest.mark.parametrize("factor", [2, 0.5])
+def test_a_camera_info_of_another_size_is_scaled_to_the_frames(ros, model, coded, factor):
+    chain = Chain(ros, model, **{"output.size": "full"})
+    chain.infos.publish(calibration(round(WIDTH * factor), round(HEIGHT * factor)))
+    time.sleep(0.2)
+    info = chain.result(mono8(coded), "depth/camera_info")
+    assert (info.width, info.height) == (WIDTH, HEIGHT)
+    assert info.k[0] == pytest.approx(410 / factor)
+    assert info.k[4] == pytest.approx(420 / factor)
+    assert list(info.d) == [0.1, 0, 0, 0, 0]
+    assert chain.rejected == {}
+
+
+def warnings_of(reports, node):
+    of_node = [s for m in reports for s in m.status if s.name.startswith(node)]
+    return [s for s in of_node if s.level == s.WARN]
+
+
+def test_a_camera_info_of_other_proportions_is_told_and_not_used(ros, model, coded):
+    depths, deblurs = Chain(ros, model), DeblurChain(ros, model)
+    reports = ros.subscribe("/diagnostics", DiagnosticArray)
+    assert wait_until(lambda: depths.infos.get_subscription_count() == 2)
+    depths.infos.publish(calibration(WIDTH, HEIGHT // 2))
+    time.sleep(0.3)
+    info = depths.result(mono8(coded), "depth/camera_info")
+    assert info.k[0] == pytest.approx(CAMERA["focal_length_px"])
+    assert wait_until(lambda: deblurs.infos)
+    assert deblurs.infos[0].k[0] == pytest.approx(CAMERA["focal_length_px"])
+    for chain, name in ((depths, "depth_node"), (deblurs, "deblur_node")):
+        assert wait_until(lambda chain=chain: chain.node.statistics.summary().processed == 1)
+        summary = chain.node.statistics.summary()
+        assert summary.rejected == {"camera_info": 1}
+        assert "128x48, which does not have the proportions of the 128x96" in summary.last_error
+        assert wait_until(lambda name=name: warnings_of(reports, name))
+
+
+def test_motion_is_offered_only_by_the_method_that_finds_it(ros, model, coded):
+    chain = Chain(ros, model, subscribe=())
+    ros.subscribe("depth/motion", Image)
+    assert ros.probe.count_publishers("depth/motion") == 0
+    assert wait_until(lambda: chain.images.get_subscription_count() == 0)
+    for _ in range(3):
+        chain.images.publish(mono8(coded))
+    time.sleep(0.3)
+    assert chain.node.statistics.summary().received == 0
+
+
+def test_parameters_are_set_as_by_ros2_param_set(ros, model):
+    """`ros2 param set /depth_node temporal_frames 4`: a former name, and an integer."""
+    node = Chain(ros, model, subscribe=()).node
+    client = ros.probe.create_client(SetParameters, "depth_node/set_parameters")
+    assert wait_until(client.service_is_ready)
+    for name in ("temporal_frames", "temporal.frames"):
+        value = ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=len(name))
+        request = SetParameters.Request(parameters=[ParameterMessage(name=name, value=value)])
+        answer = client.call_async(request)
+        assert wait_until(answer.done)
+        assert answer.result().results[0].successful, answer.result().results[0].reason
+        assert node.get_parameter("temporal.frames").value == float(len(name))
 
 
 def bad_messages():
@@ -154,11 +204,18 @@ def test_a_resized_frame_is_accepted(ros, model, coded):
     assert chain.received["depth/camera_info"][0].k[0] == pytest.approx(800.0)
 
 
-def test_depth_beyond_the_range_is_infinite(ros, model, coded):
-    chain = Chain(ros, {**model, "near_m": 1.3, "far_m": 1.5}, subscribe=("depth/image",))
-    depth = array_from_image(chain.result(mono8(coded)))
-    assert np.isposinf(depth).mean() > 0.4
-    assert not np.isfinite(depth[~np.isnan(depth)]).any() or np.nanmin(depth) <= 1.5
+@pytest.mark.parametrize(("near_m", "far_m"), [(1.3, 1.5), (1.3, DEPTH_M), (DEPTH_M, 4.0)])
+def test_depth_out_of_the_range_is_infinite_and_the_rest_stays(ros, model, coded, near_m, far_m):
+    limits = {"near_m": near_m, "far_m": far_m}
+    free = Chain(ros, {**model, "near_m": 0.0, "far_m": 0.0}, subscribe=("depth/image",))
+    frame = mono8(coded)
+    depth = array_from_image(free.result(frame))
+    free.node.trigger_deactivate()
+    limited = array_from_image(Chain(ros, {**model, **limits}, ("depth/image",)).result(frame))
+    expected = np.where(depth < near_m, -np.inf, np.where(depth > far_m, np.inf, depth))
+    np.testing.assert_array_equal(limited, expected.astype(np.float32))
+    assert np.isfinite(depth).mean() > 0.4
+    assert np.isinf(limited).sum() > 50
 
 
 def test_no_work_without_a_subscriber(ros, model, coded):
@@ -197,13 +254,23 @@ def test_a_slow_node_drops_and_works_on_the_newest(ros, model, coded):
     assert stamps == sorted(stamps)
 
 
-def test_the_rate_can_be_limited(ros, model, coded):
-    chain = Chain(ros, model, subscribe=("depth/image",), **{"frames.max_rate_hz": 5.0})
-    for _ in range(30):
-        chain.images.publish(mono8(coded))
-        time.sleep(0.02)
+def test_the_rate_can_be_limited(ros, model, coded, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(frame_node, "RateLimit", lambda: RateLimit(now=lambda: now[0]))
+    limit = {"frames.max_rate_hz": 5.0}
+    chain = Chain(ros, model, subscribe=("depth/image",), **limit)
+    processed = []
+    for frame in range(30):
+        now[0] = 100 + 0.02 * frame
+        chain.send(mono8(coded))
+        processed.append(chain.node.statistics.summary().processed)
+    taken = [frame for frame in range(30) if processed[frame] > ([0, *processed])[frame]]
+    assert taken == [0, 1, 10, 20]  # one more at the beginning, as after every pause
     summary = chain.node.statistics.summary()
-    assert 2 <= summary.processed <= 5
+    assert summary.dropped_by == {"max_rate": 26}
+    assert chain.node.set_parameters([Parameter("frames.max_rate_hz", value=0)])[0].successful
+    chain.send(mono8(coded))
+    assert chain.node.statistics.summary().processed == 5
 
 
 def test_parameters_change_what_is_published(ros, model, coded):
@@ -252,6 +319,15 @@ def test_diagnostics(ros, model, coded):
     assert (values()["received"], values()["processed"]) == ("2", "1")
     assert float(values()["work_median_ms"]) > 0
     assert reports[-1].status[0].name == "depth_node: frames"
+    assert reports[-1].status[0].hardware_id == "camera"
+
+
+@pytest.mark.parametrize("node_type", [DepthNode, DeblurNode])
+def test_the_diagnostics_of_a_namespace_name_its_camera(ros, model, node_type):
+    reports = ros.subscribe("/diagnostics", DiagnosticArray)
+    ros.make(node_type, model, namespace="/robot/front")
+    assert wait_until(lambda: reports)
+    assert reports[0].status[0].hardware_id == "front"
 
 
 def test_a_stamp_of_zero_has_no_latency(ros, model, coded):
@@ -397,22 +473,6 @@ def test_a_level_is_learned_on_either_side_of_the_range(tmp_path, changes, near_
     assert levels == 10
     blur = camera.blur_range_px(nearer_m, farther_m)  # is a valid range of this camera
     assert np.all(np.abs(blur) > 0) and blur[1] <= camera.blur_at_infinity_px
-
-
-class DeblurChain:
-    def __init__(self, ros, model, **parameters):
-        self.node = ros.make(DeblurNode, {**model, **parameters})
-        self.received = ros.subscribe("deblurred/image", Image)
-        self.infos = ros.subscribe("deblurred/camera_info", CameraInfo)
-        self.images = ros.publisher("image_raw", Image)
-        self.depths = ros.publisher("depth/image", Image)
-        assert wait_until(
-            lambda: self.images.get_subscription_count() and self.depths.get_subscription_count()
-        )
-
-
-def wall(header, size=(HEIGHT // 2, WIDTH // 2), depth_m=DEPTH_M):
-    return image_from_array(np.full(size, depth_m, np.float32), "32FC1", header)
 
 
 @pytest.mark.parametrize("encoding", ["mono8", "bgr8", "mono16"])

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 import yaml
-from ros_helpers import Ros, wait_until
+from ros_helpers import wait_until
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
@@ -33,13 +33,6 @@ CAMERA = {
     "mask": {"name": "levin"},
     "mask_extent_mm": 52.0,
 }
-
-
-@pytest.fixture
-def ros():
-    ros = Ros()
-    yield ros
-    ros.close()
 
 
 @pytest.mark.parametrize("encoding", ["32FC1", "16UC1"])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 from cli_scene import call
-from ros_helpers import Ros, wait_until
+from ros_helpers import wait_until
 from sensor_msgs.msg import Image
 from small_camera import CAMERA, DEPTH_M, FAR_M, NEAR_M, coded_wall
 from std_msgs.msg import Header
@@ -15,13 +15,6 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.ros.depth_node import DepthNode
 from coded_aperture_ros.ros.messages import array_from_image, image_from_array, pixels_from_frame
-
-
-@pytest.fixture
-def ros():
-    ros = Ros()
-    yield ros
-    ros.close()
 
 
 def parameters(folder, mask="two_hole", **changes):

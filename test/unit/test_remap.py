@@ -219,7 +219,7 @@ def change(ros, name, value):
 
 @pytest.mark.parametrize("kind", ["learned", "planes"])
 def test_a_node_takes_a_new_camera_file(ros, tmp_path, kind):
-    from depth_chain import Chain, mono8
+    from node_chains import Chain, mono8
 
     old, new = written(tmp_path, CAMERA, "old.yaml"), {**CAMERA, "focus_distance_m": 0.9}
     new_file = written(tmp_path, new, "new.yaml")

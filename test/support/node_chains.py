@@ -1,11 +1,14 @@
-"""A depth node between a publisher of frames and subscribers, over real DDS."""
+"""One of the nodes with publishers of what it takes and lists of what it gives."""
 
 import itertools
 
+import numpy as np
 from ros_helpers import wait_until
 from sensor_msgs.msg import CameraInfo, Image
+from small_camera import DEPTH_M, HEIGHT, WIDTH
 from std_msgs.msg import Header
 
+from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
 from coded_aperture_ros.ros.messages import image_from_array, pixels_from_frame
 
@@ -15,19 +18,23 @@ DEPTH_OUTPUTS = {
     "depth/confidence": Image,
     "depth/camera_info": CameraInfo,
 }
+STAMPS = itertools.count(1000)
 
 
-STAMPS = itertools.count(1)
-
-
-def stamped():
+def stamped(seconds=None):
+    """Return the header of a frame, with a later stamp than any before unless one is given."""
     header = Header(frame_id="front_optical_frame")
-    header.stamp.sec, header.stamp.nanosec = next(STAMPS), 987_654_321
+    header.stamp.sec, header.stamp.nanosec = seconds or next(STAMPS), 987_654_321
     return header
 
 
 def mono8(frame, header=None):
     return image_from_array(pixels_from_frame(frame, "mono8"), "mono8", header or stamped())
+
+
+def wall(header, size=(HEIGHT // 2, WIDTH // 2), depth_m=DEPTH_M):
+    """Return the depth image of a wall."""
+    return image_from_array(np.full(size, depth_m, np.float32), "32FC1", header)
 
 
 class Chain:
@@ -65,3 +72,27 @@ class Chain:
     @property
     def rejected(self):
         return self.node.statistics.summary().rejected
+
+
+class DeblurChain:
+    """A deblur node, what it publishes, and publishers of frames and their depth."""
+
+    def __init__(self, ros, model, **parameters):
+        self.ros = ros
+        self.node = ros.make(DeblurNode, {**model, **parameters})
+        self.received = ros.subscribe("deblurred/image", Image)
+        self.infos = ros.subscribe("deblurred/camera_info", CameraInfo)
+        self.images = ros.publisher("image_raw", Image)
+        self.depths = ros.publisher("depth/image", Image)
+        assert wait_until(self.connected)
+
+    def connected(self):
+        return self.images.get_subscription_count() and self.depths.get_subscription_count()
+
+    def result(self, frame):
+        """Send a frame with the depth of a wall, and return what comes of it."""
+        count = len(self.received)
+        self.images.publish(frame)
+        self.depths.publish(wall(frame.header))
+        assert wait_until(lambda: len(self.received) > count), "nothing came of the frame"
+        return self.received[-1]
