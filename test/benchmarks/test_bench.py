@@ -259,6 +259,7 @@ def test_help_shows_examples(capsys, words):
     assert max(map(len, text.splitlines())) <= 100
 
 
+@pytest.mark.slow
 def test_an_interrupt_ends_all_processes_quietly():
     program = subprocess.Popen(
         [

@@ -294,6 +294,7 @@ def test_the_program_works_by_the_camera_file_alone(tmp_path, capsys, caplog, pi
     assert side.shape == depth.shape and side[np.isfinite(depth)].min() > 0.5
 
 
+@pytest.mark.slow
 def test_the_benchmark_tells_masks_apart(capsys):
     arguments = ("bench", "sign", "--masks", "zhou", "disc", "--planes", 4, "--levels", 15)
     result = call(capsys, *arguments, "--jobs", 1, "--json")

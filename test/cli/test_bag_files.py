@@ -189,6 +189,7 @@ def test_parts_of_a_recording_are_one_bag(scene, tmp_path):
         assert "in_10.mcap" in opened.damage
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("storage", STORAGES)
 def test_a_full_disk_leaves_nothing_behind(scene, tmp_path, storage):
     bag = write_bag(tmp_path / "in", recording(scene, frames=8), storage)
@@ -422,6 +423,7 @@ def forked_processes(pid):
     return {child for child, parent in parents.items() if parent in servers}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(processors() < 2, reason="with one processor all is done by one process")
 @pytest.mark.parametrize("whom", ["program", "worker"])
 def test_nothing_stays_of_a_program_or_a_worker_that_is_killed(scene, tmp_path, whom):

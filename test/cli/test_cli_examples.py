@@ -14,6 +14,7 @@ from coded_aperture_ros.io import read_depth
 DEPTH_M = 4.0
 
 
+@pytest.mark.slow
 def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checkout):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "config").symlink_to(checkout / "config")

@@ -108,6 +108,7 @@ def test_a_node_ends_cleanly_in_full_swing(ros, start, node, topic):
     assert (status, "Traceback" in said) == (0, False), said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_impatience_does_not_make_the_end_a_crash(ros, start, number):
     received = ros.subscribe("depth/image", Image)

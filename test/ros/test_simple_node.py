@@ -63,6 +63,7 @@ def test_what_cannot_be_is_one_clear_line(ros, tmp_path, mask, changes, said):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_benchmark_of_speed(capsys):
     arguments = ("bench", "simple-speed", "--size", "160x128", "--frames", 1, "--threads", 1)
     result = call(capsys, *arguments, "--levels", 6, "--json")

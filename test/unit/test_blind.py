@@ -288,6 +288,7 @@ def test_wrong_usage_of_calibrate_blind(folder, capsys, arguments, phrase):
     wrong_usage(call(capsys, "calibrate", "blind", *arguments), "calibrate blind", phrase)
 
 
+@pytest.mark.slow
 def test_bench_blind_compares_with_the_truth(tmp_path, capsys, monkeypatch, known):
     monkeypatch.chdir(tmp_path)
     size = ("--size", "160x128", "--planes", 4, "--jobs", 1)

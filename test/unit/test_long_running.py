@@ -67,6 +67,7 @@ def frames(camera):
     return [plane_at(camera, 1.5, seed=seed) for seed in range(4)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("temporal_frames", "warm_up"), [(0.0, 30), (3.0, 100)])
 def test_memory_does_not_grow(bank, frames, temporal_frames, warm_up):
     config = dataclasses.replace(EVERYTHING, temporal_frames=temporal_frames)

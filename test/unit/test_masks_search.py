@@ -129,6 +129,7 @@ def test_a_scheduler_that_does_not_answer_is_named(capsys):
     assert "--scheduler nothing-here: no Dask scheduler answers" in result.err
 
 
+@pytest.mark.slow
 def test_nothing_is_lost_when_a_worker_is_killed(capsys):
     distributed = pytest.importorskip("distributed")
     long = [*SHORT[:-4], "--epochs", "6", "--generations", "12", "--levels", "4"]

@@ -293,6 +293,7 @@ def test_the_program_finds_masks_for_motion(tmp_path, capsys):
     assert "best for noise" in call(capsys, *arguments[:-3]).out
 
 
+@pytest.mark.slow
 def test_the_table_of_the_thesis(capsys):
     arguments = ("bench", "motion", "table", "--cases", "random,0", "--masks", "A", "--jobs", 1)
     result = call(capsys, *arguments, "--json")
