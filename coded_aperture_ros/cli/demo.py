@@ -6,6 +6,7 @@ import os
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,14 +37,17 @@ CAMERA_FILE = "demo_camera.yaml"
 NEAR_M, FAR_M = 2.05, 5.1
 RATE_HZ = 12.0
 # A robot steers by depth; all-in-focus frames are for people, who need fewer of them.
-DEBLUR_RATE_HZ = 1.0
-DEBLUR_RANK = 12
+DEBLUR = {"frames.max_rate_hz": 1.0, "deblur.rank": 12}
 NODES = ("camera_driver_node", "depth_node", "deblur_node")
 
 _START_TIMEOUT_S = 60.0
 # The first frames find nodes that are not ready yet.
 _FRAMES_TO_START = 3
 _SNAPSHOT_TIMEOUT_S = 15.0
+_NO_RESULTS = "no depth and all-in-focus frames"
+_NO_SNAPSHOT = (
+    "too little processor time, or shared memory (/dev/shm) too small: no frame through all nodes"
+)
 _REDRAW_S = 0.5
 _LINE_S = 5.0
 _RELIABLE_INPUTS = {
@@ -81,7 +85,6 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--json", action="store_true", help="print the summary as JSON instead of the table"
     )
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -107,22 +110,21 @@ def run(options: argparse.Namespace) -> int:
         camera_file = share_directory() / "config" / CAMERA_FILE
         camera = {"camera_file": str(camera_file), "source": "simulator", "rate_hz": RATE_HZ}
         children.start("camera_driver_node", camera)  # renders its scene meanwhile
-        model = learned_model(camera_file, Path(folder) / "bank.npz", say)
-        children.start("depth_node", {**model, **reliability})
-        children.start(
-            "deblur_node",
-            {
-                **model,
-                **reliability,
-                "frames.max_rate_hz": DEBLUR_RATE_HZ,
-                "deblur.rank": DEBLUR_RANK,
-            },
-        )
+        model = {**learned_model(camera_file, Path(folder) / "bank.npz", say), **reliability}
+        children.start("depth_node", model)
+        children.start("deblur_node", {**model, **DEBLUR})
+        say.line(f"starting {', '.join(NODES)} (ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']})")
         with running_monitor(reliable=not shared_memory) as monitor:
-            _wait_for_results(monitor, children, say)
+            _wait(
+                lambda: _begun(monitor),
+                children,
+                _START_TIMEOUT_S,
+                "no depth and all-in-focus frames",
+            )
             _measure(monitor, children, say, options.seconds)
             summary = summarise(monitor, options.seconds)
-            snapshot = _take_snapshot(monitor, children)
+            monitor.want_true_image()
+            snapshot = _wait(monitor.snapshot, children, _SNAPSHOT_TIMEOUT_S, _NO_SNAPSHOT)
     summary.update(levels=DEFAULT_LEVEL_COUNT, **figures_of_snapshot(snapshot))
     say.line(
         f"PSNR against the sharp scene: {summary['psnr_coded_db']:.1f} dB coded, "
@@ -147,18 +149,22 @@ def learned_model(camera_file: Path, bank_file: Path, say: Speaker) -> dict[str,
     return {"camera_file": str(camera_file), "bank": str(bank_file)}
 
 
-def _wait_for_results(monitor: "DemoMonitor", children: Children, say: Speaker) -> None:
-    from coded_aperture_ros.ros import demo_monitor
-
-    say.line(f"starting {', '.join(NODES)} (ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']})")
-    deadline = time.monotonic() + _START_TIMEOUT_S
-    topics = (demo_monitor.DEPTH, demo_monitor.DEBLURRED)
-    while any(monitor.received(topic) < _FRAMES_TO_START for topic in topics):
+def _wait(found: Callable[[], Any], children: Children, timeout_s: float, missing: str) -> Any:
+    """Return what is found once it is there."""
+    deadline = time.monotonic() + timeout_s
+    while not (result := found()):
         children.check()
         if time.monotonic() > deadline:
             said = "".join(f"\n  {node} said:{children.said(node)}" for node in NODES)
-            raise InputError(f"no depth and all-in-focus frames in {_START_TIMEOUT_S:g} s{said}")
+            raise InputError(f"{missing} in {timeout_s:g} s{said}")
         time.sleep(0.1)
+    return result
+
+
+def _begun(monitor: "DemoMonitor") -> bool:
+    from coded_aperture_ros.ros.demo_monitor import DEBLURRED, DEPTH
+
+    return min(monitor.received(topic) for topic in (DEPTH, DEBLURRED)) >= _FRAMES_TO_START
 
 
 def _measure(monitor: "DemoMonitor", children: Children, say: Speaker, seconds: float) -> None:
@@ -174,20 +180,6 @@ def _measure(monitor: "DemoMonitor", children: Children, say: Speaker, seconds: 
             say.table([f"{elapsed_s:.0f} of {seconds:g} s", *table(summarise(monitor, elapsed_s))])
         time.sleep(0.05)
     say.table([f"{seconds:g} s", *table(summarise(monitor, seconds))])
-
-
-def _take_snapshot(monitor: "DemoMonitor", children: Children) -> dict[str, Any]:
-    monitor.want_true_image()
-    deadline = time.monotonic() + _SNAPSHOT_TIMEOUT_S
-    while (snapshot := monitor.snapshot()) is None:
-        children.check()
-        if time.monotonic() > deadline:
-            raise InputError(
-                f"no frame came through all nodes in {_SNAPSHOT_TIMEOUT_S:g} s: too little "
-                "processor time, or shared memory (/dev/shm) too small"
-            )
-        time.sleep(0.1)
-    return snapshot
 
 
 def _seconds(text: str) -> float:

@@ -54,10 +54,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _set_up_libraries()
     # Before parsing, which warns of former names.
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format=f"{PROGRAM}: %(message)s")
-    options = make_parser().parse_args(arguments)
-    if warning := slow_blas_warning():
-        logging.warning(warning)
     try:
+        options = make_parser().parse_args(arguments)
+        if warning := slow_blas_warning():
+            logging.warning(warning)
         status: int = COMMANDS[options.command].run(options)
         sys.stdout.flush()
     except InputError as error:

@@ -15,9 +15,9 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
 
 
-def call(arguments):
+def call(arguments, module="coded_aperture_ros.cli.main"):
     return subprocess.run(
-        [sys.executable, "-m", "coded_aperture_ros.cli.main", *arguments],
+        [sys.executable, "-m", module, *arguments],
         capture_output=True,
         text=True,
         check=False,
@@ -39,8 +39,9 @@ def command(monkeypatch):
     return install
 
 
-def test_version():
-    result = call(["--version"])
+@pytest.mark.parametrize("module", ["coded_aperture_ros", "coded_aperture_ros.cli.main"])
+def test_version(module):
+    result = call(["--version"], module)
     assert result.stdout == f"coded_aperture {coded_aperture_ros.__version__}\n"
     assert (result.returncode, result.stderr) == (0, "")
 
@@ -74,6 +75,21 @@ def test_an_interrupt_is_quiet(command, capsys):
         raise KeyboardInterrupt
 
     command(run)
+    assert program.main(["act"]) == 130
+    assert capsys.readouterr() == ("", "")
+
+
+def test_an_interrupt_while_options_are_collected_is_quiet(monkeypatch, capsys):
+    """That of a command imports the library, which takes a second."""
+
+    def add_parser(subparsers):
+        def interrupted(parser):
+            raise KeyboardInterrupt
+
+        subparsers.add_parser("act").add_late_options = interrupted
+
+    commands = {"act": SimpleNamespace(add_parser=add_parser)}
+    monkeypatch.setattr(program, "COMMANDS", commands)
     assert program.main(["act"]) == 130
     assert capsys.readouterr() == ("", "")
 
