@@ -127,20 +127,18 @@ class PsfStack:
         if not np.isfinite(psfs).all():
             raise InputError("psfs: all values must be finite")
         object.__setattr__(self, "psfs", psfs)
-        object.__setattr__(self, "blur_sizes_px", self._one_each("sizes_px", self.blur_sizes_px))
-        if self.depths_m is not None:
-            object.__setattr__(self, "depths_m", self._one_each("depths_m", self.depths_m))
-            if not (self.depths_m > 0).all():
-                raise InputError("depths_m: all depths must be more than 0 m")
-
-    def _one_each(self, name: str, values: ArrayLike) -> NDArray[np.float64]:
-        array = np.asarray(values, dtype=np.float64)
-        if array.shape != (len(self.psfs),) or not np.isfinite(array).all():
-            raise InputError(
-                f"{name}: expected {len(self.psfs)} finite numbers, one for each PSF, "
-                f"got the shape {list(array.shape)}"
-            )
-        return array
+        for field, name in (("blur_sizes_px", "sizes_px"), ("depths_m", "depths_m")):
+            if getattr(self, field) is None:
+                continue
+            array = np.asarray(getattr(self, field), dtype=np.float64)
+            if array.shape != (len(psfs),) or not np.isfinite(array).all():
+                raise InputError(
+                    f"{name}: expected {len(psfs)} finite numbers, one for each PSF, "
+                    f"got the shape {list(array.shape)}"
+                )
+            object.__setattr__(self, field, array)
+        if self.depths_m is not None and not (self.depths_m > 0).all():
+            raise InputError("depths_m: all depths must be more than 0 m")
 
     def __len__(self) -> int:
         return len(self.psfs)
@@ -175,11 +173,11 @@ class PsfStack:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the stack as `.npz`, without pickled objects."""
-        arrays: dict[str, Any] = {"psfs": self.psfs, "sizes_px": self.blur_sizes_px}
+        arrays: dict[str, Any] = {"psfs": self.psfs}
+        if self.in_pixels:
+            arrays["sizes_px"] = self.blur_sizes_px
         if self.depths_m is not None:
             arrays["depths_m"] = self.depths_m
-        if not self.in_pixels:
-            del arrays["sizes_px"]
         write_archive(path, _SCHEMA, _SCHEMA_VERSION, arrays)
 
     @staticmethod
