@@ -6,15 +6,14 @@ With an action's name after it, the command measures a camera instead: see `ACTI
 import argparse
 import dataclasses
 import json
-import logging
 import math
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, naming
-from coded_aperture_ros.cli.options import add_commands, add_config_options, config_from
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.cli.measuring import checked_config, tell
+from coded_aperture_ros.cli.options import add_commands, add_config_options
 
 # What is measured from pictures; without an action, the command designs.
 ACTIONS: dict[str, Any] = {
@@ -107,6 +106,7 @@ def _design(args: argparse.Namespace) -> int:
         openings_of,
         setting_of,
     )
+    from coded_aperture_ros.design.page import finite
     from coded_aperture_ros.optics import load_camera
 
     # Not required by the parser, which would also ask the actions for them.
@@ -118,10 +118,7 @@ def _design(args: argparse.Namespace) -> int:
     if missing:
         args.usage_error(f"the following arguments are required: {', '.join(missing)}")
     near_m, far_m = args.depth_range
-    try:
-        config = config_from(args, DesignConfig)
-    except InputError as error:
-        args.usage_error(f"--{error}".replace("_", "-"))
+    config = checked_config(args, DesignConfig)
     if args.output is not None:
         for name in (_NUMBERS, _PAGE, _PICTURE):
             check_output(Path(args.output) / name)
@@ -153,10 +150,7 @@ def _design(args: argparse.Namespace) -> int:
     if args.output is not None:
         with naming(args.camera):
             _write_files(args, camera, config, setting, best, summary)
-    for warning in warnings:
-        logging.warning(warning)
-    print(_as_json(summary) if args.json else _table(summary, setting, best))
-    return 0
+    return tell(args, finite(summary), lambda _: _table(summary, setting, best), warnings)
 
 
 def _warnings(args: argparse.Namespace, setting: Any) -> list[str]:
@@ -184,7 +178,7 @@ def _write_files(
     from coded_aperture_ros.core.files import atomic_outputs
     from coded_aperture_ros.design import curves_of
     from coded_aperture_ros.design.figures import draw_design, has_matplotlib
-    from coded_aperture_ros.design.page import write_page
+    from coded_aperture_ros.design.page import finite, write_page
 
     near_m, far_m = args.depth_range
     ranges = summary["focus_range_m"], summary["mask_range_mm"]
@@ -192,33 +186,28 @@ def _write_files(
     lists = {name: values.tolist() for name, values in vars(curves).items()}
     folder = Path(args.output)
     with atomic_outputs() as output:
-        numbers = _as_json({**summary, "curves": lists})
+        numbers = json.dumps(finite({**summary, "curves": lists}), allow_nan=False)
         output(folder / _NUMBERS).write_text(numbers + "\n", encoding="utf-8")
         write_page(camera, near_m, far_m, best, config, *ranges, output(folder / _PAGE))
         if has_matplotlib():
             draw_design(setting, curves, near_m, far_m, output(folder / _PICTURE))
 
 
-def _as_json(summary: Any) -> str:
-    from coded_aperture_ros.design.page import finite
-
-    return json.dumps(finite(summary), allow_nan=False)
-
-
 def _table(summary: Any, setting: Any, best: Any) -> str:
     near_m, far_m = summary["near_m"], summary["far_m"]
+    pairs = [("", "nearest", "farthest", "")] + [
+        (name, *(_number(getattr(setting, f"{of}_{end}_{unit}")) for end in ("near", "far")), unit)
+        for name, of, unit in (
+            ("blur of the mask", "blur_size", "px"),
+            ("blur of the smallest hole", "hole_blur", "px"),
+            ("to the next depth told apart", "resolution", "m"),
+        )
+    ]
     lines = [
         f"{summary['camera']}: mask {summary['mask']}, {setting.mask_extent_mm:g} mm; focus at "
         f"{setting.focus_distance_m:g} m, scene {near_m:g} to {far_m:g} m",
         f"  {'depth levels told apart':34}{setting.levels:9.1f}",
-        f"  {'':34}{'nearest':>9}{'farthest':>10}",
-        _row("blur of the mask", setting.blur_size_near_px, setting.blur_size_far_px, "px"),
-        _row(
-            "blur of the smallest hole", setting.hole_blur_near_px, setting.hole_blur_far_px, "px"
-        ),
-        _row(
-            "to the next depth told apart", setting.resolution_near_m, setting.resolution_far_m, "m"
-        ),
+        *(f"  {name:34}{near:>9}{far:>10} {unit}".rstrip() for name, near, far, unit in pairs),
         _one("mean blur of the smallest hole", f"{setting.hole_blur_mean_px:.2f} px"),
         _one("ambiguous focus distances", f"{near_m:g} to {far_m:g} m"),
         _one("light", _light(setting)),
@@ -246,10 +235,6 @@ def _table(summary: Any, setting: Any, best: Any) -> str:
     if summary["output"] is not None:
         lines.append(f"{summary['output']}: open {_PAGE} in a browser")
     return "\n".join(lines)
-
-
-def _row(name: str, near: float, far: float, unit: str) -> str:
-    return f"  {name:34}{_number(near):>9}{_number(far):>10} {unit}"
 
 
 def _one(name: str, value: str) -> str:

@@ -4,6 +4,7 @@ import argparse
 import math
 import re
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -123,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
         }
         for number, name in enumerate(names)
     ]
-    warnings = [warning for row in rows for warning in _warnings(row)]
+    warnings = [f"{row['picture']}: {warning}" for row in rows for warning in _warnings(row)]
     summary = {
         "output": args.output,
         "picture": args.picture,
@@ -222,17 +223,16 @@ def _write(args: argparse.Namespace, stack: Any, centred: Any) -> None:
 def _row(measured: Any) -> dict[str, Any]:
     row = {"snr": round(measured.snr, 2)}
     if hasattr(measured, "explained"):
-        return row | {
-            "explained": round(measured.explained, 4),
-            "shift_px": list(measured.shift_px),
-        }
-    return row | {
+        explained = round(measured.explained, 4)
+        return {**row, "explained": explained, "shift_px": list(measured.shift_px)}
+    return {
+        **row,
         "field_variation": _number(measured.field_variation),
         "spacing_px": round(measured.spacing_px, 3),
-        "dots_used": measured.used,
-        "dots_saturated": measured.saturated,
-        "dots_rejected": measured.rejected,
-        "dots_missing": measured.missing,
+        **{
+            f"dots_{name}": getattr(measured, name)
+            for name in ("used", "saturated", "rejected", "missing")
+        },
     }
 
 
@@ -240,35 +240,29 @@ def _number(value: float) -> float | None:
     return round(value, 4) if math.isfinite(value) else None
 
 
-def _warnings(row: dict[str, Any]) -> list[str]:
-    name, size, expected = row["picture"], row["blur_size_px"], row["camera_blur_size_px"]
-    warnings = []
+def _warnings(row: dict[str, Any]) -> Iterator[str]:
+    size, expected = row["blur_size_px"], row["camera_blur_size_px"]
     if row["snr"] < _FAIR_SNR:
-        warnings.append(
-            f"{name}: noise is {1 / row['snr']:.0%} of the PSF: expose for longer, or average "
-            "several pictures"
-        )
+        noise = 1 / row["snr"]
+        yield f"noise is {noise:.0%} of the PSF: expose for longer, or average several pictures"
     if (row.get("field_variation") or 0) > _UNEVEN:
-        warnings.append(
-            f"{name}: the PSF differs by {row['field_variation']:.0%} over the picture: check that "
-            "the grid is parallel to the sensor; else the lens is the cause"
+        yield (
+            f"the PSF differs by {row['field_variation']:.0%} over the picture: check that the "
+            "grid is parallel to the sensor; else the lens is the cause"
         )
     if (row["mask_misfit"] or 0) > _UNLIKE:
-        warnings.append(
-            f"{name}: the PSF differs from the mask's by {row['mask_misfit']:.0%}: check the mask, "
-            "its orientation, and that the lights are small"
+        yield (
+            f"the PSF differs from the mask's by {row['mask_misfit']:.0%}: check the mask, its "
+            "orientation, and that the lights are small"
         )
-    if row.get("dots_missing") or row.get("dots_saturated"):
-        warnings.append(
-            f"{name}: {row['dots_missing']} dots are missing, {row['dots_saturated']} saturated "
-            "ones left out"
-        )
+    missing, saturated = row.get("dots_missing"), row.get("dots_saturated")
+    if missing or saturated:
+        yield f"{missing} dots are missing, {saturated} saturated ones left out"
     if expected is not None and abs(size - expected) > max(_WRONG_SIZE * abs(expected), 0.2):
-        warnings.append(
-            f"{name}: the blur is {size:.2f} px, by the camera file {expected:.2f} px: check "
-            "depths, focus_distance_m and mask_extent_mm"
+        yield (
+            f"the blur is {size:.2f} px, by the camera file {expected:.2f} px: check depths, "
+            "focus_distance_m and mask_extent_mm"
         )
-    return warnings
 
 
 def _text(summary: dict[str, Any]) -> str:
