@@ -13,7 +13,6 @@ from coded_aperture_ros.cli.options import (
     add_texts,
     at_least,
     config_from,
-    folder_of,
     mask_of,
     table,
 )
@@ -124,11 +123,11 @@ def _with_pictures(
         return [None] * len(masks)
     import numpy as np
 
-    from coded_aperture_ros.io.textures import load_textures
     from coded_aperture_ros.mask_design import PictureScorer
     from coded_aperture_ros.mask_design.pictures import WINDOWS, patch_side_px
+    from coded_aperture_ros.mask_design.textures import Textures, pictures_of
 
-    textures = load_textures("natural", folder_of(args.images))
+    textures = Textures.of_files("natural", pictures_of(Path(args.images)))
     side = patch_side_px(scene)
     patches = textures.crops(args.windows or WINDOWS, side, side, np.random.default_rng(0))
     scorer = PictureScorer(patches, scene, args.sigmas)

@@ -25,11 +25,11 @@ from coded_aperture_benchmarks.restoration import (
     picture_score,
     residual_rms,
 )
+from coded_aperture_benchmarks.textures import load_textures
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io import read_image, write_image
-from coded_aperture_ros.io.textures import load_textures
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation import render_coded_frame
 

@@ -8,7 +8,7 @@ import pytest
 from cli_scene import call, picture_folder
 from coded_aperture_benchmarks.frames.random_masks import patches_of_columns
 
-from coded_aperture_ros.io.textures import Textures
+from coded_aperture_ros.mask_design.textures import Textures
 
 
 def test_patches_of_columns_have_seams():

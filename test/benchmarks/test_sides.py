@@ -8,6 +8,7 @@ import pytest
 import yaml
 from cli_scene import call
 from coded_aperture_benchmarks.frames.sides import SideEstimates, SideFrame, SideScore
+from coded_aperture_benchmarks.textures import load_textures
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
@@ -17,7 +18,6 @@ from coded_aperture_ros.depth.side_finder import SideFinder
 from coded_aperture_ros.depth.sides import far_log_odds, given_side, side_confidence
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.io import write_image
-from coded_aperture_ros.io.textures import load_textures
 from coded_aperture_ros.methods.motion import MotionConfig, learn_motion_bank
 from coded_aperture_ros.optics import Mask, render_psf
 from coded_aperture_ros.optics.camera import camera_from_mapping

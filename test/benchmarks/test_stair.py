@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from coded_aperture_benchmarks import textures as module
 from coded_aperture_benchmarks.frames.stair import (
     blur_stack,
     level_error,
@@ -10,15 +11,15 @@ from coded_aperture_benchmarks.frames.stair import (
     spread_per_step,
 )
 from coded_aperture_benchmarks.reference.thesis_tables import LETTERS, METHODS, thesis_error
+from coded_aperture_benchmarks.textures import load_textures, training_textures
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io import textures as module
 from coded_aperture_ros.io import write_image
-from coded_aperture_ros.io.textures import Textures, load_textures, training_textures
 from coded_aperture_ros.mask_design.subspaces import LETTER_OF_MASK
+from coded_aperture_ros.mask_design.textures import Textures
 from coded_aperture_ros.metrics import Reliability
 from coded_aperture_ros.optics import MASK_NAMES, Mask, render_psf
 

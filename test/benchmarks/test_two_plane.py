@@ -8,12 +8,13 @@ from coded_aperture_benchmarks.frames.two_plane import (
     reach_px,
     two_plane_error,
 )
+from coded_aperture_benchmarks.textures import load_textures
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.textures import Textures, load_textures
+from coded_aperture_ros.mask_design.textures import Textures
 from coded_aperture_ros.optics import MASK_NAMES, Mask, render_psf
 
 RANDOM = load_textures("random")

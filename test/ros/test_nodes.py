@@ -5,6 +5,7 @@ import time
 import numpy as np
 import pytest
 import yaml
+from coded_aperture_benchmarks.textures import load_textures
 from diagnostic_msgs.msg import DiagnosticArray
 from node_chains import DEPTH_OUTPUTS, Chain, DeblurChain, mono8, stamped, wall
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -21,7 +22,6 @@ from std_msgs.msg import Header
 from coded_aperture_ros.bank.guard import guarded_range
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import map_size
-from coded_aperture_ros.io.textures import load_textures
 from coded_aperture_ros.optics import load_camera, render_psf
 from coded_aperture_ros.ros import frame_node
 from coded_aperture_ros.ros.deblur_node import DeblurNode

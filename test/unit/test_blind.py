@@ -12,6 +12,7 @@ from coded_aperture_benchmarks.frames.blind_planes import (
     make_blind_planes,
     mask_correlation,
 )
+from coded_aperture_benchmarks.textures import load_textures
 
 from coded_aperture_ros.bank import WindowedFourierBasis, load_bank
 from coded_aperture_ros.calibration.blind.config import BlindConfig
@@ -27,7 +28,7 @@ from coded_aperture_ros.calibration.mask.spectra import half_plane
 from coded_aperture_ros.calibration.mask.windows import mean_by_contrast, window_powers
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io import read_image, write_image
-from coded_aperture_ros.io.textures import Textures, load_textures
+from coded_aperture_ros.mask_design.textures import Textures
 from coded_aperture_ros.optics import Mask
 
 CELLS = MASK.transmission.astype(np.float64)

@@ -8,11 +8,11 @@ from cli_scene import call, camera_file, texture
 from coded_aperture_benchmarks.frames.planes import TABLE_5_1, make_planes
 from coded_aperture_benchmarks.frames.stair import blur_stack
 from coded_aperture_benchmarks.reference.conditional import conditional_levels
+from coded_aperture_benchmarks.textures import load_textures
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.io.textures import load_textures
 from coded_aperture_ros.methods.two_pixel import (
     SimpleConfig,
     find_holes,

@@ -13,9 +13,9 @@ from coded_aperture_benchmarks.frames.moving_frame import (
     render_moving_frame,
 )
 from coded_aperture_benchmarks.frames.stair import with_noise
+from coded_aperture_benchmarks.textures import TEST_PICTURES, load_textures
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthEstimate
-from coded_aperture_ros.io.textures import TEST_PICTURES, load_textures
 from coded_aperture_ros.optics import Camera, Mask, PsfStack
 
 # Rows and columns of the frames, and of the object in their middle.

@@ -12,7 +12,7 @@ from coded_aperture_benchmarks.frames.stair import (
     crops_generator,
     with_noise,
 )
-from coded_aperture_ros.io.textures import Textures
+from coded_aperture_ros.mask_design.textures import Textures
 from coded_aperture_ros.optics import Mask
 
 LEVELS = 33

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.io.textures import Textures
 from coded_aperture_ros.mask_design.grids import SYMMETRIES, random_grids
+from coded_aperture_ros.mask_design.textures import Textures
 from coded_aperture_ros.optics import Mask
 
 

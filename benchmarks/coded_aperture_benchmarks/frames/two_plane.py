@@ -14,7 +14,7 @@ from coded_aperture_benchmarks.frames.stair import (
     noise_behind,
 )
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.textures import Textures
+from coded_aperture_ros.mask_design.textures import Textures
 from coded_aperture_ros.optics import Mask, PsfStack, psf_width
 
 SHAPE = (320, 480)

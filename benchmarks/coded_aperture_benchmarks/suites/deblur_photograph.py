@@ -25,11 +25,11 @@ from coded_aperture_benchmarks.reference.deblurring import deblur_by_planes
 from coded_aperture_benchmarks.restoration import noise_of, residual_rms
 from coded_aperture_benchmarks.rows import columns, or_dash
 from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_benchmarks.textures import training_textures
 from coded_aperture_ros.core.archive import read_archive
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import SRGB
 from coded_aperture_ros.io import write_image
-from coded_aperture_ros.io.textures import training_textures
 from coded_aperture_ros.optics import PsfStack
 
 _FILE = "levin_letters.npz"

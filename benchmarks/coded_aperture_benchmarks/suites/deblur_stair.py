@@ -62,10 +62,10 @@ from coded_aperture_benchmarks.reference.thesis_tables import (
 from coded_aperture_benchmarks.restoration import deblurring_error
 from coded_aperture_benchmarks.rows import grouped, mean_of, tables, unique
 from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_benchmarks.textures import load_textures, training_textures
 from coded_aperture_ros.cli.options import mask_of, table
 from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.io import write_image
-from coded_aperture_ros.io.textures import load_textures, training_textures
 
 # Of the stair that reference methods find their strength on: it covers all blur sizes.
 _PRACTICE_LEVELS = 10

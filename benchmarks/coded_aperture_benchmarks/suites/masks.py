@@ -28,8 +28,8 @@ from coded_aperture_benchmarks.options import (
 from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.suites import stair
+from coded_aperture_benchmarks.textures import load_textures
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.io.textures import load_textures
 from coded_aperture_ros.mask_design import MaskScorer, PictureScorer, SceneConfig
 from coded_aperture_ros.mask_design.grids import random_grids
 from coded_aperture_ros.mask_design.pictures import patch_side_px

@@ -11,9 +11,9 @@ from coded_aperture_benchmarks.frames import moving_scenes as frames
 from coded_aperture_benchmarks.options import JSON, OUTPUT, Args, frame_size, number
 from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_benchmarks.textures import load_textures
 from coded_aperture_ros.bank import learn_bank_for_camera
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.io.textures import load_textures
 from coded_aperture_ros.methods.motion import (
     MotionConfig,
     MotionModel,

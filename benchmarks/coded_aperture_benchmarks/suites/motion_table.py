@@ -18,7 +18,7 @@ from coded_aperture_benchmarks.options import (
 )
 from coded_aperture_benchmarks.rows import columns, tables
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.io.textures import load_textures
+from coded_aperture_benchmarks.textures import load_textures
 from coded_aperture_ros.methods.motion import MotionConfig
 
 _MASKS = ("disc", "A", "B", "C")

@@ -36,9 +36,9 @@ from coded_aperture_benchmarks.options import (
 )
 from coded_aperture_benchmarks.rows import mean_of
 from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_benchmarks.textures import load_textures
 from coded_aperture_ros.cli.options import mask_of, table
 from coded_aperture_ros.depth import DepthConfig
-from coded_aperture_ros.io.textures import load_textures
 from coded_aperture_ros.optics import Camera, Mask
 
 _SCENE_REACH_PX = 12.0

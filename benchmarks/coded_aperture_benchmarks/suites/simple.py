@@ -36,8 +36,8 @@ from coded_aperture_benchmarks.options import (
 from coded_aperture_benchmarks.reference import REFERENCE_METHODS
 from coded_aperture_benchmarks.rows import grouped, mean_of, place, tables, unique
 from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_benchmarks.textures import load_textures
 from coded_aperture_ros.cli.options import mask_of, table
-from coded_aperture_ros.io.textures import load_textures
 from coded_aperture_ros.methods.two_pixel import find_holes
 
 _REFERENCES = "references"

@@ -47,8 +47,8 @@ from coded_aperture_benchmarks.reference.thesis_tables import (
 )
 from coded_aperture_benchmarks.rows import grouped, mean_of, place, tables, unique
 from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_benchmarks.textures import load_textures
 from coded_aperture_ros.cli.options import mask_of, table
-from coded_aperture_ros.io.textures import load_textures
 from coded_aperture_ros.metrics.figures import reliability_diagram
 from coded_aperture_ros.metrics.reliability import Reliability
 

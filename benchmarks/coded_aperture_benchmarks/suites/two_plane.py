@@ -32,8 +32,8 @@ from coded_aperture_benchmarks.options import (
 )
 from coded_aperture_benchmarks.rows import columns, mean_of, place
 from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_benchmarks.textures import load_textures
 from coded_aperture_ros.cli.options import at_least, mask_of
-from coded_aperture_ros.io.textures import load_textures
 
 _PLACE = ("mask", "front_blur_px", "back_blur_px", "sigma")
 _COLUMNS = {

@@ -5,7 +5,6 @@ The pictures come with scikit-image and scikit-learn, nothing is downloaded. Val
 only change the contrast.
 """
 
-import dataclasses
 from collections.abc import Iterable
 from functools import lru_cache
 from importlib.util import find_spec
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.picture_file import picture_files, read_image
+from coded_aperture_ros.mask_design.textures import Textures, pictures_of
 
 TEXTURES = ("natural", "random", "soft")
 TEST_PICTURES = (
@@ -28,48 +27,6 @@ TRAINING_PICTURES = ("camera", "chelsea", "coffee", "gravel")
 
 _SKIMAGE = ("skimage", "scikit-image", "data")
 _INSTALLED = {"flower": ("sklearn", "scikit-learn", "datasets/images")}
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Textures:
-    """Where sharp crops come from."""
-
-    kind: str  # one of `TEXTURES`, or `training`
-    pictures: tuple[NDArray[np.float32], ...]  # grey, 0 to 1; none for random texture
-
-    def crops(
-        self, count: int, rows: int, columns: int, random: np.random.Generator
-    ) -> NDArray[np.float32]:
-        """Cut crops at places chosen blindly: flat and dark ones are not thrown away.
-
-        Pictures take turns, in random order, so that a few crops do not all come from one of them.
-
-        Returns
-        -------
-        ndarray, float32 [count, rows, columns]
-
-        Raises
-        ------
-        InputError
-            If no picture is large enough.
-        """
-        if self.kind == "random":
-            return random.random((count, rows, columns), dtype=np.float32)
-        large = [p for p in self.pictures if p.shape[0] >= rows and p.shape[1] >= columns]
-        if not large:
-            raise InputError(
-                f"{self.kind} texture: no picture has the {rows} rows and {columns} columns "
-                "that are needed: use larger pictures, or a smaller size"
-            )
-        crops = np.empty((count, rows, columns), np.float32)
-        turns: list[int] = []
-        for crop in crops:
-            turns = turns or list(random.permutation(len(large)))
-            picture = large[turns.pop()]
-            top = random.integers(picture.shape[0] - rows + 1)
-            left = random.integers(picture.shape[1] - columns + 1)
-            crop[:] = picture[top : top + rows, left : left + columns]
-        return crops
 
 
 @lru_cache(maxsize=8)
@@ -93,25 +50,21 @@ def load_textures(kind: str, folder: Path | None = None) -> Textures:
     """
     if kind not in TEXTURES:
         raise InputError(f"unknown texture {kind!r}: use one of {', '.join(TEXTURES)}")
-    if folder is None:
-        paths = [_installed(name) for name in TEST_PICTURES] if kind != "random" else []
-    else:
-        paths = picture_files(folder) if folder.is_dir() else []
-        if not paths:
-            raise InputError(f"{folder}: expected a folder with pictures")
+    if folder is not None:
+        paths = pictures_of(folder)
         check_not_for_training((path.stem for path in paths), folder)
-    if kind == "random":
-        return Textures(kind, ())
-    pictures = [_grey(path) for path in paths]
+    else:
+        paths = [_installed(name) for name in TEST_PICTURES if kind != "random"]
+    textures = Textures.of_files(kind, [] if kind == "random" else paths)
     if kind == "soft":
-        pictures = [_half(picture) for picture in pictures]
-    return Textures(kind, tuple(pictures))
+        return Textures(kind, tuple(_half(picture) for picture in textures.pictures))
+    return textures
 
 
 @lru_cache(maxsize=1)
 def training_textures() -> Textures:
     """Return the textures of `TRAINING_PICTURES`."""
-    return Textures("training", tuple(_grey(_installed(name)) for name in TRAINING_PICTURES))
+    return Textures.of_files("training", [_installed(name) for name in TRAINING_PICTURES])
 
 
 def check_not_for_training(names: Iterable[str], where: object) -> None:
@@ -144,11 +97,6 @@ def _installed(name: str) -> Path:
         if path.is_file():
             return path
     raise InputError(f"test picture {name}: missing in {distribution}: install it again")
-
-
-def _grey(path: Path) -> NDArray[np.float32]:
-    image = read_image(path)
-    return np.asarray(image.mean(axis=2) if image.ndim == 3 else image, np.float32)
 
 
 def _half(picture: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -1,0 +1,82 @@
+"""Sharp crops of pictures, as textures to predict or measure with."""
+
+import dataclasses
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.io.picture_file import picture_files, read_image
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Textures:
+    """Where sharp crops come from.
+
+    Attributes
+    ----------
+    kind : str
+        What they are, for messages; `random` is white noise, uniform in [0, 1].
+    pictures : tuple of ndarray, float32 [rows, columns]
+        Grey, 0 to 1; none for random texture.
+    """
+
+    kind: str
+    pictures: tuple[NDArray[np.float32], ...]
+
+    @classmethod
+    def of_files(cls, kind: str, paths: Iterable[Path]) -> "Textures":
+        """Read pictures; colours become their mean."""
+        images = [read_image(path) for path in paths]
+        grey = [image.mean(axis=2) if image.ndim == 3 else image for image in images]
+        return cls(kind, tuple(np.asarray(picture, np.float32) for picture in grey))
+
+    def crops(
+        self, count: int, rows: int, columns: int, random: np.random.Generator
+    ) -> NDArray[np.float32]:
+        """Cut crops at places chosen blindly: flat and dark ones are not thrown away.
+
+        Pictures take turns, in random order, so that a few crops do not all come from one of them.
+
+        Parameters
+        ----------
+        count, rows, columns : int
+            How many crops, and their size in pixels.
+        random : numpy.random.Generator
+
+        Returns
+        -------
+        ndarray, float32 [count, rows, columns]
+
+        Raises
+        ------
+        InputError
+            If no picture is large enough.
+        """
+        if self.kind == "random":
+            return random.random((count, rows, columns), dtype=np.float32)
+        large = [p for p in self.pictures if p.shape[0] >= rows and p.shape[1] >= columns]
+        if not large:
+            raise InputError(
+                f"{self.kind} texture: no picture has the {rows} rows and {columns} columns "
+                "that are needed: use larger pictures, or a smaller size"
+            )
+        crops = np.empty((count, rows, columns), np.float32)
+        turns: list[int] = []
+        for crop in crops:
+            turns = turns or list(random.permutation(len(large)))
+            picture = large[turns.pop()]
+            top = random.integers(picture.shape[0] - rows + 1)
+            left = random.integers(picture.shape[1] - columns + 1)
+            crop[:] = picture[top : top + rows, left : left + columns]
+        return crops
+
+
+def pictures_of(folder: Path) -> list[Path]:
+    """Return the pictures of a folder; an `InputError` if there are none."""
+    paths = list(picture_files(folder)) if folder.is_dir() else []
+    if not paths:
+        raise InputError(f"{folder}: expected a folder with pictures")
+    return paths
