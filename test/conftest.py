@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -64,6 +65,20 @@ def scene(tmp_path_factory):
     from cli_scene import make_scene
 
     return make_scene(tmp_path_factory.mktemp("scene"))
+
+
+@pytest.fixture(scope="session")
+def recorded(scene, tmp_path_factory):
+    """Return bags of the scene, by frames and storage, that are written once; not to be changed."""
+    from bag_scene import recording, write_bag
+
+    folder = tmp_path_factory.mktemp("recorded")
+
+    @cache
+    def bag(frames, storage="mcap"):
+        return write_bag(folder / f"{storage}_{frames}", recording(scene, frames=frames), storage)
+
+    return bag
 
 
 @pytest.hookimpl(trylast=True)

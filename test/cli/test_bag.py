@@ -98,8 +98,8 @@ def test_depth_is_right_and_deblurring_helps(processed, scene):
     assert off[1] < 0.9 * off[0]
 
 
-def test_the_camera_model_of_the_bag_is_resized(scene, tmp_path, capsys):
-    bag = write_bag(tmp_path / "in", recording(scene, frames=1))
+def test_the_camera_model_of_the_bag_is_resized(scene, recorded, tmp_path, capsys):
+    bag = recorded(1)
     options = ("--output-size", "half", "--deblur", "none")
     assert call(capsys, *command(scene, bag, tmp_path / "out", *options)).status == 0
     messages = read(tmp_path / "out")
@@ -322,11 +322,11 @@ def test_examples_of_the_help(scene, tmp_path, capsys, monkeypatch):
     assert (tmp_path / "scored" / "report" / "report.html").is_file()
 
 
-def test_the_simple_method_needs_no_bank(scene, tmp_path, capsys):
+def test_the_simple_method_needs_no_bank(scene, recorded, tmp_path, capsys):
     from cli_scene import camera_file
 
     camera = camera_file(tmp_path, mask={"name": "two_hole"})
-    bag = write_bag(tmp_path / "in", recording(scene, frames=1))
+    bag = recorded(1)
     arguments = ("bag", bag, "-o", tmp_path / "out", "--method", "simple", "--camera", camera)
     result = call(capsys, *arguments, "--depth-range", 1.4, 4, "--level-count", 9, "--json")
     assert (result.status, result.err) == (0, "")

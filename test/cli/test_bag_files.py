@@ -211,8 +211,8 @@ def test_a_full_disk_leaves_nothing_behind(scene, tmp_path, storage):
     assert everything(tmp_path) == before
 
 
-def test_a_folder_that_cannot_be_written_to_is_told_at_once(scene, tmp_path, capsys):
-    bag = write_bag(tmp_path / "in", recording(scene, frames=1))
+def test_a_folder_that_cannot_be_written_to_is_told_at_once(scene, recorded, tmp_path, capsys):
+    bag = recorded(1)
     # Whoever runs the tests may be allowed to write anywhere, but not here.
     result = call(capsys, *command(scene, bag, "/proc/coded_aperture/out"))
     assert (result.status, result.out) == (1, "")
@@ -225,8 +225,8 @@ def test_a_folder_that_cannot_be_written_to_is_told_at_once(scene, tmp_path, cap
 
 
 @pytest.mark.skipif(os.getuid() == 0, reason="root may write to any folder")
-def test_a_read_only_folder_is_told_at_once(scene, tmp_path, capsys):
-    bag = write_bag(tmp_path / "in", recording(scene, frames=1))
+def test_a_read_only_folder_is_told_at_once(scene, recorded, tmp_path, capsys):
+    bag = recorded(1)
     (tmp_path / "closed").mkdir(mode=0o500)
     result = call(capsys, *command(scene, bag, tmp_path / "closed" / "out"))
     assert result.status == 1
@@ -266,8 +266,8 @@ def test_what_fails_in_the_middle_leaves_the_old_bag(scene, tmp_path):
     assert everything(tmp_path) == before
 
 
-def test_without_rosbags_there_is_one_clear_line(scene, tmp_path, capsys, monkeypatch):
-    bag = write_bag(tmp_path / "in", recording(scene, frames=1))
+def test_without_rosbags_there_is_one_clear_line(scene, recorded, tmp_path, capsys, monkeypatch):
+    bag = recorded(1)
     monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
     result = call(capsys, *command(scene, bag, tmp_path / "out"))
     assert result.status == 1
@@ -347,8 +347,8 @@ def test_a_source_ends_at_the_cut(scene, tmp_path):
     source.close()
 
 
-def test_what_is_a_bag(scene, tmp_path):
-    bag = write_bag(tmp_path / "in", recording(scene, frames=1))
+def test_what_is_a_bag(scene, recorded, tmp_path):
+    bag = recorded(1)
     assert is_bag(bag)
     assert is_bag(storage_file(bag))
     assert not is_bag(scene.folder)
@@ -405,8 +405,10 @@ def test_a_failure_in_a_thread_comes_out():
 
 @pytest.mark.skipif(processors() < 2, reason="with one processor all is done by one process")
 @pytest.mark.parametrize("options", [(), ("--temporal-frames", "3")])
-def test_processes_write_what_one_process_writes(scene, tmp_path, capsys, monkeypatch, options):
-    bag = write_bag(tmp_path / "in", recording(scene, frames=9))
+def test_processes_write_what_one_process_writes(
+    scene, recorded, tmp_path, capsys, monkeypatch, options
+):
+    bag = recorded(9)
     assert call(capsys, *command(scene, bag, tmp_path / "several", *options)).status == 0
     monkeypatch.setattr("coded_aperture_ros.bags.workers.processors", lambda: 1)
     assert call(capsys, *command(scene, bag, tmp_path / "one", *options)).status == 0
@@ -426,8 +428,8 @@ def forked_processes(pid):
 @pytest.mark.slow
 @pytest.mark.skipif(processors() < 2, reason="with one processor all is done by one process")
 @pytest.mark.parametrize("whom", ["program", "worker"])
-def test_nothing_stays_of_a_program_or_a_worker_that_is_killed(scene, tmp_path, whom):
-    bag, target = write_bag(tmp_path / "in", recording(scene, frames=600)), tmp_path / "out"
+def test_nothing_stays_of_a_program_or_a_worker_that_is_killed(scene, recorded, tmp_path, whom):
+    bag, target = recorded(600), tmp_path / "out"
     before = everything(tmp_path)
     arguments = [str(part) for part in command(scene, bag, target)]
     program = subprocess.Popen(
@@ -456,9 +458,9 @@ def test_nothing_stays_of_a_program_or_a_worker_that_is_killed(scene, tmp_path, 
         assert everything(tmp_path) == before
 
 
-def test_a_closed_source_begins_again(scene, tmp_path):
+def test_a_closed_source_begins_again(scene, recorded, tmp_path):
     """As a driver that is deactivated and activated."""
-    source = BagSource(write_bag(tmp_path / "in", recording(scene, frames=2)), loop=False)
+    source = BagSource(recorded(2), loop=False)
     first = source.read()
     source.close()
     source.close()

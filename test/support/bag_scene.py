@@ -1,6 +1,7 @@
 """Bags of the small scene, written with rosbags itself, and what rosbags finds in bags."""
 
 import dataclasses
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -86,9 +87,19 @@ def write_bag(path, messages, storage="mcap", compression=None, custom=None):
     return path
 
 
+@cache
+def _coded(path):
+    return np.load(path)
+
+
 def frame_pixels(scene, encoding, index):
     """Return a noisy coded frame as an encoding stores it."""
-    coded = np.load(scene.coded_npy)
+    return _pixels(scene.coded_npy, encoding, index)
+
+
+@cache
+def _pixels(path, encoding, index):
+    coded = _coded(path)
     noise = 0.001 * np.random.default_rng(index).standard_normal(coded.shape)
     coded = np.clip(coded + noise, 0, 1).astype(np.float32)
     grey = coded @ np.array([0.2126, 0.7152, 0.0722], np.float32)
