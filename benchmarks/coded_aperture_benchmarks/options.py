@@ -7,7 +7,6 @@ from typing import Any
 
 from coded_aperture_benchmarks.run import RESULTS as RESULTS_FILE
 from coded_aperture_ros.cli.options import (
-    OF_THE_MASK,
     add_jobs_option,
     at_least,
     mask_of,
@@ -18,6 +17,8 @@ from coded_aperture_ros.core.threads import processors
 
 Args = argparse.Namespace
 Add = Callable[[argparse.ArgumentParser], None]
+# What the noise of a frame is made of.
+OF_THE_MASK = "; a frame has S divided by the open fraction of the mask's square"
 
 TEXTURES = ("natural", "random", "soft")
 

@@ -9,11 +9,11 @@ from typing import Any
 from coded_aperture_ros.cli.checks import check_output, check_suffix
 from coded_aperture_ros.cli.options import (
     add_config_options,
-    add_sigmas_option,
     add_texts,
     at_least,
     config_from,
     mask_of,
+    noise_level,
     table,
 )
 from coded_aperture_ros.cli.progress import progress
@@ -47,7 +47,14 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "masks", nargs="*", metavar="NAME|FILE", help="masks (default: all with names)"
     )
-    add_sigmas_option(parser, (0.001, 0.005), ", above 0")
+    parser.add_argument(
+        "--sigmas",
+        nargs="+",
+        type=noise_level,
+        default=[0.001, 0.005],
+        metavar="S",
+        help="noise behind an open aperture, above 0 (default 0.001 0.005)",
+    )
     add_texts(
         parser,
         ("--images", "DIR", "predict the depth error with the sharp pictures of this folder too"),

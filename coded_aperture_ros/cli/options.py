@@ -230,33 +230,9 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     )
 
 
-# What the noise of a frame is made of.
-OF_THE_MASK = "; a frame has S divided by the open fraction of the mask's square"
-
-
 def noise_level(text: str) -> float:
     """Parse a standard deviation in linear light."""
     value = float(text)
     if not 0 <= value <= 0.5:
         raise argparse.ArgumentTypeError(f"expected 0 to 0.5, got {text}")
     return value
-
-
-def add_sigmas_option(
-    parser: argparse.ArgumentParser, sigmas: Sequence[float], what: str = OF_THE_MASK
-) -> None:
-    """Add the noises to measure at; `what` says to what they apply."""
-    parser.add_argument(
-        "--sigmas",
-        nargs="+",
-        type=noise_level,
-        default=list(sigmas),
-        metavar="S",
-        help=f"noise behind an open aperture{what} "
-        f"(default {' '.join(f'{sigma:g}' for sigma in sigmas)})",
-    )
-
-
-def folder_of(images: str | None) -> Path | None:
-    """Return the folder of `--images`."""
-    return None if images is None else Path(images)
