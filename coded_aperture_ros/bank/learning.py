@@ -152,23 +152,8 @@ def learn_bank_for_pattern(
 ) -> FilterBank:
     """Learn the bank of a mask that is known from planes, for a depth range.
 
-    Parameters
-    ----------
-    pattern : LearnedPattern
-    near_m, far_m, levels
-        See `learn_bank_for_camera`; the focus must not lie within the range.
-    config, prior, learned_from
-        See `learn_bank`.
-
-    Returns
-    -------
-    FilterBank
-        With depths, which hold whatever a camera file says.
-
-    Raises
-    ------
-    InputError
-        As `learn_bank_for_camera`.
+    The arguments are those of `learn_bank_for_camera` and `learn_bank`, and so are the errors; the
+    focus must not lie within the range. The bank's depths hold whatever a camera file says.
     """
     check_levels(levels)
     sizes_px = np.linspace(*pattern.blur_range_px(near_m, far_m), levels)

@@ -8,14 +8,12 @@ shot noise per unit of light.
 import dataclasses
 import itertools
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
+from scipy import ndimage, optimize
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics import Camera
 
 _BINS = 48
 _FEWEST_PIXELS = 2_000
@@ -32,7 +30,7 @@ _HIDDEN = 0.2
 
 @dataclasses.dataclass(frozen=True)
 class SensorNoise:
-    """Noise of one channel in linear light, as `DepthConfig` wants it.
+    """Noise of one channel in linear light, as camera files have it.
 
     Attributes
     ----------
@@ -103,24 +101,6 @@ def noise_from_frames(frames: Sequence[NDArray[np.floating]]) -> SensorNoise:
     return SensorNoise(float(np.sqrt(dark)), gain, darkest, brightest, known, fit_error)
 
 
-def with_noise_of(camera: Camera | None, config: Any) -> Any:
-    """Return settings with the noise of the camera file wherever they leave it at 0.
-
-    Parameters
-    ----------
-    camera : Camera or None
-    config : dataclass instance with `noise` and `noise_gain`
-        As `DepthConfig`.
-    """
-    if camera is None:
-        return config
-    return dataclasses.replace(
-        config,
-        noise=config.noise or camera.noise,
-        noise_gain=config.noise_gain or camera.noise_gain,
-    )
-
-
 def _compared(one: NDArray, two: NDArray) -> NDArray:
     """Return light, variance and steepness of the usable pixels of two frames [3, pixels]."""
     usable = np.isfinite(one) & np.isfinite(two) & (np.minimum(one, two) > 0)
@@ -169,8 +149,6 @@ def _robust_line(light: NDArray, variance: NDArray) -> tuple[float, float, float
     Groups far off the line count less (Huber's weights); all errors are relative, as those of
     variances are. Returns height in the dark, slope, and the relative error.
     """
-    from scipy import optimize  # slow to import
-
     terms = np.stack([np.ones_like(light), light], axis=1)
     least = 1e-3 * variance.mean() + 1e-30
     trust, fitted = np.ones_like(light), variance

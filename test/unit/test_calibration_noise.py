@@ -5,9 +5,10 @@ import pytest
 from cameras import THESIS
 from cli_scene import call, everything, refused, wrong_usage
 
-from coded_aperture_ros.calibration.noise import noise_from_frames, with_noise_of
+from coded_aperture_ros.calibration.noise import noise_from_frames
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig
+from coded_aperture_ros.imaging.noise import KnownNoise
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.optics import camera_from_mapping
 
@@ -94,10 +95,9 @@ def test_frames_that_cannot_be_used(frames, phrase):
 
 def test_noise_of_the_camera_file_is_a_default():
     camera = camera_from_mapping({**THESIS, "noise": 0.002, "noise_gain": 1e-4})
-    given = with_noise_of(camera, DepthConfig(noise=0.01))
-    assert (given.noise, given.noise_gain) == (0.01, 1e-4)
-    assert with_noise_of(camera, DepthConfig()).noise == 0.002
-    assert with_noise_of(None, DepthConfig()) == DepthConfig()
+    assert KnownNoise.of(DepthConfig(noise=0.01), camera) == KnownNoise(0.01, 1e-4)
+    assert KnownNoise.of(DepthConfig(), camera).noise == 0.002
+    assert KnownNoise.of(DepthConfig(), None) == KnownNoise()
 
 
 # ---- the command ----

@@ -141,7 +141,7 @@ def listed_depths_m(folder: str | os.PathLike[str]) -> list[float]:
 def add_plane(
     folder: str | os.PathLike[str], image: NDArray[np.float32], depth_m: float, frames: int = 1
 ) -> Path:
-    """Add a picture to a folder; a picture of the same depth that was there is replaced.
+    """Add a picture to a folder, in place of one of the same depth.
 
     Picture and list are each written whole or not at all, the picture first: an interrupted
     session leaves a folder that the next one goes on with.
@@ -151,15 +151,8 @@ def add_plane(
     folder : path-like
         Created if it does not exist.
     image : ndarray, float32 [rows, columns] or [rows, columns, 3]
-        Linear light in [0, 1]; stored as 16-bit PNG.
+        Linear light in [0, 1]; stored as 16-bit PNG. The mean of so many `frames`.
     depth_m : float
-    frames : int, optional
-        How many frames the picture is the mean of, kept in the list.
-
-    Returns
-    -------
-    Path
-        The picture.
 
     Raises
     ------

@@ -107,10 +107,6 @@ def psf_from_dots(
     sign : float, optional
         Of the blur size, where the side of the focus is known.
 
-    Returns
-    -------
-    DotPsf
-
     Raises
     ------
     InputError

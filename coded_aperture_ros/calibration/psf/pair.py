@@ -119,10 +119,6 @@ def psf_from_pair(
     largest_blur_px : float, optional
         The PSF is not wider.
 
-    Returns
-    -------
-    PairPsf
-
     Raises
     ------
     InputError
