@@ -21,16 +21,9 @@ _SCORING_STEPS = 12
 class Groups:
     """Windows that share a hypothesis.
 
-    Attributes
-    ----------
-    plane, slope : ndarray of int [G]
-        Index of the plane, and of the texture's slope.
-    count : ndarray, float64 [G]
-        How many windows.
-    mean : ndarray, float64 [G, K]
-        Their mean power.
-    textures : ndarray, float64 [G, 9]
-        Logarithm of their power over that of the slope, as coefficients of smooth functions.
+    Index of the plane and of the texture's slope [G], how many windows there are [G], their mean
+    power [G, K], and the logarithm of the textures' power over that of the slope, as coefficients
+    of smooth functions [G, 9].
     """
 
     plane: NDArray

@@ -24,18 +24,9 @@ _STEP_PX = 5e-3
 class Expected:
     """Expected power of masks at some blur sizes, and what the way back needs.
 
-    Attributes
-    ----------
-    power : ndarray, float64 [slopes, I, K]
-        For texture of unit contrast.
-    parts : ndarray, float64 [R, m, m]
-        The masks.
-    sizes_px : ndarray, float64 [I]
-        The blur sizes.
-    transforms : ndarray, complex128 [R, I, n, n // 2 + 1]
-        Of the PSFs, padded so that their correlations do not wrap around.
-    renderers : ndarray, float64 [I, pixels, m]
-        From cells to pixels along one axis.
+    The power [slopes, I, K] is that of texture of unit contrast. Beside it: the masks [R, m, m],
+    the blur sizes [I], the transforms of the PSFs [R, I, n, n // 2 + 1], padded so that their
+    correlations do not wrap around, and the shares of cells in pixels [I, pixels, m].
     """
 
     power: NDArray

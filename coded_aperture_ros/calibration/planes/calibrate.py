@@ -53,20 +53,9 @@ _NEAR_FOCUS_PX = 1.5
 class PlanesCalibration:
     """What a set of planes tells about a camera.
 
-    Attributes
-    ----------
-    bank : FilterBank
-    pattern : LearnedPattern
-        Mask and thin lens.
-    mask_is_known : bool
-        Whether the mask is one with a name, or the camera file's; else it was found from the
-        pictures, and its extent is uncertain by a cell.
-    planes : Planes
-    checks : list of PlaneCheck
-    measured : list of MeasuredPlane
-    left_out : LeftOut
-        Depths that the other planes give each plane.
-    advice : list of Advice
+    `pattern` is mask and thin lens. The mask is known if it is one with a name, or the camera
+    file's; else it was found from the pictures, and its extent is uncertain by a cell. `left_out`
+    are the depths that the other planes give each plane.
     """
 
     bank: FilterBank

@@ -157,15 +157,9 @@ def _list(names: Sequence[str], most: int = 4) -> str:
 class LeftOut:
     """Depths of planes by the line through the others.
 
-    Attributes
-    ----------
-    depths_m : ndarray, float64 [I]
-        Of each plane, from its blur as a whole; infinite where it is blurred more than that.
-    errors : ndarray, float64 [I]
-        Their relative errors.
-    window_errors : ndarray, float64 [I]
-        Median relative error of each plane's windows one by one: what a depth map has without
-        regularisation.
+    Depth of each plane from its blur as a whole [I], infinite where it is blurred more than that,
+    its relative error [I], and the median relative error of its windows one by one [I]: what a
+    depth map has without regularisation.
     """
 
     depths_m: NDArray[np.float64]

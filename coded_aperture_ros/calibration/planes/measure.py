@@ -36,13 +36,11 @@ class MeasuredPlane:
         Unsigned blur size of the mask, from all windows together.
     sizes_px : ndarray, float32 [rows, columns]
         That of every window.
-    error_px : float
-        Standard error of `size_px`, from the scatter of the windows.
+    error_px, tilt_error_px : float
+        Standard errors of size and tilt, from the scatter of the windows.
     tilt_px : (float, float)
         How much more the blur is at the right end than at the left, and at the bottom than at the
         top.
-    tilt_error_px : float
-        Standard error of these.
     """
 
     size_px: float

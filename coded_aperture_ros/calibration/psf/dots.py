@@ -54,8 +54,7 @@ class DotPsf:
         without noise. NaN where no ninth has three dots.
     spacing_px : float
     used, saturated, rejected, missing : int
-        Dots that the PSF is of; that are saturated; that are unlike the others; places of the
-        grid where there is none.
+        Dots: taken; saturated; unlike the others; not in their places of the grid.
     """
 
     fine: FinePsf
@@ -71,13 +70,8 @@ class DotPsf:
     def centred(self, mask: Mask | None = None, sign: float | None = None) -> CentredPsf:
         """Centre the PSF in the middle of the mask's extent, and tell its blur size.
 
-        Parameters
-        ----------
-        mask : Mask, optional
-            What is in the lens. Without it, the centre of light is the centre.
-        sign : float, optional
-            Of the blur size: which side of the focus. By default the mask tells, and positive if
-            not.
+        Without the `mask` that is in the lens, the centre of light is the centre. The `sign` of the
+        blur size is that of the side of the focus; by default the mask tells, and positive if not.
 
         Raises
         ------

@@ -21,7 +21,7 @@ def psf_stack(
     depths_m: ArrayLike | None = None,
     names: Sequence[str] | None = None,
 ) -> PsfStack:
-    """Interpolate measured PSFs to equally spaced blur sizes.
+    """Interpolate measured PSFs, in any order, to equally spaced blur sizes.
 
     A PSF between two measured ones is both, widened or narrowed to its size, each weighted by how
     near its size is.
@@ -29,18 +29,12 @@ def psf_stack(
     Parameters
     ----------
     measured : sequence of CentredPsf
-        In any order.
     levels : int, optional
         By default as many as there are PSFs.
     depths_m : array of float, shape [N], optional
         The stack then knows its depths: between two, the inverse depth is linear in blur size.
     names : sequence of str, optional
         What messages call each PSF.
-
-    Returns
-    -------
-    PsfStack
-        Blur sizes from the smallest to the largest measured.
 
     Raises
     ------
