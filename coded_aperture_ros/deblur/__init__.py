@@ -3,6 +3,7 @@
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.deblurrer import Deblurrer
 from coded_aperture_ros.deblur.fill import covers_frame
+from coded_aperture_ros.deblur.levels import blur_levels
 from coded_aperture_ros.deblur.stereo import (
     Parallax,
     anaglyph,
@@ -16,6 +17,7 @@ __all__ = [
     "Deblurrer",
     "Parallax",
     "anaglyph",
+    "blur_levels",
     "check_parallax",
     "covers_frame",
     "side_by_side",

@@ -67,10 +67,7 @@ class CameraDriverConfig:
     )
     frame_id: str = option("camera_optical_frame", "Optical frame of the images", read_only=True)
     encoding: str = option(
-        "bgr8",
-        "Encoding of image_raw",
-        choices=("mono8", "rgb8", "bgr8", "mono16"),
-        read_only=True,
+        "bgr8", "Encoding of image_raw", choices=("mono8", "rgb8", "bgr8", "mono16"), read_only=True
     )
     loop: bool = option(True, "Begin files again after their last frame", read_only=True)
     noise: float = option(
@@ -101,25 +98,13 @@ class CameraDriverConfig:
         parameter="base.frame",
     )
     base_x_m: float = option(
-        0.0,
-        "Camera position in base_frame",
-        unit="m",
-        read_only=True,
-        parameter="base.x_m",
+        0.0, "Camera position in base_frame", unit="m", read_only=True, parameter="base.x_m"
     )
     base_y_m: float = option(
-        0.0,
-        "Camera position in base_frame",
-        unit="m",
-        read_only=True,
-        parameter="base.y_m",
+        0.0, "Camera position in base_frame", unit="m", read_only=True, parameter="base.y_m"
     )
     base_z_m: float = option(
-        0.0,
-        "Camera position in base_frame",
-        unit="m",
-        read_only=True,
-        parameter="base.z_m",
+        0.0, "Camera position in base_frame", unit="m", read_only=True, parameter="base.z_m"
     )
     base_pitch_deg: float = option(
         0.0,

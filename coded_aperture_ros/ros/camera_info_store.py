@@ -65,18 +65,8 @@ def _share_of(package: str, url: str) -> Path:
 class CameraInfoStore:
     """Loads the camera model from its URL, and saves what a calibration program sends.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        That offers the service `set_camera_info`.
-    url : str
-        See `camera_info_path`; empty: that of `camera_info_manager`, if there is such a file.
-    camera_name : str
-
-    Attributes
-    ----------
-    measured : Intrinsics or None
-        What was loaded, or set last.
+    The node offers the service `set_camera_info`. An empty URL stands for that of
+    `camera_info_manager`, if there is such a file; `measured` is what was loaded, or set last.
 
     Raises
     ------

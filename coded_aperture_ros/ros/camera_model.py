@@ -58,17 +58,7 @@ class CameraModel:
         output_size: tuple[int, int],
         header: Header,
     ) -> CameraInfo:
-        """Return the model of an output.
-
-        Parameters
-        ----------
-        camera : Camera
-            Of the frame.
-        frame_size, output_size : (height, width)
-            Of the frame, and of what was made from it.
-        header : std_msgs.msg.Header
-            Of the frame.
-        """
+        """Return the model of what was made of a frame; sizes are (height, width)."""
         info = self._received
         if info is None or self.complaint(frame_size):
             info = camera_info_from_camera(camera, header)

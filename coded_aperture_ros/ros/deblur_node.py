@@ -1,6 +1,5 @@
 """The node that turns coded frames and their depth into all-in-focus frames."""
 
-import dataclasses
 import math
 import threading
 from collections.abc import Sequence
@@ -10,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image
 
-from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT, FilterBank, psf_stack_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stamp_order import StampOrder
-from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, covers_frame
+from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, blur_levels, covers_frame
 from coded_aperture_ros.imaging import KnownNoise, channel_noise
 from coded_aperture_ros.likelihood import BlurLevels
-from coded_aperture_ros.optics import Camera, PsfStack
 from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
 from coded_aperture_ros.ros.frame_node import FrameNode
@@ -35,37 +32,6 @@ from coded_aperture_ros.ros.running import run_nodes
 # in work, however fast they come: there would never be a pair. Two seconds at 100 Hz.
 _WAITING_FRAMES = 200
 _WAITING_BYTES = 256 * 2**20
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class RenderedLevels:
-    """The PSFs of a camera file: all that deblurring needs of a bank, without learning one."""
-
-    stack: PsfStack
-    mask_digest: str
-    learned_from: str = "the camera file"
-    noise: float = 0.0
-
-    @property
-    def window_px(self) -> int:
-        """Side of the smallest frame."""
-        return self.stack.psfs.shape[1]
-
-
-def blur_levels(
-    *,
-    camera: Camera,
-    bank: FilterBank | None = None,
-    depth_range_m: tuple[float, float] | None = None,
-    level_count: int = DEFAULT_LEVEL_COUNT,
-) -> BlurLevels:
-    """Return the levels of a bank, or render those of a camera for a range of depths."""
-    if bank is not None or depth_range_m is None:
-        if bank is None:
-            raise InputError("deblurring needs a bank, or a depth range")
-        return bank
-    stack = psf_stack_for_camera(camera, *depth_range_m, level_count, "deblurring")
-    return RenderedLevels(stack, camera.mask.digest)
 
 
 class DeblurNode(FrameNode[tuple[Image, Image]]):

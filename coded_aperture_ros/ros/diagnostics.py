@@ -79,13 +79,7 @@ class Summary:
 
 
 class Statistics:
-    """Counts of one node's work; safe to use from several threads.
-
-    Parameters
-    ----------
-    now : callable
-        The clock that rates are measured by, in seconds.
-    """
+    """Counts of one node's work, by a clock in seconds; safe to use from several threads."""
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now = now
@@ -127,19 +121,10 @@ class Statistics:
         stages_s: Mapping[str, float] | None = None,
         figures: Mapping[str, float] | None = None,
     ) -> None:
-        """Count a frame done.
+        """Count a frame whose last result has been published.
 
-        Parameters
-        ----------
-        latency_s : float or None
-            From the frame's stamp to the publication of its last result; None if the stamp is
-            not of this clock.
-        work_s : float
-            From taking up the frame to the publication of its last result.
-        stages_s : mapping, optional
-            Time of each stage of that work.
-        figures : mapping, optional
-            What else there is to tell of the frame, by names with their units.
+        `latency_s` counts from its stamp, None if that is not of this clock; `work_s` from taking
+        it up; `stages_s` is the time of each stage, `figures` what else to tell, with units.
         """
         if latency_s is not None and not 0.0 <= latency_s <= _PLAUSIBLE_LATENCY_S:
             latency_s = None
@@ -202,23 +187,11 @@ def status_of(
     active: bool = True,
     identity: Mapping[str, str] = MappingProxyType({}),
 ) -> DiagnosticStatus:
-    """Return the diagnostic status of a node's work.
+    """Return the diagnostic status of a node, called `name` with its namespace.
 
-    Parameters
-    ----------
-    name : str
-        Of the node, with its namespace.
-    summary, last : Summary
-        Now, and when the status was told before.
-    config : DiagnosticsConfig
-    hardware_id : str
-        Of the camera that the frames come from.
-    waiting : bool
-        The node listens for frames.
-    active : bool
-        The node has been activated.
-    identity : mapping
-        What the node works with.
+    `last` is the summary when the status was told before, `hardware_id` the camera that the frames
+    come from; `waiting` says that the node listens for frames, `active` that it has been
+    activated, and `identity` what it works with.
     """
     status = DiagnosticStatus(name=f"{name.lstrip('/')}: frames", hardware_id=hardware_id)
     status.message = f"{summary.rate_hz:.1f} frames/s" if active else "not active"

@@ -90,16 +90,8 @@ class FrameModel(Generic[Model]):
     """Camera and model for the size of the frames that come.
 
     A new camera file is prepared in full before anything changes, so that one that cannot be used
-    leaves everything as it was; it takes effect with the next frame that `fit` is called for.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        To log with.
-    parameters : NodeParameters
-        Of the node, with `ModelConfig`.
-    make : Maker
-        Makes the model.
+    leaves everything as it was; it takes effect with the next frame that `fit` is called for. The
+    parameters of the node have `ModelConfig`.
 
     Raises
     ------

@@ -70,18 +70,7 @@ class FrameNode(ManagedNode, Generic[Item]):
     A node that derives from this one names its outputs, calls `listen` for each input,
     implements `load`, `unload` and `process`, and ends its constructor with `begin`.
 
-    Parameters
-    ----------
-    name : str
-        Of the node.
-    *configs : dataclass instances
-        The defaults of the node's parameters; see `NodeParameters`.
-    fixed : dict
-        Further ones that cannot change while the node runs, by the prefix of their names.
-    local : LocalTopics, optional
-        Of the process that the node shares with others.
-    **node_options
-        Those of `rclpy.node.Node`, such as `context` and `namespace`.
+    The arguments are those of `ManagedNode`, and `local` of the process that it shares with others.
     """
 
     outputs: ClassVar[Mapping[str, type]]
@@ -235,11 +224,7 @@ class FrameNode(ManagedNode, Generic[Item]):
         stages_s: Mapping[str, float] | None = None,
         figures: Mapping[str, float] | None = None,
     ) -> None:
-        """Count a frame as done.
-
-        `header` is that of the frame that the outputs came from, `stages_s` the time that each
-        stage of the work took, if it is known, `figures` what else /diagnostics tells of it.
-        """
+        """Count the frame with this header as done; see `Statistics.count_processed`."""
         stamp = stamp_ns(header)
         # A stamp of zero is no time at all: simulated time had not begun, or nobody set it.
         now = self.get_clock().now().nanoseconds

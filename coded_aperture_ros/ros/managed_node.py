@@ -35,18 +35,7 @@ class ManagedNode(ABC, LifecycleNode):
 
     A node that derives from this one ends its constructor with `begin`, and implements what
     happens at the transitions. Files are read in `set_up`, so that cleaning up and configuring
-    a node reads them again.
-
-    Parameters
-    ----------
-    name : str
-        Of the node.
-    *configs : dataclass instances
-        The defaults of the node's parameters; see `NodeParameters`.
-    fixed : dict
-        Further ones that cannot change while the node runs, by the prefix of their names.
-    **node_options
-        Those of `rclpy.node.Node`, such as `context` and `namespace`.
+    a node reads them again. `configs` and `fixed` are what `NodeParameters` takes.
     """
 
     def __init__(

@@ -13,14 +13,8 @@ class NewestWorker(Generic[Item]):
     There is room for one waiting item. A newer one replaces it, and the replaced one is lost:
     a node slower than its input falls behind by one item at most, never by a queue.
 
-    Parameters
-    ----------
-    work : callable
-        Called with an item, in the worker's thread. It must not raise.
-    dropped : callable
-        Called, in the thread that offers, whenever an item is replaced.
-    name : str
-        Of the thread.
+    `work` is called with an item, in the worker's thread, and must not raise; `dropped` in the
+    thread that offers, whenever an item is replaced.
     """
 
     def __init__(

@@ -10,10 +10,7 @@ _LONGEST_PAUSE_NS = 2_000_000_000
 class Pace:
     """Waits until the next frame is due, by a steady clock; a late frame delays none after it.
 
-    Parameters
-    ----------
-    stopping : threading.Event
-        Ends every wait.
+    The event `stopping` ends every wait.
     """
 
     def __init__(self, stopping: threading.Event) -> None:
@@ -27,15 +24,7 @@ class Pace:
         self._first = True
 
     def wait(self, period_s: float, stamp_ns: int | None = None) -> None:
-        """Wait for the time of a frame.
-
-        Parameters
-        ----------
-        period_s : float
-            Between two frames, if they bring no stamps along.
-        stamp_ns : int, optional
-            When this one was taken.
-        """
+        """Wait for the time of a frame, by its stamp or `period_s` after the one before."""
         if stamp_ns is not None and self._last_ns is not None:
             since_ns = stamp_ns - self._last_ns
             if 0 <= since_ns <= _LONGEST_PAUSE_NS:  # else it begins again, or paused

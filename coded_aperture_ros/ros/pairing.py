@@ -15,16 +15,9 @@ class StampPairs(Generic[First, Second]):
     A pair makes everything older than it obsolete: stamps increase, and results are wanted for
     the newest frame only. Safe to use from several threads.
 
-    Parameters
-    ----------
-    capacity : int
-        Messages of each topic to keep while they wait for their partner.
-    capacity_bytes : int, optional
-        Bytes of each topic's messages to keep, beside the newest message. Unlimited by default.
-    size_bytes : callable, optional
-        Returns the bytes of a message.
-    dropped : callable
-        Called for every message of the first topic that is given up without a partner.
+    At most `capacity` messages of each topic wait, of `capacity_bytes` beside the newest one, by
+    what `size_bytes` says of each. `dropped` is called for every message of the first topic that
+    is given up without a partner.
     """
 
     def __init__(

@@ -8,12 +8,7 @@ class RateLimit:
     """Decides which frames to take, so that their rate stays below a limit.
 
     Frames are due at even intervals: a late one does not delay those after it, and a pause does
-    not allow a burst.
-
-    Parameters
-    ----------
-    now : callable
-        Clock in seconds.
+    not allow a burst. `now` is a clock in seconds.
     """
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:

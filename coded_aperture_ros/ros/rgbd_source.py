@@ -27,15 +27,9 @@ class RgbdSource:
     """Turns each pair of an image and its depth into what the coded camera would see of it.
 
     It subscribes to `rgbd/image`, with a linear sensor, and `rgbd/depth` (32FC1 in metres or
-    16UC1 in millimetres), of one size and with equal stamps. Only the newest pair counts.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    camera : Camera
-        Its focal length has to be that of the images.
-    noise : float
-        Standard deviation of the simulated sensor's noise in linear light.
+    16UC1 in millimetres), of one size and with equal stamps. Only the newest pair counts. The
+    camera's focal length has to be that of the images; `noise` is the standard deviation of the
+    simulated sensor's, in linear light.
     """
 
     live = True

@@ -7,8 +7,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 # From a body frame (x forward, y left, z up) to an optical one (x right, y down, z forward):
-# roll and yaw of -90 degrees (REP 103).
-_OPTICAL_ROLL, _OPTICAL_YAW = -math.pi / 2, -math.pi / 2
+# yaw and roll of -90 degrees (REP 103).
+_OPTICAL_YAW_ROLL = (-math.pi / 2, -math.pi / 2)
 
 
 def optical_transform(
@@ -28,16 +28,14 @@ def optical_transform(
     pitch_rad : float
         How far the camera looks down.
     """
+    from scipy.spatial.transform import Rotation
+
     transform = TransformStamped(child_frame_id=optical_frame)
     transform.header.frame_id = base_frame
     translation, rotation = transform.transform.translation, transform.transform.rotation
     translation.x, translation.y, translation.z = (float(value) for value in position_m)
-    tilt = (0.0, math.sin(pitch_rad / 2), 0.0, math.cos(pitch_rad / 2))
-    optical = _product(
-        (0.0, 0.0, math.sin(_OPTICAL_YAW / 2), math.cos(_OPTICAL_YAW / 2)),
-        (math.sin(_OPTICAL_ROLL / 2), 0.0, 0.0, math.cos(_OPTICAL_ROLL / 2)),
-    )
-    rotation.x, rotation.y, rotation.z, rotation.w = _product(tilt, optical)
+    turned = Rotation.from_euler("YZX", (pitch_rad, *_OPTICAL_YAW_ROLL))
+    rotation.x, rotation.y, rotation.z, rotation.w = map(float, turned.as_quat())
     return transform
 
 
@@ -57,16 +55,3 @@ def broadcast_static(node: Node, transform: TransformStamped) -> bool:
     transform.header.stamp = node.get_clock().now().to_msg()
     node.create_publisher(TFMessage, "/tf_static", qos).publish(TFMessage(transforms=[transform]))
     return True
-
-
-_Quaternion = tuple[float, float, float, float]
-
-
-def _product(a: _Quaternion, b: _Quaternion) -> _Quaternion:
-    """Return the Hamilton product of two quaternions (x, y, z, w): rotation `b`, then `a`."""
-    return (
-        a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1],
-        a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0],
-        a[3] * b[2] + a[0] * b[1] - a[1] * b[0] + a[2] * b[3],
-        a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2],
-    )

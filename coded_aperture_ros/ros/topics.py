@@ -21,15 +21,8 @@ _OVERRIDABLE = QoSOverridingOptions.with_default_policies()
 class Outputs:
     """The topics of a node's results, with QoS that users can change by parameters.
 
-    Reliable, because such a publisher serves every kind of subscriber.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    types : dict
-        The message type of every topic.
-    local : LocalTopics, optional
-        Of the process that the node shares with others.
+    Reliable, because such a publisher serves every kind of subscriber. `types` has the message type
+    of every topic; `local` is of the process that the node shares with others, if it does.
     """
 
     def __init__(self, node: Node, types: Mapping[str, type], local: LocalTopics | None) -> None:
@@ -88,11 +81,7 @@ class Outputs:
 class Inputs:
     """The topics that a node listens to: sensor data, of which only the newest matters.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    local : LocalTopics, optional
-        Of the process that the node shares with others; what they publish comes from there.
+    `local` is of the process that the node shares with others: what they publish comes from there.
     """
 
     def __init__(self, node: Node, local: LocalTopics | None) -> None:

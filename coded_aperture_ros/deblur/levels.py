@@ -1,0 +1,39 @@
+"""The blur levels that deblurring needs: those of a bank, or rendered, without learning one."""
+
+import dataclasses
+
+from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT, FilterBank, psf_stack_for_camera
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.likelihood import BlurLevels
+from coded_aperture_ros.optics import Camera, PsfStack
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RenderedLevels:
+    """The PSFs of a camera file: all that deblurring needs of a bank, without learning one."""
+
+    stack: PsfStack
+    mask_digest: str
+    learned_from: str = "the camera file"
+    noise: float = 0.0
+
+    @property
+    def window_px(self) -> int:
+        """Side of the smallest frame."""
+        return self.stack.psfs.shape[1]
+
+
+def blur_levels(
+    *,
+    camera: Camera,
+    bank: FilterBank | None = None,
+    depth_range_m: tuple[float, float] | None = None,
+    level_count: int = DEFAULT_LEVEL_COUNT,
+) -> BlurLevels:
+    """Return the levels of a bank, or render those of a camera for a range of depths."""
+    if bank is not None:
+        return bank
+    if depth_range_m is None:
+        raise InputError("deblurring needs a bank, or a depth range")
+    stack = psf_stack_for_camera(camera, *depth_range_m, level_count, "deblurring")
+    return RenderedLevels(stack, camera.mask.digest)
