@@ -46,7 +46,6 @@ class Practice:
     coded, sharp : ndarray of float32, shape [rows, columns]
     level : ndarray of integer, shape [rows, columns]
         True level.
-    stack : PsfStack
     """
 
     coded: Picture
@@ -98,11 +97,6 @@ def chosen_methods(args: Args, scikit_image_for: str = "") -> tuple[str, ...]:
         With `methods`, None for all.
     scikit_image_for : str, optional
         What needs scikit-image whatever the methods are.
-
-    Raises
-    ------
-    InputError
-        If scikit-image is needed and missing.
     """
     known = (*own_methods(), *DEBLURRING_METHODS)
     methods = tuple(dict.fromkeys(args.methods or known))
@@ -124,7 +118,6 @@ def best_strengths(
 
     Parameters
     ----------
-    method : str
     practice : callable
         Returns the frame; our own methods need none.
     errors : mapping of str to callable
@@ -172,17 +165,12 @@ def deblur(
     coded : ndarray of float32, shape [rows, columns] or [rows, columns, 3]
     blur_size_px : ndarray of float, shape [rows, columns]
         Blur size of every pixel. Reference methods take the level that comes nearest.
-    stack : PsfStack
     strength : float, optional
         Of a reference method, see `best_strengths`.
     noise : float, optional
         The noise, which our own methods estimate otherwise.
     exact_depth : bool, optional
         Whether our own methods may rely on the blur sizes near depth edges.
-
-    Returns
-    -------
-    Deblurred
     """
     if method in own_methods():
         deblurrer = _own(method, stack, noise, exact_depth)

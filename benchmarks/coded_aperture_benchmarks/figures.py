@@ -32,7 +32,6 @@ def stair_spread(rows: Sequence[Mapping[str, Any]], path: PathLike) -> None:
     rows : sequence of mapping
         One for each mask, noise and method: `mask`, `sigma`, `method`, `mean_of_step` and
         `deviation_of_step`. A panel for each mask (down) and noise (across).
-    path : path-like
     """
     masks = list(dict.fromkeys(row["mask"] for row in rows))
     sigmas = list(dict.fromkeys(row["sigma"] for row in rows))
@@ -68,7 +67,6 @@ def stair_maps(maps: Mapping[str, NDArray[np.floating]], levels: int, path: Path
         Estimated levels; NaN is grey.
     levels : int
         Number of steps.
-    path : path-like
     """
     figure = new_figure(0.9 * (len(maps) + 2), 2 * PANEL_INCHES)
     true_map = np.arange(levels, dtype=np.float64)[:, None]
@@ -102,7 +100,6 @@ def signed_blur_maps(maps: Mapping[str, NDArray[np.floating]], path: PathLike) -
     ----------
     maps : mapping of str to ndarray of float, shape [rows, columns]
         Titles, and blur sizes in px; NaN is grey.
-    path : path-like
     """
     rows, columns = next(iter(maps.values())).shape
     largest = max(float(np.nanmax(np.abs(values), initial=0.0)) for values in maps.values())
@@ -134,7 +131,6 @@ def edge_profiles(
         For each panel's title, a curve for each method.
     truths : mapping of str to ndarray of float, shape [columns]
         The true level, for each title.
-    path : path-like
     """
     titles = list(panels)
     across = min(2, len(titles))
@@ -155,13 +151,7 @@ def edge_profiles(
 
 
 def speed(results: Mapping[str, Any], path: PathLike) -> None:
-    """Draw the times of `SpeedBenchmark.results`: stages, sizes, levels and threads.
-
-    Parameters
-    ----------
-    results : mapping
-    path : path-like
-    """
+    """Draw the times of `SpeedBenchmark.results`: stages, sizes, levels and threads."""
     figure, ((stages, sizes), (levels, threads)) = new_panels(2, 2, width=1.8)
     _draw_stages(stages, results["main"])
     _draw_sizes(sizes, results["sizes"])

@@ -107,7 +107,6 @@ class MethodOnFrames:
 
     Attributes
     ----------
-    method : str
     setting : Setting
         Its noise is filled in frame by frame if `known_noise`.
     images : pathlib.Path or None
@@ -162,12 +161,6 @@ def identify(method: str, coded: NDArray[np.float32], noise: float, setting: Set
     coded : ndarray, float32 [rows, columns]
     noise : float
         True noise of the frame, for the reference methods: they need it.
-    setting : Setting
-
-    Raises
-    ------
-    InputError
-        If there is no such method.
     """
     if method not in method_names():
         raise InputError(f"unknown method {method!r}: use one of {', '.join(method_names())}")

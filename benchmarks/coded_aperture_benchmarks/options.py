@@ -30,7 +30,6 @@ def option(
 
     Parameters
     ----------
-    name, what : str
     default
         A list lets the option have several values.
     said : str, optional

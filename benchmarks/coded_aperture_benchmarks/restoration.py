@@ -35,15 +35,6 @@ def deblurring_error(image: NDArray[np.floating], truth: NDArray[np.floating]) -
     ----------
     image, truth : ndarray of float, shape [rows, columns]
         At least two pixels each way; intensities, 0 to 1.
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    InputError
-        If the shapes differ, or are not those of grey pictures with a gradient.
     """
     _check_shapes(image, truth)
     if image.ndim != 2 or min(image.shape) < 2:
@@ -89,11 +80,6 @@ def picture_score(
         The pixels that count; all by default. The windows of structural similarity have 7 pixels a
         side: those within 3 pixels of the border are left out of it, and those of a part see a
         little of what is beyond it.
-
-    Raises
-    ------
-    InputError
-        If the shapes differ, the pictures are too small, or scikit-image is missing.
     """
     _check_shapes(image, truth)
     if min(image.shape[:2]) < _SSIM_WINDOW_PX:
@@ -135,11 +121,6 @@ def residual_rms(
         ``f`` and ``g``.
     psf : ndarray of float, shape [k, k]
         ``h``, odd. Only pixels whose whole PSF lies within the picture count.
-
-    Raises
-    ------
-    InputError
-        If the shapes differ, or the picture is smaller than the PSF.
     """
     _check_shapes(sharp, coded)
     reach = len(psf) // 2

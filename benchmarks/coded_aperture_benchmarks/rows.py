@@ -37,7 +37,6 @@ def columns(rows: Iterable[Row], described: Mapping[str, Any]) -> str:
 
     Parameters
     ----------
-    rows : iterable of dict
     described : mapping of str to str or callable
         For each column's title a format such as ``"{seconds:.1f} s"``, or a function of the row.
     """
@@ -58,12 +57,10 @@ def tables(
     ----------
     heading : str
         What the numbers are.
-    rows : iterable of dict
     names : sequence of str
         What rows of one group have in common.
     title : str
         Format of a group's title, from its first row.
-    of_group : callable
     """
     groups = grouped(rows, *names).values()
     parts = [f"{title.format_map(group[0])}\n{of_group(group)}" for group in groups]

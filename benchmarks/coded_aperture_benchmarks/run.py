@@ -65,11 +65,6 @@ def run(suite: Suite, args: argparse.Namespace) -> int:
 
     Of the options, `jobs` says how many processes share the work (1 without it), `output` names
     a folder for JSON and figures, and `json` asks for JSON instead of tables.
-
-    Raises
-    ------
-    InputError
-        If something cannot be measured, or the results cannot be written.
     """
     cells = suite.cells(args)
     folder = _output_folder(args)
@@ -129,11 +124,6 @@ def measure_cells(
         What it is called with, one at a time.
     jobs : int
         Number of processes; with 1 all happens in this one.
-
-    Raises
-    ------
-    InputError
-        As `measure` does, or if a process ended by itself.
     """
     jobs = min(jobs, len(cells))
     if jobs <= 1:

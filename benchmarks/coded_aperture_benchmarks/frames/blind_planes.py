@@ -33,7 +33,6 @@ class BlindPlanes:
         With noise, in 256 steps, as a camera's pictures are.
     sharp : ndarray, float32 [planes, rows, columns]
     blur_sizes_px : ndarray, float64 [planes]
-    mask : Mask
     """
 
     coded: NDArray[np.float32]
@@ -54,8 +53,6 @@ def make_blind_planes(
 
     Parameters
     ----------
-    mask : Mask
-    textures : Textures
     sigma : float, optional
         Noise (standard deviation) behind an open aperture; divided by the mask's open fraction.
     seed : int, optional
@@ -64,11 +61,6 @@ def make_blind_planes(
         How many, equally spaced in blur size.
     shape : (int, int), optional
         Rows and columns of the pictures.
-
-    Raises
-    ------
-    InputError
-        If the noise is negative, there are fewer than two planes, or no picture is large enough.
     """
     check_frame_options(sigma, min(shape), "plane")
     if planes < 2:
@@ -143,8 +135,6 @@ def deblurring_loss(
 
     Parameters
     ----------
-    planes : BlindPlanes
-    found : Mask
     blur_sizes_px : ndarray, float64 [planes]
         As found.
     method : str, optional

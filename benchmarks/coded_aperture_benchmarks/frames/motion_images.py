@@ -89,7 +89,6 @@ def identify_motions(
 
     Parameters
     ----------
-    mask : Mask
     textures : Textures
         Random texture is the same in all images, as in the thesis; else each has its own crop.
     sigma : float

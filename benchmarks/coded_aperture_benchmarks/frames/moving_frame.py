@@ -110,16 +110,10 @@ def render_moving_frame(
         Of what stands still; see `render_coded_frame`.
     objects : sequence of MovingObject
         Later ones are in front of earlier ones.
-    camera : Camera
     layer_spacing_px, aperture_blocks
         See `render_coded_frame`.
     progress : callable, optional
         Wraps the iteration over instants.
-
-    Raises
-    ------
-    InputError
-        If an object's size is not that of the scene, and as `render_coded_frame`.
     """
     for each in objects:
         if each.image.shape != image.shape:

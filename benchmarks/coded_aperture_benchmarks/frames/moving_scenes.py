@@ -57,9 +57,7 @@ class MovingScene:
 
     Attributes
     ----------
-    name : str
     coded : ndarray, float32 [rows, columns]
-    truth : MovingFrame
     on_object, on_scene : ndarray of bool [rows, columns]
         Which pixels are scored as the one and as the other.
     """
@@ -78,7 +76,6 @@ def make_moving_scenes(
 
     Parameters
     ----------
-    mask : Mask
     sigma : float
         Noise behind an open aperture; divided by the mask's open fraction.
     seed : int, optional
@@ -158,9 +155,6 @@ def deblurred(
     config : DeblurConfig
         With method `cg` or `sparse`, and without occlusion, so that only the motion differs.
         Where the depth is true, its edges are exact.
-    stack : PsfStack
-    camera : Camera
-    scene : MovingScene
     alone, together : DepthEstimate
         Estimated by defocus alone, and by defocus and motion.
 

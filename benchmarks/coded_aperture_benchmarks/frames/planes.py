@@ -58,19 +58,12 @@ def make_planes(
 
     Parameters
     ----------
-    mask : Mask
-    textures : Textures
     sigma : float, optional
         Noise (standard deviation) behind an open aperture; divided by the mask's open fraction.
     seed : int, optional
         The same seed gives the same crops for every mask.
     levels, side_px : int, optional
         Number of planes, and their side.
-
-    Raises
-    ------
-    InputError
-        If the noise is negative, the side below one pixel, or no picture is large enough.
     """
     check_frame_options(sigma, side_px, "plane")
     stack = blur_stack(mask, levels)

@@ -30,23 +30,15 @@ def patches_of_columns(
 
     Parameters
     ----------
-    textures : Textures
-    count : int
     side_px : int
         Side of the patches; see `coded_aperture_ros.mask_design.pictures.patch_side_px`.
     step_px : int
         Rows of a crop.
-    seed : int, optional
 
     Returns
     -------
     ndarray, float32 [count, side_px, side_px]
         The middle of a patch lies anywhere in a crop, from its first to its last row.
-
-    Raises
-    ------
-    InputError
-        If no picture is large enough.
     """
     random = np.random.default_rng(seed)
     # So many that a patch fits in wherever in the first whole step it begins.

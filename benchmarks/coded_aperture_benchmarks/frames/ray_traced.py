@@ -33,7 +33,6 @@ class RayTracedScene:
     coded, sharp : ndarray, float32 [rows, columns, 3]
         Linear light: as the coded camera sees it, and all in focus. Without sensor noise.
     depth_m : ndarray, float32 [rows, columns]
-    camera : Camera
     """
 
     coded: NDArray[np.float32]
@@ -43,13 +42,7 @@ class RayTracedScene:
 
     @classmethod
     def load(cls, folder: Path, mask_name: str) -> "RayTracedScene":
-        """Read a scene folder: `meta.json`, `aif_linear.png`, `depth_0.1mm.png`, coded pictures.
-
-        Raises
-        ------
-        InputError
-            Naming what is missing.
-        """
+        """Read a scene folder: `meta.json`, `aif_linear.png`, `depth_0.1mm.png`, coded pictures."""
         sharp, depth_m = load_sharp(folder)
         return cls(
             coded=read_image(folder / f"coded_{mask_name}_linear.png") * _FULL_SCALE,
@@ -64,11 +57,6 @@ class RayTracedScene:
 
         A video's folder has `meta.json` with the number of `frames`, and `aif_NNN.png`,
         `depth_NNN.png` and coded pictures.
-
-        Raises
-        ------
-        InputError
-            Naming what is missing.
         """
         camera = scene_camera(folder, mask_name)  # first: it checks what the folder says
         frames = _meta(folder).get("frames")
@@ -118,11 +106,6 @@ def load_sharp(folder: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     sharp : ndarray, float32 [rows, columns, 3]
         Linear light.
     depth_m : ndarray, float32 [rows, columns]
-
-    Raises
-    ------
-    InputError
-        Naming what is missing.
     """
     return (
         read_image(folder / "aif_linear.png") * _FULL_SCALE,
@@ -131,13 +114,7 @@ def load_sharp(folder: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
 
 
 def scene_camera(folder: Path, mask_name: str) -> Camera:
-    """Read from a scene's folder the camera that it was rendered with.
-
-    Raises
-    ------
-    InputError
-        Naming the folder or file, if it describes no camera or was not rendered with the mask.
-    """
+    """Read from a scene's folder the camera that it was rendered with."""
     meta = _meta(folder)
     try:
         rows = meta["masks"].get(mask_name)

@@ -59,14 +59,12 @@ def focused_between(
 
     Parameters
     ----------
-    mask : Mask
     near_m, far_m : float
         Ends of the range.
     size : (int, int)
         Rows and columns of the image.
     reach_px : float, optional
         Blur size at both ends.
-    focal_length_px : float, optional
     """
     focus_m = 2 / (1 / near_m + 1 / far_m)
     extent_mm = 1e3 * reach_px / (focal_length_px * (1 / focus_m - 1 / far_m))
@@ -91,18 +89,11 @@ def make_planes_on_both_sides(
 
     Parameters
     ----------
-    camera : Camera
-    textures : Textures
     sizes_px : ndarray of float
     sigma : float
         Noise behind an open aperture; divided by the mask's open fraction.
     seed : int, optional
         The same seed gives the same crops for every mask.
-
-    Raises
-    ------
-    InputError
-        If the noise is negative or no picture is large enough.
     """
     check_frame_options(sigma, 1, "plane")
     rows, columns = camera.image_height, camera.image_width
@@ -145,7 +136,6 @@ class SideEstimators:
         Depth range, with the focus within it.
     levels : int
         Of both sides; each side by itself has half of them.
-    config : DepthConfig
     progress : callable, optional
         Wraps the iteration over levels, as ``tqdm.tqdm`` does.
     """
@@ -246,7 +236,6 @@ class SideScore:
 
         Parameters
         ----------
-        estimates : list of SideEstimates
         step_px : float
             Blur size from level to level.
         threshold : float

@@ -59,13 +59,7 @@ def noise_behind(mask: Mask, sigma: float) -> float:
 
 
 def check_frame_options(sigma: float, side_px: int, part: str) -> None:
-    """Check the noise, and the side of a part (such as a step) of what is made.
-
-    Raises
-    ------
-    InputError
-        If the noise is negative or the side below one pixel.
-    """
+    """Check the noise, and the side of a part (such as a step) of what is made."""
     if not (sigma >= 0 and np.isfinite(sigma)):
         raise InputError(f"noise: expected 0 or more, got {sigma}")
     if side_px < 1:
@@ -104,7 +98,6 @@ def make_stair(
 
     Parameters
     ----------
-    mask : Mask
     textures : Textures
         Every step shows another crop.
     sigma : float, optional
@@ -113,11 +106,6 @@ def make_stair(
         The same seed gives the same crops, and the same noise up to its strength, for every mask.
     levels, side_px : int, optional
         Number of steps, and their side.
-
-    Raises
-    ------
-    InputError
-        If the noise is negative, the side below one pixel, or no picture is large enough.
     """
     check_frame_options(sigma, side_px, "step")
     stack = blur_stack(mask, levels)
@@ -179,11 +167,6 @@ def level_error(
     levels : int
         Number of levels that there are.
     confidence : ndarray of float, shape [rows, columns], optional
-
-    Raises
-    ------
-    InputError
-        If the shapes differ.
     """
     for other in (true_level, level if confidence is None else confidence):
         if other.shape != level.shape:
@@ -211,7 +194,6 @@ def spread_per_step(
     ----------
     level : ndarray of float, shape [levels * side, side]
         Estimated on a stair.
-    levels : int
 
     Returns
     -------

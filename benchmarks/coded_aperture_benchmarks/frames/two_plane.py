@@ -71,7 +71,6 @@ def composite(
 
     Parameters
     ----------
-    mask : Mask
     front, opacity, back : ndarray of float, shape [rows, columns]
         Sharp pictures of the planes, and where the front is: 1 opaque, 0 nothing there.
     front_blur_px, back_blur_px : float
@@ -81,11 +80,6 @@ def composite(
     -------
     ndarray, float32 [rows - 2 r, columns - 2 r]
         Without the border of `reach_px` in which something outside of the pictures would count.
-
-    Raises
-    ------
-    InputError
-        If shapes differ, or the pictures are not larger than the blur.
     """
     if not front.shape == opacity.shape == back.shape:
         raise InputError(
@@ -167,7 +161,6 @@ def make_two_planes(
 
     Parameters
     ----------
-    mask : Mask
     textures : Textures
         Both planes show crops of it.
     front_blur_px, back_blur_px : float
@@ -181,12 +174,6 @@ def make_two_planes(
         Of the stack.
     shape : (int, int), optional
         Rows and columns of the frame.
-
-    Raises
-    ------
-    InputError
-        If a blur size is outside the stack's, the noise is negative, or no picture is large
-        enough.
     """
     for size in (front_blur_px, back_blur_px):
         if not SMALLEST_BLUR_PX <= size <= LARGEST_BLUR_PX:
@@ -237,12 +224,6 @@ def two_plane_error(level: NDArray[np.floating], truth: TwoPlanes) -> TwoPlaneEr
     Parameters
     ----------
     level : ndarray of float, shape [rows, columns]
-    truth : TwoPlanes
-
-    Raises
-    ------
-    InputError
-        If the shapes differ.
     """
     levels = len(truth.stack)
     everywhere = level_error(level, truth.level, levels).mean

@@ -51,7 +51,6 @@ class CodedVideo:
         Linear light, without noise.
     depth_m : ndarray, float32 [frames, rows, columns]
         True depth; NaN where unknown.
-    camera : Camera
     moving : ndarray, bool [frames, rows, columns], or None
         The pixels that show a moving object; None where the camera itself moves.
     """
@@ -115,13 +114,7 @@ def _band(moving: NDArray[np.bool_], reach_px: float) -> NDArray[np.bool_]:
 
 
 def check_video(folder: Path) -> None:
-    """Check that a folder looks like one that `load_video` reads.
-
-    Raises
-    ------
-    InputError
-        Naming the folder.
-    """
+    """Check that a folder looks like one that `load_video` reads."""
     _loader(folder)
 
 
@@ -139,11 +132,6 @@ def load_video(folder: Path, frames: int, mask_name: str = "levin") -> CodedVide
         At most so many.
     mask_name : str, optional
         One that the video was rendered with, or is simulated with.
-
-    Raises
-    ------
-    InputError
-        Naming the folder or file, if it is no such video.
     """
     return _loader(folder)(folder, frames, mask_name)
 
@@ -261,7 +249,6 @@ class Flicker:
     ----------
     median, mean : float
         Over the points; NaN without any.
-    points : int
     """
 
     median: float
@@ -305,14 +292,8 @@ def score_video(
     ----------
     depth_m : ndarray of float, shape [frames, rows, columns]
         Metres; what is not finite is unknown.
-    video : CodedVideo
     warm_up : int, optional
         The first so many frames are left out, in which a filter has seen little of the past.
-
-    Raises
-    ------
-    InputError
-        If the shapes differ, or fewer than two frames are left.
     """
     if depth_m.shape != video.depth_m.shape:
         raise InputError(

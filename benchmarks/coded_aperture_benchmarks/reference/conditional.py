@@ -27,7 +27,6 @@ def conditional_levels(
     Parameters
     ----------
     grey : ndarray, float32 [rows, columns]
-    holes : Holes
     blur_sizes_px : ndarray, float64 [L]
     window_px : int
         Side of the square of the statistics.
@@ -35,11 +34,6 @@ def conditional_levels(
     Returns
     -------
     ndarray, intp [rows, columns]
-
-    Raises
-    ------
-    InputError
-        If the frame is not grey, or smaller than the window.
     """
     if grey.ndim != 2 or min(grey.shape) < window_px:
         raise InputError(

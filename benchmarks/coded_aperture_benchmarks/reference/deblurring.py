@@ -191,7 +191,6 @@ def deblur_by_planes(
         Intensities, 0 to 1. Beyond the border the last pixel goes on.
     level : ndarray of integer, shape [rows, columns]
         Index into the stack.
-    stack : PsfStack
     strength : float
         What it is depends on the method; see `PlaneMethod.parameter`.
 
@@ -199,12 +198,6 @@ def deblur_by_planes(
     -------
     ndarray of float32, like `coded`
         In [0, 1].
-
-    Raises
-    ------
-    InputError
-        If the method is unknown, the level of a pixel is not in the stack, the shapes differ, or
-        scikit-image is needed and missing.
     """
     plane_method = _method(method)
     if level.shape != coded.shape[:2]:

@@ -308,11 +308,6 @@ def deconvolve(
     Returns
     -------
     ndarray of float32, shape [h, w]
-
-    Raises
-    ------
-    InputError
-        If the method is unknown.
     """
     check_method(method)
     periodic = PeriodicPicture.of(picture, len(psf))

@@ -48,11 +48,6 @@ class HypothesisPlanes:
         > 0, ones by default.
     window_px : int
         Side of the square that errors are averaged over; odd.
-
-    Raises
-    ------
-    InputError
-        If the method is unknown, or a value is impossible.
     """
 
     method: str
@@ -99,11 +94,6 @@ class HypothesisPlanes:
             Mean square difference, intensities squared. Only residuals at least half a PSF from
             the border count, which the world beyond the border has no part in; a pixel nearer to
             the border than half a window more has the error of the nearest window.
-
-        Raises
-        ------
-        InputError
-            If the picture is not grey, not finite or no larger than the PSFs.
         """
         picture = np.asarray(coded, dtype=np.float32)
         width = self.stack.psfs.shape[1]
@@ -154,11 +144,6 @@ class HypothesisPlanes:
             Level of each pixel; pixels with a negative one are left out.
         progress : callable, optional
             Wraps the iterable of the levels.
-
-        Raises
-        ------
-        InputError
-            If the shapes differ, a level is beyond the stack, or no pixel has one.
         """
         true = np.asarray(true_level)
         if true.shape != np.shape(coded):

@@ -130,7 +130,6 @@ class SubspaceLikelihood:
 
     Parameters
     ----------
-    bank : SubspaceBank
     grid : PatchGrid
         Where the patches lie.
     """
@@ -222,16 +221,6 @@ def learn_subspace_bank(
         Without them the patches' expectation under natural images is, a power law of slope 2.4.
     noise, mask
         See `LearnConfig` and `learn_bank`.
-
-    Returns
-    -------
-    SubspaceBank
-
-    Raises
-    ------
-    InputError
-        If there are fewer than two levels, a PSF or the rank does not fit the patch, the basis
-        is not known, or a picture is smaller than a patch.
     """
     size = patch_px**2
     check_levels(len(stack))

@@ -38,10 +38,6 @@ class StairAccuracy:
 
     The reference has filters as they are, all frequencies and a patch every 4 px. There are 39
     levels, whatever the frames are timed with.
-
-    Parameters
-    ----------
-    setting : Setting
     """
 
     def __init__(self, setting: Setting) -> None:

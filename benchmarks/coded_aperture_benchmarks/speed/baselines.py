@@ -33,7 +33,6 @@ class ThesisFilters:
 
     Parameters
     ----------
-    setting : Setting
     stack : PsfStack
         The levels.
     """
@@ -117,7 +116,6 @@ class NonLocalMeans:
 
     Parameters
     ----------
-    setting : Setting
     stack : PsfStack
         The levels.
     """

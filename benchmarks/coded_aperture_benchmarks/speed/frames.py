@@ -25,11 +25,8 @@ def moving_frames(
 
     Parameters
     ----------
-    stack : PsfStack
     shape : (int, int)
         Rows and columns.
-    count : int
-    seed : int
 
     Returns
     -------

@@ -42,7 +42,6 @@ class Roofline:
     ----------
     gflop, mb : float
         The work: 10^9 operations, 10^6 bytes.
-    bound_ms : float
     limited_by : str
         `compute` or `memory`.
     attained : float

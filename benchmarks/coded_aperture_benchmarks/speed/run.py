@@ -37,18 +37,7 @@ Work = Callable[[], None]
 
 
 class SpeedBenchmark:
-    """All measurements, as a list of short steps, and what came of them.
-
-    Parameters
-    ----------
-    setting : Setting
-    extent : Extent
-
-    Raises
-    ------
-    InputError
-        If the bank cannot be learned, or a frame is smaller than its window.
-    """
+    """All measurements, as a list of short steps, and what came of them."""
 
     def __init__(self, setting: Setting, extent: Extent) -> None:
         self.setting, self.extent = setting, extent

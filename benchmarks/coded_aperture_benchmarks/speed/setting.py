@@ -75,7 +75,6 @@ class Extent:
         For every measurement; the main one has five times as many.
     sizes : tuple of (int, int)
         Rows and columns.
-    levels, threads : tuple of int
     repeats : int
         Of the methods that are slower than this one.
     denoised : tuple of int

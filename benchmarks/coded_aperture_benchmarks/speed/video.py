@@ -27,9 +27,7 @@ class VideoRun:
 
     Parameters
     ----------
-    bank : FilterBank
     frames : sequence of ndarray, float32 [rows, columns]
-    setting : Setting
     changes
         Of the `DepthConfig`.
 

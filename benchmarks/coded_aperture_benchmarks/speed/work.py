@@ -32,7 +32,6 @@ class FrameWork:
     ----------
     pixels : int
         Of the frame.
-    flop_spectra, flop_hypotheses : float
     stage_bytes : mapping of str to float
         For every stage.
     """

@@ -6,23 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.frames.blind_planes import (
     deblurring_loss,
     make_blind_planes,
     mask_correlation,
-)
-from coded_aperture_benchmarks.options import (
-    IMAGES,
-    RESULTS,
-    Args,
-    check_masks,
-    frame_size,
-    header,
-    images_of,
-    masks,
-    number,
-    option,
-    seeds_of,
 )
 from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.run import Row, Suite
@@ -66,10 +54,10 @@ class Cell:
     output: str | None
 
 
-def _cells(args: Args) -> list[Cell]:
-    check_masks(args)
-    how = (args.sigma, args.planes, args.size, images_of(args), args.output)
-    return [Cell(mask, seed, *how) for mask in args.masks for seed in seeds_of(args)]
+def _cells(args: options.Args) -> list[Cell]:
+    options.check_masks(args)
+    how = (args.sigma, args.planes, args.size, options.images_of(args), args.output)
+    return [Cell(mask, seed, *how) for mask in args.masks for seed in options.seeds_of(args)]
 
 
 def measure(cell: Cell) -> Row:
@@ -99,10 +87,10 @@ def measure(cell: Cell) -> Row:
     return row
 
 
-def _results(args: Args, rows: list[Row], _: float) -> Row:
+def _results(args: options.Args, rows: list[Row], _: float) -> Row:
     size = [args.size[1], args.size[0]]
-    options = header(args, "planes", "sigma", size=size, images=args.images)
-    return {"benchmark": "blind", **options, "masks": rows}
+    how = options.header(args, "planes", "sigma", size=size, images=args.images)
+    return {"benchmark": "blind", **how, "masks": rows}
 
 
 def _text(results: Row) -> str:
@@ -131,14 +119,16 @@ SUITE = Suite(
     coded_aperture bench blind --images pictures --size 640x448 --output blind
 """,
     options=(
-        masks("levin", "zhou", "four_hole"),
-        option("--sigma", "noise behind an open aperture", 0.001, type=noise_level, metavar="S"),
-        number("--planes", 4, 8, "pictures for each mask"),
-        number("--seed", 0, 0, "of the first repeat"),
-        number("--repeats", 1, 1, "other crops, orders and noise"),
-        frame_size(384, 384),
-        IMAGES,
-        *RESULTS,
+        options.masks("levin", "zhou", "four_hole"),
+        options.option(
+            "--sigma", "noise behind an open aperture", 0.001, type=noise_level, metavar="S"
+        ),
+        options.number("--planes", 4, 8, "pictures for each mask"),
+        options.number("--seed", 0, 0, "of the first repeat"),
+        options.number("--repeats", 1, 1, "other crops, orders and noise"),
+        options.frame_size(384, 384),
+        options.IMAGES,
+        *options.RESULTS,
     ),
     cells=_cells,
     measure=measure,

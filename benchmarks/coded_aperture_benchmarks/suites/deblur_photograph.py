@@ -8,17 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from coded_aperture_benchmarks.deblurring import (
-    CODED,
-    METHOD_OPTIONS,
-    PRACTICE_SEED,
-    Picture,
-    Practice,
-    best_strengths,
-    chosen_methods,
-    deblur,
-    parameter_of,
-)
+from coded_aperture_benchmarks import deblurring
 from coded_aperture_benchmarks.options import RESULTS, Args, option
 from coded_aperture_benchmarks.pictures import as_rgb, enlarged, side_by_side
 from coded_aperture_benchmarks.reference.deblurring import deblur_by_planes
@@ -73,8 +63,8 @@ class Photograph:
         it is what explains the photograph better.
     """
 
-    image: Picture
-    psf: Picture
+    image: deblurring.Picture
+    psf: deblurring.Picture
     rotated: bool
 
 
@@ -83,24 +73,18 @@ class Measured:
     """The numbers of a method, for JSON, and the sharp picture [rows, columns]."""
 
     row: Row
-    sharp: Picture
+    sharp: deblurring.Picture
 
 
 def _cells(args: Args) -> list[Cell]:
-    methods = chosen_methods(args)
+    methods = deblurring.chosen_methods(args)
     photograph(args.folder)
-    return [Cell(args.folder, method, args.seed) for method in (CODED, *methods)]
+    return [Cell(args.folder, method, args.seed) for method in (deblurring.CODED, *methods)]
 
 
 @lru_cache(maxsize=1)
 def photograph(folder: Path) -> Photograph:
-    """Read the photograph and its PSF.
-
-    Raises
-    ------
-    InputError
-        Naming the file, and what is wrong with it.
-    """
+    """Read the photograph and its PSF."""
     path = folder / _FILE
     arrays = read_archive(path, "coded photograph", 1, foreign=True)
     for name in ("image", "psf"):
@@ -122,14 +106,14 @@ def photograph(folder: Path) -> Photograph:
     return Photograph(image, turned if rotated else psf, rotated)
 
 
-def _unexplained(image: Picture, psf: Picture) -> float:
+def _unexplained(image: deblurring.Picture, psf: deblurring.Picture) -> float:
     """Return what a plausible sharp picture leaves of the photograph."""
     level = np.zeros(image.shape, int)
     sharp = deblur_by_planes("levin", image, level, _stack(psf), _ORIENTATION_STRENGTH)
     return residual_rms(sharp, image, psf)
 
 
-def _stack(psf: Picture) -> PsfStack:
+def _stack(psf: deblurring.Picture) -> PsfStack:
     """Return the one level that there is. Its size is not known, and does not matter."""
     return PsfStack(np.zeros(1), psf[None], in_pixels=False)
 
@@ -139,10 +123,10 @@ def measure(cell: Cell) -> Measured:
     page = photograph(cell.folder)
     image, psf = page.image, page.psf
     strength, sharp, seconds = None, image, None
-    if cell.method != CODED:
+    if cell.method != deblurring.CODED:
         practice = partial(_practice, cell.folder, cell.seed)
-        strength = best_strengths(cell.method, practice, {"all": _mean_square})["all"]
-        done = deblur(cell.method, image, np.zeros(image.shape), _stack(psf), strength)
+        strength = deblurring.best_strengths(cell.method, practice, {"all": _mean_square})["all"]
+        done = deblurring.deblur(cell.method, image, np.zeros(image.shape), _stack(psf), strength)
         sharp, seconds = done.sharp, round(done.seconds, 3)
     noise, residual = noise_of(image), residual_rms(sharp, image, psf)
     row = {
@@ -150,7 +134,7 @@ def measure(cell: Cell) -> Measured:
         "residual_rms": round(residual, 6),
         "noise": round(noise, 6),
         "ratio": round(residual / noise, 3) if noise > 0 else None,
-        "parameter": parameter_of(cell.method),
+        "parameter": deblurring.parameter_of(cell.method),
         "strength": strength,
         "seconds": seconds,
     }
@@ -158,11 +142,11 @@ def measure(cell: Cell) -> Measured:
 
 
 @lru_cache(maxsize=1)
-def _practice(folder: Path, seed: int) -> Practice:
+def _practice(folder: Path, seed: int) -> deblurring.Practice:
     """Return another picture with the photograph's PSF, brightness, contrast and noise."""
     page = photograph(folder)
     image, psf = page.image, page.psf
-    random = np.random.default_rng([PRACTICE_SEED, seed])
+    random = np.random.default_rng([deblurring.PRACTICE_SEED, seed])
     reach = len(psf) // 2
     (crop,) = training_textures().crops(1, _PRACTICE_SIDE_PX, _PRACTICE_SIDE_PX, random)
     blurred = fftconvolve(crop, psf, mode="valid")
@@ -170,7 +154,7 @@ def _practice(folder: Path, seed: int) -> Practice:
     sharp = (crop[reach:-reach, reach:-reach] - mean) * scale + image.mean()
     coded = (blurred - mean) * scale + image.mean()
     coded += noise_of(image) * random.standard_normal(coded.shape)
-    return Practice(
+    return deblurring.Practice(
         coded=coded.astype(np.float32),
         sharp=sharp.astype(np.float32),
         level=np.zeros(coded.shape, int),
@@ -178,7 +162,7 @@ def _practice(folder: Path, seed: int) -> Practice:
     )
 
 
-def _mean_square(image: Picture, truth: Picture) -> float:
+def _mean_square(image: deblurring.Picture, truth: deblurring.Picture) -> float:
     return float(((image - truth) ** 2).mean())
 
 
@@ -211,7 +195,7 @@ def _draw(_: Args, measured: list[Measured], folder: Path) -> None:
     top, left = (max(side - _CROP_PX, 0) // 2 for side in measured[0].sharp.shape)
     crop = (slice(top, top + _CROP_PX), slice(left, left + _CROP_PX))
 
-    def shown(sharp: Picture) -> list[NDArray[np.uint8]]:
+    def shown(sharp: deblurring.Picture) -> list[NDArray[np.uint8]]:
         # Room above and below the coded picture's range, where sharp pictures go.
         values = 0.1 + 0.8 * (sharp - darkest) / (brightest - darkest)
         return [as_rgb(values, SRGB), enlarged(as_rgb(values[crop], SRGB), _ENLARGED)]
@@ -237,7 +221,7 @@ the PSF that was measured at the same distance, psf [k, k]
 """,
     options=(
         option("folder", f"with {_FILE}", type=Path, metavar="FOLDER"),
-        *METHOD_OPTIONS,
+        *deblurring.METHOD_OPTIONS,
         *RESULTS,
     ),
     cells=_cells,

@@ -11,34 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from coded_aperture_benchmarks.deblurring import (
-    CODED,
-    ESTIMATED,
-    METHOD_OPTIONS,
-    PRACTICE_SEED,
-    TRUE,
-    Picture,
-    Practice,
-    ahead,
-    ahead_text,
-    best_strengths,
-    chosen_methods,
-    compared_cells,
-    deblur,
-    nearest_level,
-    parameter_of,
-)
+from coded_aperture_benchmarks import deblurring, options
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, bank_for, scene_camera
-from coded_aperture_benchmarks.options import (
-    RESULTS,
-    SCENE_MASKS,
-    Args,
-    added_noise,
-    check_names,
-    folders,
-    header,
-    number,
-)
 from coded_aperture_benchmarks.pictures import as_rgb, enlarged, of_width, side_by_side
 from coded_aperture_benchmarks.restoration import picture_score
 from coded_aperture_benchmarks.rows import columns, or_dash, tables
@@ -94,7 +68,6 @@ class Seen:
 
     Attributes
     ----------
-    scene : RayTracedScene
     coded : ndarray of float32, shape [rows, columns, 3]
         With noise.
     stack : PsfStack
@@ -106,9 +79,9 @@ class Seen:
     """
 
     scene: RayTracedScene
-    coded: Picture
+    coded: deblurring.Picture
     stack: PsfStack
-    blur_size_px: dict[str, Picture]
+    blur_size_px: dict[str, deblurring.Picture]
     parts: dict[str, NDArray[np.bool_]]
 
 
@@ -122,35 +95,40 @@ class Measured:
 
     view: View
     rows: list[Row]
-    sharp: dict[str, Picture]
+    sharp: dict[str, deblurring.Picture]
 
 
-def _cells(args: Args) -> list[Cell]:
-    methods = chosen_methods(args, scikit_image_for="structural similarity")
+def _cells(args: options.Args) -> list[Cell]:
+    methods = deblurring.chosen_methods(args, scikit_image_for="structural similarity")
     for folder, mask in itertools.product(args.folders, args.masks):
         scene_camera(folder, mask)
-    check_names(args.folders, "scene")
+    options.check_names(args.folders, "scene")
     return [
         Cell(View(folder, mask, args.noise, args.levels, args.seed), method)
         # Views vary slowest, so that a process estimates the depth of each of them once.
         for folder, mask in itertools.product(args.folders, args.masks)
-        for method in (CODED, *methods)
+        for method in (deblurring.CODED, *methods)
     ]
 
 
 def measure(cell: Cell) -> Measured:
     """Deblur one view with one method, by both depths."""
     seen = _seen(cell.view)
-    if cell.method == CODED:
+    if cell.method == deblurring.CODED:
         scores = {part: _score(seen.coded, seen, part, None) for part in _PARTS}
         return Measured(cell.view, [_row(cell, None, scores, None)], {})
     errors = {part: partial(_mean_square, part=where) for part, where in seen.parts.items()}
-    strengths = best_strengths(cell.method, partial(_practice, cell.view), errors)
+    strengths = deblurring.best_strengths(cell.method, partial(_practice, cell.view), errors)
     rows, sharp = [], {}
     for depth, blur in seen.blur_size_px.items():
         done = {
-            strength: deblur(
-                cell.method, seen.coded, blur, seen.stack, strength, exact_depth=depth == TRUE
+            strength: deblurring.deblur(
+                cell.method,
+                seen.coded,
+                blur,
+                seen.stack,
+                strength,
+                exact_depth=depth == deblurring.TRUE,
             )
             for strength in dict.fromkeys(strengths.values())
         }
@@ -166,10 +144,15 @@ def measure(cell: Cell) -> Measured:
 
 def _row(cell: Cell, depth: str | None, scores: Row, seconds: float | None) -> Row:
     names = {"scene": cell.view.name, "mask": cell.view.mask, "method": cell.method, "depth": depth}
-    return {**names, **scores, "parameter": parameter_of(cell.method), "seconds": seconds}
+    return {
+        **names,
+        **scores,
+        "parameter": deblurring.parameter_of(cell.method),
+        "seconds": seconds,
+    }
 
 
-def _score(image: Picture, seen: Seen, part: str, strength: float | None) -> Row:
+def _score(image: deblurring.Picture, seen: Seen, part: str, strength: float | None) -> Row:
     score = picture_score(image, seen.scene.sharp, seen.parts[part])
     return {
         "psnr_db": round(score.psnr_db, 3),
@@ -190,8 +173,8 @@ def _seen(view: View) -> Seen:
     # Every pixel has a depth, so that nothing is gained by leaving pixels as they are.
     estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0.0), scene.camera)
     maps = {
-        TRUE: scene.camera.blur_size_px(scene.depth_m),
-        ESTIMATED: estimator.estimate(coded).blur_size_px,
+        deblurring.TRUE: scene.camera.blur_size_px(scene.depth_m),
+        deblurring.ESTIMATED: estimator.estimate(coded).blur_size_px,
     }
     return Seen(
         scene=scene,
@@ -207,7 +190,7 @@ def _seen(view: View) -> Seen:
     )
 
 
-def _without_gaps(blur_size_px: Picture) -> Picture:
+def _without_gaps(blur_size_px: deblurring.Picture) -> deblurring.Picture:
     """Return a map with the nearest known value where there is none."""
     unknown = ~np.isfinite(blur_size_px)
     if unknown.all():
@@ -219,13 +202,13 @@ def _without_gaps(blur_size_px: Picture) -> Picture:
 
 
 @lru_cache(maxsize=1)
-def _practice(view: View) -> Practice:
+def _practice(view: View) -> deblurring.Practice:
     """Return other pictures in front of the same camera, at the same depths."""
     seen = _seen(view)
     shape = seen.coded.shape[:2]
     down, across = (-(-side // _PATCH_PX) for side in shape)
     rows, width = -(-shape[0] // down), -(-shape[1] // across)
-    random = np.random.default_rng([PRACTICE_SEED, view.seed])
+    random = np.random.default_rng([deblurring.PRACTICE_SEED, view.seed])
     patches = training_textures().crops(down * across, rows, width, random)
     patchwork = patches.reshape(down, across, rows, width).swapaxes(1, 2)
     sharp = decode(patchwork.reshape(down * rows, -1)[: shape[0], : shape[1]], SRGB)
@@ -234,16 +217,18 @@ def _practice(view: View) -> Practice:
         sharp, seen.scene.depth_m, seen.scene.camera, aperture_blocks=_APERTURE_BLOCKS
     )
     coded += np.float32(view.noise) * random.standard_normal(coded.shape, dtype=np.float32)
-    level = nearest_level(seen.blur_size_px[TRUE], seen.stack)
-    return Practice(coded, sharp, level, seen.stack)
+    level = deblurring.nearest_level(seen.blur_size_px[deblurring.TRUE], seen.stack)
+    return deblurring.Practice(coded, sharp, level, seen.stack)
 
 
-def _mean_square(image: Picture, truth: Picture, part: NDArray[np.bool_]) -> float:
+def _mean_square(
+    image: deblurring.Picture, truth: deblurring.Picture, part: NDArray[np.bool_]
+) -> float:
     """Return that of a part of the pixels; 0 where the scene has no such part."""
     return float(((image - truth)[part] ** 2).mean()) if part.any() else 0.0
 
 
-def _results(args: Args, measured: list[Measured], seconds: float) -> Row:
+def _results(args: options.Args, measured: list[Measured], seconds: float) -> Row:
     rows = [
         row
         for view in dict.fromkeys(cell.view for cell in measured)
@@ -251,7 +236,7 @@ def _results(args: Args, measured: list[Measured], seconds: float) -> Row:
     ]
     return {
         "benchmark": "deblur scenes",
-        **header(args, "noise", "levels", "seed"),
+        **options.header(args, "noise", "levels", "seed"),
         "near_edge_px": _NEAR_EDGE_PX,
         "seconds": seconds,
         "cells": rows,
@@ -270,7 +255,7 @@ def _with_gains(measured: Sequence[Measured]) -> list[Row]:
 
 
 def _ahead(rows: Sequence[Row], part: str) -> list[Row]:
-    return ahead(rows, ("scene", "mask", "depth"), lambda row: -row[part]["psnr_db"])
+    return deblurring.ahead(rows, ("scene", "mask", "depth"), lambda row: -row[part]["psnr_db"])
 
 
 def _text(results: Row) -> str:
@@ -291,10 +276,10 @@ def _text(results: Row) -> str:
             lambda here: columns(here, described),
         )
     ]
-    cells = compared_cells(rows)
+    cells = deblurring.compared_cells(rows)
     if cells is not None:
         parts += [
-            f"{title}, by signal-to-noise ratio: {ahead_text(found[part], cells)}"
+            f"{title}, by signal-to-noise ratio: {deblurring.ahead_text(found[part], cells)}"
             for part, title in _PARTS.items()
         ]
     return "\n\n".join(parts)
@@ -305,7 +290,7 @@ def _score_text(row: Row, part: str) -> str:
     return form.format_map(row[part])
 
 
-def _draw(_: Args, measured: list[Measured], folder: Path) -> None:
+def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
     """Write a picture for every view and depth: the frames, and parts of them enlarged."""
     for view in dict.fromkeys(cell.view for cell in measured):
         seen = _seen(view)
@@ -321,7 +306,7 @@ def _draw(_: Args, measured: list[Measured], folder: Path) -> None:
             write_image(folder / f"{view.name}_{view.mask}_{depth}.png", side_by_side(shown))
 
 
-def _shown(frame: Picture, crops: Sequence[Place]) -> list[NDArray[np.uint8]]:
+def _shown(frame: deblurring.Picture, crops: Sequence[Place]) -> list[NDArray[np.uint8]]:
     """Return the whole frame, and its crops enlarged to the same width."""
     whole = of_width(as_rgb(frame, SRGB), _ENLARGED * _CROP_PX)
     return [whole, *(enlarged(as_rgb(frame[crop], SRGB), _ENLARGED) for crop in crops)]
@@ -360,12 +345,12 @@ a scene's folder has:
   or, for a video, whose first frame is used, depth_NNN.png, aif_NNN.png, coded_MASK_NNN.png
 """,
     options=(
-        folders("a scene"),
-        SCENE_MASKS,
-        added_noise(0.002),
-        number("--levels", 2, 30, "blur levels of the bank"),
-        *METHOD_OPTIONS,
-        *RESULTS,
+        options.folders("a scene"),
+        options.SCENE_MASKS,
+        options.added_noise(0.002),
+        options.number("--levels", 2, 30, "blur levels of the bank"),
+        *deblurring.METHOD_OPTIONS,
+        *options.RESULTS,
     ),
     cells=_cells,
     measure=measure,

@@ -6,17 +6,8 @@ import time
 
 import numpy as np
 
+from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.deblurring import own_methods
-from coded_aperture_benchmarks.options import (
-    JSON,
-    THREADS,
-    Args,
-    check_known,
-    frame_size,
-    header,
-    number,
-    option,
-)
 from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.speed.frames import moving_frames
@@ -50,8 +41,8 @@ class Cell:
     count: int
 
 
-def _cells(args: Args) -> list[Cell]:
-    check_known(args, "methods", args.methods, own_methods())
+def _cells(args: options.Args) -> list[Cell]:
+    options.check_known(args, "methods", args.methods, own_methods())
     check_backend(args.backend)
     return [
         Cell(
@@ -92,9 +83,9 @@ def measure(cell: Cell) -> Row:
     }
 
 
-def _results(args: Args, rows: list[Row], _: float) -> Row:
-    options = header(args, "threads", "backend")
-    return {"benchmark": "deblur speed", "size": list(args.size), **options, "cells": rows}
+def _results(args: options.Args, rows: list[Row], _: float) -> Row:
+    how = options.header(args, "threads", "backend")
+    return {"benchmark": "deblur speed", "size": list(args.size), **how, "cells": rows}
 
 
 def _text(results: Row) -> str:
@@ -115,22 +106,22 @@ SUITE = Suite(
     coded_aperture bench deblur speed --methods fast --size 1280x720 --threads 1
 """,
     options=(
-        option("--methods", "as of the command deblur", _METHODS, metavar="METHOD"),
-        frame_size(480, 640),
-        THREADS,
-        number(
+        options.option("--methods", "as of the command deblur", _METHODS, metavar="METHOD"),
+        options.frame_size(480, 640),
+        options.THREADS,
+        options.number(
             "--count",
             1,
             None,
             f"frames to measure (default: {_FRAMES['fast']} for fast, {_FRAMES['cg']} for others)",
         ),
-        option(
+        options.option(
             "--backend",
             "what cg computes with: numpy, torch, cuda or auto",
             "numpy",
             metavar="NAME",
         ),
-        JSON,
+        options.JSON,
     ),
     cells=_cells,
     measure=measure,

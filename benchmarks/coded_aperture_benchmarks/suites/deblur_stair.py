@@ -8,22 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.deblurring import (
-    CODED,
-    ESTIMATED,
-    METHOD_OPTIONS,
-    PRACTICE_SEED,
-    TRUE,
-    Practice,
-    ahead,
-    ahead_text,
-    best_strengths,
-    chosen_methods,
-    compared_cells,
-    deblur,
-    own_methods,
-    parameter_of,
-)
+from coded_aperture_benchmarks import deblurring, options
 from coded_aperture_benchmarks.frames.stair import (
     LEVELS,
     SIDE_PX,
@@ -33,25 +18,6 @@ from coded_aperture_benchmarks.frames.stair import (
     with_middle,
 )
 from coded_aperture_benchmarks.identification import BANK, MethodOnFrames, Setting
-from coded_aperture_benchmarks.options import (
-    PICTURES,
-    RESULTS,
-    STEP_SIDE,
-    TEXTURE_LIST,
-    Args,
-    blur_levels,
-    check_masks,
-    check_textures,
-    check_window,
-    header,
-    images_of,
-    masks,
-    number,
-    rank,
-    seeds_of,
-    sigmas,
-    window,
-)
 from coded_aperture_benchmarks.pictures import as_rgb, enlarged, side_by_side
 from coded_aperture_benchmarks.reference.thesis_tables import (
     IN_WORDS,
@@ -78,7 +44,7 @@ _IN_THESIS = {
     "richardson_lucy": "lucy_richardson",
     "wiener": "wiener",
     "levin": "levin",
-    **dict.fromkeys(own_methods(), OUR_METHOD),
+    **dict.fromkeys(deblurring.own_methods(), OUR_METHOD),
 }
 
 # A method and the depth that it was given; the frame itself has none.
@@ -100,14 +66,16 @@ class Cell(MethodOnFrames):
         mask = mask_of(setting.mask)
         return make_stair(mask, textures, setting.sigma, seed, setting.levels, self.side_px)
 
-    def practice(self) -> Practice:
+    def practice(self) -> deblurring.Practice:
         """Return a stair of pictures that are not scored, of the same mask and noise."""
         setting = self.setting
         textures = load_textures("random") if self.texture == "random" else training_textures()
         levels = min(setting.levels, _PRACTICE_LEVELS)
         mask = mask_of(setting.mask)
-        stair = make_stair(mask, textures, setting.sigma, PRACTICE_SEED, levels, self.side_px)
-        return Practice(stair.coded, stair.sharp, stair.level.astype(int), stair.stack)
+        stair = make_stair(
+            mask, textures, setting.sigma, deblurring.PRACTICE_SEED, levels, self.side_px
+        )
+        return deblurring.Practice(stair.coded, stair.sharp, stair.level.astype(int), stair.stack)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -127,19 +95,19 @@ class Measured:
     steps: dict[Key, Picture]
 
 
-def _cells(args: Args) -> list[Cell]:
-    methods = chosen_methods(args)
-    check_window(args)
-    check_masks(args)
-    check_textures(args, args.textures)
+def _cells(args: options.Args) -> list[Cell]:
+    methods = deblurring.chosen_methods(args)
+    options.check_window(args)
+    options.check_masks(args)
+    options.check_textures(args, args.textures)
     # The depth that is estimated is that of the benchmark of blur identification.
     how = DepthConfig().regularize
     return [
         Cell(
             BANK if how == "none" else f"{BANK}-{how}",
             Setting(mask, sigma, None, args.levels, args.window, args.rank),
-            images_of(args),
-            seeds_of(args),
+            options.images_of(args),
+            options.seeds_of(args),
             args.known_noise,
             texture,
             args.side,
@@ -156,7 +124,6 @@ class _Repeat:
 
     Attributes
     ----------
-    stair : Stair
     pictures : dict
         The picture [rows, columns] of every method and depth, and of the baselines.
     seconds : dict
@@ -174,14 +141,16 @@ class _Repeat:
 def measure(cell: Cell) -> Measured:
     """Deblur the stairs of one cell with every method, by both depths."""
     strengths = {
-        method: best_strengths(method, cell.practice, {"error": deblurring_error})["error"]
+        method: deblurring.best_strengths(method, cell.practice, {"error": deblurring_error})[
+            "error"
+        ]
         for method in cell.methods
     }
     repeats = [_repeat(cell, seed, strengths) for seed in cell.seeds]
     rows = [_row(cell, key, repeats, strengths) for key in repeats[0].pictures]
     first = repeats[0]
     shown = {key: picture for key, picture in first.pictures.items() if key[0] != _GREY}
-    shown[TRUE, None] = first.stair.sharp
+    shown[deblurring.TRUE, None] = first.stair.sharp
     levels = cell.setting.levels
     return Measured(rows, {key: _shown_steps(each, levels) for key, each in shown.items()})
 
@@ -191,15 +160,24 @@ def _repeat(cell: Cell, seed: int, strengths: dict[str, float | None]) -> _Repea
     estimated = with_middle(cell.identify(stair.coded, stair.noise).level, levels)
     noise = stair.noise if cell.known_noise else None
     pictures: dict[Key, Picture] = {
-        (CODED, None): stair.coded,
+        (deblurring.CODED, None): stair.coded,
         (_GREY, None): np.full_like(stair.sharp, stair.sharp.mean()),
     }
     seconds: dict[Key, float] = {}
-    levels_by: dict[str, NDArray[np.floating]] = {TRUE: stair.level, ESTIMATED: estimated}
+    levels_by: dict[str, NDArray[np.floating]] = {
+        deblurring.TRUE: stair.level,
+        deblurring.ESTIMATED: estimated,
+    }
     for method, (depth, level) in itertools.product(cell.methods, levels_by.items()):
         blur = np.interp(level, np.arange(levels), stair.stack.blur_sizes_px)
-        done = deblur(
-            method, stair.coded, blur, stair.stack, strengths[method], noise, depth == TRUE
+        done = deblurring.deblur(
+            method,
+            stair.coded,
+            blur,
+            stair.stack,
+            strengths[method],
+            noise,
+            depth == deblurring.TRUE,
         )
         pictures[method, depth], seconds[method, depth] = done.sharp, done.seconds
     mistaken = level_error(np.rint(estimated), stair.level, levels)
@@ -210,7 +188,7 @@ def _row(cell: Cell, key: Key, repeats: list[_Repeat], strengths: dict[str, floa
     method, depth = key
     pairs = [(repeat.pictures[key], repeat.stair.sharp) for repeat in repeats]
     rms = [np.sqrt(np.mean((image - truth) ** 2, dtype=np.float64)) for image, truth in pairs]
-    levels = [repeat.level_error if depth == ESTIMATED else 0.0 for repeat in repeats]
+    levels = [repeat.level_error if depth == deblurring.ESTIMATED else 0.0 for repeat in repeats]
     seconds = [repeat.seconds[key] for repeat in repeats if key in repeat.seconds]
     return {
         "texture": cell.texture,
@@ -223,7 +201,7 @@ def _row(cell: Cell, key: Key, repeats: list[_Repeat], strengths: dict[str, floa
         "rms": mean_of(rms, 5),
         "thesis_error": _thesis_error(cell, method),
         "level_error": None if depth is None else mean_of(levels, 3),
-        "parameter": parameter_of(method),
+        "parameter": deblurring.parameter_of(method),
         "strength": strengths.get(method),
         "seconds": mean_of(seconds, 3) if seconds else None,
     }
@@ -242,15 +220,15 @@ def _shown_steps(picture: Picture, levels: int) -> Picture:
     return steps[np.unique([round(share * (levels - 1)) for share in _SHOWN_STEPS])]
 
 
-def _results(args: Args, measured: list[Measured], seconds: float) -> Row:
+def _results(args: options.Args, measured: list[Measured], seconds: float) -> Row:
     rows = [row for cell in measured for row in cell.rows]
     return {
         "benchmark": "deblur stair",
-        **header(args, "textures", "images", "levels", "side", "window", "repeats", "seed"),
+        **options.header(args, "textures", "images", "levels", "side", "window", "repeats", "seed"),
         "known_noise": args.known_noise,
         "seconds": seconds,
         "cells": rows,
-        "references_ahead": ahead(
+        "references_ahead": deblurring.ahead(
             rows, ("texture", "mask", "sigma", "depth"), lambda row: row["error"]
         ),
     }
@@ -258,9 +236,9 @@ def _results(args: Args, measured: list[Measured], seconds: float) -> Row:
 
 def _text(results: Row) -> str:
     parts = [tables_of(results["cells"])]
-    cells = compared_cells(results["cells"])
+    cells = deblurring.compared_cells(results["cells"])
     if cells is not None:
-        parts.append(ahead_text(results["references_ahead"], cells))
+        parts.append(deblurring.ahead_text(results["references_ahead"], cells))
     return "\n\n".join(parts)
 
 
@@ -289,7 +267,7 @@ def _table(rows: list[Row]) -> str:
 
 
 def _method_text(method: str) -> str:
-    if method in (CODED, _GREY):
+    if method in (deblurring.CODED, _GREY):
         return method
     return f"{method} [thesis: {IN_WORDS[_IN_THESIS[method]]}]"
 
@@ -302,9 +280,9 @@ def _cell_text(rows: list[Row]) -> str:
     return f"{errors} [{'-' if thesis is None else f'{thesis:.2f}'}]"
 
 
-def _draw(_: Args, measured: list[Measured], folder: Path) -> None:
+def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
     """Write a picture for every cell and depth: steps of three blur sizes, method by method."""
-    for cell, depth in itertools.product(measured, (TRUE, ESTIMATED)):
+    for cell, depth in itertools.product(measured, (deblurring.TRUE, deblurring.ESTIMATED)):
         first = cell.rows[0]
         name = f"{first['texture']}_{Path(first['mask']).stem}_{first['sigma']:g}_{depth}"
         picture = side_by_side(list(_columns(cell, depth)))
@@ -314,7 +292,10 @@ def _draw(_: Args, measured: list[Measured], folder: Path) -> None:
 def _columns(cell: Measured, depth: str) -> Iterator[tuple[str, list[NDArray[np.uint8]]]]:
     """Yield for the frame, the truth and every method a title with the error, and its steps."""
     errors = {(row["method"], row["depth"]): row["error"] for row in cell.rows}
-    keys: list[tuple[str, Key]] = [(CODED, (CODED, None)), ("truth", (TRUE, None))]
+    keys: list[tuple[str, Key]] = [
+        (deblurring.CODED, (deblurring.CODED, None)),
+        ("truth", (deblurring.TRUE, None)),
+    ]
     keys += [(method, (method, by)) for method, by in cell.steps if by == depth]
     for title, key in keys:
         steps = [enlarged(as_rgb(step), _ENLARGED) for step in cell.steps[key]]
@@ -336,17 +317,19 @@ SUITE = Suite(
     coded_aperture bench deblur stair --levels 9 --side 64 --window 48 --methods fast levin
 """,
     options=(
-        TEXTURE_LIST,
-        masks("four_hole", "levin"),
-        sigmas((0.0, 0.001, 0.002, 0.005)),
-        *METHOD_OPTIONS,
-        number("--repeats", 1, 1, "stairs with other crops and noise to take the mean over"),
-        blur_levels(LEVELS),
-        STEP_SIDE,
-        window(96, "side of the patches that depth is estimated from"),
-        rank(400),
-        *PICTURES,
-        *RESULTS,
+        options.TEXTURE_LIST,
+        options.masks("four_hole", "levin"),
+        options.sigmas((0.0, 0.001, 0.002, 0.005)),
+        *deblurring.METHOD_OPTIONS,
+        options.number(
+            "--repeats", 1, 1, "stairs with other crops and noise to take the mean over"
+        ),
+        options.blur_levels(LEVELS),
+        options.STEP_SIDE,
+        options.window(96, "side of the patches that depth is estimated from"),
+        options.rank(400),
+        *options.PICTURES,
+        *options.RESULTS,
     ),
     cells=_cells,
     measure=measure,

@@ -10,21 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
+from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.frames.random_masks import patches_of_columns, random_masks
 from coded_aperture_benchmarks.frames.stair import LARGEST_BLUR_PX, SMALLEST_BLUR_PX
 from coded_aperture_benchmarks.identification import BANK, Setting
-from coded_aperture_benchmarks.options import (
-    IMAGES,
-    RESULTS,
-    Args,
-    blur_levels,
-    check_textures,
-    check_window,
-    header,
-    images_of,
-    number,
-    sigmas,
-)
+from coded_aperture_benchmarks.options import sigmas
 from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.suites import stair
@@ -51,13 +41,13 @@ class Cell:
     side_px: int
 
 
-def _cells(args: Args) -> list[Cell]:
-    check_window(args)
-    check_textures(args, ["natural"])
+def _cells(args: options.Args) -> list[Cell]:
+    options.check_window(args)
+    options.check_textures(args, ["natural"])
     MaskScorer(sigmas=args.sigmas)  # refuses what it cannot score
     setting = Setting("", 0.0, None, args.levels, args.window, args.rank)
     return [
-        Cell(mask, tuple(args.sigmas), setting, images_of(args), args.repeats, args.side)
+        Cell(mask, tuple(args.sigmas), setting, options.images_of(args), args.repeats, args.side)
         for mask in random_masks(args.count, args.seed)
     ]
 
@@ -80,14 +70,14 @@ def measure(cell: Cell) -> list[float]:
     return [part.row["mean_error"] for (part,) in parts]
 
 
-def _results(args: Args, errors: list[list[float]], _: float) -> Row:
+def _results(args: options.Args, errors: list[list[float]], _: float) -> Row:
     masks = random_masks(args.count, args.seed)
     scorer = MaskScorer(sigmas=args.sigmas)
     predicted = scorer.score(masks).depth_error
     with_pictures, measured = _with_pictures(args, masks), np.array(errors)
     return {
         "benchmark": "masks",
-        **header(args, "images", "windows"),
+        **options.header(args, "images", "windows"),
         "rank_correlation": _rank_correlation(args.sigmas, predicted, measured),
         "rank_correlation_pictures": _rank_correlation(args.sigmas, with_pictures, measured),
         "masks_per_second": round(_masks_per_second(scorer)),
@@ -105,12 +95,12 @@ def _results(args: Args, errors: list[list[float]], _: float) -> Row:
     }
 
 
-def _with_pictures(args: Args, masks: Sequence[Mask]) -> NDArray[np.float64]:
+def _with_pictures(args: options.Args, masks: Sequence[Mask]) -> NDArray[np.float64]:
     """Return depth errors predicted from columns of crops, as the stairs are [masks, noises]."""
     scene = SceneConfig(
         levels=args.levels, smallest_px=SMALLEST_BLUR_PX, largest_px=LARGEST_BLUR_PX
     )
-    textures = load_textures("natural", images_of(args))
+    textures = load_textures("natural", options.images_of(args))
     side = patch_side_px(scene, args.window)
     patches = patches_of_columns(textures, args.windows, side, args.side, _CROPS_SEED)
     scorer = PictureScorer(patches, scene, args.sigmas, window_px=args.window)
@@ -176,22 +166,22 @@ SUITE = Suite(
     coded_aperture bench masks --count 6 --levels 9 --side 48 --window 48 --rank 64
 """,
     options=(
-        number("--count", 3, 30, "random masks"),
-        number("--seed", 0, 0, "of the masks"),
-        number("--repeats", 1, 2, "stairs to take the mean over"),
-        blur_levels(39),
-        number("--side", 16, 125, "of a step, px"),
-        number("--window", 16, 96, "side of the bank's patches, px"),
-        number("--rank", 1, 400, "vectors in the bank's common basis"),
-        number(
+        options.number("--count", 3, 30, "random masks"),
+        options.number("--seed", 0, 0, "of the masks"),
+        options.number("--repeats", 1, 2, "stairs to take the mean over"),
+        options.blur_levels(39),
+        options.number("--side", 16, 125, "of a step, px"),
+        options.number("--window", 16, 96, "side of the bank's patches, px"),
+        options.number("--rank", 1, 400, "vectors in the bank's common basis"),
+        options.number(
             "--windows",
             1,
             768,
             "windows of pictures to predict from, cut from columns like a stair's",
         ),
         sigmas((0.001, 0.005), ", above 0"),
-        IMAGES,
-        *RESULTS,
+        options.IMAGES,
+        *options.RESULTS,
     ),
     cells=_cells,
     measure=measure,

@@ -3,18 +3,11 @@
 import dataclasses
 import itertools
 
+from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.frames.motion_images import (
     TABLE_7_1,
     identify_motions,
     table_masks,
-)
-from coded_aperture_benchmarks.options import (
-    RESULTS,
-    Args,
-    cases,
-    check_window,
-    number,
-    option,
 )
 from coded_aperture_benchmarks.rows import columns, tables
 from coded_aperture_benchmarks.run import Row, Suite
@@ -38,8 +31,8 @@ class Cell:
     seed: int
 
 
-def _cells(args: Args) -> list[Cell]:
-    check_window(args)
+def _cells(args: options.Args) -> list[Cell]:
+    options.check_window(args)
     return [
         Cell(mask, texture, sigma, args.window, args.exact, args.seed)
         for (texture, sigma), mask in itertools.product(args.cases, args.masks)
@@ -69,7 +62,7 @@ def measure(cell: Cell) -> Row:
     }
 
 
-def _results(_: Args, rows: list[Row], seconds: float) -> Row:
+def _results(_: options.Args, rows: list[Row], seconds: float) -> Row:
     return {"benchmark": "motion table", "cells": rows}
 
 
@@ -107,7 +100,7 @@ SUITE = Suite(
     coded_aperture bench motion table --masks disc C --cases random,0.0005 --exact
 """,
     options=(
-        option(
+        options.option(
             "--masks",
             f"some of {', '.join(_MASKS)}",
             list(_MASKS),
@@ -115,18 +108,18 @@ SUITE = Suite(
             choices=_MASKS,
             metavar="MASK",
         ),
-        cases(
+        options.cases(
             (("random", 0.0), ("random", 0.0005), ("natural", 0.0), ("natural", 0.0005)),
             "open third of the masks",
         ),
-        number("--window", 40, 48, "side of the windows, px"),
-        option(
+        options.number("--window", 40, 48, "side of the windows, px"),
+        options.option(
             "--exact",
             "no common basis: all motions under all textures (default: as frames are worked on)",
             action="store_true",
         ),
-        number("--seed", 0, 0, "of crops and noise"),
-        *RESULTS,
+        options.number("--seed", 0, 0, "of crops and noise"),
+        *options.RESULTS,
     ),
     cells=_cells,
     measure=measure,

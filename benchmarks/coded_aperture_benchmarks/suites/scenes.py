@@ -8,21 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, bank_for, scene_camera
 from coded_aperture_benchmarks.identification import regularizations
-from coded_aperture_benchmarks.options import (
-    NOISE_SEED,
-    REGULARIZE,
-    RESULTS,
-    SCENE_MASKS,
-    WINDOW_AS_LEARN,
-    Args,
-    added_noise,
-    check_known,
-    folders,
-    header,
-    number,
-)
 from coded_aperture_benchmarks.rows import columns, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.bank import FilterBank, LearnConfig
@@ -66,8 +54,8 @@ class Measured:
     reliability: Reliability
 
 
-def _cells(args: Args) -> list[Cell]:
-    check_known(args, "regularize", filter(None, args.regularize), regularizations())
+def _cells(args: options.Args) -> list[Cell]:
+    options.check_known(args, "regularize", filter(None, args.regularize), regularizations())
     configs = [DepthConfig(regularize=how) if how else DepthConfig() for how in args.regularize]
     return [
         Cell(folder, planes, mask, config, args.noise, args.levels, args.window, args.seed)
@@ -166,10 +154,10 @@ def _score(
     return score
 
 
-def _results(args: Args, measured: list[Measured], seconds: float) -> Row:
+def _results(args: options.Args, measured: list[Measured], seconds: float) -> Row:
     return {
         "benchmark": "scenes",
-        **header(args, "noise", "levels", "seed"),
+        **options.header(args, "noise", "levels", "seed"),
         "seconds": seconds,
         "cells": [cell.row for cell in measured],
     }
@@ -213,7 +201,7 @@ def _score_text(score: Row) -> str:
     return f"{error:.1f} / {share:.0f} / {coverage}"
 
 
-def _draw(_: Args, measured: list[Measured], folder: Path) -> None:
+def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
     curves = {", ".join(cell.row[name] for name in _NAMES): cell.reliability for cell in measured}
     title = f"depth right to {100 * _RIGHT_WITHIN:g} %"
     reliability_diagram(curves, folder / "reliability.png", title)
@@ -235,14 +223,14 @@ where a folder calib/ in it or beside it has pictures of planes from the same ca
 learned from these is measured too
 """,
     options=(
-        folders("a scene"),
-        SCENE_MASKS,
-        added_noise(0.002),
-        number("--levels", 2, 30, "blur levels of the bank"),
-        REGULARIZE,
-        WINDOW_AS_LEARN,
-        NOISE_SEED,
-        *RESULTS,
+        options.folders("a scene"),
+        options.SCENE_MASKS,
+        options.added_noise(0.002),
+        options.number("--levels", 2, 30, "blur levels of the bank"),
+        options.REGULARIZE,
+        options.WINDOW_AS_LEARN,
+        options.NOISE_SEED,
+        *options.RESULTS,
     ),
     cells=_cells,
     measure=measure,

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from coded_aperture_benchmarks import figures
+from coded_aperture_benchmarks import figures, options
 from coded_aperture_benchmarks.frames.ray_traced import RANGE_MARGIN, load_sharp
 from coded_aperture_benchmarks.frames.sides import (
     REACH_PX,
@@ -21,19 +21,6 @@ from coded_aperture_benchmarks.frames.sides import (
     plane_camera,
 )
 from coded_aperture_benchmarks.identification import regularizations
-from coded_aperture_benchmarks.options import (
-    IMAGES,
-    RESULTS,
-    Args,
-    check_known,
-    check_masks,
-    header,
-    images_of,
-    masks,
-    number,
-    option,
-    sigmas,
-)
 from coded_aperture_benchmarks.rows import mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import load_textures
@@ -79,12 +66,12 @@ class Measured:
     maps: dict[str, Any]
 
 
-def _cells(args: Args) -> list[Cell]:
-    check_masks(args)
-    check_known(args, "regularize", args.regularize, regularizations())
+def _cells(args: options.Args) -> list[Cell]:
+    options.check_masks(args)
+    options.check_known(args, "regularize", args.regularize, regularizations())
     counts = (args.levels, args.planes, args.repeats, args.seed)
     return [
-        Cell(mask, scene, sigma, how, *counts, images_of(args))
+        Cell(mask, scene, sigma, how, *counts, options.images_of(args))
         for scene, mask, sigma, how in itertools.product(
             args.scenes, args.masks, args.sigmas, args.regularize
         )
@@ -148,10 +135,10 @@ def _scene(cell: Cell, folder: Path, mask: Mask) -> tuple[SideFrame, Camera, flo
     return frame, camera, near_m * (1 - RANGE_MARGIN), far_m * (1 + RANGE_MARGIN)
 
 
-def _results(args: Args, measured: list[Measured], seconds: float) -> Row:
+def _results(args: options.Args, measured: list[Measured], seconds: float) -> Row:
     return {
         "benchmark": "sign",
-        **header(args, "levels", "seed"),
+        **options.header(args, "levels", "seed"),
         "seconds": seconds,
         "cells": [each.row for each in measured],
     }
@@ -181,7 +168,7 @@ def _text(results: Row) -> str:
     )
 
 
-def _draw(_: Args, measured: list[Measured], folder: Path) -> None:
+def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
     for each in measured:
         if each.maps:
             name = "_".join(str(each.row[key]) for key in ("scene", "mask", "sigma", "regularize"))
@@ -202,15 +189,15 @@ SUITE = Suite(
     coded_aperture bench sign --masks zhou three_wide --scenes desk/ corridor/ --output results/
 """,
     options=(
-        masks("zhou", "three_wide", "three_hole", "veeraraghavan", "disc", "levin"),
-        sigmas((0.001,)),
-        option("--regularize", "none, semiglobal, ...", ["semiglobal"], metavar="HOW"),
-        number("--levels", 3, 41, "blur levels, of both sides together"),
-        number("--planes", 2, 40, "blur sizes of planes, equally spaced from -20 to 20 px"),
-        number("--repeats", 1, 1, "planes of every blur size"),
-        number("--seed", 0, 0, "of crops and noise"),
-        IMAGES,
-        option(
+        options.masks("zhou", "three_wide", "three_hole", "veeraraghavan", "disc", "levin"),
+        options.sigmas((0.001,)),
+        options.option("--regularize", "none, semiglobal, ...", ["semiglobal"], metavar="HOW"),
+        options.number("--levels", 3, 41, "blur levels, of both sides together"),
+        options.number("--planes", 2, 40, "blur sizes of planes, equally spaced from -20 to 20 px"),
+        options.number("--repeats", 1, 1, "planes of every blur size"),
+        options.number("--seed", 0, 0, "of crops and noise"),
+        options.IMAGES,
+        options.option(
             "--scenes",
             "instead of planes: sharp picture and depth of ray-traced scenes (see bench accuracy "
             f"scenes), seen by a camera with blur of {_SCENE_REACH_PX:g} px at both ends of the "
@@ -220,7 +207,7 @@ SUITE = Suite(
             type=Path,
             metavar="FOLDER",
         ),
-        *RESULTS,
+        *options.RESULTS,
     ),
     cells=_cells,
     measure=measure,

@@ -6,33 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from coded_aperture_benchmarks import identification, options
 from coded_aperture_benchmarks.frames.planes import LEVELS, SIGMA, TABLE_5_1, make_planes
 from coded_aperture_benchmarks.frames.stair import level_error
-from coded_aperture_benchmarks.identification import (
-    BANK,
-    CONDITIONAL,
-    SIMPLE,
-    MethodOnFrames,
-    Setting,
-    is_simple,
-    method_names,
-)
-from coded_aperture_benchmarks.options import (
-    PICTURES,
-    RESULTS,
-    Args,
-    blur_levels,
-    cases,
-    check_known,
-    check_masks,
-    check_textures,
-    header,
-    images_of,
-    masks,
-    number,
-    option,
-    seeds_of,
-)
 from coded_aperture_benchmarks.reference import REFERENCE_METHODS
 from coded_aperture_benchmarks.rows import grouped, mean_of, place, tables, unique
 from coded_aperture_benchmarks.run import Row, Suite
@@ -41,20 +17,20 @@ from coded_aperture_ros.cli.options import mask_of, table
 from coded_aperture_ros.methods.two_pixel import find_holes
 
 _REFERENCES = "references"
-_METHODS = (SIMPLE, CONDITIONAL, BANK, _REFERENCES)
+_METHODS = (identification.SIMPLE, identification.CONDITIONAL, identification.BANK, _REFERENCES)
 
 
 @dataclasses.dataclass(frozen=True)
-class Cell(MethodOnFrames):
+class Cell(identification.MethodOnFrames):
     """One number of the table."""
 
     texture: str
     side_px: int
 
 
-def _cells(args: Args) -> list[Cell]:
-    known = (*method_names(), _REFERENCES)
-    check_known(args, "methods", args.methods, known)
+def _cells(args: options.Args) -> list[Cell]:
+    known = (*identification.method_names(), _REFERENCES)
+    options.check_known(args, "methods", args.methods, known)
     methods = list(
         dict.fromkeys(
             itertools.chain(
@@ -66,17 +42,20 @@ def _cells(args: Args) -> list[Cell]:
         args.usage_error(f"--window: expected a multiple of 8, got {args.window}")
     if args.side < args.window:
         args.usage_error(f"--side: {args.side} px are less than the window of {args.window} px")
-    check_masks(args)
-    if any(is_simple(method) or method == CONDITIONAL for method in methods):
+    options.check_masks(args)
+    if any(
+        identification.is_simple(method) or method == identification.CONDITIONAL
+        for method in methods
+    ):
         for mask in args.masks:
             find_holes(mask_of(mask))
-    check_textures(args, (texture for texture, _ in args.cases))
+    options.check_textures(args, (texture for texture, _ in args.cases))
     return [
         Cell(
             method,
-            Setting(mask, sigma, None, args.levels, args.window, args.rank),
-            images_of(args),
-            seeds_of(args),
+            identification.Setting(mask, sigma, None, args.levels, args.window, args.rank),
+            options.images_of(args),
+            options.seeds_of(args),
             args.known_noise,
             texture,
             args.side,
@@ -121,14 +100,16 @@ def _thesis_error(cell: Cell) -> float | None:
     setting = cell.setting
     if (cell.texture, setting.sigma, setting.levels) != ("random", SIGMA, LEVELS):
         return None
-    method = SIMPLE if is_simple(cell.method) else cell.method
+    method = identification.SIMPLE if identification.is_simple(cell.method) else cell.method
     return TABLE_5_1.get(method, {}).get(setting.mask)
 
 
-def _results(args: Args, rows: list[Row], seconds: float) -> Row:
+def _results(args: options.Args, rows: list[Row], seconds: float) -> Row:
     return {
         "benchmark": "simple",
-        **header(args, "images", "levels", "side", "window", "repeats", "seed", "known_noise"),
+        **options.header(
+            args, "images", "levels", "side", "window", "repeats", "seed", "known_noise"
+        ),
         "seconds": seconds,
         "cells": compared_with_bank(rows),
     }
@@ -137,7 +118,11 @@ def _results(args: Args, rows: list[Row], seconds: float) -> Row:
 def compared_with_bank(rows: Sequence[Row]) -> list[Row]:
     """Return the rows with their error over that of the bank, where that was measured."""
     names = ("mask", "texture", "sigma")
-    bank = {place(row, *names): row["mean_error"] for row in rows if row["method"] == BANK}
+    bank = {
+        place(row, *names): row["mean_error"]
+        for row in rows
+        if row["method"] == identification.BANK
+    }
 
     def ratio(row: Row) -> float | None:
         of_bank = bank.get(place(row, *names))
@@ -191,23 +176,25 @@ SUITE = Suite(
         --methods simple-graphcut bank-graphcut
 """,
     options=(
-        masks("two_hole", "three_hole", "four_hole"),
-        cases((("random", 0.0001), ("natural", 0.001)), "open fraction of the mask's square"),
-        option(
+        options.masks("two_hole", "three_hole", "four_hole"),
+        options.cases(
+            (("random", 0.0001), ("natural", 0.001)), "open fraction of the mask's square"
+        ),
+        options.option(
             "--methods",
             "simple, simple-tv and so on, conditional (the thesis' data term), bank and others as "
             f"of the frames stair, or {_REFERENCES}: all reference methods",
             list(_METHODS),
             metavar="METHOD",
         ),
-        blur_levels(33),
-        number("--window", 16, 96, "side of the windows, a multiple of 8, px"),
-        number("--rank", 1, 400, "vectors in the bank's common basis"),
-        number("--side", 64, 160, "side of a plane, px; its inner quarter is scored"),
-        number("--repeats", 1, 1, "planes of every level, with other crops and noise"),
-        number("--seed", 0, 0, "of the first repeat"),
-        *PICTURES,
-        *RESULTS,
+        options.blur_levels(33),
+        options.number("--window", 16, 96, "side of the windows, a multiple of 8, px"),
+        options.number("--rank", 1, 400, "vectors in the bank's common basis"),
+        options.number("--side", 64, 160, "side of a plane, px; its inner quarter is scored"),
+        options.number("--repeats", 1, 1, "planes of every level, with other crops and noise"),
+        options.number("--seed", 0, 0, "of the first repeat"),
+        *options.PICTURES,
+        *options.RESULTS,
     ),
     cells=_cells,
     measure=measure,

@@ -5,16 +5,8 @@ import time
 
 import numpy as np
 
+from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.frames.stair import blur_stack
-from coded_aperture_benchmarks.options import (
-    JSON,
-    OUTPUT,
-    Args,
-    frame_size,
-    header,
-    number,
-    option,
-)
 from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.speed.frames import moving_frames
@@ -57,7 +49,7 @@ class Cell:
     frames: int
 
 
-def _cells(args: Args) -> list[Cell]:
+def _cells(args: options.Args) -> list[Cell]:
     mask = mask_of(args.mask)
     find_holes(mask)
     SimpleConfig(window_px=args.window)
@@ -120,11 +112,11 @@ def measure(cell: Cell) -> Row:
     }
 
 
-def _results(args: Args, rows: list[Row], seconds: float) -> Row:
+def _results(args: options.Args, rows: list[Row], seconds: float) -> Row:
     return {
         "benchmark": "simple-speed",
         "size": [args.size[1], args.size[0]],
-        **header(args, "mask", "levels", "window"),
+        **options.header(args, "mask", "levels", "window"),
         "stride_px": args.stride,
         "threads": args.threads,
         "frames_measured": args.frames,
@@ -166,20 +158,20 @@ SUITE = Suite(
     coded_aperture bench simple-speed --mask four_hole --stride 16
 """,
     options=(
-        frame_size(480, 640),
-        option("--mask", "name or file", "two_hole", metavar="MASK"),
-        number("--levels", 2, 33, "blur levels, from 7 to 30 px"),
-        number("--window", 32, 48, "side of the windows, a multiple of 8, px"),
-        number("--stride", 1, 8, "distance between the windows, px"),
-        number("--threads", 1, processors(), "threads of the processor"),
-        number("--frames", 1, 20, "frames for every measurement"),
-        option(
+        options.frame_size(480, 640),
+        options.option("--mask", "name or file", "two_hole", metavar="MASK"),
+        options.number("--levels", 2, 33, "blur levels, from 7 to 30 px"),
+        options.number("--window", 32, 48, "side of the windows, a multiple of 8, px"),
+        options.number("--stride", 1, 8, "distance between the windows, px"),
+        options.number("--threads", 1, processors(), "threads of the processor"),
+        options.number("--frames", 1, 20, "frames for every measurement"),
+        options.option(
             "--full-size",
             "maps as large as the frame (default: within 320x240, as the node publishes)",
             action="store_true",
         ),
-        JSON,
-        OUTPUT,
+        options.JSON,
+        options.OUTPUT,
     ),
     cells=_cells,
     measure=measure,

@@ -5,16 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_benchmarks import figures
-from coded_aperture_benchmarks.options import (
-    JSON,
-    THREADS,
-    Args,
-    check_window,
-    frame_size,
-    number,
-    option,
-)
+from coded_aperture_benchmarks import figures, options
 from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.run import RESULTS, Row, Suite
 from coded_aperture_benchmarks.speed import (
@@ -49,9 +40,9 @@ _OPTION_OF = {
 }
 
 
-def _cells(args: Args) -> list[Callable[[], Any]]:
+def _cells(args: options.Args) -> list[Callable[[], Any]]:
     """Return the steps of the benchmark; what it has found is the result of the last one."""
-    check_window(args)
+    options.check_window(args)
     sizes = (args.size, *(_QUICK_SIZES if args.quick else _SIZES))
     height, width = min(sizes, key=min)
     if min(height, width) < args.window:
@@ -80,7 +71,7 @@ def _cells(args: Args) -> list[Callable[[], Any]]:
     return [*benchmark.steps(), benchmark.results]
 
 
-def _setting(args: Args) -> Setting:
+def _setting(args: options.Args) -> Setting:
     return Setting(
         size=args.size,
         levels=args.levels,
@@ -100,7 +91,7 @@ def measure(step: Callable[[], Any]) -> Any:
     return step()
 
 
-def _results(_: Args, found: list[Any], seconds: float) -> Row:
+def _results(_: options.Args, found: list[Any], seconds: float) -> Row:
     return {"benchmark": "speed", **found[-1], "seconds": seconds}
 
 
@@ -277,7 +268,7 @@ def _size(size: Sequence[int]) -> str:
     return f"{size[1]}x{size[0]}"
 
 
-def _draw(_: Args, found: list[Any], folder: Path) -> None:
+def _draw(_: options.Args, found: list[Any], folder: Path) -> None:
     figures.speed(found[-1], folder / _FIGURE)
 
 
@@ -315,49 +306,51 @@ p50 is the median, p99 the 99th percentile: of less than 100 frames, nearly the 
 --output writes {RESULTS} and {_FIGURE}
 """,
     options=(
-        frame_size(480, 640),
-        number("--levels", 2, _LEVELS, "blur levels, from 7 to 30 px"),
-        number("--window", 16, _WINDOW, "side of the bank's patches, px"),
-        number("--rank", 1, _RANK, "vectors in the bank's common basis"),
-        number("--stride", 1, _STRIDE, "distance between patches, px"),
-        option(
+        options.frame_size(480, 640),
+        options.number("--levels", 2, _LEVELS, "blur levels, from 7 to 30 px"),
+        options.number("--window", 16, _WINDOW, "side of the bank's patches, px"),
+        options.number("--rank", 1, _RANK, "vectors in the bank's common basis"),
+        options.number("--stride", 1, _STRIDE, "distance between patches, px"),
+        options.option(
             "--highest-frequency",
             "frequencies above this, in cycles/px, are left out; 1: all count",
             _HIGHEST_FREQUENCY,
             type=float,
             metavar="F",
         ),
-        THREADS,
-        option(
+        options.THREADS,
+        options.option(
             "--temporal",
             "frames of the video that costs are kept for; 0: every frame for itself",
             4.0,
             type=_frames_kept,
             metavar="T",
         ),
-        number(
+        options.number(
             "--frames",
             1,
             None,
             "for every measurement; five times as many for the stages "
             f"(default {_FRAMES}, or {_QUICK_FRAMES} with --quick)",
         ),
-        option(
+        options.option(
             "--full-size",
             "maps as large as the frame (default: the largest whole fraction within 320x240, as "
             "the node publishes)",
             action="store_true",
         ),
-        option("--quick", "fewer sizes, levels and repetitions, no accuracy", action="store_true"),
-        option(
+        options.option(
+            "--quick", "fewer sizes, levels and repetitions, no accuracy", action="store_true"
+        ),
+        options.option(
             "--backend",
             "what computes the costs: torch needs PyTorch, cuda a GPU beside; auto takes the GPU "
             "where there is one",
             "numpy",
             choices=BACKENDS,
         ),
-        JSON,
-        option("--output", f"write {RESULTS} and {_FIGURE}", metavar="DIR"),
+        options.JSON,
+        options.option("--output", f"write {RESULTS} and {_FIGURE}", metavar="DIR"),
     ),
     cells=_cells,
     measure=measure,

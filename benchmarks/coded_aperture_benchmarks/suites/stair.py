@@ -10,34 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks import figures
+from coded_aperture_benchmarks import figures, identification, options
 from coded_aperture_benchmarks.frames.stair import (
     LEVELS,
     SIDE_PX,
     level_error,
     make_stair,
     spread_per_step,
-)
-from coded_aperture_benchmarks.identification import (
-    PLAIN,
-    SUBSPACE,
-    MethodOnFrames,
-    Setting,
-    is_bank,
-    method_names,
-)
-from coded_aperture_benchmarks.options import (
-    STEP_SIDE,
-    TEXTURE_LIST,
-    Args,
-    check_known,
-    check_masks,
-    check_textures,
-    check_window,
-    generated,
-    header,
-    images_of,
-    seeds_of,
 )
 from coded_aperture_benchmarks.reference.thesis_tables import (
     IN_WORDS,
@@ -59,7 +38,7 @@ _MAP_STEP = 5
 
 
 @dataclasses.dataclass(frozen=True)
-class Cell(MethodOnFrames):
+class Cell(identification.MethodOnFrames):
     """One number of each texture's table.
 
     All textures at once: a reference method that learns weights does so once for them.
@@ -78,17 +57,19 @@ class Measured:
     reliability: Reliability | None
 
 
-def _cells(args: Args) -> list[Cell]:
-    check_known(args, "methods", args.methods, method_names())
-    check_window(args)
-    check_masks(args)
-    check_textures(args, args.textures)
+def _cells(args: options.Args) -> list[Cell]:
+    options.check_known(args, "methods", args.methods, identification.method_names())
+    options.check_window(args)
+    options.check_masks(args)
+    options.check_textures(args, args.textures)
     return [
         Cell(
             method,
-            Setting(mask, sigma, None, args.levels, args.window, args.rank, args.stride),
-            images_of(args),
-            seeds_of(args),
+            identification.Setting(
+                mask, sigma, None, args.levels, args.window, args.rank, args.stride
+            ),
+            options.images_of(args),
+            options.seeds_of(args),
             args.known_noise,
             tuple(args.textures),
             args.side,
@@ -151,15 +132,20 @@ def _measure(cell: Cell, texture: str) -> Measured:
 
 def _row_of_thesis(method: str) -> str:
     """Return the row of the thesis' tables that stands next to a method's numbers."""
-    return OUR_METHOD if is_bank(method) or method in (PLAIN, SUBSPACE) else method
+    return (
+        OUR_METHOD
+        if identification.is_bank(method)
+        or method in (identification.PLAIN, identification.SUBSPACE)
+        else method
+    )
 
 
-def _results(args: Args, parts: list[list[Measured]], seconds: float) -> Row:
+def _results(args: options.Args, parts: list[list[Measured]], seconds: float) -> Row:
     measured = list(itertools.chain(*parts))
     rows = [part.row for part in measured]
     return {
         "benchmark": "stair",
-        **header(args, "textures", "images", "levels", "side", "window", "repeats", "seed"),
+        **options.header(args, "textures", "images", "levels", "side", "window", "repeats", "seed"),
         "known_noise": args.known_noise,
         "seconds": seconds,
         "cells": rows,
@@ -182,8 +168,12 @@ def lost_cells(rows: Sequence[Row]) -> list[Row]:
     Every variant of the bank that was measured is compared.
     """
     names = ("mask", "texture", "sigma")
-    banks = [row for row in rows if is_bank(row["method"])]
-    others = [row for row in rows if not is_bank(row["method"]) and row["method"] != PLAIN]
+    banks = [row for row in rows if identification.is_bank(row["method"])]
+    others = [
+        row
+        for row in rows
+        if not identification.is_bank(row["method"]) and row["method"] != identification.PLAIN
+    ]
     return [
         {
             **{name: bank[name] for name in names},
@@ -246,8 +236,8 @@ def _cell_text(row: Row) -> str:
 
 
 def _comparison(rows: Sequence[Row], worse: Sequence[Row]) -> list[str]:
-    methods = {row["method"] for row in rows} - {PLAIN}
-    if not any(map(is_bank, methods)) or all(map(is_bank, methods)):
+    methods = {row["method"] for row in rows} - {identification.PLAIN}
+    if not any(map(identification.is_bank, methods)) or all(map(identification.is_bank, methods)):
         return []
     form = (
         "{method} beats {bank}: {mask}, {texture}, sigma {sigma:g}: {mean_error:.2f} against "
@@ -257,7 +247,7 @@ def _comparison(rows: Sequence[Row], worse: Sequence[Row]) -> list[str]:
     return ["\n".join(lines) or "no other method beats the bank in any cell"]
 
 
-def _draw(args: Args, parts: list[list[Measured]], folder: Path) -> None:
+def _draw(args: options.Args, parts: list[list[Measured]], folder: Path) -> None:
     measured = list(itertools.chain(*parts))
     for texture in args.textures:
         cells = [cell for cell in measured if cell.row["texture"] == texture]
@@ -291,9 +281,9 @@ SUITE = Suite(
         --side 64 --window 48
 """,
     options=(
-        TEXTURE_LIST,
-        STEP_SIDE,
-        *generated(
+        options.TEXTURE_LIST,
+        options.STEP_SIDE,
+        *options.generated(
             (0.0, 0.001, 0.002, 0.005),
             2,
             ("bank", "bank-semiglobal", "bank-graphcut"),

@@ -8,28 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks import figures
+from coded_aperture_benchmarks import figures, identification, options
 from coded_aperture_benchmarks.frames.stair import with_middle
 from coded_aperture_benchmarks.frames.two_plane import make_two_planes, two_plane_error
-from coded_aperture_benchmarks.identification import (
-    PLAIN,
-    MethodOnFrames,
-    Setting,
-    method_names,
-)
-from coded_aperture_benchmarks.options import (
-    TEXTURES,
-    Args,
-    check_known,
-    check_masks,
-    check_textures,
-    check_window,
-    generated,
-    header,
-    images_of,
-    option,
-    seeds_of,
-)
 from coded_aperture_benchmarks.rows import columns, mean_of, place
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import load_textures
@@ -44,13 +25,13 @@ _COLUMNS = {
     "all pixels": "{mean_error:.2f}",
     "within 16 px": "{mean_error_near_edge:.2f}",
     "beyond": "{mean_error_beyond:.2f}",
-    f"within / {PLAIN}": "{near_edge_over_plain:.2f}",
+    f"within / {identification.PLAIN}": "{near_edge_over_plain:.2f}",
     "time": "{seconds:.1f} s",
 }
 
 
 @dataclasses.dataclass(frozen=True)
-class Cell(MethodOnFrames):
+class Cell(identification.MethodOnFrames):
     """One row of the table."""
 
     blurs_px: tuple[float, float]
@@ -67,18 +48,20 @@ class Measured:
     truth: NDArray[np.float32]
 
 
-def _cells(args: Args) -> list[Cell]:
-    check_known(args, "methods", args.methods, method_names())
-    check_window(args)
-    check_masks(args)
-    check_textures(args, [args.texture])
-    methods = list(dict.fromkeys([PLAIN, *args.methods]))
+def _cells(args: options.Args) -> list[Cell]:
+    options.check_known(args, "methods", args.methods, identification.method_names())
+    options.check_window(args)
+    options.check_masks(args)
+    options.check_textures(args, [args.texture])
+    methods = list(dict.fromkeys([identification.PLAIN, *args.methods]))
     return [
         Cell(
             method,
-            Setting(mask, sigma, None, args.levels, args.window, args.rank, args.stride),
-            images_of(args),
-            seeds_of(args),
+            identification.Setting(
+                mask, sigma, None, args.levels, args.window, args.rank, args.stride
+            ),
+            options.images_of(args),
+            options.seeds_of(args),
             args.known_noise,
             blurs_px,
             args.texture,
@@ -119,11 +102,11 @@ def measure(cell: Cell) -> Measured:
     return Measured(row, np.mean(profiles, axis=0), truth.level[0])
 
 
-def _results(args: Args, measured: list[Measured], seconds: float) -> Row:
+def _results(args: options.Args, measured: list[Measured], seconds: float) -> Row:
     return {
         "benchmark": "two-plane",
-        **header(args, "texture", "images", rows=args.size[0], columns=args.size[1]),
-        **header(args, "levels", "window", "repeats", "seed", "known_noise"),
+        **options.header(args, "texture", "images", rows=args.size[0], columns=args.size[1]),
+        **options.header(args, "levels", "window", "repeats", "seed", "known_noise"),
         "seconds": seconds,
         "cells": compared_with_plain([cell.row for cell in measured]),
     }
@@ -131,7 +114,7 @@ def _results(args: Args, measured: list[Measured], seconds: float) -> Row:
 
 def compared_with_plain(rows: Sequence[Row]) -> list[Row]:
     """Return the rows with their error near the edge over that of the plain window."""
-    plain = {place(row, *_PLACE): row for row in rows if row["method"] == PLAIN}
+    plain = {place(row, *_PLACE): row for row in rows if row["method"] == identification.PLAIN}
 
     def ratio(row: Row) -> float:
         of_plain = plain[place(row, *_PLACE)]["mean_error_near_edge"]
@@ -144,7 +127,7 @@ def _text(results: Row) -> str:
     return f"mean error in levels\n{columns(results['cells'], _COLUMNS)}"
 
 
-def _draw(_: Args, measured: list[Measured], folder: Path) -> None:
+def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
     panels: dict[str, dict[str, NDArray[np.float64]]] = {}
     truths = {}
     title = "{mask}, {front_blur_px:g} and {back_blur_px:g} px, sigma {sigma:g}"
@@ -174,7 +157,7 @@ SUITE = Suite(
     coded_aperture bench accuracy two-plane --blurs 8,12 --methods bank-graphcut --output results/
 """,
     options=(
-        option(
+        options.option(
             "--blurs",
             "blur sizes of the two planes in px",
             [(10.0, 14.0), (10.0, 22.0)],
@@ -182,13 +165,13 @@ SUITE = Suite(
             type=_pair,
             metavar="FRONT,BACK",
         ),
-        option(
+        options.option(
             "--texture",
             "unselected crops of photographs, the same at half size, or white noise",
             "natural",
-            choices=TEXTURES,
+            choices=options.TEXTURES,
         ),
-        option(
+        options.option(
             "--size",
             "of a frame",
             [320, 480],
@@ -197,7 +180,9 @@ SUITE = Suite(
             metavar=("ROWS", "COLUMNS"),
         ),
         # Window and rank as the command learn.
-        *generated((0.001,), 4, ("bank", "bank-semiglobal", "bank-tv", "bank-graphcut"), 48, 128),
+        *options.generated(
+            (0.001,), 4, ("bank", "bank-semiglobal", "bank-tv", "bank-graphcut"), 48, 128
+        ),
     ),
     cells=_cells,
     measure=measure,

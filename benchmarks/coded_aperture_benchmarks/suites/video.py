@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.frames.ray_traced import bank_for
 from coded_aperture_benchmarks.frames.video import (
     WARM_UP_FRAMES,
@@ -21,21 +22,6 @@ from coded_aperture_benchmarks.frames.video import (
     score_video,
 )
 from coded_aperture_benchmarks.identification import regularizations
-from coded_aperture_benchmarks.options import (
-    NOISE_SEED,
-    REGULARIZE,
-    RESULTS,
-    STRIDE_AS_DEPTH,
-    WINDOW_AS_LEARN,
-    Args,
-    added_noise,
-    check_known,
-    check_names,
-    folders,
-    header,
-    number,
-    option,
-)
 from coded_aperture_benchmarks.pictures import WHITE, as_rgb, titled
 from coded_aperture_benchmarks.rows import columns, or_dash, place, unique
 from coded_aperture_benchmarks.run import Row, Suite
@@ -110,7 +96,6 @@ class Measured:
 
     Attributes
     ----------
-    row : dict
     coded : ndarray, float32 [rows, columns, 3]
         The frame that is drawn, with noise.
     truth, depth_m : ndarray, float32 [rows, columns]
@@ -126,11 +111,11 @@ class Measured:
     unrest: NDArray[np.float32]
 
 
-def _cells(args: Args) -> list[Cell]:
-    check_known(args, "regularize", filter(None, args.regularize), regularizations())
+def _cells(args: options.Args) -> list[Cell]:
+    options.check_known(args, "regularize", filter(None, args.regularize), regularizations())
     for folder in args.folders:
         check_video(folder)
-    check_names(args.folders, "video")
+    options.check_names(args.folders, "video")
     spatial = [how or DepthConfig().regularize for how in args.regularize]
     return [
         Cell(
@@ -216,11 +201,11 @@ def _rounded(score: Any) -> Row | None:
     }
 
 
-def _results(args: Args, measured: list[Measured], seconds: float) -> Row:
+def _results(args: options.Args, measured: list[Measured], seconds: float) -> Row:
     rows = [cell.row for cell in measured]
     return {
         "benchmark": "video",
-        **header(args, "noise", "mono", "levels", "seed"),
+        **options.header(args, "noise", "mono", "levels", "seed"),
         "seconds": seconds,
         "cells": rows,
         "ratios_to_raw": ratios(rows),
@@ -296,7 +281,7 @@ def _per_cent(values: Row | None, names: Sequence[str]) -> str:
     return " / ".join(f"{100 * values[name]:.{0 if name in shares else 2}f}" for name in names)
 
 
-def _draw(_: Args, measured: list[Measured], folder: Path) -> None:
+def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
     """Write a picture for each video: coded frame, truth and depths, and below how they flicker."""
     for name in unique((cell.row for cell in measured), "video"):
         cells = [cell for cell in measured if cell.row["video"] == name]
@@ -359,18 +344,18 @@ a video's folder has:
 every frame and patch by itself is always measured: no regularisation, no filter over time
 """,
     options=(
-        folders("a video"),
-        added_noise(0.005),
+        options.folders("a video"),
+        options.added_noise(0.005),
         # `frames` is the kind of frames, here "video". One change is a frame and the next.
-        number(
+        options.number(
             "--frames",
             WARM_UP_FRAMES + 2,
             24,
             "the first so many of each video",
             dest="length",
         ),
-        number("--levels", 2, 30, "blur levels of the bank"),
-        option(
+        options.number("--levels", 2, 30, "blur levels of the bank"),
+        options.option(
             "--temporal",
             "how many past frames count, each in a filter of the past and in one of past and "
             "future (default 4; nothing: no filter)",
@@ -380,12 +365,14 @@ every frame and patch by itself is always measured: no regularisation, no filter
             type=_past_frames,
             metavar="T",
         ),
-        REGULARIZE,
-        STRIDE_AS_DEPTH,
-        WINDOW_AS_LEARN,
-        NOISE_SEED,
-        option("--mono", "frames of one channel, with the noise of one", action="store_true"),
-        *RESULTS,
+        options.REGULARIZE,
+        options.STRIDE_AS_DEPTH,
+        options.WINDOW_AS_LEARN,
+        options.NOISE_SEED,
+        options.option(
+            "--mono", "frames of one channel, with the noise of one", action="store_true"
+        ),
+        *options.RESULTS,
     ),
     cells=_cells,
     measure=measure,
