@@ -1,14 +1,12 @@
 """How exact a camera is known after calibration from planes of known depth.
 
-From 16 ray-traced planes with noise, with and without telling the mask: blur sizes, focus, time,
+From 16 ray-traced planes with noise, with and without knowing the mask: blur sizes, focus, time,
 and the depth error of the bank on another scene of that camera, beside the bank of the true mask.
 With --psf instead: the error of PSFs from simulated pictures of dots.
 """
 
-import argparse
 import dataclasses
 import json
-import os
 import sys
 import time
 from pathlib import Path
@@ -16,13 +14,13 @@ from typing import Any
 
 import numpy as np
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, scene_camera
+from coded_aperture_benchmarks.scripts import data_folder, data_parser, exit_status, print_rows
 
 from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.bank.remap import remap_bank
 from coded_aperture_ros.calibration.planes.calibrate import calibrate_planes
 from coded_aperture_ros.calibration.planes.folder import load_planes
 from coded_aperture_ros.calibration.psf.dots import psf_from_dots
-from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.optics import Mask, render_psf
 
@@ -30,6 +28,7 @@ NOISE = 0.002
 LEVELS = 40
 FRAMES = 8
 PSF_SIZES = (3.0, 4.0, 5.0, 7.3, 10.0, 16.0)
+PSF_MASKS = ("levin", "zhou", "four_hole", "disc")
 
 
 def open_part(camera: Any) -> float:
@@ -52,7 +51,7 @@ def median_depth_error(bank: FilterBank, views: list[RayTracedScene]) -> float:
     return float(np.nanmedian(np.concatenate(errors)))
 
 
-def measure(data: Path, seed: int, told_mask: bool) -> dict[str, Any]:
+def measure(data: Path, seed: int, known_mask: bool) -> dict[str, Any]:
     """Calibrate once."""
     folder = data / "rendered" / "calib"
     planes = load_planes([folder])
@@ -66,13 +65,15 @@ def measure(data: Path, seed: int, told_mask: bool) -> dict[str, Any]:
     )
     camera = scene_camera(folder, "levin")
     started_s, processor_s = time.perf_counter(), time.process_time()
-    found = calibrate_planes(planes, LEVELS, LearnConfig(), mask=camera.mask if told_mask else None)
+    found = calibrate_planes(
+        planes, LEVELS, LearnConfig(), mask=camera.mask if known_mask else None
+    )
     took_s = time.perf_counter() - started_s
     took_processor_s = time.process_time() - processor_s
     listed = json.loads((folder / "planes.json").read_text())
     true_px = np.array([entry["psf_width_px"] for entry in listed])
     # A mask by its name is the open part of the rendered mask, which has a closed rim.
-    true_px = true_px * (1.0 if told_mask else open_part(camera))
+    true_px = true_px * (1.0 if known_mask else open_part(camera))
     error_px = found.pattern.blur_size_px(planes.depths_m) - true_px
     measured_px = np.array([plane.size_px for plane in found.measured]) - true_px
     near_m, far_m = planes.depths_m[[0, -1]]
@@ -81,7 +82,7 @@ def measure(data: Path, seed: int, told_mask: bool) -> dict[str, Any]:
     of_mask = median_depth_error(learn_bank_for_camera(camera, near_m, far_m, LEVELS), views)
     remapped = remap_bank(found.bank, camera, near_m, far_m, LEVELS)
     return {
-        "mask": "told" if told_mask else f"found: {found.pattern.mask.name}",
+        "mask": "known" if known_mask else f"found: {found.pattern.mask.name}",
         "seconds": round(took_s, 1),
         "processor_seconds": round(took_processor_s, 1),
         "blur_rms_px": round(float(np.sqrt(np.mean(error_px**2))), 3),
@@ -140,37 +141,21 @@ def measure_psfs(name: str, seed: int) -> dict[str, Any]:
 
 def main() -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--data",
-        default=os.environ.get("CODED_APERTURE_DATA"),
-        help="folder that holds rendered/ (default: $CODED_APERTURE_DATA)",
-    )
+    parser = data_parser(__doc__, "rendered/")
     parser.add_argument("--seeds", type=int, default=1, help="how many draws of noise (default 1)")
     parser.add_argument("--psf", action="store_true", help="measure PSFs from dots instead")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     args = parser.parse_args()
-    if args.data is None and not args.psf:
-        parser.error("say where the data are: --data, or set CODED_APERTURE_DATA")
-    try:
-        if args.psf:
-            names = ("levin", "zhou", "four_hole", "disc")
-            rows = [measure_psfs(name, seed) for seed in range(args.seeds) for name in names]
+    data = None if args.psf else data_folder(parser, args)
+
+    def measure_all() -> None:
+        seeds = range(args.seeds)
+        if data is None:
+            rows = [measure_psfs(name, seed) for seed in seeds for name in PSF_MASKS]
         else:
-            rows = [
-                measure(Path(args.data), seed, told_mask)
-                for seed in range(args.seeds)
-                for told_mask in (False, True)
-            ]
-    except (InputError, OSError) as error:
-        print(f"calibration_accuracy: error: {error}", file=sys.stderr)
-        return 1
-    if args.json:
-        print(json.dumps(rows, indent=2))
-        return 0
-    for name in rows[0]:
-        print(f"| {name} | " + " | ".join(str(row[name]) for row in rows) + " |")
-    return 0
+            rows = [measure(data, seed, known) for seed in seeds for known in (False, True)]
+        print_rows(rows, args.json, across=False)
+
+    return exit_status(measure_all)
 
 
 if __name__ == "__main__":

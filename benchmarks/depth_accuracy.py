@@ -4,18 +4,16 @@ The bank is learned from the mask and the camera alone. The real photograph show
 measured PSFs compete at every position, and one of them is its own.
 """
 
-import argparse
 import json
-import os
 import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene
+from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, bank_for
+from coded_aperture_benchmarks.scripts import data_folder, data_parser, exit_status, print_rows
 
-from coded_aperture_ros.bank import learn_bank, learn_bank_for_camera
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.bank import learn_bank
 from coded_aperture_ros.deblur import Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.metrics import depth_error, psnr_db
@@ -39,9 +37,7 @@ def measure_scene(
     """Measure one ray-traced scene with noise added."""
     scene = RayTracedScene.load(folder, mask)
     depth = scene.depth_m
-    bank = learn_bank_for_camera(
-        scene.camera, 0.98 * float(depth.min()), 1.02 * float(depth.max()), LEVELS
-    )
+    bank = bank_for(scene.camera, depth, LEVELS)
     random = np.random.default_rng(seed)
     coded = scene.coded + random.normal(0, noise, scene.coded.shape).astype(np.float32)
     config = DepthConfig(confidence_threshold=EVERYWHERE, regularize=regularize)
@@ -85,22 +81,15 @@ def measure_photograph(folder: Path) -> dict[str, Any]:
 
 def main() -> int:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--data",
-        default=os.environ.get("CODED_APERTURE_DATA"),
-        help="folder that holds rendered/ and real_photo/ (default: $CODED_APERTURE_DATA)",
-    )
+    parser = data_parser(__doc__, "rendered/ and real_photo/")
     parser.add_argument(
         "--masks", nargs="+", default=["levin"], help="levin, four_hole, disk (default levin)"
     )
     parser.add_argument("--noise", type=float, default=NOISE, help=f"added noise (default {NOISE})")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
     args = parser.parse_args()
-    if args.data is None:
-        parser.error("say where the data are: --data, or set CODED_APERTURE_DATA")
-    data = Path(args.data)
-    try:
+    data = data_folder(parser, args)
+
+    def measure() -> None:
         photograph = measure_photograph(data / "real_photo")
         scenes = [
             measure_scene(data / "rendered" / scene, mask, args.noise, regularize=regularize)
@@ -108,19 +97,13 @@ def main() -> int:
             for scene in SCENES
             for regularize in ("none", "semiglobal", "tv", "graphcut")
         ]
-    except (InputError, OSError) as error:
-        print(f"depth_accuracy: error: {error}", file=sys.stderr)
-        return 1
-    if args.json:
-        print(json.dumps({"photograph": photograph, "scenes": scenes}, indent=2))
-        return 0
-    print(f"photograph: own PSF chosen at {100 * photograph['right']:.2f} % of the pixels\n")
-    columns = list(scenes[0])
-    print("| " + " | ".join(columns) + " |")
-    print("|" + "---|" * len(columns))
-    for row in scenes:
-        print("| " + " | ".join(str(row[column]) for column in columns) + " |")
-    return 0
+        if args.json:
+            print(json.dumps({"photograph": photograph, "scenes": scenes}, indent=2))
+            return
+        print(f"photograph: own PSF chosen at {100 * photograph['right']:.2f} % of the pixels\n")
+        print_rows(scenes, as_json=False)
+
+    return exit_status(measure)
 
 
 if __name__ == "__main__":

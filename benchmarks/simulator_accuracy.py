@@ -4,9 +4,7 @@ Each ray-traced scene comes with its all-in-focus picture and depth map. Both go
 `render_coded_frame`; the result is compared with the ray-traced coded picture.
 """
 
-import argparse
-import json
-import os
+import itertools
 import sys
 import time
 from pathlib import Path
@@ -14,9 +12,9 @@ from typing import Any
 
 import numpy as np
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene
+from coded_aperture_benchmarks.scripts import data_folder, data_parser, exit_status, print_rows
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.simulation import render_coded_frame
 
 SCENES = ("desk", "corridor")
@@ -63,32 +61,17 @@ def measure(folder: Path, mask_name: str, blocks: int) -> dict[str, Any]:
 
 def main() -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--data",
-        default=os.environ.get("CODED_APERTURE_DATA"),
-        help="folder that holds rendered/ (default: $CODED_APERTURE_DATA)",
-    )
+    parser = data_parser(__doc__, "rendered/")
     parser.add_argument("--blocks", type=int, default=3, help="aperture blocks (default 3)")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     args = parser.parse_args()
-    if args.data is None:
-        parser.error("say where the data are: --data, or set CODED_APERTURE_DATA")
-    rows = []
-    try:
-        for scene in SCENES:
-            for mask_name in MASKS:
-                rows.append(measure(Path(args.data) / "rendered" / scene, mask_name, args.blocks))
-                if not args.json:
-                    if len(rows) == 1:
-                        print("".join(f"{name:>12}" for name in rows[0]))
-                    print("".join(f"{value!s:>12}" for value in rows[-1].values()), flush=True)
-    except (InputError, OSError) as error:
-        print(error, file=sys.stderr)
-        return 1
-    if args.json:
-        print(json.dumps(rows))
-    return 0
+    folder = data_folder(parser, args) / "rendered"
+
+    def measure_all() -> None:
+        cases = itertools.product(SCENES, MASKS)
+        rows = (measure(folder / scene, mask, args.blocks) for scene, mask in cases)
+        print_rows(rows, args.json)
+
+    return exit_status(measure_all)
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ _ACCURACY = Group(
     coded_aperture bench accuracy simple
   metric depth of ray-traced scenes:
     coded_aperture bench accuracy scenes desk/ corridor/
-  how much steadier the depth of a video is when it is filtered over time:
+  how much less the depth of a video flickers when it is filtered over time:
     coded_aperture bench accuracy video rendered/video/
 """,
     suites={
@@ -70,7 +70,7 @@ _DEBLUR = Group(
 )
 _MOTION = Group(
     help="of depth and deblurring while things move",
-    description="Measure how well defocus and motion are told apart, and what it costs.",
+    description="Measure how well defocus and motion are distinguished, and what it costs.",
     examples="""examples:
   table 7.1 of the thesis, and natural texture:
     coded_aperture bench motion table
@@ -94,7 +94,7 @@ BENCHMARKS: dict[str, Group | str] = {
     "simple-speed": "of depth behind masks of a few equal holes",
     "motion": _MOTION,
     "masks": "predicted against measured errors of random masks",
-    "sign": "the two sides of the focal plane, told apart",
+    "sign": "the side of the focal plane: in front or behind",
     "blind": "masks found from planes at unknown distances, and what deblurring loses by them",
 }
 _EPILOG = """examples:

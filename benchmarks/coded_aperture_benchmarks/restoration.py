@@ -100,8 +100,8 @@ def picture_score(
         channel_axis=None if image.ndim == 2 else -1,
         full=True,
     )
-    rim = _SSIM_WINDOW_PX // 2
-    inside = (slice(rim, -rim), slice(rim, -rim))
+    margin = _SSIM_WINDOW_PX // 2
+    inside = (slice(margin, -margin), slice(margin, -margin))
     similar = similarity[inside][part[inside]]
     return PictureScore(
         psnr_db=psnr_db(image[part], truth[part]),

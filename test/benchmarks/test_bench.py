@@ -46,12 +46,12 @@ def test_a_stair_of_three_steps_is_recognised(capsys):
     assert kinds == {("random", "bank"), ("random", "bank-graphcut")}
 
 
-def test_the_bank_can_be_told_the_noise(capsys):
-    (told,) = json_of(capsys, *STAIR, "--sigmas", 0.01, "--methods", "bank", "--known-noise")[
+def test_the_bank_can_know_the_noise(capsys):
+    (known,) = json_of(capsys, *STAIR, "--sigmas", 0.01, "--methods", "bank", "--known-noise")[
         "cells"
     ]
     (own,) = json_of(capsys, *STAIR, "--sigmas", 0.01, "--methods", "bank")["cells"]
-    assert told["noise_estimated"] == pytest.approx(told["noise"], rel=1e-4)
+    assert known["noise_estimated"] == pytest.approx(known["noise"], rel=1e-4)
     assert own["noise_estimated"] != pytest.approx(own["noise"], rel=1e-4)
 
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from cli_scene import call
 from coded_aperture_benchmarks.frames.stair import blur_stack
-from coded_aperture_benchmarks.speed import accuracy, frames, machine, thread_counts
-from coded_aperture_benchmarks.speed import baselines as rivals
+from coded_aperture_benchmarks.speed import accuracy, baselines, frames, machine, thread_counts
 from coded_aperture_benchmarks.speed.setting import Setting, published_size
 from coded_aperture_benchmarks.suites import speed as bench_speed
 from coded_aperture_benchmarks.suites.speed import _text
@@ -35,7 +34,7 @@ def small(monkeypatch):
     monkeypatch.setattr(bench_speed, "_QUICK_REPEATS", 1)
     monkeypatch.setattr(machine, "_PRODUCT_SIDE", 64)
     monkeypatch.setattr(machine, "_COPY_BYTES", 2**16)
-    monkeypatch.setattr(rivals, "_PLACES", (4, 8))
+    monkeypatch.setattr(baselines, "_PLACES", (4, 8))
 
 
 def numbers(value):
@@ -90,7 +89,7 @@ def test_everything_is_measured_in_one_run(small, capsys, tmp_path):
 
 
 def test_tables_name_what_was_measured(small, capsys, monkeypatch):
-    monkeypatch.setattr(rivals, "find_spec", lambda name: None)  # PyMaxflow is not everywhere
+    monkeypatch.setattr(baselines, "find_spec", lambda name: None)  # PyMaxflow is not everywhere
     results = results_of(capsys, "--temporal", 0, "--full-size")
     assert not {"average", "temporal"} & set(results["main"]["stages"])
     assert results["comparison"]["denoising"] is None

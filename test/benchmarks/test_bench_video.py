@@ -129,9 +129,9 @@ def test_of_a_moving_camera_the_changes_are_scored():
     np.testing.assert_allclose(score.unrest, 0.06, rtol=1e-4)
     # Up, down and up by 0.06; the half where the edge passes does not count just then.
     assert score.change.std == pytest.approx(np.std([0.06, -0.06, 0.06, 0.06, 0.06]), rel=1e-4)
-    steady = np.float32(1.1) * depth_m
-    steady[7:, :, 3:] *= 3  # beyond the edge
-    assert score_video(steady, video).change.std == pytest.approx(0, abs=1e-5)
+    constant = np.float32(1.1) * depth_m
+    constant[7:, :, 3:] *= 3  # beyond the edge
+    assert score_video(constant, video).change.std == pytest.approx(0, abs=1e-5)
 
 
 def test_changes_spread_like_the_errors():

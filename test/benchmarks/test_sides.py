@@ -232,29 +232,29 @@ def test_probabilities_of_a_side():
     probability = np.array([[[0.1, 0.3, 0.0, 0.2, 0.4], [0.2] * 5]], np.float32)
     given = given_side(probability, sizes)
     assert given[0, 0] == pytest.approx([0.25, 0.75, 0, 1 / 3, 2 / 3])
-    assert given[0, 1] == pytest.approx([0.2] * 5)  # it knows nothing
+    assert given[0, 1] == pytest.approx([0.2] * 5)  # uninformative
 
 
 def test_neighbours_on_one_surface_tell_the_side_together():
     grid = PatchGrid(0, 0, 24, 8, 8, 48)
     sizes = np.arange(-10.0, 11.0)
     level = np.full((8, 8), 16, np.float32)  # +6 px
-    told = np.full((8, 8), 0.4, np.float32)
-    together = side_confidence(level, told, grid, sizes)
-    alone = side_confidence(level, np.where(np.eye(8), told, 0).astype(np.float32), grid, sizes)
+    chances = np.full((8, 8), 0.4, np.float32)
+    together = side_confidence(level, chances, grid, sizes)
+    alone = side_confidence(level, np.where(np.eye(8), chances, 0).astype(np.float32), grid, sizes)
     assert (together > 0.5).all() and (together > alone).all()
     # A patch that is of the other opinion is outvoted, unless it is another surface.
-    told[4, 4] = -0.4
-    assert side_confidence(level, told, grid, sizes)[4, 4] > 0.5
+    chances[4, 4] = -0.4
+    assert side_confidence(level, chances, grid, sizes)[4, 4] > 0.5
     level[4, 4] = 11
-    assert side_confidence(level, told, grid, sizes)[4, 4] < 0.5
+    assert side_confidence(level, chances, grid, sizes)[4, 4] < 0.5
 
 
 def test_a_size_that_one_side_only_has_tells_it():
-    evidence = np.full((1, 1, 6), 20, np.float32)
+    costs = np.full((1, 1, 6), 20, np.float32)
     sizes = np.arange(-1.0, 5.0)
-    evidence[..., 5] = 0
-    assert far_log_odds(evidence, sizes)[0, 0] > 0.5
+    costs[..., 5] = 0
+    assert far_log_odds(costs, sizes)[0, 0] > 0.5
 
 
 def test_what_does_not_go_with_both_sides(bank, camera, tmp_path, capsys):

@@ -85,7 +85,7 @@ def identify_motions(
     """Identify defocus and motion of images, one for every level and motion (thesis 7.6.1).
 
     Every window is judged by itself, all motions being alike; each pixel has the result of the
-    nearest. The noise is told.
+    nearest. The noise is known.
 
     Parameters
     ----------
@@ -107,10 +107,10 @@ def identify_motions(
         `defocus`, `direction` and `length`.
     """
     motions, stack = table_motions(), render_psf_stack(mask, BLUR_SIZES_PX)
-    still = learn_bank(stack, LearnConfig(window_px=window_px, rank=1))
+    static = learn_bank(stack, LearnConfig(window_px=window_px, rank=1))
     config = config or MotionConfig()
     engine = MotionEngine(
-        learn_motion_bank(still, motions, config.motion_rank),
+        learn_motion_bank(static, motions, config.motion_rank),
         (SIDE_PX, SIDE_PX),
         _STRIDE_PX,
         finalists=config.finalists,

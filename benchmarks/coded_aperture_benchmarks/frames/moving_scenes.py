@@ -91,10 +91,10 @@ def make_moving_scenes(
     scenes = []
     for number in which:
         behind, before, motion = SCENES[number]
-        still, moving = (_middle(pictures[name]) for name in (behind, before))
+        static, moving = (_middle(pictures[name]) for name in (behind, before))
         object_depth, depth = (np.full(FRAME_PX, metres) for metres in (_OBJECT_M, _SCENE_M))
         truth = render_moving_frame(
-            still, depth, [MovingObject(moving, object_depth, covered, motion)], camera
+            static, depth, [MovingObject(moving, object_depth, covered, motion)], camera
         )
         coded, _ = with_noise(truth.coded, mask, sigma, seed + number)
         far, near = (_distance(where) > _EDGE_PX for where in (~covered, covered))

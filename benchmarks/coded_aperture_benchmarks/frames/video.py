@@ -75,7 +75,7 @@ def moving_pixels(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Find the pixels of moving objects in the true depths of a static camera.
 
     These are nearer than what the pixel shows at its farthest. Where an object covers a pixel all
-    the time, it is told by its depth, which changes both since the last frame and to the next one.
+    the time, its depth gives it away: it changes both since the last frame and to the next one.
 
     Parameters
     ----------

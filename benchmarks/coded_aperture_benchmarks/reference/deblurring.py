@@ -277,7 +277,7 @@ def _boxes(level: NDArray[np.integer]) -> Iterator[tuple[int, tuple[slice, slice
 
 
 def _trimmed(psf: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Cut off the rim of zeros that PSFs of a stack have for the sake of the widest."""
+    """Cut off the border of zeros that PSFs of a stack have for the sake of the widest."""
     middle = len(psf) // 2
     rows, columns = np.nonzero(psf)
     reach = int(max(np.abs(rows - middle).max(), np.abs(columns - middle).max()))

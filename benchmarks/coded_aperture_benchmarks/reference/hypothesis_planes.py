@@ -223,9 +223,9 @@ def _best_weight(
     """
     others = logs + weights
     others[:, level] = np.inf
-    rival = np.argmin(others, axis=1)
-    thresholds = others[np.arange(len(true)), rival] - logs[:, level]
-    without = np.abs(rival - true)
+    runner_up = np.argmin(others, axis=1)
+    thresholds = others[np.arange(len(true)), runner_up] - logs[:, level]
+    without = np.abs(runner_up - true)
     gains = np.abs(level - true) - without
     order = np.argsort(-thresholds, kind="stable")
     thresholds = thresholds[order]

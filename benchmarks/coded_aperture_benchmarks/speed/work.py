@@ -50,16 +50,16 @@ class FrameWork:
         frame = floats * shape[0] * shape[1]
         horizontal = floats * plan.pixel_rows * len(plan.horizontal) * plan.grid.columns
         functions = floats * patches * len(plan.features)
-        evidence = floats * patches * bank.levels
+        costs = floats * patches * bank.levels
         maps = 4 * floats * size[0] * size[1]  # level, blur size, depth, confidence
         stages = {
             "prepare": frame,
             "average": 3 * frame,  # with the mean, before and after
             "spectra": frame + 2 * horizontal + functions,
-            "energies": frame + functions + evidence,  # with the noise of the frame
-            "temporal": 4 * evidence,  # with that of the past, before and after
-            "regularise": evidence,
-            "map": evidence + maps,
+            "energies": frame + functions + costs,  # with the noise of the frame
+            "temporal": 4 * costs,  # with that of the past, before and after
+            "regularise": costs,
+            "map": costs + maps,
         }
         if not setting.temporal_frames:
             stages = {name: count for name, count in stages.items() if name not in TEMPORAL_STAGES}

@@ -212,7 +212,7 @@ def _comparison_table(comparison: Row) -> str:
     ]
     if denoising:
         own = _milliseconds(denoising["still_and_temporal"])
-        rows.append(["still + temporal", *own, "", ""])
+        rows.append(["average + temporal", *own, "", ""])
         rows += [
             _compared(
                 f"fastNlMeansDenoisingMulti, {row['frames']} frames", row["times"], row["ratio"]
