@@ -7,7 +7,6 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import CameraInfo, Image
@@ -29,7 +28,6 @@ from coded_aperture_ros.ros.diagnostics import (
     DiagnosticsPublisher,
     Statistics,
     camera_of,
-    status_of,
 )
 from coded_aperture_ros.ros.local_topics import LocalTopics
 from coded_aperture_ros.ros.managed_node import ManagedNode
@@ -176,8 +174,7 @@ class CameraDriverNode(ManagedNode):
                     math.radians(config.base_pitch_deg),
                 ),
             )
-        self._last = self.statistics.summary()
-        self._diagnostics = DiagnosticsPublisher(self, self._status)
+        self._diagnostics = DiagnosticsPublisher(self, self.statistics, self._described)
 
     def clean_up(self) -> None:
         """Undo `set_up`."""
@@ -322,23 +319,19 @@ class CameraDriverNode(ManagedNode):
             return
         self._outputs.send("camera_info", info)
 
-    def _status(self) -> DiagnosticStatus:
-        last, self._last = self._last, self.statistics.summary()
-        source = self._source
-        return status_of(
-            self.get_fully_qualified_name(),
-            self._last,
-            last,
-            self.configs[DiagnosticsConfig],
-            hardware_id=self._name,
-            waiting=source is not None and (source.live or self._failing),
-            active=self._active,
-            identity={
-                "source": self._config.source,
-                "camera_file": self._config.camera_file,
+    def _described(self) -> dict[str, Any]:
+        source, config = self._source, self._config
+        return {
+            "config": self.configs[DiagnosticsConfig],
+            "hardware_id": self._name,
+            "waiting": source is not None and (source.live or self._failing),
+            "active": self._active,
+            "identity": {
+                "source": config.source,
+                "camera_file": config.camera_file,
                 "failures": str(self._failures),
             },
-        )
+        }
 
 
 def main(args: Sequence[str] | None = None) -> int:

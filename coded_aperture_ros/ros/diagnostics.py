@@ -6,6 +6,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -243,23 +244,25 @@ def _warnings(
 
 
 class DiagnosticsPublisher:
-    """Publishes a node's status on /diagnostics once a second.
+    """Publishes a node's status on /diagnostics once a second; `describe` gives what it needs.
 
-    By a steady clock: under `use_sim_time` a timer of the node's own clock would stand still
-    until a /clock comes.
+    By a steady clock: under `use_sim_time` the node's own would stand still until a /clock comes.
     """
 
-    def __init__(self, node: Node, status: Callable[[], DiagnosticStatus]) -> None:
-        self._node = node
-        self._status = status
-        self._publisher = node.create_publisher(
-            DiagnosticArray, "/diagnostics", QoSProfile(depth=5)
-        )
+    def __init__(
+        self, node: Node, statistics: Statistics, describe: Callable[[], Mapping[str, Any]]
+    ) -> None:
+        self._node, self._statistics, self._describe = node, statistics, describe
+        self._last = statistics.summary()
+        qos = QoSProfile(depth=5)
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", qos)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(1.0, self._publish, clock=steady)
 
     def _publish(self) -> None:
-        message = DiagnosticArray(status=[self._status()])
+        last, self._last = self._last, self._statistics.summary()
+        name = self._node.get_fully_qualified_name()
+        message = DiagnosticArray(status=[status_of(name, self._last, last, **self._describe())])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
 

@@ -18,7 +18,6 @@ from coded_aperture_ros.ros.diagnostics import (
     DiagnosticsPublisher,
     Statistics,
     camera_of,
-    status_of,
 )
 from coded_aperture_ros.ros.local_topics import LocalTopics
 from coded_aperture_ros.ros.managed_node import ManagedNode
@@ -68,9 +67,8 @@ class FrameNode(ManagedNode, Generic[Item]):
     """A node that works on the newest frame, in a thread of its own, while someone listens.
 
     A node that derives from this one names its outputs, calls `listen` for each input,
-    implements `load`, `unload` and `process`, and ends its constructor with `begin`.
-
-    The arguments are those of `ManagedNode`, and `local` of the process that it shares with others.
+    implements `load`, `unload` and `process`, and ends its constructor with `begin`. The arguments
+    are those of `ManagedNode`, and `local` of the process that it shares with others.
     """
 
     outputs: ClassVar[Mapping[str, type]]
@@ -158,8 +156,7 @@ class FrameNode(ManagedNode, Generic[Item]):
         """Load, create the publishers, and tell about the node from now on."""
         self.load()
         self._outputs.open()
-        self._last = self.statistics.summary()
-        self._diagnostics = DiagnosticsPublisher(self, self._status)
+        self._diagnostics = DiagnosticsPublisher(self, self.statistics, self._described)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(_LAZY_PERIOD_S, self._update_listening, clock=steady)
 
@@ -266,15 +263,11 @@ class FrameNode(ManagedNode, Generic[Item]):
         self.get_logger().info("time was set back: beginning anew")
         self.restart()
 
-    def _status(self) -> Any:
-        last, self._last = self._last, self.statistics.summary()
-        return status_of(
-            self.get_fully_qualified_name(),
-            self._last,
-            last,
-            self.configs[DiagnosticsConfig],
-            hardware_id=camera_of(self),
-            waiting=self._inputs.are_open,
-            active=self._worker is not None,
-            identity=self.identity(),
-        )
+    def _described(self) -> dict[str, Any]:
+        return {
+            "config": self.configs[DiagnosticsConfig],
+            "hardware_id": camera_of(self),
+            "waiting": self._inputs.are_open,
+            "active": self._worker is not None,
+            "identity": self.identity(),
+        }

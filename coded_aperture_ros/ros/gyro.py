@@ -7,9 +7,8 @@ from collections import deque
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
-from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
-from coded_aperture_ros.methods.motion import ExpectedMotion, expected_motion
+from coded_aperture_ros.methods.motion import ExpectedMotion, expected_motion, rotation_of
 from coded_aperture_ros.optics import Intrinsics
 from coded_aperture_ros.ros.messages import stamp_ns
 
@@ -39,28 +38,6 @@ class GyroConfig:
     def __post_init__(self) -> None:
         check_options(self)
         rotation_of(self.imu_axes)
-
-
-def rotation_of(axes: str) -> tuple[tuple[int, int], ...]:
-    """Return for each axis of the camera the index of the gyroscope's axis, and its sign.
-
-    Raises
-    ------
-    InputError
-        If the text does not name each axis once, or what it says is a mirror and no rotation.
-    """
-    found = []
-    for word in axes.split():
-        sign, name = (-1, word[1:]) if word.startswith("-") else (1, word.removeprefix("+"))
-        if len(name) == 1 and name in "xyz":
-            found.append(("xyz".index(name), sign))
-    order = [index for index, _ in found]
-    if sorted(order) != [0, 1, 2] or len(axes.split()) != 3:
-        raise InputError(f"imu_axes: expected three axes like -y -z x, got {axes!r}")
-    even = order in ([0, 1, 2], [1, 2, 0], [2, 0, 1])
-    if (1 if even else -1) * found[0][1] * found[1][1] * found[2][1] != 1:
-        raise InputError(f"imu_axes: {axes!r} is a mirror image, no rotation: check the signs")
-    return tuple(found)
 
 
 class Gyro:

@@ -51,16 +51,10 @@ __all__ = [
 
 
 def image_from_array(pixels: NDArray, encoding: str, header: Header) -> Image:
-    """Return an image message that holds `pixels`, stored as `encoding` says.
+    """Return an image message with a copy of the header.
 
-    Parameters
-    ----------
-    pixels : array, [row, column] or [row, column, stored channel]
-        Of exactly the encoding's dtype and number of channels.
-    encoding : str
-        One of `ENCODINGS`.
-    header : std_msgs.msg.Header
-        Copied, so that messages never share one.
+    The pixels, [row, column] or [row, column, stored channel], are of exactly the dtype and number
+    of channels of the encoding, one of `ENCODINGS`.
     """
     check_pixels(pixels, encoding)
     return _image(pixels, encoding, header)
@@ -107,15 +101,7 @@ def image_from_compressed(message: CompressedImage) -> Image:
 
 
 def cloud_from_points(points: NDArray[np.float32], header: Header) -> PointCloud2:
-    """Return an organised cloud with the fields x, y, z and confidence.
-
-    Parameters
-    ----------
-    points : float32, [row, column, 4]
-        See `points_of_depth`.
-    header : std_msgs.msg.Header
-        Copied.
-    """
+    """Return points [row, column, 4] as an organised cloud; see `points_of_depth`."""
     names = ("x", "y", "z", "confidence")
     cloud = PointCloud2(header=copied_header(header), is_dense=False)
     cloud.height, cloud.width = points.shape[:2]

@@ -24,18 +24,8 @@ class FrameGrabber:
     """Subscribes to a topic of images, and takes means of frames; a context manager.
 
     Frames are dropped between two pictures: what was seen while the plane was moved does not
-    count.
-
-    Parameters
-    ----------
-    topic : str
-    gamma : float, optional
-        Of 8-bit images.
-
-    Raises
-    ------
-    InputError
-        If ROS does not start, or the topic's name is none.
+    count. `gamma` is that of 8-bit images. An `InputError` says that ROS does not start, or that
+    the topic's name is none.
     """
 
     def __init__(self, topic: str, gamma: float = 1.0) -> None:
@@ -76,18 +66,12 @@ class FrameGrabber:
         self._context.try_shutdown()
 
     def mean_frame(self, count: int, timeout_s: float) -> NDArray[np.float32]:
-        """Return the mean of the next frames.
-
-        Parameters
-        ----------
-        count : int
-        timeout_s : float
-            Longest wait for all of them.
+        """Return the mean of the next `count` frames, float32.
 
         Raises
         ------
         InputError
-            If they do not come, cannot be used, or change their size meanwhile.
+            If they do not come in time, cannot be used, or change their size meanwhile.
         """
         deadline_s = time.monotonic() + timeout_s
         with self._changed:

@@ -13,9 +13,10 @@ from small_camera import FAR_M, NEAR_M, coded_wall
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.methods.motion import rotation_of
 from coded_aperture_ros.optics import Intrinsics, load_camera
 from coded_aperture_ros.ros.depth_node import DepthNode
-from coded_aperture_ros.ros.gyro import Gyro, GyroConfig, rotation_of
+from coded_aperture_ros.ros.gyro import Gyro, GyroConfig
 from coded_aperture_ros.ros.messages import array_from_image, image_from_array, pixels_from_frame
 
 CAMERA = Intrinsics.pinhole(500.0, 640, 480)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Intrinsics
 
 
@@ -102,3 +103,25 @@ def expected_motion(
         return known(None, f"angular velocity is {abs(late_s):.3g} s late")
     x, y, z = (float(rate) * exposure_s for rate in angular_velocity_rad_s)
     return known((x, y, z))
+
+
+def rotation_of(axes: str) -> tuple[tuple[int, int], ...]:
+    """Return for each axis of the camera the index of the gyroscope's axis, and its sign.
+
+    Raises
+    ------
+    InputError
+        If the text does not name each axis once, or what it says is a mirror and no rotation.
+    """
+    found = []
+    for word in axes.split():
+        sign, name = (-1, word[1:]) if word.startswith("-") else (1, word.removeprefix("+"))
+        if len(name) == 1 and name in "xyz":
+            found.append(("xyz".index(name), sign))
+    order = [index for index, _ in found]
+    if sorted(order) != [0, 1, 2] or len(axes.split()) != 3:
+        raise InputError(f"imu_axes: expected three axes like -y -z x, got {axes!r}")
+    even = order in ([0, 1, 2], [1, 2, 0], [2, 0, 1])
+    if (1 if even else -1) * found[0][1] * found[1][1] * found[2][1] != 1:
+        raise InputError(f"imu_axes: {axes!r} is a mirror image, no rotation: check the signs")
+    return tuple(found)
