@@ -68,20 +68,11 @@ def add_parser(subparsers: Any) -> None:
         ),
         epilog="example: coded_aperture demo --output results --seconds 10",
     )
-    parser.add_argument(
-        "--output",
-        type=Path,
-        default=Path("demo_output"),
-        metavar="DIR",
-        help="where to put the results (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--seconds",
-        type=_seconds,
-        default=20.0,
-        metavar="N",
-        help="how long to measure (default: %(default)g)",
-    )
+    output = "where to put the results (default: %(default)s)"
+    seconds = "how long to measure (default: %(default)g)"
+    default = Path("demo_output")
+    parser.add_argument("--output", type=Path, default=default, metavar="DIR", help=output)
+    parser.add_argument("--seconds", type=_seconds, default=20.0, metavar="N", help=seconds)
     parser.add_argument(
         "--json", action="store_true", help="print the summary as JSON instead of the table"
     )

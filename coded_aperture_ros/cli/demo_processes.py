@@ -47,24 +47,12 @@ class Children:
 
     def start(self, node: str, parameters: dict[str, Any]) -> None:
         """Start a node in a process of its own."""
-        arguments = [
-            text
-            for name, value in parameters.items()
-            for text in ("-p", f"{name}:={json.dumps(value)}")
-        ]
+        command = [sys.executable, "-m", "coded_aperture_ros.ros.programs", node, "--ros-args"]
+        for name, value in parameters.items():
+            command += ["-p", f"{name}:={json.dumps(value)}"]
         with self._log(node).open("wb") as log:
             process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-m",
-                    "coded_aperture_ros.ros.programs",
-                    node,
-                    "--ros-args",
-                    *arguments,
-                ],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
+                command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT
             )
         self._processes[node] = process
         os.setpriority(os.PRIO_PROCESS, process.pid, _NICENESS.get(node, 0))
