@@ -65,7 +65,7 @@ def learn_bank_for_camera(
     camera: Camera,
     near_m: float,
     far_m: float,
-    levels: int,
+    level_count: int,
     config: LearnConfig | None = None,
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
     prior: NaturalImagePrior | None = None,
@@ -77,7 +77,7 @@ def learn_bank_for_camera(
     camera : Camera
     near_m, far_m : float
         Depth range, metres.
-    levels : int
+    level_count : int
         Number of levels, equally spaced in blur size; at least 2. On both sides of the focus they
         mirror each other, so that one end may lie a little beyond the range.
     config, progress, prior
@@ -89,19 +89,19 @@ def learn_bank_for_camera(
         If the range does not lie on the camera's side of the focal plane or ends at infinity,
         there are fewer than two levels, or a blur size does not fit the window.
     """
-    stack = psf_stack_for_camera(camera, near_m, far_m, levels)
+    stack = psf_stack_for_camera(camera, near_m, far_m, level_count)
     learned_from = f"mask {camera.mask.name}, {near_m:g} to {far_m:g} m, {textures_of(prior)}"
     return learn_bank(stack, config, prior, learned_from, camera.mask, progress)
 
 
 def psf_stack_for_camera(
-    camera: Camera, near_m: float, far_m: float, levels: int, whose: str = "a bank"
+    camera: Camera, near_m: float, far_m: float, level_count: int, whose: str = "a bank"
 ) -> PsfStack:
     """Render the PSFs of a camera for a depth range, equally spaced in blur size.
 
     Parameters
     ----------
-    camera, near_m, far_m, levels
+    camera, near_m, far_m, level_count
         See `learn_bank_for_camera`.
     whose : str, optional
         What they are for, for messages.
@@ -112,8 +112,8 @@ def psf_stack_for_camera(
         If the range does not lie on the camera's side of the focal plane or ends at infinity, or
         there are fewer than two levels.
     """
-    check_levels(levels)
-    blur_sizes = _blur_sizes(camera, near_m, far_m, levels)
+    check_levels(level_count)
+    blur_sizes = _blur_sizes(camera, near_m, far_m, level_count)
     depths_m = camera.depth_m(blur_sizes)
     if not np.isfinite(depths_m).all():
         raise InputError(
@@ -123,7 +123,7 @@ def psf_stack_for_camera(
     return dataclasses.replace(render_psf_stack(camera.mask, blur_sizes), depths_m=depths_m)
 
 
-def _blur_sizes(camera: Camera, near_m: float, far_m: float, levels: int) -> NDArray[np.float64]:
+def _blur_sizes(camera: Camera, near_m: float, far_m: float, count: int) -> NDArray[np.float64]:
     """Return equally spaced blur sizes; with the focus among them, the same on both sides of it.
 
     Else the side with a level just there would seem the likelier one. To have that, one end may lie
@@ -131,21 +131,21 @@ def _blur_sizes(camera: Camera, near_m: float, far_m: float, levels: int) -> NDA
     """
     smallest_px, largest_px = camera.blur_range_px(near_m, far_m)
     if not smallest_px < 0 < largest_px:
-        return np.linspace(smallest_px, largest_px, levels)
-    if levels < 3:
-        raise InputError(f"levels on both sides of the focus: at least 3 are needed, got {levels}")
-    beyond = np.arange(1, levels - 1)
-    steps = np.maximum(largest_px / beyond, -smallest_px / (levels - 1 - beyond))
+        return np.linspace(smallest_px, largest_px, count)
+    if count < 3:
+        raise InputError(f"levels on both sides of the focus: at least 3 are needed, got {count}")
+    beyond = np.arange(1, count - 1)
+    steps = np.maximum(largest_px / beyond, -smallest_px / (count - 1 - beyond))
     steps[steps * beyond >= max(camera.blur_at_infinity_px, largest_px * (1 + 1e-9))] = np.inf
     best = int(steps.argmin())
-    return np.arange(beyond[best] - levels + 1, beyond[best] + 1) * steps[best]
+    return np.arange(beyond[best] - count + 1, beyond[best] + 1) * steps[best]
 
 
 def learn_bank_for_pattern(
     pattern: LearnedPattern,
     near_m: float,
     far_m: float,
-    levels: int = DEFAULT_LEVEL_COUNT,
+    level_count: int = DEFAULT_LEVEL_COUNT,
     config: LearnConfig | None = None,
     prior: NaturalImagePrior | None = None,
     learned_from: str = "planes",
@@ -155,8 +155,8 @@ def learn_bank_for_pattern(
     The arguments are those of `learn_bank_for_camera` and `learn_bank`, and so are the errors; the
     focus must not lie within the range. The bank's depths hold whatever a camera file says.
     """
-    check_levels(levels)
-    sizes_px = np.linspace(*pattern.blur_range_px(near_m, far_m), levels)
+    check_levels(level_count)
+    sizes_px = np.linspace(*pattern.blur_range_px(near_m, far_m), level_count)
     stack = render_psf_stack(pattern.mask, sizes_px)
     stack = dataclasses.replace(stack, depths_m=pattern.depth_m(sizes_px))
     components = pattern.components(sizes_px)

@@ -25,7 +25,7 @@ def remap_bank(
     camera: Camera,
     near_m: float | None = None,
     far_m: float | None = None,
-    levels: int | None = None,
+    level_count: int | None = None,
 ) -> FilterBank:
     """Make the bank of another setting of the same lens and mask; all else stays as it is.
 
@@ -39,7 +39,7 @@ def remap_bank(
         camera's focal length in mm is known, the image distance follows the focus.
     near_m, far_m : float, optional
         Depth range of the new levels. Without it the filters stay as they are, and get new depths.
-    levels : int, optional
+    level_count : int, optional
         Number of new levels, with a depth range; by default that of the bank.
 
     Raises
@@ -50,8 +50,8 @@ def remap_bank(
     """
     if (near_m is None) != (far_m is None):
         raise InputError("a depth range needs both near_m and far_m")
-    if levels is not None and near_m is None:
-        raise InputError("levels: other levels need a depth range")
+    if level_count is not None and near_m is None:
+        raise InputError("level_count: other levels need a depth range")
     pattern = None if bank.pattern is None else refocused(bank.pattern, camera)
     learned_from = f"{bank.learned_from}; for a focus at {camera.focus_distance_m:g} m"
     if pattern is None and not bank.stack.in_pixels:
@@ -66,7 +66,7 @@ def remap_bank(
         highest_frequency=bank.highest_frequency,
         noise=bank.noise,
     )
-    count = bank.levels if levels is None else levels
+    count = bank.levels if level_count is None else level_count
     if pattern is not None:
         camera.blur_range_px(near_m, far_m)  # refuses what is not on the camera's side
         new = learn_bank_for_pattern(

@@ -77,7 +77,7 @@ class PlanesCalibration:
 
 def calibrate_planes(
     planes: Planes,
-    levels: int = 40,
+    level_count: int = 40,
     config: LearnConfig | None = None,
     depth_range_m: tuple[float, float] | None = None,
     mask: Mask | None = None,
@@ -88,7 +88,7 @@ def calibrate_planes(
     Parameters
     ----------
     planes : Planes
-    levels : int, optional
+    level_count : int, optional
         Of the bank.
     config : LearnConfig, optional
         Its window has to be twice as wide as the largest blur.
@@ -128,7 +128,7 @@ def calibrate_planes(
     _check_range(planes, pattern, wanted)
     return PlanesCalibration(
         bank=learn_bank_for_pattern(
-            pattern, *wanted, levels, config, learned_from=_learned_from(planes, pattern)
+            pattern, *wanted, level_count, config, learned_from=_learned_from(planes, pattern)
         ),
         pattern=pattern,
         mask_is_known=known,
@@ -146,7 +146,7 @@ def calibrate_planes(
 
 def learn_bank_from_planes(
     planes: Planes,
-    levels: int = DEFAULT_LEVEL_COUNT,
+    level_count: int = DEFAULT_LEVEL_COUNT,
     config: LearnConfig | None = None,
     prior: NaturalImagePrior | None = None,
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
@@ -168,14 +168,14 @@ def learn_bank_from_planes(
     InputError
         If a plane has no texture above its noise, or is smaller than the window.
     """
-    check_levels(levels)
+    check_levels(level_count)
     config = config or LearnConfig()
     check_pictures(planes.images, planes.names, config.window_px)
     search = MaskSearch(planes, config.window_px, progress)
     mixture = search.mixture()
     pattern = pattern_of(mixture, *search.single(mixture), planes.images[0].shape[1])
     wanted, learned_from = _depth_range(planes), _learned_from(planes, pattern)
-    return learn_bank_for_pattern(pattern, *wanted, levels, config, prior, learned_from)
+    return learn_bank_for_pattern(pattern, *wanted, level_count, config, prior, learned_from)
 
 
 def _depth_range(planes: Planes) -> tuple[float, float]:

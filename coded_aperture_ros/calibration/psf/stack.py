@@ -17,7 +17,7 @@ _WIDTH_PX, _PER_ROW, _GAP_LIGHT = 120, 8, 0.25
 
 def psf_stack(
     measured: Sequence[CentredPsf],
-    levels: int | None = None,
+    level_count: int | None = None,
     depths_m: ArrayLike | None = None,
     names: Sequence[str] | None = None,
 ) -> PsfStack:
@@ -29,7 +29,7 @@ def psf_stack(
     Parameters
     ----------
     measured : sequence of CentredPsf
-    levels : int, optional
+    level_count : int, optional
         By default as many as there are PSFs.
     depths_m : array of float, shape [N], optional
         The stack then knows its depths: between two, the inverse depth is linear in blur size.
@@ -67,7 +67,7 @@ def psf_stack(
                 f"one of {sizes[number + 1]:.2f} px, unlike the others: check the depths, and that "
                 "all lie on one side of the focus"
             )
-    count = len(sizes) if levels is None else levels
+    count = len(sizes) if level_count is None else level_count
     wanted = np.linspace(sizes[0], sizes[-1], count) if count > 1 else sizes[:1]
     width = max(one.width_px for one in measured)
     psfs = np.stack([_between(ranked, sizes, size, width) for size in wanted])
