@@ -21,7 +21,7 @@ from coded_aperture_ros.core.errors import InputError
 
 _EPILOG = """examples:
   from a camera file:
-    coded_aperture learn --camera config/demo_camera.yaml --depth-range 2.1 5.1 --levels 30 \\
+    coded_aperture learn --camera config/demo_camera.yaml --depth-range 2.1 5.1 --level-count 30 \\
         -o bank.npz
   for another focus or depth range of the same lens and mask, without new pictures:
     coded_aperture learn --remap bank.npz --camera config/demo_camera.yaml --depth-range 2.3 6 \\
