@@ -44,9 +44,10 @@ class FrameResult:
 
     @cached_property
     def all_in_focus(self) -> NDArray[np.float32]:
-        """The frame without its blur, float32 in [0, 1], like the frame; made when first asked for.
+        """The frame without its blur, float32 in [0, 1], like the frame.
 
-        With `DeblurConfig.temporal_frames` ask for it frame by frame, in order.
+        It is made when first asked for, with the pipeline's settings of that time. With
+        `DeblurConfig.temporal_frames` ask for it frame by frame, in order.
 
         Raises
         ------
@@ -202,7 +203,7 @@ class FramePipeline:
         order = self._order.follow(stamp)
         if order == "restart":
             self._forget_video()
-        elif order == "late" and self.estimator.config.temporal_frames:
+        elif order == "late" and self.remembers:
             raise LateFrameError("a frame is older than the one before it")
 
     def _forget_video(self) -> None:
@@ -221,9 +222,10 @@ class FramePipeline:
         deblurrer = self._deblurrer
         if deblurrer is None:
             raise InputError("deblurring: the pipeline was made without it")
-        known = KnownNoise.of(deblurrer.config, self.estimator.known_noise)
         motion_px = None
-        if estimate.motion is not None and deblurrer.config.method != "fast":
+        if estimate.motion is not None and deblurrer.removes_motion:
             motion_px = estimate.motion.vectors_px
-        noise = channel_noise(frame, known)
+        # Not what depth has estimated, which is of the mean of the channels: so the picture is the
+        # same as where depth comes from elsewhere.
+        noise = channel_noise(frame, KnownNoise.of(deblurrer.config, self.estimator.known_noise))
         return deblurrer.deblur(frame, estimate.blur_size_px, noise, motion_px)

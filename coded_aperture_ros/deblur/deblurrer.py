@@ -64,6 +64,11 @@ class Deblurrer:
             self._video = VideoState(config.temporal_frames)
         self._method = self._new_method()
 
+    @property
+    def removes_motion(self) -> bool:
+        """Whether the method can remove blur by motion too."""
+        return self._method.removes_motion
+
     def close(self) -> None:
         """End the threads that the frames were shared among."""
         self._workers.close()
