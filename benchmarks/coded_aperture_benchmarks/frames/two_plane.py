@@ -10,8 +10,10 @@ from coded_aperture_benchmarks.frames.stair import (
     LEVELS,
     SMALLEST_BLUR_PX,
     blur_stack,
+    check_frame_options,
+    crops_generator,
     level_error,
-    noise_behind,
+    with_noise,
 )
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.mask_design.textures import Textures
@@ -19,7 +21,6 @@ from coded_aperture_ros.optics import Mask, PsfStack, psf_width
 
 SHAPE = (320, 480)
 NEAR_EDGE_PX = 16.0
-_CROPS, _NOISE = 0, 1
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -180,28 +181,24 @@ def make_two_planes(
             raise InputError(
                 f"blur size: expected {SMALLEST_BLUR_PX:g} to {LARGEST_BLUR_PX:g} px, got {size:g}"
             )
-    if not (sigma >= 0 and np.isfinite(sigma)):
-        raise InputError(f"noise: expected 0 or more, got {sigma}")
+    check_frame_options(sigma, min(shape), "frame")
     rows, columns = shape
     # Of the largest blur that there is, so that the crops are the same for all blur sizes.
     margin = reach_px(LARGEST_BLUR_PX)
-    front, back = textures.crops(
-        2, rows + 2 * margin, columns + 2 * margin, np.random.default_rng([seed, _CROPS])
-    )
+    front, back = textures.crops(2, rows + 2 * margin, columns + 2 * margin, crops_generator(seed))
     excess = margin - reach_px(front_blur_px, back_blur_px)
     inner = slice(excess, front.shape[0] - excess), slice(excess, front.shape[1] - excess)
     middle = margin + columns // 2
     opacity = np.zeros_like(front)
     opacity[:, :middle] = 1
     coded = composite(mask, front[inner], opacity[inner], back[inner], front_blur_px, back_blur_px)
-    noise = noise_behind(mask, sigma)
-    white = np.random.default_rng([seed, _NOISE]).standard_normal(shape, dtype=np.float32)
+    noisy, noise = with_noise(coded, mask, sigma, seed)
     stack = blur_stack(mask, levels)
     level = np.interp([front_blur_px, back_blur_px], stack.blur_sizes_px, np.arange(levels))
     from_edge = (np.arange(columns) + 0.5 - columns // 2).astype(np.float32)
     across = np.where(from_edge < 0, level[0], level[1]).astype(np.float32)
     return TwoPlanes(
-        coded=coded + np.float32(noise) * white,
+        coded=noisy,
         level=np.broadcast_to(across, shape),
         edge_distance_px=np.broadcast_to(np.abs(from_edge), shape),
         stack=stack,

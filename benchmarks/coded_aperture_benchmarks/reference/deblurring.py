@@ -6,14 +6,18 @@ pixel: the frame is deconvolved with the PSF of every level that there is, and c
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.reference.deconvolution import PeriodicPicture
+from coded_aperture_benchmarks.reference.deconvolution import (
+    PeriodicPicture,
+    SparseDescent,
+    sparse_descent,
+)
 from coded_aperture_benchmarks.restoration import missing_scikit_image
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import transfer_function
@@ -23,12 +27,6 @@ from coded_aperture_ros.optics import PsfStack
 _TILE_PX = 128
 # Less light counts as that much: Lucy-Richardson multiplies, and knows no negative light.
 _LUCY_DARKEST = np.float32(1e-4)
-# Of the prior of Levin et al.; gradients below the least are weighed as in least squares.
-_SPARSE_EXPONENT = 0.8
-_SPARSE_LEAST_GRADIENT = np.float32(0.01)
-_SPARSE_REWEIGHTINGS = 4
-_SPARSE_STEPS = 8
-_SMALLEST_POWER = np.float32(1e-9)
 
 # A picture with a margin [h, w], its PSF and the strength give the sharp picture [h, w].
 Deconvolver = Callable[[NDArray[np.float32], NDArray[np.float32], float], NDArray[np.floating]]
@@ -93,10 +91,8 @@ def _levin(
 ) -> NDArray[np.floating]:
     """Minimise ``|g - h * f|^2 + m sum |grad f|^0.8`` over both directions of the gradient.
 
-    Reweighted least squares: the penalty becomes ``m |grad f0|^-1.2 |grad f|^2`` at the last
-    estimate ``f0``, and conjugate gradient steps follow, preconditioned with the inverse for one
-    weight everywhere. The sharp picture reaches half a PSF beyond the coded one, where nothing is
-    known of it, so that no border is invented.
+    The sharp picture reaches half a PSF beyond the coded one, where nothing is known of it, so
+    that no border is invented.
 
     It is thorough where `deconvolution.levin`, made to tell levels apart, is quick.
     """
@@ -104,58 +100,26 @@ def _levin(
     height, width = picture.shape
     shape = tuple(scipy.fft.next_fast_len(side + 2 * reach, real=True) for side in picture.shape)
     seen = (slice(reach, reach + height), slice(reach, reach + width))
+    below, right = (side - reach - of for side, of in zip(shape, picture.shape, strict=True))
+    start = np.pad(picture, ((reach, below), (reach, right)), mode="edge")
+    periodic = PeriodicPicture(start, (height, width))
     transfer = transfer_function(psf, (shape[0], shape[1]))
-    power = transfer.real**2 + transfer.imag**2
-    weight = np.float32(strength)
-
-    def filtered(image: NDArray[np.float32], response: NDArray) -> NDArray[np.float32]:
-        return scipy.fft.irfft2(response * scipy.fft.rfft2(image), shape)
 
     def back(residual: NDArray[np.float32]) -> NDArray[np.float32]:
         """Transpose of blurring and looking at what is seen."""
         whole = np.zeros(shape, np.float32)
         whole[seen] = residual
-        return filtered(whole, np.conj(transfer))
+        return periodic.back(np.conj(transfer) * scipy.fft.rfft2(whole))
 
-    below, right = (side - reach - of for side, of in zip(shape, picture.shape, strict=True))
-    sharp = np.pad(picture, ((reach, below), (reach, right)), mode="edge")
-    target = back(picture)
-    gradient_power = PeriodicPicture(sharp, (height, width)).gradient_power
-    for _ in range(_SPARSE_REWEIGHTINGS):
-        weights = [_sparse_weights(sharp, axis) * weight for axis in (0, 1)]
-        typical = np.sqrt(np.mean(weights[0]) / np.mean(1 / weights[0]))
-        inverse = 1 / (power + typical * gradient_power + _SMALLEST_POWER)
-
-        def normal(
-            image: NDArray[np.float32], weights: Sequence[NDArray[np.float32]] = weights
-        ) -> NDArray[np.float32]:
-            total = back(filtered(image, transfer)[seen])
-            for axis, each in enumerate(weights):
-                flow = each * (np.roll(image, -1, axis) - image)
-                total += np.roll(flow, 1, axis) - flow
-            return total
-
-        residual = target - normal(sharp)
-        direction = np.zeros_like(sharp)
-        before = np.float32(np.inf)
-        for _ in range(_SPARSE_STEPS):
-            preconditioned = filtered(residual, inverse)
-            now = np.vdot(residual, preconditioned)
-            if not now > 0:  # a picture without any texture is solved at once
-                break
-            direction = preconditioned + (now / before) * direction
-            image = normal(direction)
-            step = now / np.vdot(direction, image)
-            sharp = sharp + step * direction
-            residual = residual - step * image
-            before = now
+    sharp = sparse_descent(
+        periodic,
+        start,
+        back(picture),
+        lambda image: back(periodic.back(transfer * scipy.fft.rfft2(image))[seen]),
+        transfer.real**2 + transfer.imag**2,
+        SparseDescent(np.float32(strength), np.float32(0.01), reweightings=4, steps=8),
+    )
     return sharp[seen]
-
-
-def _sparse_weights(image: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
-    size = np.maximum(np.abs(np.roll(image, -1, axis) - image), _SPARSE_LEAST_GRADIENT)
-    weights: NDArray[np.float32] = size ** np.float32(_SPARSE_EXPONENT - 2)
-    return weights
 
 
 def _steps(first: float, last: float, count: int) -> tuple[float, ...]:

@@ -54,10 +54,6 @@ _SPARSE = Strength(floor=3e-4, contrast=0.3)
 # Fall-off of the power of photographs with frequency.
 _SLOPE = 2.4
 _SPARSE_EXPONENT = 0.8
-# Where the gradient is smaller, its penalty is that of least squares; intensities 0 to 1.
-_SPARSE_LEAST_GRADIENT = np.float32(2e-3)
-_SPARSE_REWEIGHTINGS = 2
-_SPARSE_STEPS = 3
 _SMALLEST_POWER = np.float32(1e-9)
 
 
@@ -203,32 +199,81 @@ def levin(
     preconditioner is the inverse for one weight everywhere, which the transform knows.
     """
     power = _power(transfer)
-    sharp = picture.back(gaussian(picture, transfer, noise))
-    target = picture.back(np.conj(transfer) * picture.spectrum)
-    for _ in range(_SPARSE_REWEIGHTINGS):
-        penalty = _SparsePenalty.around(sharp, _SPARSE.at(noise))
+    sharp = sparse_descent(
+        picture,
+        picture.back(gaussian(picture, transfer, noise)),
+        picture.back(np.conj(transfer) * picture.spectrum),
+        lambda image: picture.back(power * scipy.fft.rfft2(image)),
+        power,
+        SparseDescent(_SPARSE.at(noise), np.float32(2e-3), reweightings=2, steps=3),
+    )
+    return scipy.fft.rfft2(sharp)
+
+
+@dataclasses.dataclass(frozen=True)
+class SparseDescent:
+    """How `sparse_descent` goes: the prior's strength, and how far it is followed.
+
+    Attributes
+    ----------
+    strength : float
+        Of the penalty ``|grad f|^0.8``.
+    least_gradient : float
+        Where the gradient is smaller, its penalty is that of least squares; intensities 0 to 1.
+    reweightings, steps : int
+        Least squares problems, and conjugate gradient steps on each.
+    """
+
+    strength: np.float32
+    least_gradient: np.float32
+    reweightings: int
+    steps: int
+
+
+def sparse_descent(
+    picture: PeriodicPicture,
+    sharp: NDArray[np.float32],
+    target: NDArray[np.float32],
+    normal: Callable[[NDArray[np.float32]], NDArray[np.float32]],
+    power: NDArray[np.float32],
+    how: SparseDescent,
+) -> NDArray[np.float32]:
+    """Minimise ``|g - A f|^2 + m sum |grad f|^0.8`` by reweighted least squares.
+
+    Parameters
+    ----------
+    picture : PeriodicPicture
+        Its transform, of [H, W], is what inverts.
+    sharp, target : ndarray of float32, shape [H, W]
+        The start, and ``A^T g``.
+    normal : callable
+        Returns ``A^T A f``.
+    power : ndarray of float32, shape [H, W // 2 + 1]
+        About what ``A^T A`` passes of every frequency, to precondition with.
+    how : SparseDescent
+
+    Returns
+    -------
+    ndarray of float32, shape [H, W]
+    """
+    for _ in range(how.reweightings):
+        penalty = _SparsePenalty.around(sharp, how.strength, how.least_gradient)
         inverse = 1 / (power + penalty.typical * picture.gradient_power + _SMALLEST_POWER)
-
-        def normal(
-            image: NDArray[np.float32], penalty: _SparsePenalty = penalty
-        ) -> NDArray[np.float32]:
-            return picture.back(power * scipy.fft.rfft2(image)) + penalty.gradient(image)
-
-        residual = target - normal(sharp)
+        residual = target - (normal(sharp) + penalty.gradient(sharp))
         direction = np.zeros_like(sharp)
         before = np.float32(np.inf)
-        for _ in range(_SPARSE_STEPS):
+        for _ in range(how.steps):
             preconditioned = picture.back(inverse * scipy.fft.rfft2(residual))
             now = np.vdot(residual, preconditioned)
             if not now > 0:  # A picture without any texture is solved at once.
                 break
             direction = preconditioned + (now / before) * direction
-            image = normal(direction)
+            image = normal(direction) + penalty.gradient(direction)
             step = now / np.vdot(direction, image)
             sharp = sharp + step * direction
             residual = residual - step * image
             before = now
-    return scipy.fft.rfft2(sharp)
+    return sharp
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -239,11 +284,13 @@ class _SparsePenalty:
     across: NDArray[np.float32]
 
     @classmethod
-    def around(cls, image: NDArray[np.float32], strength: np.float32) -> "_SparsePenalty":
+    def around(
+        cls, image: NDArray[np.float32], strength: np.float32, least: np.float32
+    ) -> "_SparsePenalty":
         """Weigh squared gradients so that they cost as their sparse penalty does at `image`."""
         down, across = (
             strength
-            * np.maximum(np.abs(np.roll(image, -1, axis) - image), _SPARSE_LEAST_GRADIENT)
+            * np.maximum(np.abs(np.roll(image, -1, axis) - image), least)
             ** np.float32(_SPARSE_EXPONENT - 2)
             for axis in (0, 1)
         )
