@@ -103,6 +103,12 @@ def headers(draw):
     return header
 
 
+def bytes_of_pixel(name):
+    if name not in ENCODINGS:
+        return 3
+    return np.dtype(ENCODINGS[name].dtype).itemsize * ENCODINGS[name].channels
+
+
 @st.composite
 def images(draw, names=NAMES):
     """Draw an image message whose fields may contradict each other."""
@@ -111,8 +117,7 @@ def images(draw, names=NAMES):
     image.width = draw(st.sampled_from([WIDTH, WIDTH // 2, 2 * WIDTH]) | COUNTS)
     image.height = draw(st.sampled_from([HEIGHT, HEIGHT // 2, 2 * HEIGHT]) | COUNTS)
     image.is_bigendian = draw(st.sampled_from([0, 1, 255]))
-    pixel_bytes = ENCODINGS[name].pixel_bytes if name in ENCODINGS else 3
-    row = image.width * pixel_bytes
+    row = image.width * bytes_of_pixel(name)
     image.step = draw(st.just(min(row, 2**32 - 1)) | st.sampled_from([row % 1000 + 8]) | COUNTS)
     expected = image.step * image.height
     size = draw(st.just(expected) | st.integers(0, 5000)) if expected < 2**20 else 64
