@@ -39,14 +39,7 @@ class Picture:
 
 
 def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
-    """Read a raw or compressed image.
-
-    Raises
-    ------
-    MessageError
-        Of kind "message" if it is not one at all; see also `array_from_image` and
-        `array_from_compressed`.
-    """
+    """Read a raw or compressed image; a `MessageError`, of kind "message" if it is none at all."""
     message = _read(data, type_name)
     if type_name == IMAGE:
         return Picture(message.header, array_from_image(message), message.encoding)
@@ -54,13 +47,7 @@ def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
 
 
 def read_depth_image(data: bytes | memoryview) -> Picture:
-    """Read a depth image; `messages.depth_from_pixels` turns its pixels into metres.
-
-    Raises
-    ------
-    MessageError
-        Of kind "depth" where the encoding is not one of depth; see also `read_picture`.
-    """
+    """Read a depth image for `depth_from_pixels`; a `MessageError` ("depth") if it is none."""
     picture = read_picture(data, IMAGE)
     if picture.encoding not in ("32FC1", "16UC1", "mono16"):
         raise MessageError(

@@ -61,7 +61,6 @@ def pixels_from_frame(frame: NDArray, encoding: str, gamma: Gamma = 1.0) -> NDAr
     encoding : str
         One of `ENCODINGS`; grey encodings of a colour frame hold its luminance.
     gamma : float or "srgb"
-        As in `frame_from_image`.
 
     Returns
     -------

@@ -74,6 +74,7 @@ def open_source(
     camera : Camera
         To simulate, or whose image size to ask a device for.
     rate_hz : float
+        Of simulator and device.
     loop : bool
         Of files.
     noise : float
