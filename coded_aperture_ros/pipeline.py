@@ -18,8 +18,8 @@ from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator, estimate_video
 from coded_aperture_ros.imaging import KnownNoise, channel_noise
 from coded_aperture_ros.likelihood import LikelihoodModel
-from coded_aperture_ros.methods.motion import ExpectedMotion
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics.rotation import ExpectedMotion
 
 
 class LateFrameError(InputError):

@@ -36,8 +36,8 @@ from coded_aperture_ros.io.bags.topics import (
 )
 from coded_aperture_ros.io.bags.writing import bag_output
 from coded_aperture_ros.io.messages import MessageError
-from coded_aperture_ros.methods.motion import ExpectedMotion
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics.rotation import ExpectedMotion
 from coded_aperture_ros.pipeline import FramePipeline
 
 REPORT = "report"

@@ -12,7 +12,7 @@ from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.imaging import Gamma
 from coded_aperture_ros.io.bags.codec import Picture, read_picture
 from coded_aperture_ros.io.messages import MessageError, frame_from_pixels, pixels_from_frame
-from coded_aperture_ros.methods.motion import ExpectedMotion
+from coded_aperture_ros.optics.rotation import ExpectedMotion
 from coded_aperture_ros.pipeline import FramePipeline
 
 

@@ -150,7 +150,7 @@ def check_gyroscope_options(args: argparse.Namespace) -> None:
 
 def expected_motion_of(args: argparse.Namespace, camera: Any) -> Any:
     """Return what is known of the motion beforehand, or None."""
-    from coded_aperture_ros.methods.motion import expected_motion
+    from coded_aperture_ros.optics.rotation import expected_motion
 
     if args.angular_velocity is None:
         return None

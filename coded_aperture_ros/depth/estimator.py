@@ -30,8 +30,8 @@ from coded_aperture_ros.imaging import (
     grey_image,
 )
 from coded_aperture_ros.likelihood import Cost, Likelihood, LikelihoodModel, MotionField
-from coded_aperture_ros.methods.motion import ExpectedMotion
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics.rotation import ExpectedMotion
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -8,8 +8,8 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.options import check_options, option
-from coded_aperture_ros.methods.motion import ExpectedMotion, expected_motion, rotation_of
 from coded_aperture_ros.optics import Intrinsics
+from coded_aperture_ros.optics.rotation import ExpectedMotion, expected_motion, rotation_of
 from coded_aperture_ros.ros.messages import stamp_ns
 
 # A second of a fast gyroscope: frames are worked on a little after they were taken.

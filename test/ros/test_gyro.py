@@ -13,8 +13,8 @@ from small_camera import FAR_M, NEAR_M, coded_wall
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.methods.motion import rotation_of
 from coded_aperture_ros.optics import Intrinsics, load_camera
+from coded_aperture_ros.optics.rotation import rotation_of
 from coded_aperture_ros.ros.depth_node import DepthNode
 from coded_aperture_ros.ros.gyro import Gyro, GyroConfig
 from coded_aperture_ros.ros.messages import array_from_image, image_from_array, pixels_from_frame

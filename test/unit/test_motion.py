@@ -16,7 +16,6 @@ from coded_aperture_ros.methods.motion import (
     MotionModel,
     Motions,
     blurred_psf,
-    expected_motion,
     learn_motion_bank,
     motion_kernel,
 )
@@ -24,6 +23,7 @@ from coded_aperture_ros.methods.motion.bank import expected_powers
 from coded_aperture_ros.methods.motion.engine import MotionEngine
 from coded_aperture_ros.methods.motion.occurring import occurring_motions, refined_motion
 from coded_aperture_ros.optics import Intrinsics, Mask, render_psf_stack
+from coded_aperture_ros.optics.rotation import expected_motion
 
 MASK = Mask.from_rows(["101", "000", "100"])
 SIZES = np.linspace(7, 17, 6)

@@ -17,10 +17,10 @@ from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.methods.motion import (
     MotionConfig,
     MotionModel,
-    expected_motion,
     learn_motion_bank,
 )
 from coded_aperture_ros.optics import Mask
+from coded_aperture_ros.optics.rotation import expected_motion
 
 # Of a robot that turns, rad/s, and its exposure, s.
 _RATE, _EXPOSURE_S = (0.05, 0.4, 0.1), 0.015

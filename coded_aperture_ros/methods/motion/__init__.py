@@ -4,22 +4,14 @@ from coded_aperture_ros.methods.motion.bank import MotionBank, learn_motion_bank
 from coded_aperture_ros.methods.motion.config import MotionConfig
 from coded_aperture_ros.methods.motion.kernels import Motions, blurred_psf, motion_kernel
 from coded_aperture_ros.methods.motion.likelihood import MotionLikelihood, MotionModel
-from coded_aperture_ros.methods.motion.rotation import (
-    ExpectedMotion,
-    expected_motion,
-    rotation_of,
-)
 
 __all__ = [
-    "ExpectedMotion",
     "MotionBank",
     "MotionConfig",
     "MotionLikelihood",
     "MotionModel",
     "Motions",
     "blurred_psf",
-    "expected_motion",
     "learn_motion_bank",
     "motion_kernel",
-    "rotation_of",
 ]

@@ -12,8 +12,8 @@ from coded_aperture_ros.methods.motion.bank import MotionBank
 from coded_aperture_ros.methods.motion.config import MotionConfig
 from coded_aperture_ros.methods.motion.engine import MotionEngine
 from coded_aperture_ros.methods.motion.joint import Separated, separate, separate_expected
-from coded_aperture_ros.methods.motion.rotation import ExpectedMotion
 from coded_aperture_ros.optics import PsfStack
+from coded_aperture_ros.optics.rotation import ExpectedMotion
 
 # A motion is as good as another that is so near, px, or so near for its length.
 _AGREEMENT_PX, _AGREEMENT_SHARE = 1.0, 0.2
