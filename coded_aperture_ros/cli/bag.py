@@ -15,7 +15,7 @@ from coded_aperture_ros.cli.estimators import (
     expected_motion_of,
     pipeline_of,
 )
-from coded_aperture_ros.cli.options import add_gamma_option
+from coded_aperture_ros.cli.options import add_gamma_option, add_options
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.fork_server import load_in_fork_server
 from coded_aperture_ros.core.threads import processors
@@ -47,25 +47,16 @@ def add_parser(subparsers: Any) -> None:
         epilog=_EPILOG,
     )
     parser.add_argument("input", metavar="IN", help="bag: its folder, or a .mcap or .db3 file")
-    parser.add_argument(
-        "-o", "--output", required=True, metavar="OUT", help="folder of the new bag"
-    )
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace OUT, if that is a bag already"
-    )
-    parser.add_argument(
-        "--topic",
-        metavar="T",
-        help="of the coded frames, raw or compressed; by default the only images, or image_raw",
-    )
-    parser.add_argument(
-        "--reference-depth",
-        metavar="T",
-        help="depth images (32FC1 in m, 16UC1 in mm) of the same view to compare with",
-    )
-    parser.add_argument(
-        "--namespace", metavar="NAME", help="of the results (default: that of the coded frames)"
-    )
+    add_options(parser, {"-o --output OUT": "folder of the new bag"}, required=True)
+    topics = {
+        "--overwrite": "replace OUT, if that is a bag already",
+        "--topic T": "of the coded frames, raw or compressed; by default the only images, or "
+        "image_raw",
+        "--reference-depth T": "depth images (32FC1 in m, 16UC1 in mm) of the same view to compare "
+        "with",
+        "--namespace NAME": "of the results (default: that of the coded frames)",
+    }
+    add_options(parser, topics)
     add_estimator_options(
         parser,
         motion=", so that it does not pass for blur by defocus: depth/motion has the way during "
@@ -78,13 +69,8 @@ def add_parser(subparsers: Any) -> None:
         default=_DEBLUR[0],
         help="how all-in-focus frames are made, see deblur --help (default %(default)s)",
     )
-    parser.add_argument(
-        "--deblur-rank",
-        type=int,
-        default=_DEBLUR_RANK,
-        metavar="N",
-        help="kernels of --deblur fast: fewer is faster (default %(default)s)",
-    )
+    rank = {"--deblur-rank N": "kernels of --deblur fast: fewer is faster (default %(default)s)"}
+    add_options(parser, rank, type=int, default=_DEBLUR_RANK)
     parser.add_argument(
         "--deblur-band",
         choices=("full", "half"),
@@ -99,7 +85,7 @@ def add_parser(subparsers: Any) -> None:
         help="of the depth images, in parts of the frame; auto: at most 320x240 (default auto)",
     )
     add_gamma_option(parser)
-    parser.add_argument("--json", action="store_true", help="print the results as JSON")
+    add_options(parser, {"--json": "print the results as JSON"})
     parser.add_late_options = _add_settings
 
 

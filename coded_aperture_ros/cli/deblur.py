@@ -8,8 +8,14 @@ from collections.abc import Callable
 from typing import Any
 
 from coded_aperture_ros.cli.checks import naming
+from coded_aperture_ros.cli.estimators import CAMERA_OPTION
 from coded_aperture_ros.cli.frames import NamedFrame, add_input_options, named_frames
-from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, config_from
+from coded_aperture_ros.cli.options import (
+    add_config_options,
+    add_gamma_option,
+    add_options,
+    config_from,
+)
 from coded_aperture_ros.cli.stereo_output import StereoOutput, add_stereo_options
 from coded_aperture_ros.core.errors import InputError
 
@@ -36,28 +42,20 @@ def add_parser(subparsers: Any) -> None:
         epilog=_EPILOG,
     )
     add_input_options(parser, "all-in-focus picture, or a folder for one .png per frame")
-    parser.add_argument("--bank", required=True, metavar="NPZ", help="filter bank, see learn")
-    parser.add_argument(
-        "--depth",
-        required=True,
-        metavar="FILE|auto",
-        help="depth map in m (.npy, .tiff) or mm (16-bit .png) for all frames; auto estimates it",
-    )
-    parser.add_argument(
-        "--camera",
-        metavar="YAML",
-        help="camera file, for a bank that does not know its depths; its noise, where it has any, "
-        "stands in for --noise and --noise-gain",
-    )
-    parser.add_argument(
-        "--motion",
-        metavar="NPY",
-        help="motion during the exposure, px, [row, column, right and down], as depth --motion "
-        "writes it; removed too, by --method cg or sparse",
-    )
+    needed = {
+        "--bank NPZ": "filter bank, see learn",
+        "--depth FILE|auto": "depth map in m (.npy, .tiff) or mm (16-bit .png) for all frames; "
+        "auto estimates it",
+    }
+    motion = {
+        "--motion NPY": "motion during the exposure, px, [row, column, right and down], as depth "
+        "--motion writes it; removed too, by --method cg or sparse"
+    }
+    add_options(parser, needed, required=True)
+    add_options(parser, CAMERA_OPTION | motion)
     add_stereo_options(parser)
     add_gamma_option(parser)
-    parser.add_argument("--json", action="store_true", help="print a summary as JSON")
+    add_options(parser, {"--json": "print a summary as JSON"})
     parser.add_late_options = _add_config_options
 
 

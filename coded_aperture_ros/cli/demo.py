@@ -26,6 +26,7 @@ from coded_aperture_ros.cli.demo_report import (
     table,
     write_results,
 )
+from coded_aperture_ros.cli.options import add_options
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.share import share_directory
 
@@ -68,14 +69,11 @@ def add_parser(subparsers: Any) -> None:
         ),
         epilog="example: coded_aperture demo --output results --seconds 10",
     )
-    output = "where to put the results (default: %(default)s)"
-    seconds = "how long to measure (default: %(default)g)"
-    default = Path("demo_output")
-    parser.add_argument("--output", type=Path, default=default, metavar="DIR", help=output)
-    parser.add_argument("--seconds", type=_seconds, default=20.0, metavar="N", help=seconds)
-    parser.add_argument(
-        "--json", action="store_true", help="print the summary as JSON instead of the table"
-    )
+    output = {"--output DIR": "where to put the results (default: %(default)s)"}
+    seconds = {"--seconds N": "how long to measure (default: %(default)g)"}
+    add_options(parser, output, type=Path, default=Path("demo_output"))
+    add_options(parser, seconds, type=_seconds, default=20.0)
+    add_options(parser, {"--json": "print the summary as JSON instead of the table"})
 
 
 def run(options: argparse.Namespace) -> int:
@@ -106,12 +104,7 @@ def run(options: argparse.Namespace) -> int:
         children.start("deblur_node", {**model, **DEBLUR})
         say.line(f"starting {', '.join(NODES)} (ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']})")
         with running_monitor(reliable=not shared_memory) as monitor:
-            _wait(
-                lambda: _begun(monitor),
-                children,
-                _START_TIMEOUT_S,
-                "no depth and all-in-focus frames",
-            )
+            _wait(lambda: _begun(monitor), children, _START_TIMEOUT_S, _NO_RESULTS)
             _measure(monitor, children, say, options.seconds)
             summary = summarise(monitor, options.seconds)
             monitor.want_true_image()

@@ -20,7 +20,7 @@ from coded_aperture_ros.cli.estimators import (
     pipeline_of,
 )
 from coded_aperture_ros.cli.frames import NamedFrame, add_input_options, named_frames
-from coded_aperture_ros.cli.options import add_deprecated_alias, add_gamma_option
+from coded_aperture_ros.cli.options import add_deprecated_alias, add_gamma_option, add_options
 from coded_aperture_ros.core.errors import InputError
 
 _SUFFIXES = (".npy", ".tif", ".tiff", ".png")
@@ -63,22 +63,17 @@ def add_parser(subparsers: Any) -> None:
         "right and down], and x.motion.confidence.npy how sure it is",
     )
     add_gyroscope_options(parser)
-    parser.add_argument(
-        "--look-ahead",
-        action="store_true",
-        help="with --temporal-frames N: for recorded videos, and pictures in order. Each frame is "
-        "estimated together with those after it, as far as with those before it (default: only "
-        "those before it). About 8 N frames are held in memory",
-    )
-    as_levels = parser.add_argument(
-        "--as-levels", action="store_true", help="write fractional level indices instead of metres"
-    )
-    add_deprecated_alias(parser, "--levels", as_levels)
-    parser.add_argument(
-        "--pictures", action="store_true", help="write colour pictures of depth and confidence too"
-    )
+    look_ahead = {
+        "--look-ahead": "with --temporal-frames N: for recorded videos, and pictures in order. "
+        "Each frame is estimated together with those after it, as far as with those before it "
+        "(default: only those before it). About 8 N frames are held in memory"
+    }
+    as_levels = {"--as-levels": "write fractional level indices instead of metres"}
+    add_options(parser, look_ahead)
+    add_deprecated_alias(parser, "--levels", add_options(parser, as_levels))
+    add_options(parser, {"--pictures": "write colour pictures of depth and confidence too"})
     add_gamma_option(parser)
-    parser.add_argument("--json", action="store_true", help="print a summary as JSON")
+    add_options(parser, {"--json": "print a summary as JSON"})
     parser.add_late_options = add_estimator_settings
 
 

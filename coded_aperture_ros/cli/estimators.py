@@ -5,9 +5,15 @@ import logging
 from typing import Any
 
 from coded_aperture_ros.cli.checks import naming
-from coded_aperture_ros.cli.options import add_config_options, add_numbers, config_from
+from coded_aperture_ros.cli.options import add_config_options, add_numbers, add_options, config_from
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError
+
+# Of `depth`, `bag` and `deblur`.
+CAMERA_OPTION = {
+    "--camera YAML": "camera file, for a bank that does not know its depths; its noise, where it "
+    "has any, stands in for --noise and --noise-gain"
+}
 
 
 def add_estimator_options(parser: argparse.ArgumentParser, motion: str) -> None:
@@ -20,27 +26,11 @@ def add_estimator_options(parser: argparse.ArgumentParser, motion: str) -> None:
         "2 to 8 equal holes, from --camera and --depth-range alone; motion: bank with --motion "
         "(default bank)",
     )
-    parser.add_argument(
-        "--bank", metavar="NPZ", help="filter bank, see learn; needed with --method bank"
-    )
-    parser.add_argument(
-        "--camera",
-        metavar="YAML",
-        help="camera file, for a bank that does not know its depths; its noise, where it has any, "
-        "stands in for --noise and --noise-gain",
-    )
-    parser.add_argument(
-        "--depth-range",
-        nargs=2,
-        type=float,
-        metavar=("NEAR", "FAR"),
-        help="with --method simple: depths that are told apart, m",
-    )
-    parser.add_argument(
-        "--motion",
-        action="store_true",
-        help=f"estimate motion blur too, with --method bank{motion}",
-    )
+    bank = "filter bank, see learn; needed with --method bank"
+    depths = {"--depth-range NEAR FAR": "with --method simple: depths that are told apart, m"}
+    add_options(parser, {"--bank NPZ": bank, **CAMERA_OPTION})
+    add_options(parser, depths, type=float)
+    add_options(parser, {"--motion": f"estimate motion blur too, with --method bank{motion}"})
 
 
 def add_estimator_settings(parser: argparse.ArgumentParser, **defaults: Any) -> None:
@@ -123,17 +113,13 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
 
 def add_gyroscope_options(parser: argparse.ArgumentParser) -> None:
     """Add what a gyroscope says of the motion."""
-    parser.add_argument(
-        "--angular-velocity",
-        nargs=3,
-        type=float,
-        metavar=("X", "Y", "Z"),
-        help="with --motion and --camera: of the camera around its axes to the right, down and "
-        "forward, rad/s; only motions near what it lets expect are tried, which is faster",
-    )
-    parser.add_argument(
-        "--exposure", type=float, metavar="S", help="with --angular-velocity: exposure time, s"
-    )
+    options = {
+        "--angular-velocity X Y Z": "with --motion and --camera: of the camera around its axes to "
+        "the right, down and forward, rad/s; only motions near what it lets expect are tried, "
+        "which is faster",
+        "--exposure S": "with --angular-velocity: exposure time, s",
+    }
+    add_options(parser, options, type=float)
 
 
 def check_gyroscope_options(args: argparse.Namespace) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output
-from coded_aperture_ros.cli.options import add_numbers, add_texts, table
+from coded_aperture_ros.cli.options import add_numbers, add_options, table
 from coded_aperture_ros.cli.progress import progress
 
 _EPILOG = """examples:
@@ -37,17 +37,12 @@ def add_parser(subparsers: Any) -> None:
         ("best", 1, _BEST, "how many placements to show"),
         ("seed", 0, 0, "of the placements that are drawn"),
     )
-    for name, metavar, default, what in (
-        ("--focal-length-mm", "F", 50.0, "of the lens"),
-        ("--f-number", "N", 7.1, "of the disc with the light of all holes"),
-    ):
-        parser.add_argument(
-            name, type=float, default=default, metavar=metavar, help=f"{what} (default {default:g})"
-        )
-    add_texts(
-        parser, ("--output", "DIR", "write the masks (.npy) and a figure (.png) into this folder")
-    )
-    parser.add_argument("--json", action="store_true", help="print the results as JSON")
+    of_lens = {"--focal-length-mm F": "of the lens (default 50)"}
+    of_disc = {"--f-number N": "of the disc with the light of all holes (default 7.1)"}
+    add_options(parser, of_lens, type=float, default=50.0)
+    add_options(parser, of_disc, type=float, default=7.1)
+    results = "write the masks (.npy) and a figure (.png) into this folder"
+    add_options(parser, {"--output DIR": results, "--json": "print the results as JSON"})
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,14 +1,14 @@
 """`coded_aperture mask print`: a page with the mask at true scale, to be cut out."""
 
 import argparse
-import json
 import logging
 import math
 from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
-from coded_aperture_ros.cli.options import add_texts, mask_of
+from coded_aperture_ros.cli.measuring import tell
+from coded_aperture_ros.cli.options import add_options, mask_of
 
 _EPILOG = """examples:
   the mask of a camera file, in its size, on a round piece that fits a filter ring of 77 mm:
@@ -31,18 +31,16 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "mask", nargs="?", metavar="NAME|FILE", help="name or file (PNG, .npy) of the mask"
     )
-    add_texts(parser, ("--camera", "YAML", "camera file whose mask and mask size are taken"))
-    for name, metavar, what in (
-        ("--extent-mm", "M", "outer width of the mask's grid; needed without --camera"),
-        ("--outer-mm", "D", "diameter of the round piece that goes into the lens (default: 5 mm of "
-         "rim around the openings)"),
-    ):  # fmt: skip
-        parser.add_argument(name, type=float, metavar=metavar, help=what)
-    parser.add_argument("--label", default="", metavar="TEXT", help="a line to print on the page")
-    parser.add_argument(
-        "-o", "--output", required=True, metavar="FILE", help="page to write (.pdf or .svg)"
-    )
-    parser.add_argument("--json", action="store_true", help="print a summary as JSON")
+    add_options(parser, {"--camera YAML": "camera file whose mask and mask size are taken"})
+    lengths = {
+        "--extent-mm M": "outer width of the mask's grid; needed without --camera",
+        "--outer-mm D": "diameter of the round piece that goes into the lens (default: 5 mm of "
+        "rim around the openings)",
+    }
+    add_options(parser, lengths, type=float)
+    add_options(parser, {"--label TEXT": "a line to print on the page"}, default="")
+    add_options(parser, {"-o --output FILE": "page to write (.pdf or .svg)"}, required=True)
+    add_options(parser, {"--json": "print a summary as JSON"})
 
 
 def run(args: argparse.Namespace) -> int:
@@ -79,15 +77,15 @@ def run(args: argparse.Namespace) -> int:
         "open_fraction": mask.open_fraction,
         "loose_parts": openings.loose_parts,
     }
-    if args.json:
-        print(json.dumps(summary))
-    else:
-        print(
+    return tell(
+        args,
+        summary,
+        lambda found: (
             f"{args.output}: mask {mask.name}, {extent_mm:g} mm, on a round piece of "
-            f"{sheet.outer_mm:g} mm; smallest hole {summary['smallest_hole_mm']:.2f} mm; print at "
+            f"{sheet.outer_mm:g} mm; smallest hole {found['smallest_hole_mm']:.2f} mm; print at "
             "100 %, the rulers are 100 mm long"
-        )
-    return 0
+        ),
+    )
 
 
 def _check_usage(args: argparse.Namespace) -> None:

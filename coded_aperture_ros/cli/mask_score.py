@@ -9,7 +9,7 @@ from typing import Any
 from coded_aperture_ros.cli.checks import check_output, check_suffix
 from coded_aperture_ros.cli.options import (
     add_config_options,
-    add_texts,
+    add_options,
     at_least,
     config_from,
     mask_of,
@@ -55,18 +55,14 @@ def add_parser(subparsers: Any) -> None:
         metavar="S",
         help="noise behind an open aperture, above 0 (default 0.001 0.005)",
     )
-    add_texts(
-        parser,
-        ("--images", "DIR", "predict the depth error with the sharp pictures of this folder too"),
-        ("--figure", "PNG", "draw the distances of all pairs of levels (figure 9.5)"),
-    )
-    parser.add_argument(
-        "--windows",
-        type=at_least(1),
-        metavar="N",
-        help="of the pictures, in all (default 768; a quarter of a second for each mask)",
-    )
-    parser.add_argument("--json", action="store_true", help="print the scores as JSON")
+    files = {
+        "--images DIR": "predict the depth error with the sharp pictures of this folder too",
+        "--figure PNG": "draw the distances of all pairs of levels (figure 9.5)",
+    }
+    windows = "of the pictures, in all (default 768; a quarter of a second for each mask)"
+    add_options(parser, files)
+    add_options(parser, {"--windows N": windows}, type=at_least(1))
+    add_options(parser, {"--json": "print the scores as JSON"})
     parser.add_late_options = _add_late_options
 
 

@@ -10,7 +10,7 @@ from coded_aperture_ros.cli.checks import check_output, check_suffix
 from coded_aperture_ros.cli.options import (
     add_config_options,
     add_jobs_option,
-    add_texts,
+    add_options,
     config_from,
     table,
 )
@@ -38,16 +38,15 @@ def add_parser(subparsers: Any) -> None:
         "cell, which --mask and camera files take.",
         epilog=_EPILOG,
     )
-    add_texts(
-        parser,
-        ("-o --output", "FILE", "picture of the best mask to write (.png or .npy)"),
-        ("--checkpoint", "NPZ", "file that the search is saved to after every round, and goes on "
-         "from"),
-        ("--scheduler", "ADDRESS", "Dask scheduler whose workers share the search, instead of "
-         "processes here"),
-    )  # fmt: skip
+    files = {
+        "-o --output FILE": "picture of the best mask to write (.png or .npy)",
+        "--checkpoint NPZ": "file that the search is saved to after every round, and goes on from",
+        "--scheduler ADDRESS": "Dask scheduler whose workers share the search, instead of "
+        "processes here",
+    }
+    add_options(parser, files)
     add_jobs_option(parser)
-    parser.add_argument("--json", action="store_true", help="print the Pareto front as JSON")
+    add_options(parser, {"--json": "print the Pareto front as JSON"})
     parser.add_late_options = _add_late_options
 
 

@@ -1,4 +1,4 @@
-"""What the commands that measure a camera, `learn` and `calibrate ACTION`, have in common."""
+"""What `learn`, `calibrate ACTION` and other commands with one result have in common."""
 
 import argparse
 import json
@@ -8,21 +8,19 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.options import add_deprecated_alias, at_least, config_from
+from coded_aperture_ros.cli.options import (
+    add_deprecated_alias,
+    add_options,
+    at_least,
+    checked,
+    config_from,
+)
 from coded_aperture_ros.core.errors import InputError
 
 
 def above(least: float, what: str) -> Callable[[str], float]:
     """Return a parser of finite numbers of more than `least`; `what` names them in messages."""
-
-    def parse(text: str) -> float:
-        value = float(text)
-        if not least < value < math.inf:
-            raise argparse.ArgumentTypeError(f"expected {what}, got {text}")
-        return value
-
-    parse.__name__ = "float"  # argparse says "invalid float value"
-    return parse
+    return checked(float, lambda value: least < value < math.inf, what)
 
 
 def _numbers(text: str) -> list[float]:
@@ -38,9 +36,8 @@ def add_level_count_option(
     parser: argparse.ArgumentParser, default: int | None, what: str, least: int = 2
 ) -> None:
     """Add `--level-count`, which was called `--levels`."""
-    option = parser.add_argument(
-        "--level-count", type=at_least(least), default=default, metavar="N", help=what
-    )
+    written = {"--level-count N": what}
+    option = add_options(parser, written, type=at_least(least), default=default)
     add_deprecated_alias(parser, "--levels", option)
 
 

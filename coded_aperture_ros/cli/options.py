@@ -3,7 +3,7 @@
 import argparse
 import logging
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -82,13 +82,8 @@ def add_deprecated_alias(
 ) -> None:
     """Let an option go by its former name too, which is not shown, and warns when it is used.
 
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-    former : str
-        Such as ``--levels``.
-    present : argparse.Action
-        What `parser.add_argument` has returned for the present name; not a required option.
+    `present` is what `parser.add_argument` has returned for the present name, which must not be
+    required.
     """
     parser.add_argument(former, action=_FormerName, dest=present.dest, present=present)
 
@@ -144,14 +139,11 @@ def config_from(args: argparse.Namespace, config: type) -> Any:
 
 def add_gamma_option(parser: argparse.ArgumentParser) -> None:
     """Add `--gamma`, which says how 8-bit input is encoded."""
-    parser.add_argument(
-        "--gamma",
-        type=_gamma,
-        default="1",
-        metavar="G",
-        help="how 8-bit input is encoded: an exponent such as 2.2, or srgb as in most pictures "
-        "(default 1: linear light, as from a camera's raw values)",
-    )
+    what = {
+        "--gamma G": "how 8-bit input is encoded: an exponent such as 2.2, or srgb as in most "
+        "pictures (default 1: linear light, as from a camera's raw values)"
+    }
+    add_options(parser, what, type=_gamma, default="1")
 
 
 def _gamma(text: str) -> Any:
@@ -175,46 +167,61 @@ def mask_of(name: str) -> Any:
         raise InputError(f"{error}, or a file") from error
 
 
-def at_least(least: int) -> Callable[[str], int]:
-    """Return a parser of whole numbers."""
+def checked(
+    kind: Callable[[str], Any], allows: Callable[[Any], bool], expected: str
+) -> Callable[[str], Any]:
+    """Return a parser of numbers of a kind; `expected` says which ones it allows."""
 
-    def parse(text: str) -> int:
-        value = int(text)
-        if value < least:
-            raise argparse.ArgumentTypeError(f"expected at least {least}, got {value}")
+    def parse(text: str) -> Any:
+        value = kind(text)
+        if not allows(value):
+            raise argparse.ArgumentTypeError(f"expected {expected}, got {text}")
         return value
 
-    parse.__name__ = "int"  # argparse says "invalid int value"
+    parse.__name__ = kind.__name__  # argparse says "invalid int value"
     return parse
+
+
+def at_least(least: int) -> Callable[[str], int]:
+    """Return a parser of whole numbers."""
+    return checked(int, lambda value: value >= least, f"at least {least}")
+
+
+def add_options(
+    parser: argparse._ActionsContainer, options: Mapping[str, str], **others: Any
+) -> argparse.Action:
+    """Add options that have much in common; return the last.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+    options : mapping of str to str
+        How each is written, such as ``-o --output FILE`` or ``--depth-range NEAR FAR``, and what
+        it is. One without a placeholder for its value is a flag.
+    others
+        What `add_argument` gets for each of them.
+    """
+    for written, what in options.items():
+        names = [word for word in written.split() if word.startswith("-")]
+        places = tuple(written.split()[len(names) :])
+        shape: dict[str, Any] = {"metavar": places, "nargs": len(places)}
+        if len(places) < 2:
+            shape = {"metavar": places[0]} if places else {"action": "store_true"}
+        action = parser.add_argument(*names, help=what, **shape, **others)
+    return action
 
 
 def add_numbers(parser: argparse._ActionsContainer, *numbers: tuple[str, int, int, str]) -> None:
     """Add options that are whole numbers: name, least, default, and what each is."""
     for name, least, default, what in numbers:
-        parser.add_argument(
-            f"--{name}",
-            type=at_least(least),
-            default=default,
-            metavar="N",
-            help=f"{what} (default {default})",
-        )
-
-
-def add_texts(parser: argparse.ArgumentParser, *texts: tuple[str, str, str]) -> None:
-    """Add options that are texts, such as names of files: names, metavar, and what each is."""
-    for names, metavar, what in texts:
-        parser.add_argument(*names.split(), metavar=metavar, help=what)
+        written = {f"--{name} N": f"{what} (default {default})"}
+        add_options(parser, written, type=at_least(least), default=default)
 
 
 def add_jobs_option(parser: argparse.ArgumentParser) -> None:
     """Add how many processes share the work."""
-    parser.add_argument(
-        "--jobs",
-        type=at_least(1),
-        default=processors(),
-        metavar="N",
-        help="processes (default: one for each processor)",
-    )
+    what = {"--jobs N": "processes (default: one for each processor)"}
+    add_options(parser, what, type=at_least(1), default=processors())
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

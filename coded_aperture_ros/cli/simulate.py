@@ -1,7 +1,6 @@
 """`coded_aperture simulate`: a coded frame from a sharp picture and its depth."""
 
 import argparse
-import json
 import logging
 import math
 import time
@@ -9,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
-from coded_aperture_ros.cli.options import add_gamma_option
+from coded_aperture_ros.cli.measuring import tell
+from coded_aperture_ros.cli.options import add_gamma_option, add_options
 from coded_aperture_ros.core.errors import InputError
 
 _EPILOG = """example, for a scene that is 2.1 to 5.1 m away:
@@ -27,19 +27,15 @@ def add_parser(subparsers: Any) -> None:
         "picture and a depth map of the same size, with occlusion and sensor noise.",
         epilog=_EPILOG,
     )
-    parser.add_argument(
-        "--camera", required=True, metavar="YAML", help="camera file, as config/demo_camera.yaml"
-    )
-    parser.add_argument("--image", required=True, metavar="FILE", help="sharp picture")
-    parser.add_argument(
-        "--depth",
-        required=True,
-        metavar="FILE",
-        help="depth map: 16-bit PNG in mm (0 = unknown), or float TIFF or .npy in m",
-    )
-    parser.add_argument("-o", "--output", required=True, metavar="FILE", help="coded frame")
-    parser.add_argument(
-        "--noise", type=float, default=0.0, metavar="S", help="standard deviation, 1 = full scale"
+    files = {
+        "--camera YAML": "camera file, as config/demo_camera.yaml",
+        "--image FILE": "sharp picture",
+        "--depth FILE": "depth map: 16-bit PNG in mm (0 = unknown), or float TIFF or .npy in m",
+        "-o --output FILE": "coded frame",
+    }
+    add_options(parser, files, required=True)
+    add_options(
+        parser, {"--noise S": "standard deviation, 1 = full scale"}, type=float, default=0.0
     )
     parser.add_argument(
         "--bits",
@@ -48,12 +44,10 @@ def add_parser(subparsers: Any) -> None:
         choices=(0, 8, 12, 16),
         help="quantise to that many bits (default 0: do not)",
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the noise")
+    add_options(parser, {"--seed N": "of the noise"}, type=int, default=0)
     add_gamma_option(parser)
-    parser.add_argument(
-        "--depth-scale", type=float, metavar="M", help="metres per unit of the depth map"
-    )
-    parser.add_argument("--json", action="store_true", help="print a summary as JSON")
+    add_options(parser, {"--depth-scale M": "metres per unit of the depth map"}, type=float)
+    add_options(parser, {"--json": "print a summary as JSON"})
 
 
 def run(args: argparse.Namespace) -> int:
@@ -98,11 +92,11 @@ def run(args: argparse.Namespace) -> int:
         "blur_size_max_px": round(float(blur.max()), 3),
         "seconds": round(seconds, 3),
     }
-    if args.json:
-        print(json.dumps(summary))
-    else:
-        print(
-            f"{args.output}: blur sizes {summary['blur_size_min_px']:.1f} to "
-            f"{summary['blur_size_max_px']:.1f} px, rendered in {seconds:.1f} s"
-        )
-    return 0
+    return tell(
+        args,
+        summary,
+        lambda found: (
+            f"{args.output}: blur sizes {found['blur_size_min_px']:.1f} to "
+            f"{found['blur_size_max_px']:.1f} px, rendered in {seconds:.1f} s"
+        ),
+    )

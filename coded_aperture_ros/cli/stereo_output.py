@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_suffix
+from coded_aperture_ros.cli.options import add_options
 from coded_aperture_ros.core.errors import InputError
 
 # Of the width. Wider views are hard to fuse on a screen that fills much of the field of view.
@@ -22,15 +23,12 @@ def add_stereo_options(parser: argparse.ArgumentParser) -> None:
         "3D pictures",
         "8 bits, sRGB or as --gamma says; .npy: linear light. Folders where OUT is one.",
     )
-    for name, what in _PICTURES.items():
-        group.add_argument(f"--{name}", metavar="FILE", help=f"write {what}")
-    group.add_argument(
-        "--parallax",
-        type=_parallax,
-        metavar="PX",
-        help="largest distance between the two views of a point; several frames share the scale "
-        f"of the first (default {_USUAL_PARALLAX * 100:.0f} %% of the width)",
-    )
+    add_options(group, {f"--{name} FILE": f"write {what}" for name, what in _PICTURES.items()})
+    parallax = {
+        "--parallax PX": "largest distance between the two views of a point; several frames share "
+        f"the scale of the first (default {_USUAL_PARALLAX * 100:.0f} %% of the width)"
+    }
+    add_options(group, parallax, type=_parallax)
 
 
 def _parallax(text: str) -> float:
