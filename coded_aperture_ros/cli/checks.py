@@ -19,13 +19,7 @@ def naming(what: object) -> Iterator[None]:
 
 
 def check_suffix(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:
-    """Check that an output's name ends in one of the formats that can be written.
-
-    Raises
-    ------
-    InputError
-        Naming the file and the formats.
-    """
+    """Raise an `InputError` unless an output's name ends in one of the formats to write."""
     if Path(path).suffix.lower() not in suffixes:
         raise InputError(f"{path}: unknown format, use a name that ends in {' or '.join(suffixes)}")
 
@@ -33,17 +27,8 @@ def check_suffix(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:
 def check_output(path: str | os.PathLike[str], inputs: Iterable[Path] = ()) -> None:
     """Check that a file can be written, without writing it.
 
-    Parameters
-    ----------
-    path : path-like
-        The output.
-    inputs : iterable of pathlib.Path, optional
-        Existing files that must not be overwritten.
-
-    Raises
-    ------
-    InputError
-        Naming the file, and what to do instead.
+    An `InputError` says why it cannot, and what to do instead; where it is one of the existing
+    files `inputs`, that it must not be overwritten.
     """
     path = Path(path)
     if path.is_dir():

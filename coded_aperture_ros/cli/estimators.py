@@ -34,10 +34,7 @@ def add_estimator_options(parser: argparse.ArgumentParser, motion: str) -> None:
 
 
 def add_estimator_settings(parser: argparse.ArgumentParser, **defaults: Any) -> None:
-    """Add the settings of the estimate and of the methods.
-
-    `defaults` are other ones than those of `DepthConfig`.
-    """
+    """Add the settings of the estimate, with defaults of their own, and of the methods."""
     from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT
     from coded_aperture_ros.depth import DepthConfig
     from coded_aperture_ros.methods.motion import MotionConfig
@@ -72,13 +69,7 @@ def check_estimator_options(args: argparse.Namespace) -> None:
 def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> Any:
     """Return the `FramePipeline` that the options ask for.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-    camera : Camera or None
-        Of `--camera`, for the size of the frames.
-    deblur : DeblurConfig, optional
-        By default nothing is deblurred.
+    `camera` is that of `--camera`, if any; `deblur` a `DeblurConfig`, None to deblur nothing.
     """
     from coded_aperture_ros.bank import load_bank
     from coded_aperture_ros.depth import DepthConfig, side_warning

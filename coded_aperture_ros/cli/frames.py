@@ -17,25 +17,14 @@ from coded_aperture_ros.core.errors import InputError
 class NamedFrame:
     """A frame, and what is known about it.
 
-    Attributes
-    ----------
-    source : str
-        What to call it in messages.
-    output : Path
-        Where its result goes.
-    image : ndarray
-        Linear light.
-    stamp_ns : int or None
-        When it was taken.
-    video : int
-        Changes where other frames begin: with every folder, video and bag. Pictures that are
-        given one after the other belong together.
+    `video` changes where other frames begin: with every folder, video and bag. Pictures that are
+    given one after the other belong together.
     """
 
-    source: str
-    output: Path
-    image: Any
-    stamp_ns: int | None
+    source: str  # what to call it in messages
+    output: Path  # where its result goes
+    image: Any  # linear light
+    stamp_ns: int | None  # when it was taken
     video: int
 
 
@@ -58,20 +47,10 @@ def named_frames(
 ) -> Iterator[NamedFrame]:
     """Go through every frame of every input.
 
-    A single frame goes to the output itself where that names a file; otherwise the output is a
-    folder that gets one file per frame, named like the frame.
-
-    Parameters
-    ----------
-    args : argparse.Namespace
-        With `inputs`, `output` and `gamma`.
-    suffix : str
-        Of the files in a folder.
-    suffixes : sequence of str
-        What a file may end in.
-    outputs : callable, optional
-        Gives all the files that belong to an output. That they can be written is checked before
-        a frame is handed out.
+    A single frame goes to the output itself where that names a file, which may end in one of
+    `suffixes`; otherwise the output is a folder that gets one file per frame, named like the
+    frame, that ends in `suffix`. `outputs` gives all the files that belong to an output. That they
+    can be written is checked before a frame is handed out.
 
     Raises
     ------
@@ -86,7 +65,7 @@ def named_frames(
     lengths = [source.length for _, source in sources]
     total = None if None in lengths else sum(length or 0 for length in lengths)
     output = Path(args.output)
-    to_file = _is_file_name(args.output)
+    to_file = output.suffix and not args.output.endswith("/") and not output.is_dir()
     if to_file and output.suffix.lower() not in suffixes:
         raise InputError(
             f"{output}: unknown format, use {', '.join(suffixes)}, or end a folder's name with /"
@@ -117,11 +96,6 @@ def named_frames(
             check_output(path, files)
         image = linear_from_pixels(capture.frame, args.gamma)
         yield NamedFrame(given, target, image, capture.stamp_ns, video)
-
-
-def _is_file_name(output: str) -> bool:
-    """Whether an output names a file: it has a suffix, and neither is nor ends like a folder."""
-    return bool(Path(output).suffix) and not output.endswith("/") and not Path(output).is_dir()
 
 
 def _check_names(output: Path, names: Sequence[str]) -> None:

@@ -3,6 +3,11 @@
 import argparse
 import json
 import logging
+import multiprocessing
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +20,9 @@ from coded_aperture_ros.cli.options import (
     table,
 )
 from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.core.errors import InputError
 
+RunAll = Callable[[list[tuple[Any, ...]]], list[Any]]
 _SHOWN = 8
 _EPILOG = """examples:
   a mask of 11x11 cells, for a minute or two; it goes on where it stood if it is started again:
@@ -60,7 +67,6 @@ def _add_late_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
-    from coded_aperture_ros.cli.mask_workers import dask_workers, local_processes
     from coded_aperture_ros.mask_design import SceneConfig
     from coded_aperture_ros.mask_design.checkpoint import load_checkpoint, save_checkpoint
     from coded_aperture_ros.mask_design.search import SearchConfig, first_state, search_epochs
@@ -77,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
             state = load_checkpoint(args.checkpoint, config, scene)
             logging.info("%s: going on after round %d", args.checkpoint, state.epoch)
     state = state or first_state(config)
-    workers = dask_workers(args.scheduler) if args.scheduler else local_processes(args.jobs)
+    workers = _dask_workers(args.scheduler) if args.scheduler else _local_processes(args.jobs)
     with workers as run_all:
         left = config.epochs - state.epoch
         for reached in progress(search_epochs(config, scene, run_all, state), left, "round"):
@@ -88,6 +94,57 @@ def run(args: argparse.Namespace) -> int:
         _write_mask(args.output, state.best)
     _report(args, state)
     return 0
+
+
+@contextmanager
+def _local_processes(jobs: int) -> Iterator[RunAll]:
+    """Yield what runs the epochs of all islands in processes; with one job, in this one."""
+    if jobs == 1:
+        yield lambda tasks: [_run(task) for task in tasks]
+        return
+    # A forked process would inherit the locks of libraries' threads, but not the threads.
+    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"))
+    try:
+        yield lambda tasks: list(pool.map(_run, tasks))
+    except BrokenProcessPool as error:
+        raise InputError(
+            "a process of the search ended by itself, perhaps for lack of memory: use fewer "
+            "--jobs; with --checkpoint the search goes on where it stood"
+        ) from error
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+@contextmanager
+def _dask_workers(address: str) -> Iterator[RunAll]:
+    """Yield what runs the epochs of all islands on the workers of a Dask scheduler.
+
+    A worker that dies loses nothing: an epoch depends only on its arguments, which this process
+    keeps, and the scheduler gives it to another worker.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise InputError(
+            "--scheduler needs Dask: pip install 'coded_aperture_ros[cluster]'"
+        ) from error
+    try:
+        client = Client(address, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"--scheduler {address}: no Dask scheduler answers there: start one with "
+            "'dask scheduler', and workers with 'dask worker ADDRESS'"
+        ) from error
+    try:
+        yield lambda tasks: client.gather(client.map(_run, tasks, pure=False, retries=2))
+    finally:
+        client.close()
+
+
+def _run(task: tuple[Any, ...]) -> Any:
+    from coded_aperture_ros.mask_design.search import run_epoch
+
+    return run_epoch(*task)
 
 
 def _write_mask(name: str, grid: Any) -> None:
