@@ -30,9 +30,8 @@ from std_msgs.msg import Header
 
 from coded_aperture_ros.ros.deblur_node import StampPairs
 from coded_aperture_ros.ros.frame_node import FrameNode
-from coded_aperture_ros.ros.local_topics import LocalTopics
 from coded_aperture_ros.ros.messages import array_from_image, image_from_array, stamp_ns
-from coded_aperture_ros.ros.topics import Outputs
+from coded_aperture_ros.ros.topics import LocalTopics, Outputs
 
 PROFILE = Path(__file__).resolve().parent.parent / "config" / "fastdds_shared_memory.xml"
 ROLES = ("driver", "depth", "deblur")

@@ -12,7 +12,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
-from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.core.options import option
 from coded_aperture_ros.io.sources import (
     SIMULATOR,
     Capture,
@@ -29,7 +29,6 @@ from coded_aperture_ros.ros.diagnostics import (
     Statistics,
     camera_of,
 )
-from coded_aperture_ros.ros.local_topics import LocalTopics
 from coded_aperture_ros.ros.managed_node import ManagedNode
 from coded_aperture_ros.ros.messages import (
     MessageError,
@@ -43,7 +42,7 @@ from coded_aperture_ros.ros.pace import Pace
 from coded_aperture_ros.ros.rgbd_source import RGBD, RgbdSource
 from coded_aperture_ros.ros.running import run_nodes
 from coded_aperture_ros.ros.static_transform import broadcast_static, optical_transform
-from coded_aperture_ros.ros.topics import Outputs
+from coded_aperture_ros.ros.topics import LocalTopics, Outputs
 
 _IDLE_S = 0.05
 _RETRY_S = (0.5, 10.0)
@@ -113,9 +112,6 @@ class CameraDriverConfig:
         read_only=True,
         parameter="base.pitch_deg",
     )
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 class CameraDriverNode(ManagedNode):

@@ -12,7 +12,7 @@ from sensor_msgs.msg import CameraInfo, Image, Imu, PointCloud2
 from coded_aperture_ros.bank import LearnConfig
 from coded_aperture_ros.core.blas import slow_blas_warning
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth import (
     MAP_SIZES,
     DepthConfig,
@@ -82,9 +82,6 @@ class DepthNodeConfig:
         maximum=1.0,
         parameter="diagnostics.obstacle_share",
     )
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 class DepthNode(FrameNode[Image]):

@@ -14,7 +14,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.core.options import option
 
 _WINDOW_S = 10.0
 # A latency beyond this is not one: the stamp comes from another clock than ours.
@@ -48,9 +48,6 @@ class DiagnosticsConfig:
         maximum=1.0,
         parameter="diagnostics.warn_dropped_share",
     )
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 @dataclass(frozen=True)

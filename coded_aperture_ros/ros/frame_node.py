@@ -12,19 +12,18 @@ from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.core.options import option
 from coded_aperture_ros.ros.diagnostics import (
     DiagnosticsConfig,
     DiagnosticsPublisher,
     Statistics,
     camera_of,
 )
-from coded_aperture_ros.ros.local_topics import LocalTopics
 from coded_aperture_ros.ros.managed_node import ManagedNode
 from coded_aperture_ros.ros.messages import MessageError, image_from_compressed, stamp_ns
 from coded_aperture_ros.ros.newest import NewestWorker
-from coded_aperture_ros.ros.rate_limit import RateLimit
-from coded_aperture_ros.ros.topics import Inputs, Outputs
+from coded_aperture_ros.ros.pace import RateLimit
+from coded_aperture_ros.ros.topics import Inputs, LocalTopics, Outputs
 
 Item = TypeVar("Item")
 
@@ -58,9 +57,6 @@ class FrameNodeConfig:
         choices=("raw", "compressed"),
         read_only=True,
     )
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 class FrameNode(ManagedNode, Generic[Item]):

@@ -9,7 +9,7 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.core.options import option
 from coded_aperture_ros.ros.parameters import NodeParameters
 
 _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
@@ -25,9 +25,6 @@ class LifeConfig:
         "ros2 lifecycle set",
         read_only=True,
     )
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 class ManagedNode(ABC, LifecycleNode):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
-from coded_aperture_ros.io.messages import (
+from coded_aperture_ros.io.messages import (  # noqa: F401 (nodes take them from here)
     ENCODINGS,
     Encoding,
     MessageError,
@@ -26,28 +26,6 @@ from coded_aperture_ros.io.messages import (
     scaled_matrices,
 )
 from coded_aperture_ros.optics import Camera, Intrinsics
-
-__all__ = [
-    "ENCODINGS",
-    "Encoding",
-    "MessageError",
-    "array_from_image",
-    "camera_info_from_camera",
-    "camera_info_from_intrinsics",
-    "cloud_from_points",
-    "copied_header",
-    "encoding_of",
-    "frame_from_image",
-    "image_from_array",
-    "image_from_compressed",
-    "image_from_motion",
-    "limit_depth",
-    "luminance",
-    "millimetres_from_depth",
-    "pixels_from_frame",
-    "scaled_camera_info",
-    "stamp_ns",
-]
 
 
 def image_from_array(pixels: NDArray, encoding: str, header: Header) -> Image:

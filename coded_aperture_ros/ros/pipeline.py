@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
-from coded_aperture_ros.ros.local_topics import LocalTopics
 from coded_aperture_ros.ros.running import run_nodes
+from coded_aperture_ros.ros.topics import LocalTopics
 
 
 def main(args: Sequence[str] | None = None) -> int:

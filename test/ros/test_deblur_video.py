@@ -12,8 +12,8 @@ from coded_aperture_ros.deblur import Deblurrer
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
-from coded_aperture_ros.ros.local_topics import LocalTopics
 from coded_aperture_ros.ros.messages import array_from_image, image_from_array, pixels_from_frame
+from coded_aperture_ros.ros.topics import LocalTopics
 
 VIDEO = {"temporal.frames": 5.0}
 

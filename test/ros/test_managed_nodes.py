@@ -16,8 +16,8 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
-from coded_aperture_ros.ros.local_topics import LocalTopics
 from coded_aperture_ros.ros.messages import image_from_array, pixels_from_frame
+from coded_aperture_ros.ros.topics import LocalTopics
 
 SECONDS = itertools.count(100)
 

@@ -12,8 +12,8 @@ from coded_aperture_ros.ros.deblur_node import depth_of_frame
 from coded_aperture_ros.ros.diagnostics import DiagnosticsConfig, Statistics, status_of
 from coded_aperture_ros.ros.messages import MessageError, image_from_array
 from coded_aperture_ros.ros.newest import NewestWorker
+from coded_aperture_ros.ros.pace import RateLimit
 from coded_aperture_ros.ros.pairing import StampPairs
-from coded_aperture_ros.ros.rate_limit import RateLimit
 from coded_aperture_ros.ros.static_transform import optical_transform
 
 

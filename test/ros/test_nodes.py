@@ -32,7 +32,7 @@ from coded_aperture_ros.ros.messages import (
     pixels_from_frame,
     stamp_ns,
 )
-from coded_aperture_ros.ros.rate_limit import RateLimit
+from coded_aperture_ros.ros.pace import RateLimit
 
 
 def test_a_frame_in_gives_depth_out(ros, model, coded):
