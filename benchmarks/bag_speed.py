@@ -21,7 +21,7 @@ import yaml
 from coded_aperture_benchmarks.frames.video import CodedVideo, load_video
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera, save_bank
-from coded_aperture_ros.core.threads import processors
+from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.io.bags import bag_output
 from coded_aperture_ros.io.bags.codec import (
     CAMERA_INFO,

@@ -13,7 +13,7 @@ from coded_aperture_ros.cli.options import (
     noise_level,
 )
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.threads import processors
+from coded_aperture_ros.core.workers import processors
 
 Args = argparse.Namespace
 Add = Callable[[argparse.ArgumentParser], None]

@@ -20,7 +20,7 @@ from coded_aperture_ros.bags.references import References
 from coded_aperture_ros.bags.workers import Wait, frame_workers, in_order
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.figures import new_figure
-from coded_aperture_ros.core.threads import processors
+from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import map_size
 from coded_aperture_ros.imaging import Gamma
 from coded_aperture_ros.io.bags.codec import read_picture

@@ -21,8 +21,7 @@ import cv2
 
 from coded_aperture_ros.bags.frames import FrameProcessor, ProcessedFrame
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.fork_server import load_in_fork_server
-from coded_aperture_ros.core.threads import processors
+from coded_aperture_ros.core.workers import load_in_fork_server, processors
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.bank.prior import NaturalImagePrior
-from coded_aperture_ros.likelihood import FilterLikelihood, Plan, new_engine
+from coded_aperture_ros.likelihood import EngineLikelihood, Plan, new_engine
 from coded_aperture_ros.optics import PsfStack
 
 # Distance between the patches of a frame, unless something else is asked for.
@@ -151,11 +151,10 @@ class FilterBank:
 
     def plan(
         self, shape: tuple[int, ...], stride_px: int, backend: str = "numpy", threads: int = 1
-    ) -> FilterLikelihood:
+    ) -> EngineLikelihood:
         """Plan the work on frames of one size; see `LikelihoodModel.plan`."""
-        plan = Plan.of(self, shape, stride_px)
-        engine = new_engine(plan, backend, threads)
-        return FilterLikelihood(engine, plan.grid, self.window_correlation)
+        engine = new_engine(Plan.of(self, shape, stride_px), backend, threads)
+        return EngineLikelihood(engine, self.window_correlation)
 
     def energies(
         self, grey: NDArray[np.float32], stride_px: int, noise: float | NDArray[np.float32]

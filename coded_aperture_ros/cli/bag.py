@@ -17,8 +17,7 @@ from coded_aperture_ros.cli.estimators import (
 )
 from coded_aperture_ros.cli.options import add_gamma_option, add_options
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.core.fork_server import load_in_fork_server
-from coded_aperture_ros.core.threads import processors
+from coded_aperture_ros.core.workers import load_in_fork_server, processors
 
 _DEBLUR = ("fast", "cg", "sparse", "none")
 _DEBLUR_RANK = 10

@@ -9,7 +9,7 @@ from typing import Any
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import Option, check_option, options_of, renamed
-from coded_aperture_ros.core.threads import processors
+from coded_aperture_ros.core.workers import processors
 
 
 class CommandParser(argparse.ArgumentParser):

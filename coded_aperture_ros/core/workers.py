@@ -1,10 +1,11 @@
-"""A few threads that share the work on one frame."""
+"""Threads that share the work on one frame, and the process that others are forked from."""
 
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-from coded_aperture_ros.core.threads import check_threads
+from coded_aperture_ros.core.errors import InputError
 
 Item = TypeVar("Item")
 
@@ -55,3 +56,42 @@ class Workers:
         """End the threads."""
         if self._others is not None:
             self._others.shutdown()
+
+
+def processors() -> int:
+    """Return the number of processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def check_threads(threads: int) -> None:
+    """Refuse more threads than there are processors.
+
+    Raises
+    ------
+    InputError
+    """
+    available = processors()
+    if not 1 <= threads <= available:
+        raise InputError(
+            f"threads: {threads} is out of range: this machine has {available} processor(s) to "
+            f"work with, use 1 to {available}"
+        )
+
+
+def load_in_fork_server(module: str) -> None:
+    """Begin to load a module into the process that others are forked from, without waiting for it.
+
+    Its imports take a second or two: whoever is going to need processes says so first.
+
+    Parameters
+    ----------
+    module : str
+        Of what the processes will do.
+    """
+    import multiprocessing
+    from multiprocessing import forkserver
+
+    multiprocessing.set_forkserver_preload([module])
+    forkserver.ensure_running()

@@ -3,7 +3,7 @@
 import dataclasses
 
 from coded_aperture_ros.core.options import check_options, option
-from coded_aperture_ros.core.threads import check_threads
+from coded_aperture_ros.core.workers import check_threads
 from coded_aperture_ros.likelihood import BACKENDS, check_backend
 
 

@@ -2,10 +2,9 @@
 
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.edges import DEPTH_EDGE_PX
-from coded_aperture_ros.depth.estimate import DepthEstimate
+from coded_aperture_ros.depth.estimate import MAP_SIZES, DepthEstimate, map_size
 from coded_aperture_ros.depth.estimator import DepthEstimator
 from coded_aperture_ros.depth.levels import Levels, depths_are_measured
-from coded_aperture_ros.depth.map_size import MAP_SIZES, map_size
 from coded_aperture_ros.depth.points import nearest_obstacle_m, points_of_depth
 from coded_aperture_ros.depth.regularize import REGULARIZERS, Regularizer, regularizer
 from coded_aperture_ros.depth.sides import side_warning

@@ -3,9 +3,8 @@
 import dataclasses
 
 from coded_aperture_ros.core.options import check_options, option
-from coded_aperture_ros.core.threads import check_threads
+from coded_aperture_ros.core.workers import check_threads
 from coded_aperture_ros.depth.regularize import REGULARIZERS
-from coded_aperture_ros.depth.unknown import UNKNOWN_RULES
 from coded_aperture_ros.likelihood import BACKENDS, check_backend
 
 # What nodes and bags take instead of a bank's own stride, to keep up with a camera.
@@ -79,7 +78,7 @@ class DepthConfig:
         "nothing",
         "What stands where depth is unknown: nothing (NaN), or nearest: the nearest depth that is "
         "plausible, for whoever must not run into anything.",
-        choices=tuple(UNKNOWN_RULES),
+        choices=("nothing", "nearest"),
         parameter="confidence.unknown",
     )
 

@@ -21,7 +21,6 @@ def edge_correction(model: LikelihoodModel, strength: float) -> EdgeCorrection:
 
     Parameters
     ----------
-    model : LikelihoodModel
     strength : float
         Width that is taken off foregrounds, as a share of a Hann window; 0 takes none.
 

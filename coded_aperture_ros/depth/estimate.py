@@ -11,6 +11,11 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.posterior import is_unsure
 from coded_aperture_ros.likelihood import MotionField
 
+MAP_SIZES = ("auto", "full", "half", "quarter")
+# Best-effort messages larger than such float images are lost with default DDS settings.
+_LARGEST_AUTO = (240, 320)
+_DIVISORS = {"full": 1, "half": 2, "quarter": 4}
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DepthEstimate:
@@ -92,3 +97,19 @@ def check_map_size(size: tuple[int, int] | None) -> None:
     """
     if size is not None and min(size) < 1:
         raise InputError(f"size of the depth map: expected at least 1x1, got {size}")
+
+
+def map_size(frame_size: tuple[int, int], choice: str = "auto") -> tuple[int, int]:
+    """Return the size (rows, columns) of the depth map of frames of a size.
+
+    Parameters
+    ----------
+    frame_size : (int, int)
+        Rows and columns.
+    choice : str
+        One of `MAP_SIZES`; auto: the largest whole fraction of the frame that fits in 320x240.
+    """
+    rows, columns = frame_size
+    fitting = max(-(-rows // _LARGEST_AUTO[0]), -(-columns // _LARGEST_AUTO[1]), 1)
+    divisor = _DIVISORS.get(choice, fitting)
+    return max(1, rows // divisor), max(1, columns // divisor)

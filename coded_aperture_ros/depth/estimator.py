@@ -11,17 +11,17 @@ from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.edges import edge_correction
 from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
 from coded_aperture_ros.depth.levels import Levels
-from coded_aperture_ros.depth.observation import Observation, observe
+from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.posterior import (
     confidence_of,
     is_uninformative,
     is_unsure,
     level_probability,
+    nearest_plausible_level,
 )
 from coded_aperture_ros.depth.regularize import Regularizer, regularizer
 from coded_aperture_ros.depth.sides import FocalSides
 from coded_aperture_ros.depth.temporal import TemporalFilter
-from coded_aperture_ros.depth.unknown import UNKNOWN_RULES
 from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.imaging import (
     KnownNoise,
@@ -53,7 +53,6 @@ class DepthEstimator:
     ----------
     model : LikelihoodModel
         A filter bank, or what another method knows about the mask.
-    config : DepthConfig, optional
     camera : Camera, optional
         Turns blur sizes into metres, unless the model was learned from PSFs or planes of measured
         depths, which say it themselves. Its noise stands in for that of the configuration.
@@ -81,7 +80,6 @@ class DepthEstimator:
         self._regularize = regularize or regularizer(config.regularize, config.smoothness)
         self._neighbours_decide = regularize is not None or config.regularize != "none"
         self._correct_edges = edge_correction(model, config.edge_correction)
-        self._at_unknown = UNKNOWN_RULES[config.unknown]
         frames = config.temporal_frames
         self._average = StaticAverage(2 * frames) if frames else None
         self._temporal = TemporalFilter(frames) if frames else None
@@ -116,10 +114,6 @@ class DepthEstimator:
         prior : ExpectedMotion, optional
             Of the picture during the exposure, for methods that find motion.
 
-        Returns
-        -------
-        DepthEstimate
-
         Raises
         ------
         InputError
@@ -153,7 +147,7 @@ class DepthEstimator:
         grey, unusable = grey_image(frame, self.config.saturation)
         channels = 1 if frame.ndim == 2 else frame.shape[2]
         grid = self._plan_for(grey.shape).likelihood.grid
-        return observe(grey, unusable, grid, self.known_noise, channels)
+        return Observation.of(grey, unusable, grid, self.known_noise, channels)
 
     def cost(
         self,
@@ -166,12 +160,10 @@ class DepthEstimator:
 
         Parameters
         ----------
-        seen : Observation
         grey : ndarray, float32 [height, width]
             The frame, or a mean of frames.
         frames : ndarray, float32 [squares down, squares across], optional
             How many frames it is the mean of; see `StaticAverage`.
-        prior : ExpectedMotion, optional
         """
         planned = self._plan_for(grey.shape)
         noise: Any = seen.noise.deviation
@@ -210,13 +202,15 @@ class DepthEstimator:
         if nothing_known.any():
             confidence[at.nearest(nothing_known)] = 0
         unsure = is_unsure(confidence, config.confidence_threshold)
-        level, unknown = self._at_unknown(level, unsure, probability, levels, at)
+        if config.unknown == "nearest":  # so that nothing is run into
+            nearest = at.nearest(nearest_plausible_level(probability, levels.nearest_first))
+            level = np.where(unsure, levels.nearer(level, nearest.astype(np.float32)), level)
         blur_size_px, depth_m = levels.meaning(level)
         estimate = DepthEstimate(
             level, blur_size_px, depth_m, confidence, seen.channel_noise, of_side
         )
-        if unknown is not None:
-            estimate = estimate.without(unknown)
+        if config.unknown == "nothing":
+            estimate = estimate.without(unsure)
         estimate = estimate.enlarged(size)
         if own.motion is not None:
             estimate = dataclasses.replace(

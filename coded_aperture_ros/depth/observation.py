@@ -41,34 +41,24 @@ class Observation:
     noise: GreyNoise
     channels: int
 
+    @classmethod
+    def of(
+        cls,
+        grey: NDArray[np.float32],
+        unusable: NDArray[np.bool_] | None,
+        grid: PatchGrid,
+        known: KnownNoise,
+        channels: int,
+    ) -> "Observation":
+        """Look at a frame by itself: what `grey_image` gives, and its channels' known noise."""
+        brightness = brightness_at(grey, grid)
+        usable = np.full(brightness.shape, True)
+        if unusable is not None:
+            usable = usable_windows(unusable, grid)
+        noise = grey_noise(grey, grid, known, channels, brightness, usable)
+        return cls(grey, grid, brightness, usable, noise, channels)
+
     @property
     def channel_noise(self) -> float:
         """Standard deviation of one channel's noise, without shot noise."""
         return self.noise.sigma * float(np.sqrt(self.channels))
-
-
-def observe(
-    grey: NDArray[np.float32],
-    unusable: NDArray[np.bool_] | None,
-    grid: PatchGrid,
-    known: KnownNoise,
-    channels: int,
-) -> Observation:
-    """Look at a frame by itself.
-
-    Parameters
-    ----------
-    grey : ndarray, float32 [height, width]
-        See `grey_image`.
-    unusable : ndarray, bool [height, width], or None
-    grid : PatchGrid
-    known : KnownNoise
-        Of one channel.
-    channels : int
-    """
-    brightness = brightness_at(grey, grid)
-    usable = np.full(brightness.shape, True)
-    if unusable is not None:
-        usable = usable_windows(unusable, grid)
-    noise = grey_noise(grey, grid, known, channels, brightness, usable)
-    return Observation(grey, grid, brightness, usable, noise, channels)

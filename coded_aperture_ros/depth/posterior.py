@@ -82,7 +82,7 @@ def confidence_of(
         See `level_probability`. Where a patch is uninformative, the level is its neighbours' alone,
         and the confidence that of a guess.
     patches : (ndarray, ndarray)
-        The patch of every row, and of every column, of pixels; see `nearest_patches`.
+        The patch of every row, and of every column, of pixels; see `MapGrid`.
     agreement : ndarray, intp [2, L]
         First and last level that is as good as each level; see `Levels`.
 

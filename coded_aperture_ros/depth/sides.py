@@ -1,14 +1,23 @@
-"""Levels on both sides of the focal plane: the cost of the two, and how sure the side is."""
+"""Which side of the focal plane the scene is on, from the phase of its spectrum (thesis 9.3).
 
+A power spectrum is the same before and behind the focal plane, where the PSF is the mask and the
+mask turned by 180 degrees. Only the phase differs: deconvolved with the PSF of the right side a
+patch is a photograph, whose gradients are few and large. With the other side's, which has the same
+gain at every frequency, its phases are scrambled, and the same power is spread over all pixels.
+"""
+
+import cv2
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
+from coded_aperture_ros.bank import image_prior
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.posterior import is_uninformative, level_probability
 from coded_aperture_ros.depth.regularize import Regularizer
-from coded_aperture_ros.depth.side_finder import MOST_LOG_ODDS, SideFinder
-from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.imaging import PatchGrid, periodic, periodic_shape, transfer_function
+from coded_aperture_ros.imaging.patches import mean_at
 from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.optics import PsfStack
 
@@ -20,6 +29,19 @@ _ONE_SURFACE = 3.0
 _SHARE = 0.15
 # A mask with less asymmetry, as `Mask.asymmetry` has it, does not tell the sides.
 _LEAST_ASYMMETRY = 0.05
+# What one blur size for the whole frame leaves unexplained, as a share of the texture at every
+# frequency.
+_MODEL_ERROR = 0.1
+# Gradients below this share of their surroundings' are taken to be of one size.
+_FLOOR = 0.1
+_TINY = 1e-12
+# Natural logarithm of the odds for a difference of one in the mean logarithm of the squared
+# gradients, on planes with photographs. No patch is surer than the second.
+_GAIN = 15.0
+_MOST_LOG_ODDS = 6.0
+# Frames are extended by this, or by the width of the PSFs; it is what a gradient's surroundings
+# are, too.
+_AROUND_PX = 32
 
 
 def side_warning(model: LikelihoodModel) -> str | None:
@@ -73,7 +95,6 @@ class FocalSides:
         ----------
         volume : ndarray, float32 [rows, columns, L]
             See `Cost`; the same for both sides.
-        seen : Observation
         grey : ndarray, float32 [height, width]
             The frame, or a mean of frames.
         """
@@ -94,15 +115,14 @@ class FocalSides:
         return np.asarray(both, np.float32)
 
     def given(self, probability: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the probability of every level if its side is the right one; see `given_side`."""
+        """Return the probability of every level if its side is the right one."""
         return given_side(probability, self._sizes_px)
 
     def confidence(
         self, level: NDArray[np.float32], volume: NDArray[np.float32], grid: PatchGrid
     ) -> NDArray[np.float32]:
         """Return how likely each patch is on the side of its level; see `side_confidence`."""
-        log_odds = far_log_odds(volume, self._sizes_px)
-        return side_confidence(level, log_odds, grid, self._sizes_px)
+        return side_confidence(level, far_log_odds(volume, self._sizes_px), grid, self._sizes_px)
 
     def agree(self, level: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Return where the level of the other side with the same blur is as good."""
@@ -149,7 +169,7 @@ def far_log_odds(
         for side in (blur_sizes_px > 0, blur_sizes_px < 0)
     )
     # A size mistaken for one that only one side has must not outweigh all that phases tell.
-    surest = np.float32(_SHARE * MOST_LOG_ODDS)
+    surest = np.float32(_SHARE * _MOST_LOG_ODDS)
     return np.asarray(np.clip(np.log(far / near), -surest, surest), np.float32)
 
 
@@ -169,7 +189,6 @@ def side_confidence(
         Chosen fractional levels.
     log_odds : ndarray, float32 [rows, columns]
         See `far_log_odds`.
-    grid : PatchGrid
     blur_sizes_px : ndarray, float64 [L]
         Signed.
 
@@ -204,3 +223,91 @@ def _around(
             same = np.abs(other_levels[shifted] - level) <= _ONE_SURFACE
             total += np.where(same, others[shifted], 0)
     return total
+
+
+class SideFinder:
+    """Tells the two sides of the focal plane apart, for frames of one size.
+
+    Parameters
+    ----------
+    stack : PsfStack
+        L levels; their blur sizes are signed.
+    shape : (int, int)
+        Rows and columns of the frames.
+    """
+
+    def __init__(self, stack: PsfStack, shape: tuple[int, ...]) -> None:
+        self._stack = stack
+        self._shape = shape
+        self._around_px = max(_AROUND_PX, stack.psfs.shape[-1] - 1)
+        self._periodic = periodic_shape(shape, self._around_px)
+        self._prior = image_prior(self._periodic)
+        self._transfers: dict[int, NDArray[np.complex64]] = {}
+
+    def log_odds(
+        self,
+        grey: NDArray[np.float32],
+        grid: PatchGrid,
+        level: NDArray[np.intp],
+        noise: float,
+    ) -> NDArray[np.float32]:
+        """Return how much likelier it is that each patch lies beyond the focal plane.
+
+        Parameters
+        ----------
+        grey : ndarray, float32 [height, width]
+            Linear light, without NaN.
+        grid : PatchGrid
+            Where the patches lie, rows by columns.
+        level : ndarray of int [rows, columns]
+            A level with each patch's blur size, of either side.
+        noise : float
+            Standard deviation.
+
+        Returns
+        -------
+        ndarray, float32 [rows, columns]
+            Natural logarithm of the odds of the far side, against the near one; 0 where the two
+            PSFs are the same.
+        """
+        spectrum = scipy.fft.rfft2(periodic(grey - grey.mean(), self._periodic))
+        found = np.zeros(level.shape, np.float32)
+        for one in np.unique(level):
+            clearer = self._clearer(spectrum, int(one), noise)
+            own_side = np.float32(np.sign(self._stack.blur_sizes_px[one]))
+            here = level == one
+            found[here] = own_side * _GAIN * mean_at(clearer, grid, grid.window_px)[here]
+        return np.clip(found, -_MOST_LOG_ODDS, _MOST_LOG_ODDS)
+
+    def _clearer(
+        self, spectrum: NDArray[np.complex64], level: int, noise: float
+    ) -> NDArray[np.float32]:
+        """Return by how much clearer the frame is by a level's PSF than by that turned around.
+
+        The logarithm of the ratio of the squared gradients, of every pixel [height, width].
+        """
+        transfer = self._transfer(level)
+        passed = transfer.real**2 + transfer.imag**2
+        power = (passed + np.float32(_MODEL_ERROR**2)) * self._prior + np.float32(noise**2)
+        filtered = spectrum * (self._prior / power)
+        own = self._gradients(filtered * np.conj(transfer))
+        other = self._gradients(filtered * transfer)  # the transform of the PSF turned around
+        logarithm = np.zeros(self._shape, np.float32)
+        for mine, others in zip(own, other, strict=True):
+            side = (self._around_px | 1,) * 2
+            floor = _FLOOR**2 / 2 * cv2.blur(mine + others, side) + _TINY
+            logarithm += cv2.log((others + floor) / (mine + floor))
+        return logarithm
+
+    def _gradients(self, transform: NDArray[np.complex64]) -> list[NDArray[np.float32]]:
+        """Return the squared differences to the right and down, within the frame."""
+        sharp = scipy.fft.irfft2(transform, self._periodic)
+        height, width = self._shape
+        here = sharp[:height, :width]
+        right, below = sharp[:height, 1 : width + 1], sharp[1 : height + 1, :width]
+        return [np.square(right - here), np.square(below - here)]
+
+    def _transfer(self, level: int) -> NDArray[np.complex64]:
+        if level not in self._transfers:
+            self._transfers[level] = transfer_function(self._stack.psfs[level], self._periodic)
+        return self._transfers[level]

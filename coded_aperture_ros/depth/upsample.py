@@ -37,7 +37,10 @@ class MapGrid:
     @classmethod
     def of(cls, grid: PatchGrid, frame_shape: tuple[int, ...], size: tuple[int, int]) -> "MapGrid":
         """Return the grid of a map of `size`."""
-        return cls(grid, frame_shape, size, nearest_patches(grid, frame_shape, size))
+        rows, columns = (
+            np.rint(_positions(*axis)).astype(np.intp) for axis in _axes(grid, frame_shape, size)
+        )
+        return cls(grid, frame_shape, size, (rows, columns))
 
     @classmethod
     def worthwhile(
@@ -54,8 +57,23 @@ class MapGrid:
         return self.size[1] / self.frame_shape[1]
 
     def interpolated(self, level: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the map of the patches' levels [rows, columns]; see `upsample`."""
-        return upsample(level, self.grid, self.frame_shape, self.size)
+        """Return the map of the patches' levels [rows, columns].
+
+        Between four patches of one surface levels are interpolated bilinearly, across a depth edge
+        every pixel takes that of the nearest patch. Beyond the outermost patch centres the nearest
+        patch goes on.
+        """
+        axes = _axes(self.grid, self.frame_shape, self.size)
+        (rows, columns), (in_rows, in_columns) = (
+            [step(*axis) for axis in axes] for step in (_weights, _below)
+        )
+        low, high = (_of_four(level, extreme) for extreme in (np.minimum, np.maximum))
+        one_surface = high - low <= _ONE_SURFACE
+        nearest_rows, nearest_columns = self.patches
+        nearest = level[nearest_rows][:, nearest_columns]
+        interpolated = rows @ level @ columns.T
+        np.copyto(nearest, interpolated, where=one_surface[in_rows][:, in_columns])
+        return nearest
 
     def nearest(self, values: NDArray) -> NDArray:
         """Return the value of the nearest patch at every pixel; takes [rows, columns, ...]."""
@@ -63,54 +81,14 @@ class MapGrid:
         return np.take(np.take(values, columns, axis=1), rows, axis=0)
 
 
-def upsample(
-    level: NDArray[np.float32],
-    grid: PatchGrid,
-    frame_shape: tuple[int, ...],
-    size: tuple[int, int],
-) -> NDArray[np.float32]:
-    """Interpolate levels from the patch grid.
-
-    Between four patches of one surface levels are interpolated bilinearly, across a depth edge
-    every output pixel takes that of the nearest patch. Beyond the outermost patch centres the
-    nearest patch goes on.
-
-    Parameters
-    ----------
-    level : ndarray, float32 [grid rows, grid columns]
-    grid : PatchGrid
-    frame_shape : (int, int)
-        Rows and columns of the frame that the grid covers.
-    size : (int, int)
-        Rows and columns of the output, which covers the whole frame.
-
-    Returns
-    -------
-    ndarray, float32 of shape `size`
-    """
-    rows = _weights(grid.row_centres, frame_shape[0], size[0])
-    columns = _weights(grid.column_centres, frame_shape[1], size[1])
-    interpolated = rows @ level @ columns.T
-    low, high = (_of_four(level, extreme) for extreme in (np.minimum, np.maximum))
-    one_surface = high - low <= _ONE_SURFACE
-    in_rows = _below(grid.row_centres, frame_shape[0], size[0])
-    in_columns = _below(grid.column_centres, frame_shape[1], size[1])
-    nearest_rows, nearest_columns = nearest_patches(grid, frame_shape, size)
-    nearest = level[nearest_rows][:, nearest_columns]
-    np.copyto(nearest, interpolated, where=one_surface[in_rows][:, in_columns])
-    return nearest
-
-
-def nearest_patches(
+def _axes(
     grid: PatchGrid, frame_shape: tuple[int, ...], size: tuple[int, int]
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the row and the column of the patch nearest to every output row and column."""
-    axes = (
+) -> tuple[tuple[NDArray[np.intp], int, int], tuple[NDArray[np.intp], int, int]]:
+    """Return for rows and columns the patches' centres, the frame's length and the map's."""
+    return (
         (grid.row_centres, frame_shape[0], size[0]),
         (grid.column_centres, frame_shape[1], size[1]),
     )
-    rows, columns = (np.rint(_positions(*axis)).astype(np.intp) for axis in axes)
-    return rows, columns
 
 
 def _positions(centres: NDArray[np.intp], frame_length: int, length: int) -> NDArray[np.float64]:

@@ -159,7 +159,6 @@ def grey_noise(
         Mean of the channels, which has less noise than each of them.
     grid : PatchGrid
         Where to look.
-    known : KnownNoise
     channels : int
         That the frame had.
     brightness : ndarray, float32 [rows, columns], optional
@@ -188,7 +187,6 @@ def channel_noise(frame: NDArray[np.float32], known: KnownNoise) -> float:
     ----------
     frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
         Linear light; NaN where unknown.
-    known : KnownNoise
 
     Raises
     ------

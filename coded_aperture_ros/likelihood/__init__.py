@@ -3,11 +3,11 @@
 from coded_aperture_ros.likelihood.backends import (
     BACKENDS,
     Engine,
+    EngineLikelihood,
     check_backend,
     new_engine,
     torch_device,
 )
-from coded_aperture_ros.likelihood.filters import FilterLikelihood
 from coded_aperture_ros.likelihood.numpy_engine import NumpyEngine
 from coded_aperture_ros.likelihood.plan import Plan
 from coded_aperture_ros.likelihood.protocol import (
@@ -24,7 +24,7 @@ __all__ = [
     "BlurLevels",
     "Cost",
     "Engine",
-    "FilterLikelihood",
+    "EngineLikelihood",
     "Likelihood",
     "LikelihoodModel",
     "MotionField",

@@ -1,4 +1,4 @@
-"""What computes the energies of a plan: NumPy, or PyTorch on the processor or a GPU."""
+"""What computes energies, NumPy or PyTorch on the processor or a GPU, and their likelihood."""
 
 from importlib.util import find_spec
 from typing import Protocol
@@ -7,19 +7,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.stages import Stages
+from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.likelihood.numpy_engine import NumpyEngine
 from coded_aperture_ros.likelihood.plan import Plan
+from coded_aperture_ros.likelihood.protocol import Cost
+from coded_aperture_ros.likelihood.scoring import relative_cost
 
 BACKENDS = ("numpy", "torch", "cuda", "auto")
 
 
 class Engine(Protocol):
-    """Computes the energies of a plan.
+    """Computes energies: twice the negative log-likelihood of every level, but for a constant.
 
     All maps are those of the frame that `project` took last; they are overwritten by the next.
     """
 
     name: str
+    grid: PatchGrid
 
     def project(self, grey: NDArray[np.float32]) -> None:
         """Take a frame [rows, columns] of the planned size, linear light, without NaN."""
@@ -34,12 +39,40 @@ class Engine(Protocol):
         """Let go of threads and device memory."""
 
 
+class EngineLikelihood:
+    """Cost volumes by an engine; see `Likelihood`, and `relative_cost` for the correlation."""
+
+    def __init__(self, engine: Engine, window_correlation: float) -> None:
+        self.backend, self.grid = engine.name, engine.grid
+        self._engine = engine
+        self._window_correlation = window_correlation
+
+    def cost(
+        self,
+        grey: NDArray[np.float32],
+        noise: float | NDArray[np.float32],
+        usable: NDArray[np.bool_] | None = None,
+        prior: object = None,
+    ) -> Cost:
+        """See `Likelihood.cost`."""
+        stages = Stages()
+        self._engine.project(grey)
+        stages.lap("spectra")
+        energies = self._engine.energies(noise)
+        volume = relative_cost(energies, self._window_correlation, usable)
+        stages.lap("energies")
+        return Cost(volume, seconds=stages.seconds)
+
+    def close(self) -> None:
+        """End the engine's threads, and let go of its memory."""
+        self._engine.close()
+
+
 def new_engine(plan: Plan, backend: str = "numpy", threads: int = 1) -> Engine:
     """Return what computes the energies of a plan.
 
     Parameters
     ----------
-    plan : Plan
     backend : str
         One of `BACKENDS`: `numpy`; `torch`, on the processor; `cuda`, which is torch on a GPU;
         `auto` takes the GPU where there is one, and NumPy elsewhere.

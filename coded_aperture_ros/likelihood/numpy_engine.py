@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.likelihood.plan import Plan
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE, take_logarithm
 
@@ -35,7 +34,6 @@ class NumpyEngine:
 
     Parameters
     ----------
-    plan : Plan
     threads : int, optional
         Of the processor.
     """
@@ -44,7 +42,7 @@ class NumpyEngine:
 
     def __init__(self, plan: Plan, threads: int = 1) -> None:
         grid, n = plan.grid, plan.grid.window_px
-        self._plan = plan
+        self.plan, self.grid = plan, plan.grid
         self._workers = Workers(threads)
         width = len(plan.horizontal) * grid.columns  # both parts of all frequencies and columns
         self._horizontal = np.empty((plan.pixel_rows, width), np.float32)
@@ -67,22 +65,12 @@ class NumpyEngine:
             for _ in range(threads)
         ]
 
-    @property
-    def grid(self) -> PatchGrid:
-        """Where the patches lie."""
-        return self._plan.grid
-
-    @property
-    def plan(self) -> Plan:
-        """The matrices of the work."""
-        return self._plan
-
     def project(self, grey: NDArray[np.float32]) -> None:
         """Take a frame: project every patch onto the common basis."""
         overlapping = np.lib.stride_tricks.sliding_window_view(
-            self._plan.covered(grey), self.grid.window_px, axis=1
+            self.plan.covered(grey), self.grid.window_px, axis=1
         )[:, :: self.grid.stride_px]
-        starts = range(0, self._plan.pixel_rows, _PIXEL_ROWS)
+        starts = range(0, self.plan.pixel_rows, _PIXEL_ROWS)
         self._workers.each(partial(self._transform_rows, overlapping), starts)
         self._workers.each(self._project_row, range(self.grid.rows))
 
@@ -95,11 +83,11 @@ class NumpyEngine:
             Of the transforms; see `Plan`.
         """
         functions = self._functions.reshape(len(self._functions), -1)
-        np.matmul(self._plan.features, products.T, out=functions)
+        np.matmul(self.plan.features, products.T, out=functions)
 
     def energies(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the energies of the frame taken last [rows, columns, L]."""
-        plan = self._plan
+        plan = self.plan
         tried = plan.hypotheses_of(plan.tried(noise))
         self._precision[:] = 1 / (plan.count * np.square(noise))
         functions = self._functions.reshape(len(self._functions), -1)
@@ -115,7 +103,7 @@ class NumpyEngine:
         self, windows_of_rows: NDArray[np.float32], start: int, thread: int
     ) -> None:
         """Transform the windows of some pixel rows horizontally."""
-        plan, grid = self._plan, self._plan.grid
+        plan, grid = self.plan, self.grid
         rows = windows_of_rows[start : start + _PIXEL_ROWS]
         windows = self._scratch[thread].windows[: len(rows)]
         np.copyto(windows, rows)
@@ -128,7 +116,7 @@ class NumpyEngine:
 
     def _project_row(self, row: int, thread: int) -> None:
         """Transform a row of windows vertically, and project its powers."""
-        plan, grid, scratch = self._plan, self._plan.grid, self._scratch[thread]
+        plan, grid, scratch = self.plan, self.grid, self._scratch[thread]
         first = row * grid.stride_px
         np.matmul(
             plan.vertical, self._horizontal[first : first + grid.window_px], out=scratch.parts
@@ -155,7 +143,7 @@ class NumpyEngine:
         self, functions: NDArray[np.float32], tried: slice, start: int, thread: int
     ) -> None:
         """Find the energies of some patches; see `FilterBank` for what they are."""
-        plan, scratch = self._plan, self._scratch[thread]
+        plan, scratch = self.plan, self._scratch[thread]
         some = slice(start, min(start + _PATCHES, functions.shape[1]))
         count = some.stop - some.start
         precision = self._precision.reshape(-1)[some]

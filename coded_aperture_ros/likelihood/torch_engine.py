@@ -6,8 +6,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.threads import check_threads
-from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.core.workers import check_threads
 from coded_aperture_ros.likelihood.plan import Plan
 from coded_aperture_ros.likelihood.scoring import LEAST_EXCESS, OWN_NOISE
 
@@ -26,7 +25,6 @@ class TorchEngine:
 
     Parameters
     ----------
-    plan : Plan
     threads : int, optional
         Of the processor.
     device : str
@@ -44,7 +42,7 @@ class TorchEngine:
         torch.set_num_threads(threads)
         torch.set_float32_matmul_precision(_PRECISION)
         self.name = "cuda" if device == "cuda" else "torch"
-        self._plan = plan
+        self._plan, self.grid = plan, plan.grid
 
         grid, n, columns = plan.grid, plan.grid.window_px, plan.grid.columns
         vertical, horizontal = len(plan.vertical), len(plan.horizontal)
@@ -88,11 +86,6 @@ class TorchEngine:
             patches=room(rows, weights, columns).fill_(1),  # the last is the factor of OWN_NOISE
             excess=room(rows, tried, columns),
         )
-
-    @property
-    def grid(self) -> PatchGrid:
-        """Where the patches lie."""
-        return self._plan.grid
 
     @torch.inference_mode()
     def project(self, grey: NDArray[np.float32]) -> None:

@@ -45,7 +45,6 @@ class Reliability:
             In [0, 1].
         right : ndarray of bool, of the same shape
             Whether the estimate is right.
-        bins : int, optional
 
         Raises
         ------

@@ -39,7 +39,6 @@ class ExpectedMotion:
         ----------
         rows, columns : array_like [r], array_like [c]
             Places in a picture of `image_width`, px.
-        image_width : int
 
         Returns
         -------
@@ -76,7 +75,6 @@ def expected_motion(
         `sensor_msgs/Imu` has it in the frame of its own header. None if there is no measurement.
     exposure_s : float
         Time of the exposure, s.
-    intrinsics : Intrinsics
     late_s : float, optional
         How far in time the measurement is from the exposure, s, before or after.
     latest_s : float, optional

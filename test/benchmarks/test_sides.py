@@ -14,8 +14,7 @@ from scipy.signal import fftconvolve
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, side_warning
-from coded_aperture_ros.depth.side_finder import SideFinder
-from coded_aperture_ros.depth.sides import far_log_odds, given_side, side_confidence
+from coded_aperture_ros.depth.sides import SideFinder, far_log_odds, given_side, side_confidence
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.methods.motion import MotionConfig, learn_motion_bank

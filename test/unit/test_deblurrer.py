@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from deblur_scene import blurred, deblurrer, edges_and_texture, levin_stack
 
-from coded_aperture_ros.core.threads import processors
+from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 
 SHAPE = (96, 128)

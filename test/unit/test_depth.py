@@ -10,7 +10,7 @@ from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.edges import slimmed_foreground
 from coded_aperture_ros.depth.posterior import refine_level
 from coded_aperture_ros.depth.regularize import regularizer
-from coded_aperture_ros.depth.upsample import nearest_patches, upsample
+from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.imaging import PatchGrid, estimate_noise
 from coded_aperture_ros.imaging.frame import grey_image
 from coded_aperture_ros.imaging.noise import high_power
@@ -316,13 +316,14 @@ def test_smaller_maps_cover_the_whole_frame(bank, stairs):
 def test_upsampling_interpolates_on_a_surface_and_not_across_an_edge():
     grid = PatchGrid(top=0, left=0, stride_px=8, rows=1, columns=4, window_px=8)
     level = np.array([[0.0, 1.0, 9.0, 9.5]], np.float32)
-    row = upsample(level, grid, (8, 40), (8, 40))[4]
+    at = MapGrid.of(grid, (8, 40), (8, 40))
+    row = at.interpolated(level)[4]
     centres = grid.column_centres
     assert row[centres] == pytest.approx([0, 1, 9, 9.5])
     assert row[centres[0] : centres[1] + 1] == pytest.approx(np.linspace(0, 1, 9), abs=1e-5)
     assert set(np.unique(row[centres[1] : centres[2] + 1])) == {1.0, 9.0}
     assert row[centres[3] :] == pytest.approx(9.5)
-    rows, columns = nearest_patches(grid, (8, 40), (8, 40))
+    rows, columns = at.patches
     assert set(rows) == {0}
     assert columns[centres].tolist() == [0, 1, 2, 3]
 

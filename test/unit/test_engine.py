@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter, uniform_filter
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.threads import processors
+from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.likelihood import BACKENDS, Plan, new_engine
 from coded_aperture_ros.optics import Mask, render_psf_stack

@@ -9,7 +9,7 @@ import pytest
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera, load_bank, save_bank
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.threads import processors
+from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.optics import Camera, Mask

@@ -159,7 +159,7 @@ def test_a_pipeline_travels_to_another_process(bank, camera, frame):
 
 
 def test_closing_ends_the_threads(bank, camera, frame):
-    from coded_aperture_ros.core.threads import processors
+    from coded_aperture_ros.core.workers import processors
 
     if processors() < 2:
         pytest.skip("needs two processors")

@@ -15,8 +15,7 @@ from deblur_scene import (
 )
 from scipy import signal
 
-from coded_aperture_ros.core.threads import processors
-from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.core.workers import Workers, processors
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.deblur.blur_map import model_weight, sharper_near_edges, without_specks
 from coded_aperture_ros.deblur.cg import restore_quadratic

@@ -21,7 +21,7 @@ from coded_aperture_ros.methods.two_pixel import (
     neighbour_model_for_camera,
 )
 from coded_aperture_ros.methods.two_pixel.derivatives import channel_kernel, passed_power
-from coded_aperture_ros.methods.two_pixel.likelihood import TwoPixelLikelihood
+from coded_aperture_ros.methods.two_pixel.likelihood import NeighbourEngine
 from coded_aperture_ros.optics import Mask, load_camera, render_psf, render_psf_stack
 
 BARE = DepthConfig(regularize="none", edge_correction=0.0, confidence_threshold=0.0, saturation=2.0)
@@ -113,7 +113,7 @@ def test_measured_covariances_are_the_mean_products_of_the_window():
     mask = Mask.named("three_hole")
     model = neighbour_model(render_psf_stack(mask, [8.0, 12.0]), mask, SimpleConfig(window_px=32))
     grey = np.random.default_rng(0).random((80, 96), dtype=np.float32)
-    engine = TwoPixelLikelihood(model, grey.shape, 16)
+    engine = NeighbourEngine(model, grey.shape, 16)
     engine.project(grey)
     half = 16
     # What the widest kernel sees only in part does not count.
@@ -142,7 +142,7 @@ def test_two_threads_and_another_window_grid_give_the_same_energies():
     mask = Mask.named("four_hole")
     model = neighbour_model(blur_stack(mask, 6), mask, SimpleConfig(window_px=48))
     grey = texture(128, 176)
-    one, fine = TwoPixelLikelihood(model, grey.shape, 16), TwoPixelLikelihood(model, grey.shape, 4)
+    one, fine = NeighbourEngine(model, grey.shape, 16), NeighbourEngine(model, grey.shape, 4)
     for engine in (one, fine):
         engine.project(grey)
     # The windows of both lie at the same pixels, 16 and 4 apart.

@@ -8,7 +8,7 @@ from scipy.signal import fftconvolve
 
 from coded_aperture_benchmarks.frames.stair import crops_generator, with_noise
 from coded_aperture_ros.bank import LearnConfig, learn_bank
-from coded_aperture_ros.depth.upsample import nearest_patches
+from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.imaging.noise import NOISE_FLOOR
 from coded_aperture_ros.mask_design.fragmentation import (
     BLUR_SIZES_PX,
@@ -120,7 +120,7 @@ def identify_motions(
     random, random_texture = crops_generator(seed), textures.kind == "random"
     crop = textures.crops(1, whole, whole, random)[0]
     shape = (SIDE_PX, SIDE_PX)
-    nearest = np.ix_(*nearest_patches(engine.grid, shape, shape))
+    nearest = np.ix_(*MapGrid.of(engine.grid, shape, shape).patches)
     errors: dict[str, list[NDArray[np.intp]]] = {"defocus": [], "direction": [], "length": []}
     for level, psf in enumerate(stack.psfs):
         for motion, vector in enumerate(motions.vectors_px):

@@ -26,7 +26,7 @@ from coded_aperture_benchmarks.speed.work import (
     FrameWork,
 )
 from coded_aperture_ros.bank import FilterBank, learn_bank
-from coded_aperture_ros.core.threads import processors
+from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.metrics.times import fitted_slope
 from coded_aperture_ros.optics import Mask
 

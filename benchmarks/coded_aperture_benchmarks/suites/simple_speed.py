@@ -12,7 +12,7 @@ from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.speed.frames import moving_frames
 from coded_aperture_benchmarks.speed.setting import published_size
 from coded_aperture_ros.cli.options import mask_of
-from coded_aperture_ros.core.threads import processors
+from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.methods.two_pixel import (
     SimpleConfig,

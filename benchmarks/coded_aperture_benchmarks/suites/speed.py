@@ -17,7 +17,7 @@ from coded_aperture_benchmarks.speed import (
 )
 from coded_aperture_ros.cli.options import table
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.threads import processors
+from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.likelihood import BACKENDS
 
 _FIGURE = "speed.png"

@@ -70,7 +70,6 @@ def learn_motion_bank(
     ----------
     bank : FilterBank
         Its PSFs, window, textures and highest frequency are taken over.
-    motions : Motions
     rank : int, optional
         Vectors in the common basis. As many as there are frequencies, or more, are exact: then the
         frequencies themselves are the basis.

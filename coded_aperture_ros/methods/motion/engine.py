@@ -28,7 +28,6 @@ class MotionEngine(NumpyEngine):
 
     Parameters
     ----------
-    bank : MotionBank
     shape : (int, int)
         Rows and columns of the frames.
     stride_px : int
@@ -60,7 +59,7 @@ class MotionEngine(NumpyEngine):
         self._motions, self._levels = len(bank.motions), bank.levels
         ratios = len(bank.product.ratios)
         # Motion by motion: [M, ratios, slopes * L, R + 1].
-        hypotheses = self._plan.hypotheses.reshape(
+        hypotheses = self.plan.hypotheses.reshape(
             ratios, -1, self._motions, self._levels, self.size
         )
         by_motion = np.ascontiguousarray(np.moveaxis(hypotheses, 2, 0))
@@ -73,16 +72,16 @@ class MotionEngine(NumpyEngine):
         self._finalists = finalists
         self._exact: ExactEnergies | None = None
         if finalists and not bank.exact:
-            self._exact = ExactEnergies(bank, self._plan, self._workers)
+            self._exact = ExactEnergies(bank, self.plan, self._workers)
         # Of the transforms, and 1.
-        self._products = np.ones((patches, self._plan.features.shape[1] + 1), np.float32)
-        tried = len(self._plan.contrasts) * self._by_motion.shape[2]
+        self._products = np.ones((patches, self.plan.features.shape[1] + 1), np.float32)
+        tried = len(self.plan.contrasts) * self._by_motion.shape[2]
         self._excess = [np.empty(tried * _PATCHES, np.float32) for _ in range(threads)]
 
     @property
     def size(self) -> int:
         """How many numbers a patch is known by: the vectors of the basis, and a constant."""
-        return int(self._plan.hypotheses.shape[1])
+        return int(self.plan.hypotheses.shape[1])
 
     def energies(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the least energy of every level under any motion [rows, columns, L]."""
@@ -155,7 +154,7 @@ class MotionEngine(NumpyEngine):
         self, noise: float | NDArray[np.float32], energies: NDArray[np.float32], tasks: list[_Task]
     ) -> None:
         """Find the energies of some patches under some motions; see `FilterBank`."""
-        measured, tried = self._measured(noise), self._plan.tried(noise)
+        measured, tried = self._measured(noise), self.plan.tried(noise)
 
         def compete(task: _Task, thread: int) -> None:
             motions, patches = task
@@ -163,7 +162,7 @@ class MotionEngine(NumpyEngine):
             found = np.empty((len(motions), self._levels, len(patches)), np.float32)
             for motion, out in zip(motions, found, strict=True):
                 self._excess_of(motion, tried, seen[:-1], thread).min(axis=0, out=out)
-            energies[..., patches] = take_logarithm(found, seen[-1], self._plan.count)
+            energies[..., patches] = take_logarithm(found, seen[-1], self.plan.count)
 
         self._workers.each(compete, tasks)
 
@@ -171,7 +170,7 @@ class MotionEngine(NumpyEngine):
         self, exact: ExactEnergies, noise: float | NDArray[np.float32], tasks: list[_Task]
     ) -> None:
         """Find which texture suits each patch under some motions, and go on with it."""
-        measured, tried = self._measured(noise), self._plan.tried(noise)
+        measured, tried = self._measured(noise), self.plan.tried(noise)
         texture = np.empty(self._precision.size, np.intp)
 
         def find(task: _Task, thread: int) -> None:
@@ -201,9 +200,9 @@ class MotionEngine(NumpyEngine):
         Of the frame, and with the noise, that `of_all` took last.
         """
         spectra = self._spectra()[patches.ravel()]
-        tried = self._plan.tried(noise)
+        tried = self.plan.tried(noise)
         return most_likely_motion(
-            self._motion_bank, self._plan, spectra, tried, start_px, tolerance_px
+            self._motion_bank, self.plan, spectra, tried, start_px, tolerance_px
         )
 
     def _excess_of(
@@ -221,7 +220,7 @@ class MotionEngine(NumpyEngine):
 
         ndarray, float32 [R + 2, patches]: a constant is the last but one.
         """
-        self._precision[:] = 1 / (self._plan.count * np.square(noise))
+        self._precision[:] = 1 / (self.plan.count * np.square(noise))
         functions = self._functions.reshape(len(self._functions), -1) * self._precision.ravel()
         constant = np.ones_like(functions[:1])
         return np.concatenate([functions[:-1], constant, functions[-1:] + OWN_NOISE])

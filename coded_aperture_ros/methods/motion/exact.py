@@ -31,10 +31,8 @@ class ExactEnergies:
 
     Parameters
     ----------
-    bank : MotionBank
     plan : Plan
         Of the engine: its products of transforms are what the weights are for.
-    workers : Workers
     """
 
     def __init__(self, bank: MotionBank, plan: Plan, workers: Workers) -> None:

@@ -60,8 +60,6 @@ def separate(
     ----------
     evidence : ndarray, float32 [M, L, rows, columns]
         Against every pair of motion and level, natural logarithm, 0 for the likeliest.
-    motions : Motions
-    config : MotionConfig
     overlap : float
         Width of the patches over the distance between them.
     """
@@ -111,7 +109,6 @@ def separate_expected(
         Against every pair of candidate and level.
     candidates : ndarray of int [rows, columns, k]
         Which motions they are.
-    motions : Motions
     """
     likelihood = np.exp(-evidence)
     probability = likelihood.sum(axis=1)

@@ -93,8 +93,6 @@ class MotionLikelihood:
 
     Parameters
     ----------
-    model : MotionModel
-    engine : MotionEngine
     image_width : int
         Of the frames, px.
     """

@@ -29,7 +29,6 @@ def occurring_motions(
     ----------
     of_motion : ndarray, float32 [M, rows, columns]
         Evidence against every motion whatever the depth, natural logarithm, 0 for the likeliest.
-    motions : Motions
     overlap : float
         Windows' width over the distance between them.
 
@@ -65,7 +64,6 @@ def refined_motion(
     ----------
     total : ndarray [M]
         Evidence against every motion, of all patches that have this one.
-    motions : Motions
     index : int
         The motion; not one without length.
 

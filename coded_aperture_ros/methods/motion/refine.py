@@ -27,8 +27,6 @@ def most_likely_motion(
 
     Parameters
     ----------
-    bank : MotionBank
-    plan : Plan
     spectra : ndarray, float32 [patches, F + 1]
         See `ExactEnergies.take`; at least one.
     tried : slice

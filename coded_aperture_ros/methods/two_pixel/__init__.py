@@ -2,16 +2,16 @@
 
 from coded_aperture_ros.methods.two_pixel.config import SimpleConfig
 from coded_aperture_ros.methods.two_pixel.holes import Holes, find_holes
-from coded_aperture_ros.methods.two_pixel.likelihood import NeighbourModel, TwoPixelLikelihood
+from coded_aperture_ros.methods.two_pixel.likelihood import NeighbourEngine, NeighbourModel
 from coded_aperture_ros.methods.two_pixel.lines import NeighbourLine, neighbour_lines
 from coded_aperture_ros.methods.two_pixel.model import neighbour_model, neighbour_model_for_camera
 
 __all__ = [
     "Holes",
+    "NeighbourEngine",
     "NeighbourLine",
     "NeighbourModel",
     "SimpleConfig",
-    "TwoPixelLikelihood",
     "find_holes",
     "neighbour_lines",
     "neighbour_model",

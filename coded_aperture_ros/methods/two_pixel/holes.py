@@ -51,14 +51,6 @@ def find_holes(mask: Mask) -> Holes:
     Openings are the connected parts of what lets light through; those that only touch at a corner
     are two.
 
-    Parameters
-    ----------
-    mask : Mask
-
-    Returns
-    -------
-    Holes
-
     Raises
     ------
     InputError

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import DEFAULT_STRIDE_PX
-from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.imaging import PatchGrid
-from coded_aperture_ros.likelihood import Cost, plausible_ratios, relative_cost, take_logarithm
+from coded_aperture_ros.likelihood import EngineLikelihood, plausible_ratios, take_logarithm
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE
 from coded_aperture_ros.methods.two_pixel.holes import Holes
 from coded_aperture_ros.methods.two_pixel.lines import NeighbourLine
@@ -25,7 +24,7 @@ _WIDEST_KERNEL = 16
 # Statistics are sums over blocks of pixels of this side, or of its common divisor with the stride.
 BLOCK_PX = 8
 # The pixels of a window repeat each other, and so do the lines through them: by how much the
-# likelihood overstates the evidence. Chosen so that confidence is right on planes.
+# likelihood overstates what they tell. Chosen so that confidence is right on planes.
 _WINDOW_CORRELATION = 4.0
 # A square window counts its border as much as its middle, and widens foregrounds by this much more
 # than a Hann window. On two planes (blur 10 and 14 or 22 px, noise 0.001) the error within 16 px of
@@ -119,9 +118,10 @@ class NeighbourModel:
 
     def plan(
         self, shape: tuple[int, ...], stride_px: int, backend: str = "numpy", threads: int = 1
-    ) -> "TwoPixelLikelihood":
+    ) -> EngineLikelihood:
         """Plan for frames of one size; the processor computes, whatever the backend."""
-        return TwoPixelLikelihood(self, shape, stride_px, threads)
+        engine = NeighbourEngine(self, shape, stride_px, threads)
+        return EngineLikelihood(engine, _WINDOW_CORRELATION)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -132,8 +132,8 @@ class _Scratch:
     hypotheses: NDArray[np.float32]
 
 
-class TwoPixelLikelihood:
-    """Cost volumes of frames of one size; see `Likelihood`.
+class NeighbourEngine:
+    """Computes the energies of every window of frames of one size; see `Engine`.
 
     The covariance of a channel at a lag is the mean, over a window, of the products of pixels that
     are so far apart; a product lies halfway between its two pixels. Products are added up in
@@ -142,12 +142,10 @@ class TwoPixelLikelihood:
 
     Parameters
     ----------
-    model : NeighbourModel
     shape : (int, int)
         Rows and columns of the frames.
     stride_px : int
         Distance between the windows.
-    threads : int, optional
 
     Raises
     ------
@@ -155,11 +153,13 @@ class TwoPixelLikelihood:
         If the frame is smaller than the window, or there are fewer processors than threads.
     """
 
+    name = "numpy"
+
     def __init__(
         self, model: NeighbourModel, shape: tuple[int, ...], stride_px: int, threads: int = 1
     ) -> None:
         self._model = model
-        self._grid = grid = PatchGrid.covering(shape, model.window_px, stride_px)
+        self.grid = grid = PatchGrid.covering(shape, model.window_px, stride_px)
         self._workers = Workers(threads)
         # Windows that overlap share their blocks.
         self._block = block = math.gcd(BLOCK_PX, stride_px)
@@ -197,33 +197,13 @@ class TwoPixelLikelihood:
         ]
 
     @property
-    def grid(self) -> PatchGrid:
-        """Where the windows lie."""
-        return self._grid
-
-    @property
     def products(self) -> int:
         """How many products of a frame with itself are taken: lags times channels."""
         return len(self._covariances) - 1
 
-    def cost(
-        self,
-        grey: NDArray[np.float32],
-        noise: float | NDArray[np.float32],
-        usable: NDArray[np.bool_] | None = None,
-        prior: object = None,
-    ) -> Cost:
-        """Return the cost volume of a frame; see `Likelihood.cost`."""
-        stages = Stages()
-        self.project(grey)
-        stages.lap("spectra")
-        volume = relative_cost(self.energies(noise), _WINDOW_CORRELATION, usable)
-        stages.lap("energies")
-        return Cost(volume, seconds=stages.seconds)
-
     def project(self, grey: NDArray[np.float32]) -> None:
         """Take a frame: measure its local covariances."""
-        grid, margin, (rows, columns) = self._grid, self._margin, self._seen
+        grid, margin, (rows, columns) = self.grid, self._margin, self._seen
         covered = grey[grid.top :, grid.left :]
         covered = covered[: rows + 2 * self._reach, : columns + 2 * self._reach]
 
@@ -239,7 +219,7 @@ class TwoPixelLikelihood:
 
     def energies(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the energies of the frame taken last [rows, columns, L]."""
-        grid = self._grid
+        grid = self.grid
         model = self._model
         tried = plausible_ratios(model.ratios, model.contrasts, float(np.median(noise)))
         hypotheses = self._hypotheses[tried].reshape(-1, self._hypotheses.shape[-1])
@@ -278,7 +258,7 @@ class TwoPixelLikelihood:
             normalize=False,
             borderType=cv2.BORDER_CONSTANT,
         )
-        step, grid = self._grid.stride_px // block, self._grid
+        step, grid = self.grid.stride_px // block, self.grid
         windows = windows[
             : (grid.rows - 1) * step + 1 : step, : (grid.columns - 1) * step + 1 : step
         ]
@@ -311,7 +291,7 @@ class TwoPixelLikelihood:
         self, lag: NDArray[np.intp]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return what turns the sums of windows into means: a factor by row and one by column."""
-        grid = self._grid
+        grid = self.grid
         down, across = (
             self._counts(int(shift), axis, count)
             for axis, (shift, count) in enumerate(zip(lag, (grid.rows, grid.columns), strict=True))
@@ -326,7 +306,7 @@ class TwoPixelLikelihood:
         first = np.arange(length) - _before(shift) - self._reach
         inside = (first >= 0) & (first < seen) & (first + shift >= 0) & (first + shift < seen)
         total = np.concatenate([[0], np.cumsum(inside)])
-        starts = np.arange(windows) * self._grid.stride_px
+        starts = np.arange(windows) * self.grid.stride_px
         return np.maximum(total[starts + self._model.window_px] - total[starts], 1).astype(float)
 
 

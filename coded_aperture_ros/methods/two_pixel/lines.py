@@ -65,7 +65,6 @@ def neighbour_lines(holes: Holes, largest_blur_px: float) -> list[NeighbourLine]
 
     Parameters
     ----------
-    holes : Holes
     largest_blur_px : float
         Largest blur size of the whole mask, by its absolute value.
 

@@ -41,12 +41,10 @@ def neighbour_model_for_camera(
 
     Parameters
     ----------
-    camera : Camera
     near_m, far_m : float
         On the camera's side of the focal plane.
     levels : int
         Equally spaced in blur size; at least 2.
-    config : SimpleConfig, optional
 
     Raises
     ------
@@ -71,11 +69,6 @@ def neighbour_model(
         The PSFs of the mask, of at least two levels in order of size, all of one sign.
     mask : Mask
         Of two or more equal openings.
-    config : SimpleConfig, optional
-
-    Returns
-    -------
-    NeighbourModel
 
     Raises
     ------
