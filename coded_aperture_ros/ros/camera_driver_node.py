@@ -4,7 +4,6 @@ import dataclasses
 import math
 import threading
 import time
-from collections.abc import Sequence
 from typing import Any
 
 from rclpy.time import Time
@@ -40,7 +39,6 @@ from coded_aperture_ros.ros.messages import (
 )
 from coded_aperture_ros.ros.pace import Pace
 from coded_aperture_ros.ros.rgbd_source import RGBD, RgbdSource
-from coded_aperture_ros.ros.running import run_nodes
 from coded_aperture_ros.ros.static_transform import broadcast_static, optical_transform
 from coded_aperture_ros.ros.topics import LocalTopics, Outputs
 
@@ -212,9 +210,6 @@ class CameraDriverNode(ManagedNode):
             device=self.configs[DeviceConfig],
         )
 
-    def _wants(self, topic: str) -> bool:
-        return self._outputs.listened(topic)
-
     def _idle(self, source: Source) -> bool:
         # A live source goes on, or the first frame to be published would be an old one.
         if source.live or not self._config.lazy:
@@ -287,16 +282,16 @@ class CameraDriverNode(ManagedNode):
         encoding = self._config.encoding
         if "/clock" in self._outputs.topics:
             self._outputs.send("/clock", ClockMessage(clock=header.stamp))
-        if self._wants("image_raw"):
+        if self._outputs.listened("image_raw"):
             pixels = pixels_from_frame(capture.frame, encoding)
             self._outputs.send("image_raw", image_from_array(pixels, encoding, header))
-        if self._wants("camera_info"):
+        if self._outputs.listened("camera_info"):
             height, width = capture.frame.shape[:2]
             self._publish_camera_info(width, height, header)
-        if capture.depth_m is not None and self._wants("ground_truth/depth"):
+        if capture.depth_m is not None and self._outputs.listened("ground_truth/depth"):
             depth = image_from_array(capture.depth_m, "32FC1", header)
             self._outputs.send("ground_truth/depth", depth)
-        if capture.sharp is not None and self._wants("ground_truth/image"):
+        if capture.sharp is not None and self._outputs.listened("ground_truth/image"):
             sharp = image_from_array(pixels_from_frame(capture.sharp, encoding), encoding, header)
             self._outputs.send("ground_truth/image", sharp)
 
@@ -328,8 +323,3 @@ class CameraDriverNode(ManagedNode):
                 "failures": str(self._failures),
             },
         }
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until it is told to stop; return the exit status."""
-    return run_nodes([CameraDriverNode], args)

@@ -2,7 +2,6 @@
 
 import math
 import threading
-from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -26,7 +25,6 @@ from coded_aperture_ros.ros.messages import (
     stamp_ns,
 )
 from coded_aperture_ros.ros.pairing import StampPairs
-from coded_aperture_ros.ros.running import run_nodes
 
 # Frames to keep while depth_node works on them. Those that come meanwhile must not push out the one
 # in work, however fast they come: there would never be a pair. Two seconds at 100 Hz.
@@ -171,8 +169,3 @@ def depth_of_frame(depth: Image, image: Image) -> NDArray[np.float32]:
     depth_m = array_from_image(depth)
     # Some drivers say 0 where depth is unknown; -Inf is too near.
     return np.where((depth_m > 0) | (depth_m == -np.inf), depth_m, np.float32(np.nan))
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until it is told to stop; return the exit status."""
-    return run_nodes([DeblurNode], args)

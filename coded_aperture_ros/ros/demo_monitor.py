@@ -3,23 +3,20 @@
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 
 import cv2
 import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image
 
 from coded_aperture_ros.metrics.errors import DepthError, depth_error
 from coded_aperture_ros.ros.messages import array_from_image, frame_from_image, stamp_ns
+from coded_aperture_ros.ros.running import running_apart
 
 CODED, DEBLURRED = "image_raw", "deblurred/image"
 DEPTH, CONFIDENCE = "depth/image", "depth/confidence"
@@ -149,33 +146,6 @@ def error_of(
     return depth_error(depth_m, confidence, np.asarray(truth, np.float32))
 
 
-@contextmanager
-def running_monitor(reliable: bool = False) -> Iterator[DemoMonitor]:
-    """Run a monitor in a thread, in a context of its own.
-
-    Parameters
-    ----------
-    reliable : bool
-        Ask for lost images again.
-    """
-    context = Context()
-    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-    monitor = DemoMonitor(context, reliable)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(monitor)
-    spinner = threading.Thread(target=_spin, args=(executor,), name="monitor", daemon=True)
-    spinner.start()
-    try:
-        yield monitor
-    finally:
-        executor.shutdown()
-        spinner.join(5.0)
-        monitor.destroy_node()
-        context.try_shutdown()
-
-
-def _spin(executor: SingleThreadedExecutor) -> None:
-    try:
-        executor.spin()
-    except ExternalShutdownException:
-        return
+def running_monitor(reliable: bool = False) -> AbstractContextManager[DemoMonitor]:
+    """Run a monitor in a thread; one that is reliable asks for lost images again."""
+    return running_apart(lambda context: DemoMonitor(context, reliable), "monitor")

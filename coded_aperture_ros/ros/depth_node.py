@@ -4,7 +4,6 @@ import dataclasses
 import functools
 import math
 import threading
-from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from sensor_msgs.msg import CameraInfo, Image, Imu, PointCloud2
@@ -41,7 +40,6 @@ from coded_aperture_ros.ros.messages import (
     millimetres_from_depth,
     stamp_ns,
 )
-from coded_aperture_ros.ros.running import run_nodes
 
 # What a camera's rate needs on two processors; a bank from a file brings its own rank.
 _RANK = 64
@@ -227,8 +225,3 @@ class DepthNode(FrameNode[Image]):
             self._restarting.clear()
             pipeline.reset()
         return pipeline
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until it is told to stop; return the exit status."""
-    return run_nodes([DepthNode], args)

@@ -3,7 +3,7 @@
 import dataclasses
 import time
 from collections.abc import Callable
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,6 @@ from coded_aperture_ros.ros.messages import MessageError
 from coded_aperture_ros.ros.parameters import NodeParameters
 
 Model = TypeVar("Model", bound=BlurLevels)
-Made = TypeVar("Made", bound=BlurLevels, covariant=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,20 +62,6 @@ class ModelConfig:
             raise InputError(f"near_m {self.near_m:g} must be less than far_m {self.far_m:g}")
 
 
-class Maker(Protocol[Made]):
-    """Makes a model from a bank, or from a camera for a range of depths; see `new_model`."""
-
-    def __call__(
-        self,
-        *,
-        camera: Camera,
-        bank: FilterBank | None = None,
-        depth_range_m: tuple[float, float] | None = None,
-        level_count: int = DEFAULT_LEVEL_COUNT,
-    ) -> Made:
-        """Return the model."""
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class _State(Generic[Model]):
     """What belongs together: a frame is worked on with all of one state."""
@@ -91,7 +76,8 @@ class FrameModel(Generic[Model]):
 
     A new camera file is prepared in full before anything changes, so that one that cannot be used
     leaves everything as it was; it takes effect with the next frame that `fit` is called for. The
-    parameters of the node have `ModelConfig`.
+    parameters of the node have `ModelConfig`. `make` makes a model from a camera and a bank, or
+    from a camera for a range of depths; see `new_model`.
 
     Raises
     ------
@@ -99,7 +85,7 @@ class FrameModel(Generic[Model]):
         If a file does not load, or the model cannot be made.
     """
 
-    def __init__(self, node: Node, parameters: NodeParameters, make: Maker[Model]) -> None:
+    def __init__(self, node: Node, parameters: NodeParameters, make: Callable[..., Model]) -> None:
         self._logger = node.get_logger()
         self._config = config = parameters[ModelConfig]
         self._make = make

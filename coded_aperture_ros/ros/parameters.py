@@ -200,20 +200,12 @@ def descriptor_of(default: Any, described: Option) -> ParameterDescriptor:
     least, most = described.minimum, described.maximum
     if least is None and most is None:
         return descriptor
-    if isinstance(default, float):
-        largest = sys.float_info.max
-        descriptor.floating_point_range = [
-            FloatingPointRange(
-                from_value=float(-largest if least is None else least),
-                to_value=float(largest if most is None else most),
-            )
-        ]
-    elif isinstance(default, int):
-        descriptor.integer_range = [
-            IntegerRange(
-                from_value=int(-_LARGEST_INTEGER if least is None else least),
-                to_value=int(_LARGEST_INTEGER if most is None else most),
-                step=1,
-            )
-        ]
+    kind = type(default)
+    largest = sys.float_info.max if kind is float else _LARGEST_INTEGER
+    least = kind(-largest if least is None else least)
+    most = kind(largest if most is None else most)
+    if kind is float:
+        descriptor.floating_point_range = [FloatingPointRange(from_value=least, to_value=most)]
+    elif kind is int:
+        descriptor.integer_range = [IntegerRange(from_value=least, to_value=most, step=1)]
     return descriptor

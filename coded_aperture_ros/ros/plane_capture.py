@@ -3,21 +3,18 @@
 import contextlib
 import threading
 import time
-from types import TracebackType
 from typing import Any
 
 import numpy as np
-import rclpy
 from numpy.typing import NDArray
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.ros.messages import MessageError, frame_from_image
+from coded_aperture_ros.ros.running import running_apart
 
 
 class FrameGrabber:
@@ -34,36 +31,17 @@ class FrameGrabber:
         self._frames: list[NDArray[np.float32]] = []
         self._wanted = 0
         self._refused = ""
-        self._context = Context()
+        self._running = contextlib.ExitStack()
         try:
-            # Ctrl-C stays with the program.
-            rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-            self._node = Node("calibrate_planes", context=self._context)
-            self._executor = SingleThreadedExecutor(context=self._context)
-            self._executor.add_node(self._node)
-            qos = QoSProfile(
-                depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT
-            )
-            self._node.create_subscription(Image, topic, self._receive, qos)
+            self._running.enter_context(running_apart(self._subscribed, "frames"))
         except Exception as error:  # rclpy's own errors are of many kinds
-            self._context.try_shutdown()
             raise InputError(f"topic {topic}: {str(error).splitlines()[0]}") from error
-        self._thread = threading.Thread(target=self._spin, name="frames", daemon=True)
-        self._thread.start()
 
     def __enter__(self) -> "FrameGrabber":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._executor.shutdown()
-        self._thread.join(5.0)
-        self._node.destroy_node()
-        self._context.try_shutdown()
+    def __exit__(self, *_: object) -> None:
+        self._running.close()
 
     def mean_frame(self, count: int, timeout_s: float) -> NDArray[np.float32]:
         """Return the mean of the next `count` frames, float32.
@@ -93,6 +71,14 @@ class FrameGrabber:
             raise InputError(f"topic {self._topic}: frames changed their size")
         return np.asarray(np.mean(frames, axis=0, dtype=np.float64), np.float32)
 
+    def _subscribed(self, context: Context) -> Node:
+        node = Node("calibrate_planes", context=context)
+        qos = QoSProfile(
+            depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT
+        )
+        node.create_subscription(Image, self._topic, self._receive, qos)
+        return node
+
     def _receive(self, message: Any) -> None:
         with self._changed:
             if len(self._frames) >= self._wanted:
@@ -102,7 +88,3 @@ class FrameGrabber:
             except MessageError as error:
                 self._refused = str(error)
             self._changed.notify()
-
-    def _spin(self) -> None:
-        with contextlib.suppress(ExternalShutdownException):
-            self._executor.spin()

@@ -11,13 +11,27 @@ from functools import partial
 from importlib import import_module
 from types import FrameType
 
+NODES = {
+    "camera_driver_node": "CameraDriverNode",
+    "depth_node": "DepthNode",
+    "deblur_node": "DeblurNode",
+}
 
-def _run(name: str) -> int:
-    """Run a program; return the exit status."""
+
+def _run(*names: str) -> int:
+    """Run nodes in this process until told to stop; return the exit status.
+
+    A parameter given as `-p camera_file:=...` goes to all of them, `-p depth_node:levels:=...`
+    to one.
+    """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _end_at_once)
-    status: int = import_module(f"coded_aperture_ros.ros.{name}").main()
-    return status
+    from coded_aperture_ros.ros.running import run_nodes
+    from coded_aperture_ros.ros.topics import LocalTopics
+
+    modules = {name: import_module(f"coded_aperture_ros.ros.{name}") for name in names}
+    local = LocalTopics() if len(names) > 1 else None
+    return run_nodes([partial(getattr(modules[name], NODES[name]), local=local) for name in names])
 
 
 def _end_at_once(number: int, frame: FrameType | None) -> None:
@@ -29,13 +43,8 @@ def _end_at_once(number: int, frame: FrameType | None) -> None:
 camera_driver_node = partial(_run, "camera_driver_node")
 depth_node = partial(_run, "depth_node")
 deblur_node = partial(_run, "deblur_node")
-pipeline = partial(_run, "pipeline")
-PROGRAMS = {
-    "camera_driver_node": camera_driver_node,
-    "depth_node": depth_node,
-    "deblur_node": deblur_node,
-    "pipeline": pipeline,
-}
+pipeline = partial(_run, *NODES)
+PROGRAMS = {name: partial(_run, name) for name in NODES} | {"pipeline": pipeline}
 
 
 if __name__ == "__main__":

@@ -1,18 +1,23 @@
 """Start nodes from a shell and end them cleanly."""
 
+import contextlib
 import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import rclpy
+from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from coded_aperture_ros.core.errors import InputError
+
+_Node = TypeVar("_Node", bound=Node)
 
 
 def run_nodes(factories: Sequence[Callable[[], Any]], args: Sequence[str] | None = None) -> int:
@@ -75,6 +80,29 @@ def _init(args: Sequence[str] | None) -> None:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # the base of rclpy's own errors, which are private
         raise InputError(f"cannot start ROS: {str(error).splitlines()[0]}") from error
+
+
+@contextlib.contextmanager
+def running_apart(make: Callable[[Context], _Node], thread: str) -> Iterator[_Node]:
+    """Run a node in a thread and a context of its own; Ctrl-C stays with the program."""
+    context = Context()
+    with contextlib.ExitStack() as endings:
+        endings.callback(context.try_shutdown)
+        rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+        node = make(context)
+        endings.callback(node.destroy_node)
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+
+        def spin() -> None:
+            with contextlib.suppress(ExternalShutdownException):
+                executor.spin()
+
+        spinner = threading.Thread(target=spin, name=thread, daemon=True)
+        spinner.start()
+        endings.callback(spinner.join, 5.0)
+        endings.callback(executor.shutdown)
+        yield node
 
 
 class _Stop:

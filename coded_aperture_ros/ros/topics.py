@@ -94,7 +94,11 @@ class Outputs:
     def open(self) -> None:
         """Create the publishers."""
         for topic, message_type in self._types.items():
-            self._publishers[topic] = _publisher(self._node, message_type, topic)
+            qos = _qos(5, ReliabilityPolicy.RELIABLE)
+            with _readable_qos_errors(topic):
+                self._publishers[topic] = self._node.create_publisher(
+                    message_type, topic, qos, qos_overriding_options=_OVERRIDABLE
+                )
 
     def close(self) -> None:
         """Destroy the publishers."""
@@ -108,7 +112,9 @@ class Outputs:
             return any(self.listened(each) for each in self._publishers)
         if topic not in self._publishers:
             return False
-        return self._listened_here(topic) or self._publishers[topic].get_subscription_count() > 0
+        if self._local is not None and self._local.listeners(self._names[topic]):
+            return True
+        return bool(self._publishers[topic].get_subscription_count())
 
     def send(self, topic: str, message: Any) -> None:
         """Publish a message, unless the node's context has been shut down meanwhile."""
@@ -124,9 +130,6 @@ class Outputs:
             # rclpy raises several kinds here, one of them private; only a shutdown excuses them.
             if self._node.context.ok():
                 raise
-
-    def _listened_here(self, topic: str) -> bool:
-        return self._local is not None and self._local.listeners(self._names[topic]) > 0
 
 
 class Inputs:
@@ -170,7 +173,11 @@ class Inputs:
             if self._local is not None and self._local.offers(name):
                 self._endings.append(self._local.subscribe(name, callback))
                 continue
-            subscription = _subscription(self._node, message_type, topic, callback)
+            qos = _qos(1, ReliabilityPolicy.BEST_EFFORT)
+            with _readable_qos_errors(topic):
+                subscription = self._node.create_subscription(
+                    message_type, topic, callback, qos, qos_overriding_options=_OVERRIDABLE
+                )
             self._endings.append(partial(self._node.destroy_subscription, subscription))
 
     def close(self) -> None:
@@ -178,22 +185,6 @@ class Inputs:
         endings, self._endings = self._endings, []
         for end in endings:
             end()
-
-
-def _publisher(node: Node, message_type: type, topic: str) -> Any:
-    qos = _qos(5, ReliabilityPolicy.RELIABLE)
-    with _readable_qos_errors(topic):
-        return node.create_publisher(message_type, topic, qos, qos_overriding_options=_OVERRIDABLE)
-
-
-def _subscription(
-    node: Node, message_type: type, topic: str, callback: Callable[[Any], None]
-) -> Any:
-    qos = _qos(1, ReliabilityPolicy.BEST_EFFORT)
-    with _readable_qos_errors(topic):
-        return node.create_subscription(
-            message_type, topic, callback, qos, qos_overriding_options=_OVERRIDABLE
-        )
 
 
 def _qos(depth: int, reliability: ReliabilityPolicy) -> QoSProfile:
