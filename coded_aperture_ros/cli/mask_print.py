@@ -47,9 +47,8 @@ def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     from coded_aperture_ros.core.files import atomic_output
     from coded_aperture_ros.design import openings_of
-    from coded_aperture_ros.design.pdf import pdf_of
     from coded_aperture_ros.design.sheet import loose_parts_note, mask_sheet
-    from coded_aperture_ros.design.svg import svg_of
+    from coded_aperture_ros.design.sheet_files import pdf_of, svg_of
     from coded_aperture_ros.optics import load_camera
 
     _check_usage(args)

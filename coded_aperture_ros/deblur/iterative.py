@@ -1,4 +1,4 @@
-"""What the methods share that solve for the whole frame at once."""
+"""What the methods share that solve for the whole frame at once, by conjugate gradients."""
 
 import abc
 import dataclasses
@@ -9,24 +9,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.deblur.blur_map import model_weight
+from coded_aperture_ros.deblur.blur_map import filled_blur_map, model_weight
 from coded_aperture_ros.deblur.config import DeblurConfig
-from coded_aperture_ros.deblur.conjugate import Linear
 from coded_aperture_ros.deblur.fast import ClosedForm
-from coded_aperture_ros.deblur.fill import filled_blur_map
 from coded_aperture_ros.deblur.frame import from_opponents
 from coded_aperture_ros.deblur.motion import motion_parts
 from coded_aperture_ros.deblur.occlusion import OccludedBlur
 from coded_aperture_ros.deblur.operator import BlurOperator, SpreadingBlur
-from coded_aperture_ros.deblur.problem import Problem
+from coded_aperture_ros.deblur.problem import Problem, VideoState
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
-from coded_aperture_ros.deblur.video import VideoState
 from coded_aperture_ros.likelihood import torch_device
 
 # Occlusion is reckoned with, unless asked otherwise, where its weights fit into so much memory.
 _OCCLUSION_BYTES = 512 * 2**20
 # Ranges of blur sizes that the preconditioners tell apart.
 RANGES = 4
+# Arrays of NumPy, or tensors of PyTorch on any device: only what both can do is done to them.
+Linear = Callable[[Any], Any]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -118,3 +117,41 @@ def preconditioner(fit: Fit, ranges: list[tuple[Any, Any]], weight: float, penal
         return sum(sums[1:], sums[0])
 
     return solve
+
+
+def conjugate_gradients(
+    system: Linear,
+    right_side: Any,
+    start: Any,
+    preconditioner: Linear,
+    tolerance: float,
+    iterations: int,
+) -> tuple[Any, int]:
+    """Solve ``system(x) = right_side``.
+
+    Stops when the gradient (thesis eq. 6.28) is below `tolerance` times the right side's norm, or
+    after so many iterations; returns the solution, and how many it took. `system`, and its near
+    inverse `preconditioner`, are linear, symmetric and positive definite. Arrays are float32.
+    """
+    solution = start + 0
+    residual = right_side - system(solution)
+    enough = tolerance**2 * _product(right_side, right_side)
+    direction = 0 * solution
+    last = 1.0
+    for iteration in range(iterations):
+        if _product(residual, residual) <= enough:
+            return solution, iteration
+        conditioned = preconditioner(residual)
+        product = _product(residual, conditioned)
+        direction *= product / last if iteration else 0
+        direction += conditioned
+        last = product
+        image = system(direction)
+        step = product / _product(direction, image)
+        solution += step * direction
+        residual -= step * image
+    return solution, iterations
+
+
+def _product(first: Any, second: Any) -> float:
+    return float((first * second).sum())

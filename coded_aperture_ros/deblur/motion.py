@@ -32,10 +32,7 @@ def motion_of_frame(
 ) -> NDArray[np.float32] | None:
     """Return a map of motion in the size of the frame; None where nothing moves.
 
-    Raises
-    ------
-    InputError
-        If it is not [rows, columns, 2], or not of a floating type.
+    An `InputError` if it is not [rows, columns, 2], or not of a floating type.
     """
     if motion_px is None:
         return None

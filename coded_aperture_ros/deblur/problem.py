@@ -1,12 +1,73 @@
-"""What a method of deblurring gets, and what it has to do."""
+"""What a method of deblurring gets, of a frame and of a video, and what it has to do."""
 
 import dataclasses
 from typing import Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.deblur.video import VideoState
+from coded_aperture_ros.imaging import StaticAverage
+
+# A place that is the mean of more frames than this has not changed.
+_STATIC = 1.5
+
+
+class VideoState:
+    """Averages the coded frames of a video, along non-local weights in time, before deblurring.
+
+    The thesis proposes such weights for depth (eq. 8.11) and leaves all-in-focus frames for later.
+    Averaged coded frames have less noise, so that the filters may be sharper; averaged
+    all-in-focus frames would only be less noisy. What moves by a fraction of a pixel starts anew
+    and is deblurred as a single frame. With `most_frames` 0 nothing is remembered.
+    """
+
+    def __init__(self, most_frames: float) -> None:
+        self._most_frames = most_frames
+        self._averages: list[StaticAverage] = []
+        self._shape: tuple[int, ...] = ()
+        self._restored: list[NDArray[np.float32]] | None = None
+
+    def reset(self) -> None:
+        """Forget the frames so far."""
+        self._averages, self._restored = [], None
+
+    def add(
+        self, channels: list[NDArray[np.float32]], noise: float
+    ) -> tuple[list[NDArray[np.float32]], NDArray[np.float32]]:
+        """Return the mean with one more frame, and how many frames it is of.
+
+        Another number or size of channels than before begins another video. `noise` is the
+        standard deviation of one frame's. The count is that of the channel that changed most, at
+        least 1, float32 [rows, columns], or [1, 1] of single frames.
+        """
+        if not self._most_frames:
+            return channels, np.ones((1, 1), np.float32)
+        shape = (len(channels), *channels[0].shape)
+        if shape != self._shape:
+            self.reset()
+            self._shape = shape
+        if not self._averages:
+            self._averages = [StaticAverage(self._most_frames) for _ in channels]
+        pairs = zip(self._averages, channels, strict=True)
+        means = [average.add(channel, noise) for average, channel in pairs]
+        least = np.min([count for _, count in means], axis=0)
+        frame_count = cv2.resize(least, shape[:0:-1], interpolation=cv2.INTER_LINEAR)
+        return [mean.copy() for mean, _ in means], np.asarray(frame_count, np.float32)
+
+    def start(
+        self, closed_form: list[NDArray[np.float32]], frame_count: NDArray[np.float32]
+    ) -> list[NDArray[np.float32]]:
+        """Return where to begin to restore: the last result wherever nothing has changed."""
+        if self._restored is None:
+            return closed_form
+        pairs = zip(self._restored, closed_form, strict=True)
+        return [np.where(frame_count > _STATIC, last, fresh) for last, fresh in pairs]
+
+    def keep(self, restored: list[NDArray[np.float32]]) -> None:
+        """Remember a result, to begin with it next time."""
+        if self._most_frames:
+            self._restored = restored
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

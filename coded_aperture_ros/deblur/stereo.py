@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.deblur.fill import filled_blur_map
+from coded_aperture_ros.deblur.blur_map import filled_blur_map
 from coded_aperture_ros.imaging import check_frame
 
 # The few pixels beyond these percentiles of blur size, most of them wrong, do not set the scale.

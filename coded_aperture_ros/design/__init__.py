@@ -1,8 +1,8 @@
 """Design of a coded-aperture camera: what a lens, a mask and a focus can tell, before building."""
 
-from coded_aperture_ros.design.best import best_settings
 from coded_aperture_ros.design.curves import (
     Curves,
+    best_settings,
     curves_of,
     default_extent_range_mm,
     default_focus_range_m,

@@ -1,4 +1,4 @@
-"""How the numbers of a camera change with its focus and with depth (thesis section 3.4.2)."""
+"""How the numbers of a camera change with focus and depth (thesis 3.4.2), and the best focus."""
 
 import dataclasses
 import math
@@ -8,38 +8,34 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design.openings import openings_of
-from coded_aperture_ros.design.setting import DesignConfig, mean_blur_size_px, resolution_m
+from coded_aperture_ros.design.setting import (
+    DesignConfig,
+    Setting,
+    mean_blur_size_px,
+    resolution_m,
+    setting_of,
+)
 from coded_aperture_ros.optics import Camera
 
 _SAMPLES = 200
+# Settings whose number of levels is within this of the most count as equal.
+_AS_GOOD = 0.98
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Curves:
-    """The graphs of thesis figures 3.10 and 3.12, as numbers (all ndarray of float64).
+    """The graphs of thesis figures 3.10 and 3.12, as numbers."""
 
-    Attributes
-    ----------
-    focus_m : [n]
-        Focus distances, increasing; those within the depth range, where the side of the focus is
-        ambiguous, are left out.
-    levels : [n]
-        Depth levels (eq. 3.29) at each focus distance.
-    hole_blur_mean_px, hole_blur_far_px : [n]
-        Blur of the smallest hole at each focus distance (eq. 3.16): mean over the depth range,
-        and at its far end.
-    depth_m, resolution_m : [k]
-        Depths in the range, and the depth resolution there (eq. 3.30) at the camera's own focus.
-    level_edges_m : [levels + 1]
-        Depths from `near_m` to `far_m` that are one resolvable step of blur size apart.
-    """
-
+    # Focus distances, increasing [n]; those within the depth range, where the side of the focus is
+    # ambiguous, are left out.
     focus_m: NDArray[np.float64]
-    levels: NDArray[np.float64]
+    levels: NDArray[np.float64]  # depth levels there (eq. 3.29)
+    # Blur of the smallest hole there (eq. 3.16): mean over the depth range, and at its far end.
     hole_blur_mean_px: NDArray[np.float64]
     hole_blur_far_px: NDArray[np.float64]
-    depth_m: NDArray[np.float64]
-    resolution_m: NDArray[np.float64]
+    depth_m: NDArray[np.float64]  # in the range [k]
+    resolution_m: NDArray[np.float64]  # there (eq. 3.30), at the camera's own focus
+    # Depths from `near_m` to `far_m`, one resolvable step of blur size apart [levels + 1].
     level_edges_m: NDArray[np.float64]
 
 
@@ -50,21 +46,10 @@ def curves_of(
     config: DesignConfig | None = None,
     focus_range_m: tuple[float, float] | None = None,
 ) -> Curves:
-    """Compute the curves of a camera over a depth range.
+    """Compute the curves of a camera over a depth range on its side of the focus.
 
-    Parameters
-    ----------
-    camera : Camera
-    near_m, far_m : float
-        Depth range, on the camera's side of its focus.
-    config : DesignConfig, optional
-    focus_range_m : tuple of two floats, optional
-        Focus distances; by default `default_focus_range_m`, with the camera's own.
-
-    Raises
-    ------
-    InputError
-        As `setting_of`; also for a focus range that lies within the depth range.
+    The focus distances are by default `default_focus_range_m`, with the camera's own. An
+    `InputError` as of `setting_of`; also for a focus range that lies within the depth range.
     """
     config = config or DesignConfig()
     near_px, far_px = camera.blur_range_px(near_m, far_m)
@@ -135,3 +120,64 @@ def refocused_cameras(
             f"use one that begins before {near_m:g} m or ends beyond {far_m:g} m"
         )
     return cameras
+
+
+def best_settings(
+    camera: Camera,
+    near_m: float,
+    far_m: float,
+    config: DesignConfig | None = None,
+    focus_range_m: tuple[float, float] | None = None,
+    extent_range_mm: tuple[float, float] | None = None,
+) -> list[Setting]:
+    """Search focus distance and mask size for the most depth levels.
+
+    The focus lies outside the depth range, and the blur sizes within the limits of `config`.
+    The number of levels hardly depends on the focus, so among settings that are as good within
+    2 % the one wins whose smallest hole blurs closest to 1 px, which keeps most of the image.
+
+    Parameters
+    ----------
+    camera : Camera
+        Its focus, side and mask size matter only for the default ranges.
+    near_m, far_m : float
+        Depth range.
+    config : DesignConfig, optional
+    focus_range_m, extent_range_mm : tuple of two floats, optional
+        What is searched; by default `default_focus_range_m` and `default_extent_range_mm`.
+
+    Returns
+    -------
+    list of Setting
+        The best setting with the focus before the depth range and the best one beyond it, the
+        one with more levels first. A side is missing where no setting in the ranges keeps the
+        blur within its limits.
+
+    Raises
+    ------
+    InputError
+        If a range is not one, or the focus range lies within the depth range.
+    """
+    config = config or DesignConfig()
+    focus_range_m = focus_range_m or default_focus_range_m(camera, near_m, far_m)
+    extent_range_mm = extent_range_mm or default_extent_range_mm(camera)
+    if not 0 < extent_range_mm[0] <= extent_range_mm[1] < math.inf:
+        raise InputError(
+            f"mask sizes {extent_range_mm[0]:g} to {extent_range_mm[1]:g} mm: expected two "
+            "increasing sizes of more than 0 mm"
+        )
+    found: dict[str, list[Setting]] = {"far": [], "near": []}
+    for focused in refocused_cameras(camera, near_m, far_m, focus_range_m):
+        # The largest allowed mask is the best at a focus: levels and blur both grow with its size.
+        sizes_px = [abs(size) for size in focused.blur_range_px(near_m, far_m)]
+        per_mm = [size / focused.mask_extent_mm for size in sizes_px]
+        extent_mm = min(extent_range_mm[1], config.largest_blur_px / max(per_mm))
+        if extent_mm >= extent_range_mm[0] and extent_mm * min(per_mm) >= config.smallest_blur_px:
+            candidate = dataclasses.replace(focused, mask_extent_mm=extent_mm)
+            found[focused.side].append(setting_of(candidate, near_m, far_m, config))
+    best = []
+    for settings in filter(None, found.values()):
+        most = max(setting.levels for setting in settings)
+        as_good = [setting for setting in settings if setting.levels >= _AS_GOOD * most]
+        best.append(min(as_good, key=lambda setting: abs(math.log(setting.hole_blur_mean_px))))
+    return sorted(best, key=lambda setting: -setting.levels)

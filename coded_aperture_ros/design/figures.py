@@ -24,23 +24,9 @@ def draw_design(
 ) -> None:
     """Draw levels and hole blur against focus, and depth resolution (thesis figure 3.10).
 
-    The stripe at the right has a band for each depth level: objects in one band cannot be told
-    apart.
-
-    Parameters
-    ----------
-    setting : Setting
-        The camera as it is, which the graphs mark.
-    curves : Curves
-    near_m, far_m : float
-        Depth range.
-    path : path-like
-        Picture file; matplotlib chooses the format by its name.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is missing, or the file cannot be written.
+    The graphs mark `setting`, the camera as it is. The stripe at the right has a band for each
+    depth level: objects in one band cannot be told apart. An `InputError` if matplotlib is missing,
+    or the file cannot be written; its name chooses the format.
     """
     # A layout that measures every text would take longer than all the drawing.
     figure = new_figure(*_INCHES, layout=None)
@@ -75,15 +61,13 @@ def draw_design(
 
 
 def _draw_blur(axes: Any, setting: Setting, curves: Curves, near_m: float) -> None:
-    lines = [
-        *_draw_by_side(
-            axes, curves, curves.hole_blur_mean_px, near_m, color="C3", label="mean over the range"
-        )[:1],
-        *_draw_by_side(
-            axes, curves, curves.hole_blur_far_px, near_m, color="C0", label="at the far end"
-        )[:1],
-        axes.axhline(1.0, color="k", linestyle="--", linewidth=0.8, label="1 pixel"),
-    ]
+    lines = []
+    for values, color, label in (
+        (curves.hole_blur_mean_px, "C3", "mean over the range"),
+        (curves.hole_blur_far_px, "C0", "at the far end"),
+    ):
+        lines += _draw_by_side(axes, curves, values, near_m, color=color, label=label)[:1]
+    lines.append(axes.axhline(1.0, color="k", linestyle="--", linewidth=0.8, label="1 pixel"))
     # Blur grows without bounds as the focus nears the lens, and would flatten all the rest.
     largest = float(np.maximum(curves.hole_blur_mean_px, curves.hole_blur_far_px).max())
     here = max(setting.hole_blur_mean_px, setting.hole_blur_far_px)

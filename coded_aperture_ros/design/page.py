@@ -27,20 +27,9 @@ def write_page(
 ) -> None:
     """Write a page with sliders for focus, mask size and depth range (HTML, self-contained).
 
-    It needs no network and no other file. `#focus=1.5&extent=12&near=2&far=5` after its address
-    sets the sliders.
-
-    Parameters
-    ----------
-    camera : Camera
-    near_m, far_m : float
-        The sliders start from the camera and this depth range.
-    best : list of Setting
-        Settings that the page offers to go to.
-    config : DesignConfig
-    focus_range_m, extent_range_mm : tuple of two floats
-        Ends of the sliders.
-    path : path-like
+    It needs no network and no other file. The sliders start from the camera and the depth range,
+    end at the other ranges, and go to the `best` settings on demand; after the page's address,
+    `#focus=1.5&extent=12&near=2&far=5` sets them.
     """
     values = {
         "focus_m": camera.focus_distance_m,

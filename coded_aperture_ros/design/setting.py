@@ -22,30 +22,22 @@ class DesignConfig:
     resolution_px: float = option(
         1.0,
         "Smallest change of blur size that is told apart, alpha times lambda of thesis eq. 3.29.",
-        unit="px",
-        minimum=0.01,
-        maximum=100.0,
-    )
+        unit="px", minimum=0.01, maximum=100.0,
+    )  # fmt: skip
     # The longest that the thesis reckons with (eq. 3.21): red suffers most from diffraction.
     wavelength_nm: float = option(
         750.0, "Longest wavelength of the light.", unit="nm", minimum=200.0, maximum=2000.0,
     )  # fmt: skip
     # Below this the cells of Levin's mask are a quarter of a pixel wide, and the code is lost.
     smallest_blur_px: float = option(
-        3.0,
-        "The best setting has no smaller blur in the depth range.",
-        unit="px",
-        minimum=0.0,
-        maximum=10_000.0,
-    )
+        3.0, "The best setting has no smaller blur in the depth range.",
+        unit="px", minimum=0.0, maximum=10_000.0,
+    )  # fmt: skip
     # Half the window of a filter bank with default settings.
     largest_blur_px: float = option(
-        24.0,
-        "The best setting has no larger blur in the depth range.",
-        unit="px",
-        minimum=0.1,
-        maximum=10_000.0,
-    )
+        24.0, "The best setting has no larger blur in the depth range.",
+        unit="px", minimum=0.1, maximum=10_000.0,
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -58,54 +50,32 @@ class DesignConfig:
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """What a camera with one focus and one mask size can do over a depth range.
-
-    Attributes
-    ----------
-    focus_distance_m, mask_extent_mm : float
-    side : {"far", "near"}
-        The side of the focal plane that the depth range is on.
-    levels : float
-        Depth levels that can be told apart (thesis eq. 3.29).
-    blur_size_near_px, blur_size_far_px : float
-        Signed blur size of the whole mask at the two ends of the range (eq. 3.28).
-    hole_blur_near_px, hole_blur_far_px : float
-        Width of the blur of the smallest hole alone (eq. 3.16).
-    hole_blur_mean_px : float
-        Its mean over depths spread uniformly over the range.
-    resolution_near_m, resolution_far_m : float
-        Distance to the next depth that can be told apart (eq. 3.30); infinite where none can.
-    hole_width_mm : float
-        Diameter of the largest disc in the smallest hole.
-    open_fraction : float
-        Open area over the area of the square that bounds the mask.
-    f_number, f_number_of_light : float or None
-        Focal length over the mask's extent, and over the diameter of the round aperture that
-        passes as much light; None if the focal length is not known.
-    airy_radius_px : float
-        Radius of the smallest hole's Airy disc (eq. 3.18), with the image distance for the focal
-        length. Above 1 px diffraction is not negligible (eq. 3.20).
-    diffraction_limit_mm : float
-        Hole width at which that radius is 1 px: twice the bound of eq. 3.21.
-    """
+    """What a camera with one focus and one mask size can do over a depth range."""
 
     focus_distance_m: float
     mask_extent_mm: float
-    side: str
-    levels: float
+    side: str  # of the focal plane that the depth range is on: far or near
+    levels: float  # depths that can be told apart (thesis eq. 3.29)
+    # Signed blur size of the whole mask at the two ends of the range (eq. 3.28).
     blur_size_near_px: float
     blur_size_far_px: float
+    # Width of the blur of the smallest hole alone (eq. 3.16).
     hole_blur_near_px: float
     hole_blur_far_px: float
-    hole_blur_mean_px: float
+    hole_blur_mean_px: float  # over depths spread uniformly over the range
+    # Distance to the next depth that can be told apart (eq. 3.30); infinite where none can.
     resolution_near_m: float
     resolution_far_m: float
-    hole_width_mm: float
-    open_fraction: float
+    hole_width_mm: float  # diameter of the largest disc in the smallest hole
+    open_fraction: float  # open area over the area of the square that bounds the mask
+    # Focal length over the mask's extent, and over the diameter of the round aperture that passes
+    # as much light; None if the focal length is not known.
     f_number: float | None
     f_number_of_light: float | None
+    # Radius of the smallest hole's Airy disc (eq. 3.18), with the image distance for the focal
+    # length. Above 1 px diffraction is not negligible (eq. 3.20).
     airy_radius_px: float
-    diffraction_limit_mm: float
+    diffraction_limit_mm: float  # hole width at which that is 1 px: twice the bound of eq. 3.21
 
     @property
     def diffraction_is_negligible(self) -> bool:

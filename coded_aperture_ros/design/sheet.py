@@ -4,8 +4,7 @@ import dataclasses
 import math
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.design.openings import openings_of
-from coded_aperture_ros.design.outline import Outline, Point, outlines_of
+from coded_aperture_ros.design.openings import Outline, Point, openings_of, outlines_of
 from coded_aperture_ros.optics import Mask
 
 # A4, and what of it every printer reaches.
@@ -24,29 +23,13 @@ _DOWN = (10.0, 170.0)
 
 @dataclasses.dataclass(frozen=True)
 class Shape:
-    """An area or lines; lengths in mm from the page's upper left corner, y down.
+    """An area or lines; lengths in mm from the page's upper left corner, y down."""
 
-    Attributes
-    ----------
-    outlines : list of list of (float, float)
-        An area is what an odd number of outlines encloses.
-    colour : str
-        As `#rrggbb`.
-    kind : str
-        What it is, for those who read the file: `mask`, `hole`, `rim`, `ruler` or `mark`.
-    filled : bool
-        An area; else lines of `width_mm`.
-    closed : bool
-        Whether the outlines' ends are joined.
-    dashed : bool
-    width_mm : float
-    """
-
-    outlines: list[Outline]
-    colour: str
-    kind: str = "mark"
-    filled: bool = False
-    closed: bool = True
+    outlines: list[Outline]  # an area is what an odd number of them encloses
+    colour: str  # as #rrggbb
+    kind: str = "mark"  # or mask, hole, rim, ruler: for those who read the file
+    filled: bool = False  # an area; else lines of `width_mm`
+    closed: bool = True  # whether the outlines' ends are joined
     dashed: bool = False
     width_mm: float = 0.1
 
@@ -77,22 +60,11 @@ def mask_sheet(
     """Lay out a mask at true scale, with a ruler, cut lines and the way it sits in the lens.
 
     The printed side is what the sensor would see: held towards the sensor with the mark up, the
-    PSF of a point beyond the focus is the mask as it is stored.
-
-    Parameters
-    ----------
-    mask : Mask
-    extent_mm : float
-        Outer extent of the mask's grid, as in the camera file.
-    outer_mm : float, optional
-        Diameter of the round piece to cut out; by default there are 5 mm around the openings.
-    label : str, optional
-        A line of text, say the lens that it is for.
-
-    Raises
-    ------
-    InputError
-        If the mask does not fit the page, or the openings not into the round piece.
+    PSF of a point beyond the focus is the mask as it is stored. `extent_mm` is the outer extent of
+    the mask's grid, as in the camera file, and `outer_mm` the diameter of the round piece to cut
+    out; by default there are 5 mm around the openings. `label` is a line of text, say the lens that
+    it is for. An `InputError` if the mask does not fit the page, or the openings not into the round
+    piece.
     """
     if not 0 < extent_mm < math.inf:
         raise InputError(f"mask size: expected more than 0 mm, got {extent_mm:g} mm")

@@ -8,8 +8,7 @@ import numpy as np
 
 from coded_aperture_ros.core.archive import read_archive, write_archive
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.mask_design.pareto import Front
-from coded_aperture_ros.mask_design.search import Island, SearchConfig, SearchState
+from coded_aperture_ros.mask_design.search import Front, Island, SearchConfig, SearchState
 from coded_aperture_ros.mask_design.spectra import SceneConfig
 
 _SCHEMA = "coded-aperture mask search"
@@ -43,11 +42,8 @@ def load_checkpoint(
 ) -> SearchState:
     """Read where a search stood.
 
-    Raises
-    ------
-    InputError
-        Naming the file, if it cannot be read or belongs to another search; the message says what
-        differs.
+    An `InputError` that names the file, if it cannot be read or belongs to another search, and what
+    differs.
     """
     arrays = read_archive(path, _SCHEMA, _SCHEMA_VERSION)
     ours = _identity(config, scene)

@@ -41,11 +41,7 @@ def fragmentation(
 def distance_matrices(matrices: Mapping[str, NDArray[np.floating]], path: PathLike) -> None:
     """Draw distances between the subspaces of levels (thesis figure 9.5); bright is far.
 
-    Parameters
-    ----------
-    matrices : mapping of str to ndarray [L, L]
-        Titles, and distances as shares of the largest possible, 0 to 1.
-    path : path-like
+    `matrices` has titles, and distances [L, L] as shares of the largest possible, 0 to 1.
     """
     columns = min(len(matrices), 5)
     rows = -(-len(matrices) // columns)

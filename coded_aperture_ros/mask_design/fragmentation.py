@@ -77,31 +77,16 @@ def round_mask(grid: int, holes: int) -> Mask:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Fragmentation:
-    """What is left of the frequencies behind each placement of holes.
+    """What is left of the frequencies behind each placement of holes."""
 
-    Attributes
-    ----------
-    masks : list of Mask
-        Placements, no two of them alike but for a turn or a reflection.
-    preserved : ndarray, float64 [placements, noise levels]
-        ``M_w`` of eq. 7.8 as a share of all frequencies, levels and motions.
-    disc : Mask
-        The round aperture of equal light.
-    disc_preserved : ndarray, float64 [noise levels]
-    noise_levels : tuple of float
-    placements : int
-        How many ways there are to place the holes, turned ones and all.
-    exhaustive : bool
-        Whether all of them were tried.
-    """
-
-    masks: list[Mask]
+    masks: list[Mask]  # placements, no two of them alike but for a turn or a reflection
+    # ``M_w`` of eq. 7.8 as a share of all frequencies, levels and motions [placements, noises].
     preserved: NDArray[np.float64]
-    disc: Mask
-    disc_preserved: NDArray[np.float64]
+    disc: Mask  # the round aperture of equal light
+    disc_preserved: NDArray[np.float64]  # [noises]
     noise_levels: tuple[float, ...]
-    placements: int
-    exhaustive: bool
+    placements: int  # how many ways there are to place the holes, turned ones and all
+    exhaustive: bool  # whether all of them were tried
 
     def best(self, lowest: float, highest: float) -> int:
         """Return which placement preserves most over the noise levels in a range."""
@@ -123,24 +108,10 @@ def analyse_fragmentation(
 ) -> Fragmentation:
     """Count the frequencies above the noise for every way to place holes (thesis 7.4.2).
 
-    Parameters
-    ----------
-    grid, holes : int
-        Cells along a side of the grid, and open ones.
-    blur_sizes_px : array_like of float
-        Extents of the grid in the image, px.
-    motions : Motions
-    noise_levels : iterable of float, optional
-        ``w`` of eq. 7.8; the texture has 1 at every frequency.
-    progress : callable, optional
-        Wraps the iteration over placements.
-    seed : int, optional
-        Of the placements that are tried where there are too many to try all.
-
-    Raises
-    ------
-    InputError
-        If the holes do not fit the grid, or a disc of their light does not.
+    The grid has so many cells along a side, and an extent of `blur_sizes_px` in the image. The
+    noise levels are ``w`` of eq. 7.8; the texture has 1 at every frequency. `progress` wraps the
+    iteration over placements; `seed` is of those that are tried where there are too many to try
+    all. An `InputError` if the holes do not fit the grid, or a disc of their light does not.
     """
     if grid < 1 or not 1 <= holes <= grid**2:
         raise InputError(f"{holes} holes: expected 1 to {grid**2} in a grid of {grid}x{grid}")

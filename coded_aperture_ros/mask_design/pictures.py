@@ -41,31 +41,14 @@ def patch_side_px(scene: SceneConfig, window_px: int = WINDOW_PX) -> int:
 class PictureScorer:
     """Predicts the depth errors of masks with given pictures.
 
-    Parameters
-    ----------
-    patches : ndarray, float32 [N, side, side]
-        Sharp and grey, 0 to 1; side as from `patch_side_px`. Each is blurred with one level of
-        the scene; levels are as frequent as each other.
-    scene : SceneConfig, optional
-        Its blur sizes. The texture is that of the patches, whatever its slope.
-    sigmas : sequence of float, optional
-        Noise behind an open aperture (standard deviation, linear light); divided by the light
-        that a mask passes.
-    seed : int, optional
-        Of the levels and of the noise, which are the same for every mask.
-    window_px : int, optional
-        Side of the windows that depth is estimated from; even.
+    The patches, float32 [N, side, side], are sharp and grey, 0 to 1; the side is as from
+    `patch_side_px`. Each is blurred with one level of the scene, of `true_levels`, which are as
+    frequent as each other; its texture is that of the patches, whatever the scene's slope. `sigmas`
+    is the noise behind an open aperture (standard deviation, linear light), divided by the light
+    that a mask passes. Levels and noise, by `seed`, are the same for every mask.
 
-    Attributes
-    ----------
-    true_levels : ndarray of int [N]
-        What each patch is blurred with.
-
-    Raises
-    ------
-    InputError
-        If the patches have another shape, there is none, the largest PSF does not fit the window,
-        a noise is not above 0, or the scene has motion or diffraction.
+    An `InputError` if the patches have another shape, there is none, the largest PSF does not fit
+    the window, a noise is not above 0, or the scene has motion or diffraction.
     """
 
     def __init__(
@@ -96,17 +79,7 @@ class PictureScorer:
         self._noise = np.concatenate([self.spectra.of_windows(windows) for windows in white])
 
     def depth_error(self, mask: Mask) -> NDArray[np.float64]:
-        """Predict the mean |level error| of a mask, at every noise.
-
-        Returns
-        -------
-        ndarray, float64 [noises]
-
-        Raises
-        ------
-        InputError
-            If the mask has one colour: where nothing is closed, there is no pattern.
-        """
+        """Predict the mean |level error| of a mask at each noise; an `InputError` of one colour."""
         check_two_colours(mask)
         psfs = render_psf_stack(mask, self.scene.blur_sizes_px).psfs
         blurred = self._blurred(psfs)
@@ -161,17 +134,10 @@ class WindowSpectra:
         return taken
 
     def expected(self, psfs: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the power that is expected of the prior's texture behind PSFs.
+        """Return the power that is expected of the prior's texture behind PSFs [slopes, L, K].
 
-        Parameters
-        ----------
-        psfs : ndarray, float32 [L, k, k]
-            No larger than the window.
-
-        Returns
-        -------
-        ndarray, float32 [slopes, L, K]
-            For unit contrast, with the model error, as `learn_bank` has it.
+        For unit contrast, with the model error, as `learn_bank` has it. The PSFs [L, k, k] are no
+        larger than the window.
         """
         # Two windows wide: what is farther away than a window, no window sees.
         torus = 2 * self.window_px
@@ -194,20 +160,10 @@ class WindowSpectra:
     def cost(
         self, power: NDArray[np.float32], expected: NDArray[np.float32], noise: float
     ) -> NDArray[np.float32]:
-        """Return the cost of every level for every window, as the filter bank has it.
+        """Return the cost of every level for every window [N, L], as the filter bank has it.
 
-        Parameters
-        ----------
-        power : ndarray, float32 [N, K]
-            Of the windows, noise included.
-        expected : ndarray, float32 [slopes, L, K]
-        noise : float
-            Standard deviation, linear light, > 0.
-
-        Returns
-        -------
-        ndarray, float32 [N, L]
-            Twice the negative log-likelihood, over the number of frequencies.
+        That is twice the negative log-likelihood, over the number of frequencies. `power` [N, K] is
+        that of the windows, noise included; `noise` > 0 is a standard deviation, linear light.
         """
         count = self.multiplicity.sum()
         ratios = RATIOS[plausible_ratios(RATIOS, self._prior.contrasts, noise)]

@@ -60,22 +60,14 @@ _BATCH = 32
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Prediction:
-    """What is expected of B masks.
+    """What is expected of B masks."""
 
-    Attributes
-    ----------
-    depth_error : ndarray, float64 [B, noises]
-        Mean |level error|; comparable between masks, its scale is rough.
-    deblurring_error : ndarray, float64 [B, noises]
-        Root mean square error of a Wiener filter's picture and its gradient, by the true depth,
-        as a share of that of the texture.
-    light : ndarray, float64 [B]
-        Open fraction of the mask's square.
-    """
-
+    # Mean |level error| [B, noises]; comparable between masks, its scale is rough.
     depth_error: NDArray[np.float64]
+    # Root mean square error of a Wiener filter's picture and its gradient, by the true depth, as a
+    # share of that of the texture [B, noises].
     deblurring_error: NDArray[np.float64]
-    light: NDArray[np.float64]
+    light: NDArray[np.float64]  # open fraction of the mask's square [B]
 
 
 class MaskScorer:
@@ -99,10 +91,7 @@ class MaskScorer:
     def score(self, masks: Sequence[Mask]) -> Prediction:
         """Predict the errors of a few masks of any kind.
 
-        Raises
-        ------
-        InputError
-            If a mask has one colour: where nothing is closed, there is no pattern.
+        An `InputError` if a mask has one colour: where nothing is closed, there is no pattern.
         """
         for mask in masks:
             check_two_colours(mask)

@@ -23,7 +23,6 @@ from coded_aperture_ros.mask_design.grids import (
     changed,
     random_grids,
 )
-from coded_aperture_ros.mask_design.pareto import Front
 from coded_aperture_ros.mask_design.predict import SIGMAS, MaskScorer
 from coded_aperture_ros.mask_design.spectra import SceneConfig
 
@@ -32,6 +31,49 @@ _FRONT = 60
 # Temperatures in the scale of the logarithm of the objective.
 _HOT, _COLD = 0.1, 0.002
 _TRIES = 30
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Front:
+    """Masks that no other mask found beats in depth, deblurring and light at once.
+
+    The least depth error comes first. Of all scores less is better.
+    """
+
+    grids: NDArray[np.bool_]  # [F, n, n]
+    scores: NDArray[np.float64]  # [F, 3]: depth error, deblurring error, closed share (1 - light)
+
+    @staticmethod
+    def empty(cells: int) -> "Front":
+        """Return a front without masks."""
+        return Front(np.zeros((0, cells, cells), bool), np.zeros((0, 3)))
+
+    def with_masks(
+        self, grids: NDArray[np.bool_], scores: NDArray[np.float64], most: int
+    ) -> "Front":
+        """Return the front of these and more masks, of at most `most`.
+
+        Where there are too many, those that differ least in depth error from their neighbour go.
+        """
+        grids = np.concatenate([self.grids, grids])
+        scores = np.concatenate([self.scores, scores])
+        _, first = np.unique(grids.reshape(len(grids), -1), axis=0, return_index=True)
+        first = first[not_beaten(scores[first])]
+        first = first[np.lexsort((first, scores[first, 0]))]
+        while len(first) > most:
+            gaps = np.diff(np.log(scores[first, 0]))
+            first = np.delete(first, 1 + int(np.argmin(gaps)))
+        return Front(grids[first], scores[first])
+
+
+def not_beaten(scores: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which rows [N, objectives] no other row is at least as good as in all, and better in one."""
+    keep = np.ones(len(scores), bool)
+    for index, score in enumerate(scores):
+        if keep[index]:
+            worse = (scores >= score).all(axis=1) & (scores > score).any(axis=1)
+            keep &= ~worse
+    return keep
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,11 +96,9 @@ class SearchConfig:
         "none", "The same after a half turn (point), or in a mirror.", choices=SYMMETRIES
     )
     deblurring: float = option(
-        0.3,
-        "Weight of the deblurring error beside the depth error in what is looked for.",
-        minimum=0.0,
-        maximum=10.0,
-    )
+        0.3, "Weight of the deblurring error beside the depth error in what is looked for.",
+        minimum=0.0, maximum=10.0,
+    )  # fmt: skip
     islands: int = option(4, "Populations that rarely mix.", minimum=1, maximum=256)
     epochs: int = option(20, "Rounds of the search.", minimum=1, maximum=100000)
     generations: int = option(40, "Children of every mask in a round.", minimum=1, maximum=10000)
@@ -117,13 +157,7 @@ class SearchState:
 
 
 def first_state(config: SearchConfig) -> SearchState:
-    """Draw the populations that a search begins with.
-
-    Raises
-    ------
-    InputError
-        If the constraints leave next to no mask.
-    """
+    """Draw what a search begins with; an `InputError` if the constraints leave next to no mask."""
     islands = []
     for number in range(config.islands):
         random = np.random.default_rng([config.seed, number])
@@ -186,17 +220,10 @@ def search_epochs(
     run_all: Callable[[list[tuple[Any, ...]]], Iterable[Island]],
     state: SearchState | None = None,
 ) -> Iterator[SearchState]:
-    """Search until the last epoch, and yield the state after each.
+    """Search until the last epoch, on from `state`, and yield the state after each.
 
-    Parameters
-    ----------
-    config : SearchConfig
-    scene : SceneConfig
-    run_all : callable
-        Gets the arguments of `run_epoch` for every island and returns the islands in order; here
-        the work can be shared.
-    state : SearchState, optional
-        Where to go on.
+    `run_all` gets the arguments of `run_epoch` for every island and returns the islands in order;
+    here the work can be shared.
     """
     state = state or first_state(config)
     while state.epoch < config.epochs:

@@ -43,17 +43,12 @@ class SceneConfig:
         0.0,
         "Radius of the Airy disc of an opening as wide as the mask, in the picture; narrower "
         "openings have a larger one. 0: no diffraction.",
-        unit="px",
-        minimum=0.0,
-        maximum=5.0,
-    )
+        unit="px", minimum=0.0, maximum=5.0,
+    )  # fmt: skip
     motion_px: float = option(
-        0.0,
-        "Length of motion blur in an unknown direction. 0: nothing moves.",
-        unit="px",
-        minimum=0.0,
-        maximum=60.0,
-    )
+        0.0, "Length of motion blur in an unknown direction. 0: nothing moves.",
+        unit="px", minimum=0.0, maximum=60.0,
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         check_options(self)

@@ -37,22 +37,15 @@ LETTER_OF_MASK = {
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SubspaceDistances:
-    """Distances between the subspaces of blurred patches, and how they fit the ideal.
+    """Distances between the subspaces of blurred patches, and how they fit the ideal."""
 
-    Attributes
-    ----------
-    matrix : ndarray, float64 [L, L]
-        Distance (9.4) of every two levels, 0 to ``sqrt(rank)``; symmetric, zero on the diagonal.
-    rank : int
-        Dimension K of the subspaces: the least number of directions, over all levels, in which
-        blurred texture is stronger than the noise. More is less texture lost.
-    l1_fit : float
-        Mean of ``|sqrt(K) (1 1^T - I) - matrix|`` (table 9.1): 0 if all subspaces of different
-        levels are orthogonal.
-    """
-
+    # Distance (9.4) of every two levels [L, L], 0 to ``sqrt(rank)``; zero on the diagonal.
     matrix: NDArray[np.float64]
+    # Dimension K of the subspaces: the least number of directions, over all levels, in which
+    # blurred texture is stronger than the noise. More is less texture lost.
     rank: int
+    # Mean of ``|sqrt(K) (1 1^T - I) - matrix|`` (table 9.1): 0 if all subspaces of different levels
+    # are orthogonal.
     l1_fit: float
 
     @property
@@ -68,21 +61,10 @@ def subspace_distances(
 
     The thesis finds each subspace by the singular values of training patches. Here they are the
     leading eigenvectors of the covariance that the natural-image prior has after the blur, which
-    needs no pictures, on the lowest cosines of a patch.
-
-    Parameters
-    ----------
-    mask : Mask
-    blur_sizes_px : sequence of float, length L
-        At least two, more than 0.
-    sigma : float, optional
-        Noise behind an open aperture (standard deviation, texture of contrast 0.01); the less
-        light a mask passes, the more noise.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than two blur sizes, or the noise is not above 0.
+    needs no pictures, on the lowest cosines of a patch. `sigma` is the noise behind an open
+    aperture (standard deviation, texture of contrast 0.01); the less light a mask passes, the more
+    noise. An `InputError` if there are fewer than two blur sizes, or they or the noise are not
+    above 0.
     """
     sizes = [float(size) for size in blur_sizes_px]
     if len(sizes) < 2 or min(sizes) <= 0:

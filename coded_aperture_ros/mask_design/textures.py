@@ -13,18 +13,10 @@ from coded_aperture_ros.io.picture_file import picture_files, read_image
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Textures:
-    """Where sharp crops come from.
+    """Where sharp crops come from."""
 
-    Attributes
-    ----------
-    kind : str
-        What they are, for messages; `random` is white noise, uniform in [0, 1].
-    pictures : tuple of ndarray, float32 [rows, columns]
-        Grey, 0 to 1; none for random texture.
-    """
-
-    kind: str
-    pictures: tuple[NDArray[np.float32], ...]
+    kind: str  # for messages; `random` is white noise, uniform in [0, 1]
+    pictures: tuple[NDArray[np.float32], ...]  # grey, 0 to 1; none for random texture
 
     @classmethod
     def of_files(cls, kind: str, paths: Iterable[Path]) -> "Textures":
@@ -36,24 +28,10 @@ class Textures:
     def crops(
         self, count: int, rows: int, columns: int, random: np.random.Generator
     ) -> NDArray[np.float32]:
-        """Cut crops at places chosen blindly: flat and dark ones are not thrown away.
+        """Cut crops [count, rows, columns] at places chosen blindly: flat ones are not thrown away.
 
         Pictures take turns, in random order, so that a few crops do not all come from one of them.
-
-        Parameters
-        ----------
-        count, rows, columns : int
-            How many crops, and their size in pixels.
-        random : numpy.random.Generator
-
-        Returns
-        -------
-        ndarray, float32 [count, rows, columns]
-
-        Raises
-        ------
-        InputError
-            If no picture is large enough.
+        An `InputError` if no picture is large enough.
         """
         if self.kind == "random":
             return random.random((count, rows, columns), dtype=np.float32)

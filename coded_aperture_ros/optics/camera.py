@@ -329,22 +329,11 @@ def camera_from_mapping(
 ) -> Camera:
     """Build a camera from the keys of a camera file.
 
-    Parameters
-    ----------
-    mapping : mapping
-        `focal_length_mm` and `pixel_pitch_um`, or `focal_length_px`; `focus_distance_m`,
-        `image_width`, `image_height`, `mask` (`{name: ...}` or `{file: ...}`),
-        `mask_extent_mm`; optionally `lens_mask_distance_mm`, `side`, `noise`, `noise_gain`
-        and `camera_info` (a calibration file, see `load_intrinsics`).
-    where : str
-        What to call the mapping in error messages.
-    folder : path-like
-        What relative file names are relative to.
-
-    Raises
-    ------
-    InputError
-        One line that names `where` and the key, and says what is allowed.
+    They are `focal_length_mm` and `pixel_pitch_um`, or `focal_length_px`; `focus_distance_m`,
+    `image_width`, `image_height`, `mask` (`{name: ...}` or `{file: ...}`), `mask_extent_mm`;
+    optionally `lens_mask_distance_mm`, `side`, `noise`, `noise_gain` and `camera_info` (a
+    calibration file, see `load_intrinsics`). File names are relative to `folder`. An `InputError`
+    is one line that names `where` and the key, and says what is allowed.
     """
     try:
         _check_keys(mapping)

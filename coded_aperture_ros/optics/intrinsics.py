@@ -19,11 +19,7 @@ from coded_aperture_ros.core.files import atomic_output
 _IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 # How many coefficients the models of ROS have.
 _COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,)}
-_MATRICES = {
-    "camera_matrix": (3, 3),
-    "rectification_matrix": (3, 3),
-    "projection_matrix": (3, 4),
-}
+_MATRICES = {"camera_matrix": (3, 3), "rectification_matrix": (3, 3), "projection_matrix": (3, 4)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,13 +110,7 @@ class Intrinsics:
         )
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the file; it appears whole or not at all.
-
-        Raises
-        ------
-        InputError
-            If it cannot be written.
-        """
+        """Write the file, which appears whole or not at all; an `InputError` if it cannot be."""
         content = {
             "image_width": self.image_width,
             "image_height": self.image_height,
@@ -177,19 +167,7 @@ def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
 
 
 def read_yaml(path: str | os.PathLike[str], name: str) -> Any:
-    """Return the content of a YAML file.
-
-    Parameters
-    ----------
-    path : path-like
-    name : str
-        What to call the file in messages.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, or is not YAML; one line.
-    """
+    """Return the content of a YAML file; an `InputError` that calls it `name`, if there is none."""
     try:
         return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except OSError as error:

@@ -74,19 +74,10 @@ def psf_width(blur_size_px: float) -> int:
 def cell_shares(
     pixels: int, cells: int, cell_px: float, offset_px: ArrayLike = 0.0
 ) -> NDArray[np.float64]:
-    """Share of each cell that each pixel covers, along one axis, both centred on zero.
+    """Share of each cell, `cell_px` wide, that each pixel covers, along one axis.
 
-    Parameters
-    ----------
-    pixels, cells : int
-    cell_px : float
-        Width of a cell, px.
-    offset_px : array of float, any shape, optional
-        How far the middle of the cells lies from the middle of the pixels.
-
-    Returns
-    -------
-    ndarray of float64, shape [*offset_px.shape, pixels, cells]
+    Both are centred on zero but for `offset_px`, of any shape: how far the middle of the cells lies
+    from the middle of the pixels. The shares are [*offset_px.shape, pixels, cells].
     """
     pixel_edges = np.arange(pixels + 1)[:, None] - pixels / 2.0
     cell_edges = (np.arange(cells + 1) - cells / 2.0) * cell_px

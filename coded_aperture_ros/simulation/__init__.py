@@ -1,7 +1,6 @@
 """A simulated coded-aperture camera: rendering with occlusion, sensor noise, a demo scene."""
 
 from coded_aperture_ros.simulation.render import render_coded_frame
-from coded_aperture_ros.simulation.scene import PanningScene, Scene, motorcycle_scene
-from coded_aperture_ros.simulation.sensor import SensorModel
+from coded_aperture_ros.simulation.scene import PanningScene, Scene, SensorModel, motorcycle_scene
 
 __all__ = ["PanningScene", "Scene", "SensorModel", "motorcycle_scene", "render_coded_frame"]

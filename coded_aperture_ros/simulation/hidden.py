@@ -11,17 +11,10 @@ from coded_aperture_ros.core.errors import InputError
 
 @dataclasses.dataclass(frozen=True)
 class Surface:
-    """One surface per pixel.
+    """One surface per pixel."""
 
-    Attributes
-    ----------
-    blur_size_px : ndarray of float32, shape [h, w]
-        Signed; larger is farther. NaN where there is no surface.
-    colours : ndarray of float32, shape [h, w, c]
-    """
-
-    blur_size_px: NDArray[np.float32]
-    colours: NDArray[np.float32]
+    blur_size_px: NDArray[np.float32]  # [h, w], signed; larger is farther, NaN is no surface
+    colours: NDArray[np.float32]  # [h, w, c]
 
 
 def hidden_surface(visible: Surface, gap_px: float, reach_px: int) -> Surface:
@@ -66,12 +59,8 @@ def fill_unknown(depth_m: NDArray) -> NDArray[np.float32]:
     """Give unknown depths the farther of the nearest known depths to their left and right.
 
     Holes in depth maps are mostly what one of two views beside each other could not see: the
-    background. Rows without any known depth are filled from above and below.
-
-    Raises
-    ------
-    InputError
-        If no depth is known or one is not positive.
+    background. Rows without any known depth are filled from above and below. An `InputError` if no
+    depth is known or one is not positive.
     """
     depth = np.array(depth_m, dtype=np.float32)
     known = ~np.isnan(depth)

@@ -1,4 +1,4 @@
-"""Scenes to put in front of the simulated camera."""
+"""Scenes to put in front of the simulated camera, and its sensor: noise and quantisation."""
 
 import dataclasses
 import math
@@ -12,7 +12,6 @@ from coded_aperture_ros.imaging import SRGB, linear_from_pixels
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.simulation.hidden import fill_unknown
 from coded_aperture_ros.simulation.render import render_coded_frame
-from coded_aperture_ros.simulation.sensor import SensorModel
 
 # Calibration of the Middlebury 2014 motorcycle pair in the size that scikit-image ships.
 _MOTORCYCLE_FOCAL_PX = 994.978
@@ -21,36 +20,51 @@ _MOTORCYCLE_DISPARITY_OFFSET_PX = 31.086
 
 
 @dataclasses.dataclass(frozen=True)
-class Scene:
-    """A sharp picture with the depth of every pixel.
+class SensorModel:
+    """Additive Gaussian noise, then rounding to steps.
 
     Attributes
     ----------
-    image : ndarray of float32, shape [h, w, 3]
-        Linear light, RGB.
-    depth_m : ndarray of float32, shape [h, w]
-        Metres, all known.
-    focal_length_px : float
-        Of the camera that took the picture.
+    noise : float
+        Standard deviation, 1 = full scale.
+    bits : {0, 8, 12, 16}
+        Values are clipped to 0..1 and rounded to `2**bits - 1` steps; 0 leaves them as they are.
     """
 
-    image: NDArray[np.float32]
-    depth_m: NDArray[np.float32]
-    focal_length_px: float
+    noise: float = 0.0
+    bits: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.noise <= 1:
+            raise InputError(f"noise: expected 0 to 1 (full scale), got {self.noise!r}")
+        if self.bits not in (0, 8, 12, 16):
+            raise InputError(f"bits: expected 0, 8, 12 or 16, got {self.bits!r}")
+
+    def expose(self, image: NDArray, rng: np.random.Generator) -> NDArray[np.float32]:
+        """Return the image as the sensor reads it out; float32, linear, shape of `image`."""
+        exposed = np.array(image, dtype=np.float32)
+        if self.noise:
+            exposed += np.float32(self.noise) * rng.standard_normal(exposed.shape, np.float32)
+        if self.bits:
+            steps = np.float32(2**self.bits - 1)
+            exposed = np.rint(np.clip(exposed, 0.0, 1.0) * steps) / steps
+        return exposed
+
+
+@dataclasses.dataclass(frozen=True)
+class Scene:
+    """A sharp picture with the depth of every pixel."""
+
+    image: NDArray[np.float32]  # [h, w, 3], linear light, RGB
+    depth_m: NDArray[np.float32]  # [h, w], all known
+    focal_length_px: float  # of the camera that took the picture
 
 
 def motorcycle_scene(scale: float = 1.2) -> Scene:
     """Return the Middlebury motorcycle that scikit-image ships, 2.1 to 5.0 m away.
 
-    Parameters
-    ----------
-    scale : float
-        Of the 741 x 500 picture; by default enough for a window of 640 x 480 to move about in.
-
-    Raises
-    ------
-    InputError
-        If scikit-image is not installed.
+    The picture of 741 x 500 is enlarged by `scale`, by default enough for a window of 640 x 480 to
+    move about in. An `InputError` if scikit-image is not installed.
     """
     try:
         from skimage.data import stereo_motorcycle
@@ -71,39 +85,19 @@ def motorcycle_scene(scale: float = 1.2) -> Scene:
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """What the simulated camera records at one time, and the truth behind it.
+    """What the simulated camera records at one time, and the truth behind it."""
 
-    Attributes
-    ----------
-    coded : ndarray of float32, shape [h, w, 3]
-        The coded frame, with noise.
-    sharp : ndarray of float32, shape [h, w, 3]
-        The same view without blur and noise.
-    depth_m : ndarray of float32, shape [h, w]
-        The true depth.
-    """
-
-    coded: NDArray[np.float32]
-    sharp: NDArray[np.float32]
-    depth_m: NDArray[np.float32]
+    coded: NDArray[np.float32]  # the frame [h, w, 3], with noise
+    sharp: NDArray[np.float32]  # the same view without blur and noise
+    depth_m: NDArray[np.float32]  # the true one [h, w]
 
 
 class PanningScene:
     """A scene that moves back and forth in front of a simulated coded-aperture camera.
 
-    The whole scene is rendered once, at the start; a view is a window of it, displaced by whole
-    pixels, with fresh noise.
-
-    Parameters
-    ----------
-    scene : Scene
-        At least as large as the camera's image.
-    camera : Camera
-    sensor : SensorModel
-    period_s : float
-        Time for once to the right and back; up and down takes twice as long.
-    seed : int
-        Of the noise. The same time gives the same view.
+    The whole scene, at least as large as the camera's image, is rendered once, at the start; a view
+    is a window of it, displaced by whole pixels, with fresh noise. `period_s` is the time for once
+    to the right and back; up and down takes twice as long. The same time gives the same view.
     """
 
     def __init__(
@@ -122,11 +116,8 @@ class PanningScene:
             )
         if not period_s > 0:
             raise InputError(f"period: expected more than 0 s, got {period_s!r}")
-        self._scene = scene
-        self._camera = camera
-        self._sensor = sensor or SensorModel()
-        self._period_s = period_s
-        self._seed = seed
+        self._scene, self._camera, self._sensor = scene, camera, sensor or SensorModel()
+        self._period_s, self._seed = period_s, seed
         # Two blocks a side: the demo should not wait for the last tenth of the accuracy.
         self._coded = render_coded_frame(scene.image, scene.depth_m, camera, aperture_blocks=2)
 

@@ -8,7 +8,7 @@ from scipy import ndimage
 from coded_aperture_ros.bank import image_prior
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur import Deblurrer
-from coded_aperture_ros.deblur.fill import filled_blur_map
+from coded_aperture_ros.deblur.blur_map import filled_blur_map
 from coded_aperture_ros.deblur.inverse_basis import InverseBasis, wiener_filters
 from coded_aperture_ros.imaging import transfer_function
 from coded_aperture_ros.metrics import psnr_db

@@ -15,10 +15,9 @@ from cameras import THESIS
 from cli_scene import call, everything, refused, wrong_usage
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.design.outline import outlines_of
-from coded_aperture_ros.design.pdf import pdf_of
+from coded_aperture_ros.design.openings import outlines_of
 from coded_aperture_ros.design.sheet import mask_sheet
-from coded_aperture_ros.design.svg import svg_of
+from coded_aperture_ros.design.sheet_files import pdf_of, svg_of
 from coded_aperture_ros.optics import MASK_NAMES, Mask
 
 SVG = "{http://www.w3.org/2000/svg}"

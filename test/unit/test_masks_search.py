@@ -14,10 +14,11 @@ from cli_scene import call
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.mask_design import MaskScorer, SceneConfig
 from coded_aperture_ros.mask_design.checkpoint import load_checkpoint, save_checkpoint
-from coded_aperture_ros.mask_design.pareto import Front, not_beaten
 from coded_aperture_ros.mask_design.search import (
+    Front,
     SearchConfig,
     first_state,
+    not_beaten,
     run_epoch,
     search_epochs,
 )

@@ -17,12 +17,15 @@ from scipy import signal
 
 from coded_aperture_ros.core.workers import Workers, processors
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
-from coded_aperture_ros.deblur.blur_map import model_weight, sharper_near_edges, without_specks
-from coded_aperture_ros.deblur.cg import restore_quadratic
-from coded_aperture_ros.deblur.conjugate import conjugate_gradients
-from coded_aperture_ros.deblur.fill import filled_blur_map
+from coded_aperture_ros.deblur.blur_map import (
+    filled_blur_map,
+    model_weight,
+    sharper_near_edges,
+    without_specks,
+)
 from coded_aperture_ros.deblur.frame import from_opponents, opponents
-from coded_aperture_ros.deblur.iterative import Fit
+from coded_aperture_ros.deblur.iterative import Fit, conjugate_gradients
+from coded_aperture_ros.deblur.least_squares import restore_quadratic, restore_sparse
 from coded_aperture_ros.deblur.occlusion import OccludedBlur
 from coded_aperture_ros.deblur.operator import SpreadingBlur, frame_within, scene_around
 from coded_aperture_ros.deblur.prior import (
@@ -35,7 +38,6 @@ from coded_aperture_ros.deblur.prior import (
     sparse_weights,
 )
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
-from coded_aperture_ros.deblur.sparse import restore_sparse
 from coded_aperture_ros.metrics import psnr_db
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf, render_psf_stack
 

@@ -1,4 +1,7 @@
-"""A sheet as PDF: one A4 page of vector graphics, asking the printer not to scale it."""
+"""A sheet as SVG, in millimetres, and as PDF, which asks the printer not to scale its A4 page."""
+
+import re
+from xml.sax.saxutils import escape
 
 from coded_aperture_ros.design.sheet import HEIGHT_MM, WIDTH_MM, Shape, Sheet, Text
 
@@ -8,9 +11,50 @@ _POINTS_PER_MM = 72 / 25.4
 _WIDTH_OF_A_CHARACTER = 0.556
 
 
+def svg_of(sheet: Sheet) -> str:
+    """Return the sheet as the text of an SVG file whose user unit is 1 mm."""
+    size = f'width="{WIDTH_MM:g}mm" height="{HEIGHT_MM:g}mm"'
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        f'<svg xmlns="http://www.w3.org/2000/svg" {size} viewBox="0 0 {WIDTH_MM:g} {HEIGHT_MM:g}">',
+        f"<title>{_clean(sheet.title)}</title>",
+        '<rect width="100%" height="100%" fill="#ffffff"/>',
+        *map(_svg_shape, sheet.shapes),
+        *map(_svg_text, sheet.texts),
+        "</svg>",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _svg_shape(shape: Shape) -> str:
+    path = " ".join(
+        "M" + " L".join(f"{x:.4f} {y:.4f}" for x, y in outline) + (" Z" if shape.closed else "")
+        for outline in shape.outlines
+    )
+    fill, stroke = (shape.colour, "none") if shape.filled else ("none", shape.colour)
+    style = f'class="{shape.kind}" fill="{fill}" fill-rule="evenodd" stroke="{stroke}"'
+    style += f' stroke-width="{shape.width_mm:g}"'
+    if shape.dashed:
+        style += ' stroke-dasharray="1.5 1"'
+    return f'<path {style} d="{path}"/>'
+
+
+def _svg_text(text: Text) -> str:
+    (x, y), anchor = text.at, "middle" if text.centred else "start"
+    return (
+        f'<text x="{x:.4f}" y="{y:.4f}" font-family="Helvetica, Arial, sans-serif" '
+        f'font-size="{text.height_mm:g}" text-anchor="{anchor}">{_clean(text.text)}</text>'
+    )
+
+
+def _clean(text: str) -> str:
+    """Escape what XML reserves, and leave out what it forbids: a file's name may have anything."""
+    return escape(re.sub("[^\t\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "?", text))
+
+
 def pdf_of(sheet: Sheet) -> bytes:
     """Return the sheet as the bytes of a PDF file."""
-    content = "\n".join([*map(_shape, sheet.shapes), *map(_text, sheet.texts)])
+    content = "\n".join([*map(_pdf_shape, sheet.shapes), *map(_pdf_text, sheet.texts)])
     stream = content.encode("cp1252", "replace")
     size = f"{WIDTH_MM * _POINTS_PER_MM:.3f} {HEIGHT_MM * _POINTS_PER_MM:.3f}"
     objects = [
@@ -38,7 +82,7 @@ def _at(x_mm: float, y_mm: float) -> str:
     return f"{x_mm * _POINTS_PER_MM:.4f} {(HEIGHT_MM - y_mm) * _POINTS_PER_MM:.4f}"
 
 
-def _shape(shape: Shape) -> str:
+def _pdf_shape(shape: Shape) -> str:
     dashes = f"{1.5 * _POINTS_PER_MM:.4f} {_POINTS_PER_MM:.4f}" if shape.dashed else ""
     colour = " ".join(f"{int(shape.colour[k : k + 2], 16) / 255:.3f}" for k in (1, 3, 5))
     lines = [
@@ -54,7 +98,7 @@ def _shape(shape: Shape) -> str:
     return "\n".join([*lines, "f*" if shape.filled else "S"])
 
 
-def _text(text: Text) -> str:
+def _pdf_text(text: Text) -> str:
     x_mm, y_mm = text.at
     if text.centred:
         x_mm -= _WIDTH_OF_A_CHARACTER * text.height_mm * len(text.text) / 2
