@@ -70,23 +70,18 @@ def option(
     default: Any,
     description: str,
     *,
-    unit: str = "",
-    minimum: float | None = None,
-    maximum: float | None = None,
-    choices: tuple[str, ...] | None = None,
-    read_only: bool = False,
     formerly: str | tuple[str, ...] = (),
-    parameter: str = "",
+    **described: Any,
 ) -> Any:
     """Declare a dataclass field that carries its `Option`.
 
     The arguments after `default` are the attributes of `Option`; a single former name need not be
-    in a tuple.
+    in a tuple. An unknown one is a TypeError where the class is defined.
     """
     if isinstance(formerly, str):
         formerly = (formerly,)
-    described = Option(description, unit, minimum, maximum, choices, read_only, formerly, parameter)
-    return dataclasses.field(default=default, metadata={"option": described})
+    known = Option(description, formerly=formerly, **described)
+    return dataclasses.field(default=default, metadata={"option": known})
 
 
 def options_of(config: Any) -> dict[str, tuple[dataclasses.Field[Any], Option]]:

@@ -19,16 +19,9 @@ EdgeCorrection = Callable[[NDArray[np.float32], float], NDArray[np.float32]]
 def edge_correction(model: LikelihoodModel, strength: float) -> EdgeCorrection:
     """Return what takes the foreground fattening of a model's windows back.
 
-    Parameters
-    ----------
-    strength : float
-        Width that is taken off foregrounds, as a share of a Hann window; 0 takes none.
-
-    Returns
-    -------
-    callable
-        Where the model has levels in front of the focal plane it changes nothing: there the nearer
-        surface is the more blurred one, and which of two a window takes is another matter.
+    `strength` is the width that is taken off foregrounds, as a share of a Hann window. Where the
+    model has levels in front of the focal plane nothing changes: there the nearer surface is the
+    more blurred one, and which of two a window takes is another matter.
     """
     sizes = model.stack.blur_sizes_px
     if (sizes < 0).any() or not model.stack.in_pixels:
@@ -54,10 +47,11 @@ def slimmed_foreground(
     """Undo foreground fattening: make foregrounds slimmer that windows have made too wide.
 
     A window that sees a sharper and a more blurred surface takes the level of the sharper, whose
-    high frequencies the other's level forbids, even where it covers little of the window. So
-    beyond the focal plane every foreground is too wide by a known share of the window: the level
-    map is, nearly, the true one after a morphological erosion. The dilation that belongs to it
-    restores the edge. It is applied only where levels jump; slants stay as they are.
+    high frequencies the other's level forbids, even where it covers little of the window. So beyond
+    the focal plane every foreground is too wide by a known share of the window: the level map is,
+    nearly, the true one after a morphological erosion. The dilation that belongs to it restores the
+    edge. It is applied only where levels jump; slants stay as they are. A foreground narrower than
+    what would be taken off stays as wide as it was found: an obstacle must not vanish.
 
     Parameters
     ----------
@@ -69,12 +63,6 @@ def slimmed_foreground(
         Backgrounds narrower than this do not push a foreground back: they may be outliers.
     jump_levels : float
         How many levels make a depth edge.
-
-    Returns
-    -------
-    ndarray, float32 [rows, columns]
-        A foreground narrower than what would be taken off is left as wide as it was found: an
-        obstacle must not vanish.
     """
     if reach_px < 1:
         return level

@@ -19,19 +19,9 @@ from coded_aperture_ros.imaging import (
 class Observation:
     """One frame, patch by patch.
 
-    Attributes
-    ----------
-    grey : ndarray, float32 [height, width]
-        Mean of the channels, without NaN.
-    grid : PatchGrid
-        Where the patches lie, rows by columns.
-    brightness : ndarray, float32 [rows, columns]
-    usable : ndarray, bool [rows, columns]
-        Patches with next to no saturated and missing pixels.
-    noise : GreyNoise
-        Of `grey`.
-    channels : int
-        Of the frame.
+    `grey` is the mean of the channels [height, width], without NaN, and `noise` is of it;
+    `brightness` and `usable`, where there are next to no saturated and missing pixels, are of the
+    patches [rows, columns].
     """
 
     grey: NDArray[np.float32]

@@ -44,19 +44,10 @@ def level_probability(volume: NDArray[np.float32]) -> NDArray[np.float32]:
 def nearest_plausible_level(
     probability: NDArray[np.float32], nearest_first: NDArray[np.intp]
 ) -> NDArray[np.intp]:
-    """Return the level that a patch's true level is hardly nearer than.
+    """Return the level [rows, columns] that a patch's true level is hardly nearer than.
 
-    Parameters
-    ----------
-    probability : ndarray, float32 [rows, columns, L]
-        See `level_probability`.
-    nearest_first : ndarray, intp [L]
-        The levels, ordered by depth.
-
-    Returns
-    -------
-    ndarray, intp [rows, columns]
-        The quantile of 5 % from the near end.
+    It is the quantile of 5 % from the near end of the probability [rows, columns, L];
+    `nearest_first` are the levels, ordered by depth.
     """
     nearer = np.cumsum(probability[..., nearest_first], axis=-1)
     rank = (nearer < _PLAUSIBLE).sum(axis=-1)

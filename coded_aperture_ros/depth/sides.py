@@ -62,16 +62,7 @@ def side_warning(model: LikelihoodModel) -> str | None:
 class FocalSides:
     """Tells the levels of the two sides of the focal plane apart, for frames of one size.
 
-    Parameters
-    ----------
-    stack : PsfStack
-        With levels of both sides.
-    levels : Levels
-        Of the same.
-    shape : (int, int)
-        Rows and columns of the frames.
-    regularize : Regularizer
-        Chooses the blur sizes that frames are deconvolved with.
+    The regulariser chooses the blur sizes that frames are deconvolved with.
     """
 
     def __init__(
@@ -87,16 +78,10 @@ class FocalSides:
     ) -> NDArray[np.float32]:
         """Return the cost of every level by spectrum and phase, from that by the spectrum alone.
 
-        Spectra tell the size of the blur. With the PSF of that size, and with the same turned by
-        180 degrees, the frame is deconvolved, and the levels of the less likely side cost more: by
-        the mean of the patch and its neighbours with about the same blur.
-
-        Parameters
-        ----------
-        volume : ndarray, float32 [rows, columns, L]
-            See `Cost`; the same for both sides.
-        grey : ndarray, float32 [height, width]
-            The frame, or a mean of frames.
+        Spectra tell the size of the blur, the same for both sides. With the PSF of that size, and
+        with the same turned by 180 degrees, the frame, or a mean of frames, is deconvolved, and the
+        levels of the less likely side cost more: by the mean of the patch and its neighbours with
+        about the same blur.
         """
         sizes, grid = self._sizes_px, seen.grid
         longer = np.sign(sizes[np.abs(sizes).argmax()])
@@ -179,23 +164,10 @@ def side_confidence(
     grid: PatchGrid,
     blur_sizes_px: NDArray[np.float64],
 ) -> NDArray[np.float32]:
-    """Return how likely it is that each patch is on the side of its level.
+    """Return how likely it is that each patch is on the side of its level [rows, columns].
 
-    What the patch and its neighbours on the same surface tell, together.
-
-    Parameters
-    ----------
-    level : ndarray, float32 [rows, columns]
-        Chosen fractional levels.
-    log_odds : ndarray, float32 [rows, columns]
-        See `far_log_odds`.
-    blur_sizes_px : ndarray, float64 [L]
-        Signed.
-
-    Returns
-    -------
-    ndarray, float32 [rows, columns]
-        Probability.
+    What the patch and its neighbours on the same surface tell, together: from the fractional levels
+    that were chosen and the `far_log_odds`, both [rows, columns].
     """
     # Windows that overlap tell the same again.
     independent = _around(log_odds, level, grid) / _reach(grid) ** 2
@@ -226,15 +198,7 @@ def _around(
 
 
 class SideFinder:
-    """Tells the two sides of the focal plane apart, for frames of one size.
-
-    Parameters
-    ----------
-    stack : PsfStack
-        L levels; their blur sizes are signed.
-    shape : (int, int)
-        Rows and columns of the frames.
-    """
+    """Tells the two sides of the focal plane apart, for frames of one size."""
 
     def __init__(self, stack: PsfStack, shape: tuple[int, ...]) -> None:
         self._stack = stack
@@ -251,14 +215,13 @@ class SideFinder:
         level: NDArray[np.intp],
         noise: float,
     ) -> NDArray[np.float32]:
-        """Return how much likelier it is that each patch lies beyond the focal plane.
+        """Return the log-odds that each patch lies beyond the focal plane, not before it.
 
         Parameters
         ----------
         grey : ndarray, float32 [height, width]
             Linear light, without NaN.
         grid : PatchGrid
-            Where the patches lie, rows by columns.
         level : ndarray of int [rows, columns]
             A level with each patch's blur size, of either side.
         noise : float
@@ -267,8 +230,7 @@ class SideFinder:
         Returns
         -------
         ndarray, float32 [rows, columns]
-            Natural logarithm of the odds of the far side, against the near one; 0 where the two
-            PSFs are the same.
+            Natural logarithm; 0 where the two PSFs are the same.
         """
         spectrum = scipy.fft.rfft2(periodic(grey - grey.mean(), self._periodic))
         found = np.zeros(level.shape, np.float32)

@@ -24,7 +24,7 @@ _SOLVED = 1e-9
 def on_surfaces(
     own: NDArray[np.float32], chosen: NDArray[np.intp], smoothness: float, stride_px: int
 ) -> NDArray[np.float32]:
-    """Return fractional levels next to the whole ones that were chosen.
+    """Return fractional levels, in [0, L - 1], next to the whole ones that were chosen.
 
     As in thesis 8.3.2 the cost of each patch is expanded to second order (eq. 8.22), around its
     minimum ``d_0`` next to the chosen level. The sum that is minimised is quadratic::
@@ -35,21 +35,8 @@ def on_surfaces(
     of three patches in a row or a column, next to nothing where levels jump. The thesis draws
     neighbours to one depth (eq. 8.12); here slants cost nothing.
 
-    Parameters
-    ----------
-    own : ndarray, float32 [rows, columns, L]
-        Cost of every level, not cut off; see `Cost`.
-    chosen : ndarray of int [rows, columns]
-        Levels that the regularisation has chosen.
-    smoothness : float
-        Factor of the stiffness; 0: every patch for itself.
-    stride_px : int
-        Distance between patches.
-
-    Returns
-    -------
-    ndarray, float32 [rows, columns]
-        In [0, L - 1].
+    Takes each patch's own cost [rows, columns, L], not cut off, the levels that the regularisation
+    has chosen [rows, columns], and a factor of the stiffness; 0: every patch for itself.
     """
     last = own.shape[-1] - 1
     if last < 2 or not smoothness:

@@ -63,21 +63,8 @@ class TemporalFilter:
     ) -> NDArray[np.float32]:
         """Return the cost of every level by a frame and by what is alike in those before it.
 
-        Parameters
-        ----------
-        volume : ndarray, float32 [rows, columns, L]
-            Cost of every level by the frame alone, see `Cost`.
-        grey : ndarray, float32 [height, width]
-            The frame.
-        grid : PatchGrid
-            Where its patches lie.
-        noise : float
-            Of the frame, standard deviation.
-
-        Returns
-        -------
-        ndarray, float32 [rows, columns, L]
-            0 for the likeliest level.
+        Takes the cost [rows, columns, L] by the frame alone, the frame, where its patches lie, and
+        the standard deviation of its noise. Returns the same shape, 0 for the likeliest level.
         """
         samples = _sampled(grey, grid)
         total = np.moveaxis(bounded(volume), -1, 0)

@@ -32,13 +32,8 @@ _TIMED_FRAMES = 9
 class Trial:
     """One way to do it.
 
-    Attributes
-    ----------
-    window_px, stride_px : int
-    milliseconds : float
-        Median time of a frame on this machine, with spatial and temporal regularisation.
-    level_error : float
-        Mean error, in levels, on two simulated planes side by side, without regularisation.
+    The time is the median of a frame on this machine, with spatial and temporal regularisation; the
+    error, in levels, the mean on two simulated planes side by side, without regularisation.
     """
 
     window_px: int
@@ -172,8 +167,8 @@ def _milliseconds(
     """Return the median time of a frame."""
     random = np.random.default_rng(0)
     side = max(shape)
-    still = _plane(bank.stack.psfs[bank.levels // 2], side, random)[: shape[0], : shape[1]]
-    frames = [(still + _NOISE * random.standard_normal(shape)).astype(np.float32) for _ in range(3)]
+    plane = _plane(bank.stack.psfs[bank.levels // 2], side, random)[: shape[0], : shape[1]]
+    frames = [(plane + _NOISE * random.standard_normal(shape)).astype(np.float32) for _ in range(3)]
     estimator = DepthEstimator(bank, dataclasses.replace(config, stride_px=stride_px))
     size = (max(shape[0] // 2, 1), max(shape[1] // 2, 1))
     times = []

@@ -16,17 +16,9 @@ _MAP_PX_PER_PATCH = 5
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MapGrid:
-    """Where the pixels of a map lie among the patches of a frame.
+    """Where the pixels of a map of `size`, which covers the whole frame, lie among its patches.
 
-    Attributes
-    ----------
-    grid : PatchGrid
-    frame_shape : (int, int)
-        Rows and columns of the frame that the grid covers.
-    size : (int, int)
-        Rows and columns of the map, which covers the whole frame.
-    patches : (ndarray, ndarray), intp
-        Row and column of the patch nearest to every row and column of the map.
+    `patches` are the row and the column of the patch nearest to every row and column of the map.
     """
 
     grid: PatchGrid

@@ -32,19 +32,9 @@ NOISE_FLOOR = 2e-4
 
 
 def high_power(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.float32]:
-    """Return the mean power of the highest frequencies around every patch.
+    """Return the mean power of the highest frequencies around every patch [rows, columns].
 
-    Parameters
-    ----------
-    grey : ndarray, float32 [height, width]
-        The frame.
-    grid : PatchGrid
-        Where its patches lie.
-
-    Returns
-    -------
-    ndarray, float32 [rows, columns]
-        The variance of the noise, and what little there is of texture.
+    It is the variance of the noise, and what little there is of texture.
     """
     passed = cv2.sepFilter2D(grey, -1, _ALTERNATING, _ALTERNATING)
     cv2.multiply(passed, passed, passed)
@@ -54,19 +44,10 @@ def high_power(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.float32
 def estimate_noise(
     high_power: NDArray[np.float32], shot_variance: NDArray[np.float32] | None = None
 ) -> float:
-    """Estimate the standard deviation of white noise, erring upward.
+    """Estimate the standard deviation of white noise, erring upward; at least `NOISE_FLOOR`.
 
-    Parameters
-    ----------
-    high_power : ndarray, float32
-        Of each of a frame's windows; see `high_power`.
-    shot_variance : ndarray, float32 of the same shape, optional
-        Variance of what is known of the noise, and left out of the estimate: its shot noise.
-
-    Returns
-    -------
-    float
-        At least `NOISE_FLOOR`.
+    From the `high_power` of a frame's windows. The variance of shot noise, of the same shape, is
+    what is known of the noise, and left out of the estimate.
     """
     variance = _MARGIN**2 * high_power
     if shot_variance is not None:

@@ -15,24 +15,19 @@ _SIGMA = 1.0
 # share beyond that makes it e times less likely.
 _ALIKE = 0.3
 _BANDWIDTH = 0.4
-# This share of the squares is taken to be still, if any is.
-_STILL_QUANTILE = 0.2
+# This share of the squares is taken to be static, if any is.
+_STATIC_QUANTILE = 0.2
 # Squares that differ by less than this share of the noise's variance are clipped.
 _CLIPPED = 0.1
 
 
 class StaticAverage:
-    """Averages the frames of a video where they are alike but for their noise.
+    """Averages the frames of a video, at most so many, where they are alike but for their noise.
 
     It is the temporal part of a non-local mean (thesis eq. 8.11) at one place: a frame ``g_t``
     enters the mean ``m`` of those before by ``exp(-G * |g_t - m|^2 / tau_1)``. A mean of ``n``
-    frames has ``n`` times less noise, and blur sizes are told apart by what is above the noise.
+    frames has ``n`` times less noise, and blur sizes differ by what is above the noise.
     Whatever moves by a fraction of a pixel is beyond the noise and starts anew: it does not smear.
-
-    Parameters
-    ----------
-    frames : float
-        Frames that the mean is of, at most.
     """
 
     def __init__(self, frames: float) -> None:
@@ -61,7 +56,6 @@ class StaticAverage:
         mean : ndarray, float32 [height, width]
             Valid until the next frame is added.
         frames : ndarray, float32 [squares down, squares across]
-            At least 1.
         """
         height, width = grey.shape
         squares = (max(width // _SQUARE_PX, 1), max(height // _SQUARE_PX, 1))
@@ -83,7 +77,7 @@ class StaticAverage:
         # Where a frame is clipped there is no noise to compare with.
         noisy = changed[changed > _CLIPPED * variance]
         if noisy.size:
-            variance = min(variance, float(np.quantile(noisy, _STILL_QUANTILE)))
+            variance = min(variance, float(np.quantile(noisy, _STATIC_QUANTILE)))
         variance = max(variance, 1e-12)
         alike = np.exp(-np.maximum(changed / variance - 1 - _ALIKE, 0) / _BANDWIDTH)
         self._count = np.minimum(self._count * alike + 1, np.float32(self._most))

@@ -30,13 +30,7 @@ class _Scratch:
 
 
 class NumpyEngine:
-    """Energies of every patch of frames of one size; see `Engine`.
-
-    Parameters
-    ----------
-    threads : int, optional
-        Of the processor.
-    """
+    """Energies of every patch of frames of one size; see `Engine`."""
 
     name = "numpy"
 
@@ -75,13 +69,7 @@ class NumpyEngine:
         self._workers.each(self._project_row, range(self.grid.rows))
 
     def take_products(self, products: NDArray[np.float32]) -> None:
-        """Take a frame that an engine with the same windows has transformed.
-
-        Parameters
-        ----------
-        products : ndarray, float32 [patches, (2 V + U) H]
-            Of the transforms; see `Plan`.
-        """
+        """Take a frame as the products of transforms [patches, (2 V + U) H]; see `Plan`."""
         functions = self._functions.reshape(len(self._functions), -1)
         np.matmul(self.plan.features, products.T, out=functions)
 

@@ -148,17 +148,9 @@ class Plan:
         return slice(ratios.start * each, ratios.stop * each)
 
     def of_products(self, functions: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Return linear functions of power as functions of the products of transforms.
+        """Return linear functions of power [K, n] as functions of the products of transforms.
 
-        Parameters
-        ----------
-        functions : ndarray [K, n]
-            Of the power of every frequency, in the order of ``scipy.fft.rfft2``.
-
-        Returns
-        -------
-        ndarray [(2 V + U) H, n]
-            Of ``q`` and ``x``; see `features`.
+        From the order of ``scipy.fft.rfft2`` to ``q`` and ``x`` [(2 V + U) H, n]; see `features`.
         """
         columns, half = len(self.horizontal) // 2, self.grid.window_px // 2
         unpaired = [0, half][: len(self.vertical) - 2 * self.paired]

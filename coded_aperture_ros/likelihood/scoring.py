@@ -17,18 +17,12 @@ TEMPERATURE = 4.0
 def take_logarithm(
     excess: NDArray[np.float32], textureless: NDArray[np.float32], count: float
 ) -> NDArray[np.float32]:
-    """Turn the least excess of every level into its energy, in place.
+    """Turn the least excess of every level into its energy, in place; of `count` numbers a patch.
 
     The energy is twice the negative log-likelihood, with the patch's own noise at its best value.
-
-    Parameters
-    ----------
-    excess : ndarray, float32 [..., patches]
-        What the best hypothesis of a level leaves of a patch, over the expected noise.
-    textureless : ndarray, float32 [patches]
-        The same without any texture: what noise alone explains better says nothing about the level.
-    count : float
-        How many numbers a patch is known by.
+    The excess [..., patches] is what the best hypothesis of a level leaves of a patch, over the
+    expected noise; `textureless` [patches] the same without any texture: what noise alone explains
+    better says nothing about the level.
     """
     np.clip(excess, LEAST_EXCESS, np.maximum(textureless, LEAST_EXCESS), out=excess)
     np.log(excess, out=excess)
@@ -66,16 +60,10 @@ def relative_cost(
 def plausible_ratios(
     ratios: NDArray[np.float64], contrasts: Sequence[float], noise: float
 ) -> slice:
-    """Return which of `ratios`, in half decades, belong to contrasts under a noise.
+    """Return which of `ratios` [S] belong to contrasts under a noise (standard deviation, > 0).
 
-    Parameters
-    ----------
-    ratios : ndarray, float64 [S]
-        Contrast over noise variance, increasing.
-    contrasts : sequence of float
-        Variances in the steps of `ratios`, at most S.
-    noise : float
-        Standard deviation, > 0.
+    Ratios are contrast over noise variance, in half decades; the contrasts, in the steps of these,
+    at most S variances.
     """
     count = len(contrasts)
     wanted = min(contrasts) / noise**2

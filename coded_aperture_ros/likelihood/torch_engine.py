@@ -21,14 +21,7 @@ _PRECISION = "highest"
 
 
 class TorchEngine:
-    """Energies of every patch of frames of one size; see `Engine`.
-
-    Parameters
-    ----------
-    threads : int, optional
-        Of the processor.
-    device : str
-        `cpu` or `cuda`.
+    """Energies of every patch of frames of one size, on `cpu` or `cuda`; see `Engine`.
 
     Raises
     ------

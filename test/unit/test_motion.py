@@ -317,7 +317,7 @@ def test_products_of_another_engine_do_for_defocus_alone(bank):
     alone = NumpyEngine(Plan.of(bank.defocus, frame.shape, 16))
     alone.project(frame)
     energies = np.moveaxis(alone.energies(0.002), -1, 0)
-    assert moving.of_still(0.002) == pytest.approx(energies, abs=1e-4 * float(np.ptp(energies)))
+    assert moving.of_static(0.002) == pytest.approx(energies, abs=1e-4 * float(np.ptp(energies)))
 
 
 def test_few_motions_occur():

@@ -27,18 +27,10 @@ class MotionBank:
 
     A motion multiplies the spectrum that a level's texture is expected to have by the square of
     its own transfer function: a product ``h_d * h_m`` (thesis eq. 7.2) is one more hypothesis of
-    the likelihood in `FilterBank`, and all share one basis.
-
-    Attributes
-    ----------
-    defocus : FilterBank
-        Of defocus alone.
-    motions : Motions
-    product : FilterBank
-        Its levels are all pairs: those of the first motion, then of the second, and so on.
-    expected : ndarray, float32 [slopes, M, L, K]
-        Power of texture of unit contrast behind every pair, model error included: the weights
-        of `product` without a common basis are made of it.
+    the likelihood in `FilterBank`, and all share one basis. The levels of `product` are all pairs:
+    those of the first motion, then of the second, and so on. Without a common basis its weights
+    are made of `expected` [slopes, M, L, K]: the power of texture of unit contrast, model error
+    included, behind every pair.
     """
 
     defocus: FilterBank
@@ -84,8 +76,8 @@ def learn_motion_bank(
     """
     if bank.stack.has_both_sides:
         raise InputError(
-            "motion: the bank has levels on both sides of the focal plane, which are not told "
-            "apart where things move: learn a bank for one side"
+            "motion: the bank has levels on both sides of the focal plane, which cannot be "
+            "distinguished where things move: learn a bank for one side"
         )
     psfs, fourier = bank.stack.psfs, bank.fourier
     width = psfs.shape[-1] + len(motion_kernel((motions.longest_px, 0.0))) - 1

@@ -23,25 +23,9 @@ _Task = tuple[Sequence[int], NDArray[np.intp]]
 class MotionEngine(NumpyEngine):
     """Computes the energies of pairs of motion and level for frames of one size; see `Engine`.
 
-    With `finalists` the bank's common basis only says which texture suits each patch; see
-    `ExactEnergies`.
-
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns of the frames.
-    stride_px : int
-        Distance between patches, px.
-    threads : int, optional
-        Of the processor.
-    finalists : int, optional
-        How many motions of each patch are compared under several textures, no motion among them;
-        0: the common basis decides, as it does where it is exact.
-
-    Raises
-    ------
-    InputError
-        If the frame is smaller than a patch, or there are fewer processors than threads.
+    With `finalists`, so many motions of each patch are compared under several textures, no motion
+    among them, and the bank's common basis only says which texture suits each patch; see
+    `ExactEnergies`. With 0 the common basis decides, as it does where it is exact.
     """
 
     name = "motion"
@@ -68,7 +52,7 @@ class MotionEngine(NumpyEngine):
         self._of_all = np.empty((self._motions, self._levels, patches), np.float32)
         # The bank of defocus alone has contrasts in smaller steps: it says what no motion explains.
         self._alone = NumpyEngine(Plan.of(bank.defocus, shape, stride_px), threads)
-        self._still = np.hypot(*bank.motions.vectors_px.T) == 0
+        self._static = np.hypot(*bank.motions.vectors_px.T) == 0
         self._finalists = finalists
         self._exact: ExactEnergies | None = None
         if finalists and not bank.exact:
@@ -87,7 +71,7 @@ class MotionEngine(NumpyEngine):
         """Return the least energy of every level under any motion [rows, columns, L]."""
         return np.moveaxis(self.of_all(noise).min(axis=0), 0, -1)
 
-    def of_still(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
+    def of_static(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the energies of all levels if nothing moves [L, rows, columns]; see `of_all`."""
         self._alone.take_products(self._products[:, :-1])
         return np.moveaxis(self._alone.energies(noise), -1, 0)
@@ -107,8 +91,8 @@ class MotionEngine(NumpyEngine):
             self._take_textures(self._exact, noise, [(motions, part) for part in some])
             self._exact.of_all(self._of_all)
             index = np.broadcast_to(np.arange(self._motions)[:, None], (self._motions, len(every)))
-            still = self._still[index]
-            self._exact.compare_best(self._of_all, index, still, self._finalists)
+            static = self._static[index]
+            self._exact.compare_best(self._of_all, index, static, self._finalists)
         return self._of_all.reshape(*self._of_all.shape[:2], *self._precision.shape)
 
     def of_some(
@@ -116,14 +100,8 @@ class MotionEngine(NumpyEngine):
     ) -> NDArray[np.float32]:
         """Return the energies of some motions for each patch [k, L, rows, columns].
 
-        Under one texture each: there are no finalists.
-
-        Parameters
-        ----------
-        noise : float, or ndarray, float32 [rows, columns]
-            See `of_all`.
-        candidates : ndarray of int [rows, columns, k]
-            Which motions. The fewer different sets of them there are, the faster.
+        Under one texture each: there are no finalists. The fewer different sets there are among the
+        `candidates`, which are indices of motions [rows, columns, k], the faster.
         """
         rows, columns, count = candidates.shape
         energies = np.empty((count, self._levels, rows * columns), np.float32)

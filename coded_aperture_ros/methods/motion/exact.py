@@ -28,11 +28,6 @@ class ExactEnergies:
 
     The weights of all ratios of contrast and noise would be large; those of the ratios that the
     frame's noise calls for are made when they are needed, and kept.
-
-    Parameters
-    ----------
-    plan : Plan
-        Of the engine: its products of transforms are what the weights are for.
     """
 
     def __init__(self, bank: MotionBank, plan: Plan, workers: Workers) -> None:
@@ -51,15 +46,9 @@ class ExactEnergies:
     def take(self, spectra: NDArray[np.float32], texture: NDArray[np.intp], tried: slice) -> None:
         """Take the patches of a frame.
 
-        Parameters
-        ----------
-        spectra : ndarray, float32 [patches, F + 1]
-            The plan's products of transforms, in units of the noise; the last of them is 1.
-        texture : ndarray of int [patches]
-            The hypothesis of contrast and slope that suits each patch, ``ratio * slopes + slope``
-            with the first ratio that is tried as 0.
-        tried : slice
-            The ratios that suit the frame's noise.
+        Their `spectra` [patches, F + 1] are the plan's products of transforms in units of the
+        noise, and 1; `texture` [patches] is the hypothesis that suits each, ``ratio * slopes +
+        slope``, counted from the first ratio that is `tried`: those that suit the frame's noise.
         """
         ratio, slope = np.divmod(texture, len(self._bank.expected))
         self._spectra, self._texture = spectra, np.array([ratio + tried.start, slope])
@@ -102,16 +91,8 @@ class ExactEnergies:
     ) -> None:
         """Lower the energies of the best few motions to the least under several textures.
 
-        Parameters
-        ----------
-        energies : ndarray, float32 [k, L, patches]
-            As from `of_all` or `of_some`.
-        motions : ndarray of int [k, patches]
-            Which motions they are of.
-        seeded : ndarray of bool [k, patches]
-            Which are among the few anyway.
-        count : int
-            How many of each patch.
+        Of the `energies` [k, L, patches] of `motions` [k, patches], as from `of_all`, the best
+        `count` of each patch are compared, the `seeded` [k, patches] among them.
         """
         best = energies.min(axis=1)
         best[seeded] = -np.inf

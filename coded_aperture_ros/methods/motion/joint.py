@@ -9,16 +9,16 @@ from coded_aperture_ros.methods.motion.config import MotionConfig
 from coded_aperture_ros.methods.motion.kernels import Motions
 from coded_aperture_ros.methods.motion.occurring import occurring_motions, refined_motion
 
-# Evidence against a motion counts up to here; beyond, it is an outlier (natural logarithm).
-_ENOUGH_EVIDENCE = 14.0
-_ENOUGH_TO_REFINE = 27.0
-# Evidence that a motion which does not occur must have more, to count for depth.
+# The cost of a motion counts up to here; beyond, it is an outlier (natural logarithm).
+_MOST_COST = 14.0
+_MOST_TO_REFINE = 27.0
+# How much more a motion costs that does not occur, where it counts for depth.
 _OTHERS = 4.0
 # Motions that are neighbours of each, between which a patch and the next change easily.
 _NEIGHBOURS = 6
-# Weights of the smoothness beside natural-logarithm evidence.
-_SLIGHT_STEP = 6.0
-_JUMP = 24.0
+# Weights of the smoothness beside natural-logarithm likelihoods.
+_P1 = 6.0
+_P2 = 24.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Separated:
     probability : ndarray, float32 [k, rows, columns]
         Of each of them, by the patch alone.
     level_cost : ndarray, float32 [rows, columns, L]
-        Against every blur level, motions weighed by how likely they are beside the neighbours'.
+        Of every blur level, motions weighed by how likely they are beside the neighbours'.
     vectors_px : ndarray of float64 [M, 2]
         What the motions exactly are, where they occur.
     """
@@ -47,49 +47,45 @@ class Separated:
 
 
 def separate(
-    evidence: NDArray[np.float32], motions: Motions, config: MotionConfig, overlap: float
+    cost: NDArray[np.float32], motions: Motions, config: MotionConfig, overlap: float
 ) -> Separated:
-    """Choose the motions of all patches together, and take them out of the evidence on depth.
+    """Choose the motions of all patches together, and take them out of the cost of levels.
 
     Thesis eq. 7.4 has total variation of depth and of motion beside the data. Here the few motions
     that occur are found first, whatever the depth; each patch gets one of them, semi-globally; and
     then the depth follows under what has become of the motions: not only the chosen one counts,
     but each as far as its neighbours allow for it.
 
-    Parameters
-    ----------
-    evidence : ndarray, float32 [M, L, rows, columns]
-        Against every pair of motion and level, natural logarithm, 0 for the likeliest.
-    overlap : float
-        Width of the patches over the distance between them.
+    Takes the cost of every pair of motion and level [M, L, rows, columns], 0 for the likeliest, and
+    the `overlap`: width of the patches over the distance between them.
     """
-    likelihood = np.exp(-evidence)
+    likelihood = np.exp(-cost)
     probability = likelihood.sum(axis=1)
     probability /= probability.sum(axis=0)
     of_motion = -np.log(np.maximum(probability, np.float32(1e-30)))
     of_motion -= of_motion.min(axis=0)
     some = occurring_motions(of_motion, motions, overlap)
-    still = np.hypot(*motions.vectors_px.T) == 0
-    handicap = np.where(still, 0, config.motion_threshold).astype(np.float32)[some, None, None]
+    static = np.hypot(*motions.vectors_px.T) == 0
+    handicap = np.where(static, 0, config.motion_threshold).astype(np.float32)[some, None, None]
     known = of_motion[some] + handicap
-    known = np.minimum(known - known.min(axis=0), np.float32(_ENOUGH_EVIDENCE))
+    known = np.minimum(known - known.min(axis=0), np.float32(_MOST_COST))
     neighbours = _neighbours(motions)
     total = _semi_global(known, _within(neighbours, some), config.motion_smoothness)
     motion = some[total.argmin(axis=0)]
     vectors = motions.vectors_px.copy()
-    for index in some[~still[some]]:
+    for index in some[~static[some]]:
         here = motion == index
         if here.any():
-            of_all = np.minimum(of_motion[:, here], np.float32(_ENOUGH_TO_REFINE)).sum(axis=1)
+            of_all = np.minimum(of_motion[:, here], np.float32(_MOST_TO_REFINE)).sum(axis=1)
             vectors[index] = refined_motion(of_all, motions, int(index))
     others = total - known + handicap
     others -= others.min(axis=0)
     # Others count as well, at a price: a smooth patch may look like none of those that occur.
     against = np.broadcast_to(others.min(axis=0) + np.float32(_OTHERS), probability.shape).copy()
-    for index, cost in zip(some, others, strict=True):
+    for index, price in zip(some, others, strict=True):
         # What moves may do so a little differently.
-        near = [index] if still[index] else [index, *neighbours[index]]
-        against[near] = np.minimum(against[near], cost)
+        near = [index] if static[index] else [index, *neighbours[index]]
+        against[near] = np.minimum(against[near], price)
     weighed = np.einsum("mlrc,mrc->lrc", likelihood, np.exp(-against))
     level = -np.log(np.maximum(weighed, np.float32(1e-30)))
     level -= level.min(axis=0)
@@ -99,18 +95,14 @@ def separate(
 
 
 def separate_expected(
-    evidence: NDArray[np.float32], candidates: NDArray[np.intp], motions: Motions
+    cost: NDArray[np.float32], candidates: NDArray[np.intp], motions: Motions
 ) -> Separated:
     """Choose among a few motions that were expected; neighbours are as good already.
 
-    Parameters
-    ----------
-    evidence : ndarray, float32 [k, L, rows, columns]
-        Against every pair of candidate and level.
-    candidates : ndarray of int [rows, columns, k]
-        Which motions they are.
+    Takes the cost of every pair of candidate and level [k, L, rows, columns], and which motions the
+    candidates are [rows, columns, k].
     """
-    likelihood = np.exp(-evidence)
+    likelihood = np.exp(-cost)
     probability = likelihood.sum(axis=1)
     probability /= probability.sum(axis=0)
     level = -np.log(np.maximum(likelihood.sum(axis=0), np.float32(1e-30)))
@@ -147,22 +139,22 @@ def _semi_global(
     down = _both_ways(of_rows, neighbours, smoothness)
     across = _both_ways(of_columns, neighbours, smoothness)
     total = np.moveaxis(down, 1, 0) + np.moveaxis(across, (0, 2), (2, 1))
-    return total - 3 * known  # every path counts the evidence of its patch
+    return total - 3 * known  # every path counts the cost of its patch
 
 
 def _both_ways(
-    evidence: NDArray[np.float32], neighbours: NDArray[np.intp], smoothness: float
+    cost: NDArray[np.float32], neighbours: NDArray[np.intp], smoothness: float
 ) -> NDArray[np.float32]:
     """Add up the costs of the best paths that reach each patch along the first axis."""
-    slight, jump = np.float32(_SLIGHT_STEP * smoothness), np.float32(_JUMP * smoothness)
-    costs = np.stack([evidence, evidence[::-1]], axis=1)  # [n, 2, M, m]
+    p1, p2 = np.float32(_P1 * smoothness), np.float32(_P2 * smoothness)
+    costs = np.stack([cost, cost[::-1]], axis=1)  # [n, 2, M, m]
     for i in range(1, len(costs)):
         previous = costs[i - 1] - costs[i - 1].min(axis=1, keepdims=True)
-        best = np.minimum(previous, jump)
+        best = np.minimum(previous, p2)
         if neighbours.shape[1]:
             near = previous[:, neighbours[:, 0]]
             for column in neighbours.T[1:]:
                 near = np.minimum(near, previous[:, column])
-            best = np.minimum(best, near + slight)
+            best = np.minimum(best, near + p1)
         costs[i] += best
     return np.asarray(costs[:, 0] + costs[::-1, 1])

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.stages import Stages
-from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.likelihood import Cost, MotionField, relative_cost
 from coded_aperture_ros.methods.motion.bank import MotionBank
 from coded_aperture_ros.methods.motion.config import MotionConfig
@@ -25,12 +24,7 @@ _LONGER = 1.1
 class MotionModel:
     """A `LikelihoodModel` with motions as further hypotheses; see `separate`.
 
-    Attributes
-    ----------
-    bank : MotionBank
-        Says which motions there are.
-    config : MotionConfig
-        How they are chosen.
+    The bank says which motions there are, the configuration how they are chosen.
     """
 
     bank: MotionBank
@@ -89,26 +83,15 @@ class _Expectation:
 
 
 class MotionLikelihood:
-    """Cost volumes of frames of one size, whatever the motion, and the motion; see `Likelihood`.
-
-    Parameters
-    ----------
-    image_width : int
-        Of the frames, px.
-    """
+    """Cost volumes of frames of one size, whatever the motion, and the motion; see `Likelihood`."""
 
     def __init__(self, model: MotionModel, engine: MotionEngine, image_width: int) -> None:
-        self._engine, self._config = engine, model.config
+        self._engine, self._config, self.grid = engine, model.config, engine.grid
         self._motions = model.bank.motions
         self._window_correlation = model.bank.defocus.window_correlation
         self._image_width = image_width
         self._apart_px = self._motions.distances_px(self._motions.vectors_px)
         self._nearest_motions = np.argsort(self._apart_px, axis=1, kind="stable")
-
-    @property
-    def grid(self) -> PatchGrid:
-        """Where the patches lie."""
-        return self._engine.grid
 
     def cost(
         self,
@@ -154,7 +137,7 @@ class MotionLikelihood:
         pairs = self._relative(self._engine.of_all(noise), usable)
         static = np.flatnonzero(np.hypot(*self._motions.vectors_px.T) == 0)
         if static.size:
-            alone = self._relative(self._engine.of_still(noise)[None], usable)[0]
+            alone = self._relative(self._engine.of_static(noise)[None], usable)[0]
             pairs[static] = alone + pairs[static].min(axis=1, keepdims=True)
         return pairs
 

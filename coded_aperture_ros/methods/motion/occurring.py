@@ -6,11 +6,11 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.methods.motion.kernels import Motions
 
-# Evidence of a patch counts up to here (natural logarithm); beyond, its model is wrong.
-_MOST_EVIDENCE = 27.0
-# Texture with a direction of its own gives a patch about so much evidence for a wrong motion.
+# The cost of a motion counts up to here (natural logarithm); beyond, its model is wrong.
+_MOST_COST = 27.0
+# Texture with a direction of its own makes a wrong motion cheaper by about so much.
 _OF_TEXTURE = 5.0
-# What patches that do not overlap must have together beyond that: false ones had 21 at most, true
+# What patches that do not overlap must gain together beyond that: false ones had 21 at most, true
 # ones from 150.
 _ENOUGH = 40.0
 # A frame is divided among so many motions at most.
@@ -25,25 +25,17 @@ def occurring_motions(
     One after the other those are added that the patches gain most by, windows' neighbourhoods
     taken together, until no motion is worth it.
 
-    Parameters
-    ----------
-    of_motion : ndarray, float32 [M, rows, columns]
-        Evidence against every motion whatever the depth, natural logarithm, 0 for the likeliest.
-    overlap : float
-        Windows' width over the distance between them.
-
-    Returns
-    -------
-    ndarray of int [m]
-        Indices; first no motion, if it is one of the motions.
+    Takes the cost of every motion whatever the depth [M, rows, columns], and the `overlap`:
+    windows' width over the distance between them. Returns indices [m], first no motion, if it is
+    one of them.
     """
     around = max(round(overlap) // 2 * 2 - 1, 1)
-    capped = np.minimum(of_motion, np.float32(_MOST_EVIDENCE))
+    capped = np.minimum(of_motion, np.float32(_MOST_COST))
     shape = (around, around)
     together = np.array([cv2.blur(each, shape, borderType=cv2.BORDER_REPLICATE) for each in capped])
     independent = max(overlap / 2, 1) ** 2
-    still = np.flatnonzero(np.hypot(*motions.vectors_px.T) == 0)
-    chosen = [int(still[0]) if still.size else int(together.sum(axis=(1, 2)).argmin())]
+    static = np.flatnonzero(np.hypot(*motions.vectors_px.T) == 0)
+    chosen = [int(static[0]) if static.size else int(together.sum(axis=(1, 2)).argmin())]
     least = together[chosen[0]]
     while len(chosen) < min(_MOST_MOTIONS, len(motions)):
         gains = np.maximum(least - together - np.float32(_OF_TEXTURE), 0).sum(axis=(1, 2))
@@ -58,18 +50,10 @@ def occurring_motions(
 def refined_motion(
     total: NDArray[np.floating], motions: Motions, index: int
 ) -> NDArray[np.float64]:
-    """Refine a motion by parabolas along its length and across its direction.
+    """Refine a motion by parabolas along its length and across its direction; returns [2].
 
-    Parameters
-    ----------
-    total : ndarray [M]
-        Evidence against every motion, of all patches that have this one.
-    index : int
-        The motion; not one without length.
-
-    Returns
-    -------
-    ndarray of float64 [2]
+    By the cost of every motion [M], in `total` of all patches that have this one, which has a
+    length.
     """
     right, down = motions.vectors_px.T
     lengths, angles = np.hypot(right, down), np.arctan2(down, right)

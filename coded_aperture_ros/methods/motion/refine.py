@@ -25,21 +25,9 @@ def most_likely_motion(
 ) -> NDArray[np.float64]:
     """Search around a motion for the likeliest one of some patches, along it and across.
 
-    Parameters
-    ----------
-    spectra : ndarray, float32 [patches, F + 1]
-        See `ExactEnergies.take`; at least one.
-    tried : slice
-        The ratios that suit the frame's noise.
-    start_px : ndarray of float64 [2]
-        Not zeros.
-    tolerance_px : float
-        Steps get smaller, down to this.
-
-    Returns
-    -------
-    ndarray of float64 [2]
-        At most the longest motion of the bank.
+    From `start_px`, not zeros, in steps that get smaller, down to `tolerance_px`; at most the
+    bank's longest motion. For the `spectra` and the ratios that are `tried` see
+    `ExactEnergies.take`.
     """
     some = spectra[:: -(-len(spectra) // _MOST_PATCHES)]
     ratios = bank.product.ratios[tried]

@@ -18,10 +18,10 @@ _NEARLY_AXIS = np.tan(np.pi / 8)
 def channel_kernel(
     channel: int, direction: NDArray[np.floating] | None = None, smoothing: int = 0
 ) -> NDArray[np.float32]:
-    """Return the kernel of a derivative that is smoothed across a direction.
+    """Return the kernel [k, k], odd k, of a derivative that is smoothed across a direction.
 
     Smoothing across a line leaves what is on it as it is, but for the noise: the texture that the
-    blur has left changes slowly from line to line.
+    blur has left changes slowly from line to line. To be correlated, as by ``cv2.filter2D``.
 
     Parameters
     ----------
@@ -31,11 +31,6 @@ def channel_kernel(
         Row and column.
     smoothing : int, optional
         How many times neighbours across the direction are averaged; even.
-
-    Returns
-    -------
-    ndarray, float32 [k, k]
-        Odd k; to be correlated with a frame, as by ``cv2.filter2D``.
     """
     kernel = _DIFFERENCES[channel]
     if direction is not None and smoothing:

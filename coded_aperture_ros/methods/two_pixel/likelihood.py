@@ -139,18 +139,6 @@ class NeighbourEngine:
     are so far apart; a product lies halfway between its two pixels. Products are added up in
     blocks first, once for all windows, and a window's blocks by running sums: the time depends on
     the size of the frame and the number of lags, not on that of the window.
-
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns of the frames.
-    stride_px : int
-        Distance between the windows.
-
-    Raises
-    ------
-    InputError
-        If the frame is smaller than the window, or there are fewer processors than threads.
     """
 
     name = "numpy"

@@ -61,17 +61,8 @@ def neighbour_lines(holes: Holes, largest_blur_px: float) -> list[NeighbourLine]
     are shared by more pairs than others, there are two or more of these, and every hole is part of
     one, the others are left out: they tell the same over again, but fainter. The diagonals of four
     holes in a square double the work, and the error on natural texture (noise 0.001, window 96 px)
-    grows from 0.63 to 1.33 levels with them.
-
-    Parameters
-    ----------
-    largest_blur_px : float
-        Largest blur size of the whole mask, by its absolute value.
-
-    Returns
-    -------
-    list of NeighbourLine
-        Each as long as the largest disparity along it and half the blur of a hole.
+    grows from 0.63 to 1.33 levels with them. Each is as long as the largest disparity along it, at
+    the `largest_blur_px` of the whole mask, and half the blur of a hole.
     """
     first, second = np.triu_indices(holes.count, 1)
     offsets = (holes.centres[first] - holes.centres[second]) * abs(largest_blur_px)
