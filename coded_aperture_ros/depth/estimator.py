@@ -198,9 +198,9 @@ class DepthEstimator:
         level = self._correct_edges(at.interpolated(of_patches), at.scale)
         probability = level_probability(volume)
         confidence, of_side = self._confidence(level, of_patches, volume, probability, at)
-        nothing_known = ~seen.usable | self._left_open(probability)
-        if nothing_known.any():
-            confidence[at.nearest(nothing_known)] = 0
+        uninformative = ~seen.usable | self._left_open(probability)
+        if uninformative.any():
+            confidence[at.nearest(uninformative)] = 0
         unsure = is_unsure(confidence, config.confidence_threshold)
         if config.unknown == "nearest":  # so that nothing is run into
             nearest = at.nearest(nearest_plausible_level(probability, levels.nearest_first))
@@ -239,7 +239,7 @@ class DepthEstimator:
         return confidence, of_side
 
     def _left_open(self, probability: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Return which patches nothing is known of; others have the level of their neighbours."""
+        """Return which patches are uninformative; others have the level of their neighbours."""
         alone = is_uninformative(probability)
         if self._neighbours_decide and not alone.all():
             return np.zeros_like(alone)

@@ -19,17 +19,10 @@ _TOLERANCE = 0.05
 class Levels:
     """What a fractional level means.
 
-    Attributes
-    ----------
-    blur_sizes_px : ndarray, float64 [L]
-        Signed.
-    depths_m : ndarray, float64 [L], or None
-        None if neither a camera nor the model says how far the levels are.
-    in_pixels : bool
-        Whether blur sizes are in pixels, and not only indices.
-    agreement : ndarray, intp [2, L]
-        First and last of the levels that are as good as each level: their depths differ by at most
-        5 %, or, where depths are not known, they are neighbours.
+    The `blur_sizes_px` [L] are signed, and mere indices unless `in_pixels`; `depths_m` [L] is None
+    if neither a camera nor the model says how far the levels are. `agreement`, intp [2, L], has the
+    first and last of the levels that are as good as each level: their depths differ by at most 5 %,
+    or, where depths are not known, they are neighbours.
     """
 
     blur_sizes_px: NDArray[np.float64]

@@ -95,7 +95,7 @@ def confidence_of(
     confidence = 1 / (1 + odds_against)
     guessed = is_uninformative(probability)
     if guessed.any():
-        # With few levels a guess is often right; it is still no surer than who knows least.
+        # With few levels a guess is often right; it is no surer than who knows least.
         least = 1 / (1 + np.exp(-offset) * (1 / _SURE - 1) ** slope)
         confidence = np.where(guessed, np.minimum(mass, least), confidence)
     rows, columns = patches
@@ -107,7 +107,7 @@ def confidence_of(
 
 
 def is_unsure(confidence: NDArray[np.float32], threshold: float) -> NDArray[np.bool_]:
-    """Return where the depth counts as unknown: below the threshold, and where nothing is known."""
+    """Return where the depth counts as unknown: below the threshold, and where it is 0."""
     return ~(confidence >= threshold) | ~(confidence > 0)
 
 

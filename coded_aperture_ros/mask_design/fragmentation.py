@@ -35,7 +35,7 @@ _SUBCELLS = 8
 
 def table_motions() -> Motions:
     """Return the 64 motions of thesis table 7.1, in order of direction, then length."""
-    return Motions.grid(DIRECTIONS, LENGTHS_PX, still=False)
+    return Motions.grid(DIRECTIONS, LENGTHS_PX, static=False)
 
 
 def most_holes(

@@ -193,7 +193,7 @@ def test_holes_of_equal_light_are_those_of_the_thesis():
 
 
 def test_fragmented_apertures_preserve_more_than_the_disc():
-    few = Motions.grid(4, [3.0, 9.0], still=False)
+    few = Motions.grid(4, [3.0, 9.0], static=False)
     analysis = analyse_fragmentation(3, 3, [8.0, 16.0], few, (0.02, 0.06))
     assert analysis.placements == 84
     assert len(analysis.masks) == 16  # Burnside's count of 3 cells of 9 under 8 symmetries

@@ -25,18 +25,10 @@ _P2 = 24.0
 class Separated:
     """What a frame says about motion, and about depth whatever the motion.
 
-    Attributes
-    ----------
-    motion : ndarray of int [rows, columns]
-        Index of every patch's motion.
-    candidates : ndarray of int [k, rows, columns]
-        The motions that were tried.
-    probability : ndarray, float32 [k, rows, columns]
-        Of each of them, by the patch alone.
-    level_cost : ndarray, float32 [rows, columns, L]
-        Of every blur level, motions weighed by how likely they are beside the neighbours'.
-    vectors_px : ndarray of float64 [M, 2]
-        What the motions exactly are, where they occur.
+    `motion` is the index of every patch's motion [rows, columns], `candidates` are the motions that
+    were tried [k, rows, columns], and `probability` that of each of them, by the patch alone.
+    `level_cost` is that of every blur level [rows, columns, L], motions weighed by how likely they
+    are beside the neighbours'; `vectors_px` [M, 2] what the motions exactly are, where they occur.
     """
 
     motion: NDArray[np.intp]

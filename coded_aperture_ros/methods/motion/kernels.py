@@ -71,19 +71,8 @@ def blurred_psf(
 ) -> NDArray[np.float32]:
     """Return the PSF of defocus and motion together, ``h_d * h_m`` (thesis eq. 7.2).
 
-    Parameters
-    ----------
-    psf : ndarray of float32, shape [k, k]
-        Of defocus; odd width.
-    motion_px : (float, float)
-        See `motion_kernel`.
-    width_px : int, optional
-        Odd width of the result, at least that of the full convolution, which is the default.
-
-    Returns
-    -------
-    ndarray of float32, shape [n, n]
-        Of the sum of `psf`.
+    From a PSF [k, k], float32, odd, to one [n, n] of the same sum, of odd width `width_px`: at
+    least that of the full convolution, which is the default. For the motion see `motion_kernel`.
     """
     full = scipy.signal.convolve2d(psf, motion_kernel(motion_px))
     margin = 0 if width_px is None else (width_px - len(full)) // 2
@@ -92,7 +81,7 @@ def blurred_psf(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Motions:
-    """The motions that are told apart.
+    """The motions that are distinguished.
 
     Attributes
     ----------
@@ -113,7 +102,7 @@ class Motions:
         object.__setattr__(self, "vectors_px", vectors)
 
     @staticmethod
-    def grid(directions: int, lengths_px: ArrayLike, still: bool = True) -> "Motions":
+    def grid(directions: int, lengths_px: ArrayLike, static: bool = True) -> "Motions":
         """Return motions in equally spaced directions, each in all lengths.
 
         Parameters
@@ -122,7 +111,7 @@ class Motions:
             Between 0 degrees, to the right, and 180.
         lengths_px : array_like of float
             More than 0.
-        still : bool, optional
+        static : bool, optional
             Whether no motion is the first of them.
         """
         lengths = np.atleast_1d(np.asarray(lengths_px, np.float64))
@@ -134,7 +123,7 @@ class Motions:
         angle = np.pi * np.arange(directions) / directions
         unit = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         vectors = (unit[:, None] * lengths[:, None]).reshape(-1, 2)
-        return Motions(np.concatenate([np.zeros((int(still), 2)), vectors]))
+        return Motions(np.concatenate([np.zeros((int(static), 2)), vectors]))
 
     def __len__(self) -> int:
         return len(self.vectors_px)

@@ -58,7 +58,7 @@ def refined_motion(
     right, down = motions.vectors_px.T
     lengths, angles = np.hypot(right, down), np.arctan2(down, right)
     length, angle = lengths[index], angles[index]
-    # Opposite motions are one: directions are told apart within half a turn.
+    # Opposite motions are one: directions differ within half a turn.
     turns = (angles - angle + np.pi / 2) % np.pi - np.pi / 2
     parallel = (np.abs(turns) < 1e-6) | (lengths == 0)
     length += _vertex(lengths - length, total, parallel)

@@ -11,7 +11,7 @@ from coded_aperture_ros.optics import Mask
 
 # The work grows as N (N - 1); beyond this many openings the filter bank is both faster and better.
 _MOST_HOLES = 8
-# Two openings are equal if what they do not share is less than this share of their area: the rims
+# Two openings are equal if what they do not share is less than this share of their area: the edges
 # of a photographed or drawn mask differ by parts of a cell.
 _DIFFERENCE = 0.15
 _USE_BANK = "use --method bank, which takes any mask"

@@ -37,14 +37,9 @@ def neighbour_model_for_camera(
     levels: int,
     config: SimpleConfig | None = None,
 ) -> NeighbourModel:
-    """Make the model of a camera's mask for a range of depths.
+    """Make the model of a camera's mask for a range of depths on its side of the focal plane.
 
-    Parameters
-    ----------
-    near_m, far_m : float
-        On the camera's side of the focal plane.
-    levels : int
-        Equally spaced in blur size; at least 2.
+    The levels, at least 2, are equally spaced in blur size.
 
     Raises
     ------
@@ -53,7 +48,7 @@ def neighbour_model_for_camera(
         infinity, or a blur size does not fit the window.
     """
     check_levels(levels)
-    find_holes(camera.mask)  # what is wrong with the mask is told first: no range helps it
+    find_holes(camera.mask)  # what is wrong with the mask comes first: no range helps it
     stack = psf_stack_for_camera(camera, near_m, far_m, levels, "the method for simple masks")
     return neighbour_model(stack, camera.mask, config)
 
