@@ -6,9 +6,8 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.config import DeblurConfig
-from coded_aperture_ros.deblur.frame import from_opponents
 from coded_aperture_ros.deblur.inverse_filters import HalfBandFilters, InverseFilters
-from coded_aperture_ros.deblur.problem import Problem, VideoState
+from coded_aperture_ros.deblur.problem import Problem, VideoState, from_opponents
 from coded_aperture_ros.optics import PsfStack
 
 # Colour differences have less texture than brightness, but as much noise: they are deblurred as if

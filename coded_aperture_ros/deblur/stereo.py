@@ -43,12 +43,7 @@ class Parallax:
 
         This is the largest distance between the two views of one point, > 0. A scene that is almost
         flat, with a relief of less than 1 px of blur size, gets less. The blur sizes are signed,
-        and not finite where unknown.
-
-        Raises
-        ------
-        InputError
-            If no blur size is known.
+        and not finite where unknown; an `InputError` if all are.
         """
         known = blur_size_px[np.isfinite(blur_size_px)]
         if known.size == 0:
@@ -123,12 +118,8 @@ def anaglyph(left: NDArray[np.float32], right: NDArray[np.float32]) -> NDArray[n
     color" anaglyph of P. Wimmer, *Anaglyph Methods Comparison*, 3dtv.at. The red of the left view
     itself would make red and blue things bright for one eye and dark for the other.
 
-    Both are float32 in linear light, of one shape; the picture is [rows, columns, 3].
-
-    Raises
-    ------
-    InputError
-        If the views have different shapes.
+    Both are float32 in linear light, of one shape, else an `InputError`; the picture is [rows,
+    columns, 3].
     """
     _check_pair(left, right)
     if left.ndim == 2:

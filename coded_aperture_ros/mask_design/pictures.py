@@ -18,7 +18,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood import plausible_ratios, take_logarithm
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE
 from coded_aperture_ros.mask_design.predict import SIGMAS, check_sigmas, check_two_colours
-from coded_aperture_ros.mask_design.spectra import SceneConfig
+from coded_aperture_ros.mask_design.spectra import SceneConfig, seen_spectra
 from coded_aperture_ros.optics import Mask, psf_width, render_psf_stack
 
 WINDOW_PX = 96
@@ -151,9 +151,7 @@ class WindowSpectra:
             texture = power_spectrum(slope, (2 * torus, 2 * torus))[::2, ::2].astype(np.float32)
             # No window sees the mean; without it, rounding is less than the power in the zeros.
             texture[0, 0] = 0
-            covariance = scipy.fft.irfft2(texture * gain, (torus, torus))
-            covariance *= overlap[:, None] * overlap
-            spectrum = scipy.fft.rfft2(covariance).real[:, ::4, ::4]
+            spectrum = seen_spectra(texture, gain, overlap[:, None] * overlap)[:, ::4, ::4]
             spectra.append(np.maximum(spectrum[:, self._counts], 0))
         return np.array(spectra, np.float32) + np.float32(self._prior.model_error**2)
 

@@ -8,7 +8,6 @@ weigh the differences of the levels.
 
 import dataclasses
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,6 +86,22 @@ class MaskScorer:
         self.sigmas = tuple(sigmas)
         self.frequencies = Frequencies.of_window()
         self._matrices: dict[int, NDArray[np.float32]] = {}
+        levels = np.arange(self.scene.levels, dtype=np.float32)
+        self._steps = np.abs(levels[:, None] - levels)
+        # What a change of the slope adds to the log spectrum of texture [K].
+        self._slopes = np.log(self.frequencies.radius).astype(np.float32)
+        # Directions from 0, of horizontal frequencies, to pi/2, of vertical ones.
+        cycles = self.frequencies.vertical, self.frequencies.horizontal
+        angle = np.arctan2(np.abs(cycles[0]), cycles[1])
+        upright, level = angle <= _LINES_RAD, angle >= np.pi / 2 - _LINES_RAD
+        self._lines = [np.flatnonzero(upright), np.flatnonzero(level)]
+        # Expected spectrum of sharp texture, and the weight of each frequency in a picture and its
+        # gradient together [K].
+        point = Mask("point", np.ones((1, 1), np.float32))
+        sharp = dataclasses.replace(self.scene, levels=2, smallest_px=0.5, largest_px=1.0)
+        self._sharp = expected_spectra(point, sharp, self.frequencies)[0]
+        gradient = sum(4 * np.sin(np.pi * each / 64) ** 2 for each in cycles)
+        self._gradient = np.asarray(1 + gradient, np.float32)
 
     def score(self, masks: Sequence[Mask]) -> Prediction:
         """Predict the errors of a few masks of any kind.
@@ -156,38 +171,6 @@ class MaskScorer:
         weights = self._gradient
         share = (left.mean(axis=1) @ weights) / (texture @ weights)
         return np.sqrt(share.astype(np.float64))
-
-    @cached_property
-    def _steps(self) -> NDArray[np.float32]:
-        levels = np.arange(self.scene.levels, dtype=np.float32)
-        return np.abs(levels[:, None] - levels)
-
-    @cached_property
-    def _slopes(self) -> NDArray[np.float32]:
-        """What a change of the slope adds to the log spectrum of texture [K]."""
-        return np.log(self.frequencies.radius).astype(np.float32)
-
-    @cached_property
-    def _lines(self) -> list[NDArray[np.intp]]:
-        angle = self.frequencies.angle
-        return [
-            np.flatnonzero(angle <= _LINES_RAD),
-            np.flatnonzero(angle >= np.pi / 2 - _LINES_RAD),
-        ]
-
-    @cached_property
-    def _sharp(self) -> NDArray[np.float32]:
-        """Expected spectrum of sharp texture [K]."""
-        point = Mask("point", np.ones((1, 1), np.float32))
-        scene = dataclasses.replace(self.scene, levels=2, smallest_px=0.5, largest_px=1.0)
-        return expected_spectra(point, scene, self.frequencies)[0]
-
-    @cached_property
-    def _gradient(self) -> NDArray[np.float32]:
-        """Weight of each frequency in a picture and its gradient together [K]."""
-        frequencies = (self.frequencies.vertical, self.frequencies.horizontal)
-        gradient = sum(4 * np.sin(np.pi * cycles / 64) ** 2 for cycles in frequencies)
-        return np.asarray(1 + gradient, np.float32)
 
 
 def check_sigmas(sigmas: Sequence[float]) -> None:

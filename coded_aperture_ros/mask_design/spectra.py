@@ -91,11 +91,6 @@ class Frequencies:
         """Cycles per pixel [K]."""
         return np.hypot(self.vertical, self.horizontal) / WINDOW_PX
 
-    @property
-    def angle(self) -> NDArray[np.float64]:
-        """Direction, 0 to pi/2: from horizontal to vertical frequencies [K]."""
-        return np.arctan2(np.abs(self.vertical), self.horizontal)
-
 
 def autocorrelations(grids: NDArray[np.floating]) -> NDArray[np.float32]:
     """Return the autocorrelations [B, (2 n - 1) n] of masks [B, n, n], for light of one in all.
@@ -154,10 +149,21 @@ def expected_spectra(
         rendered = render_psf(mask, size)
         psf[: len(rendered), : len(rendered)] = rendered
     transfer = scipy.fft.rfft2(psfs)
-    covariance = scipy.fft.irfft2(texture * (transfer.real**2 + transfer.imag**2), torus)
-    spectra = scipy.fft.rfft2(covariance * window).real
+    spectra = seen_spectra(texture, transfer.real**2 + transfer.imag**2, window)
     taken = spectra[:, 2 * frequencies.vertical, 2 * frequencies.horizontal]
     return np.maximum(taken, 0).astype(np.float32)
+
+
+def seen_spectra(
+    texture: NDArray[np.float32], gain: NDArray[np.float32], overlap: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Return the spectra of texture behind PSFs, as windows with this autocorrelation see them.
+
+    `texture` and `gain` are powers as by ``rfft2``, [rows, columns] and [L, rows, columns], of a
+    torus that is as large as `overlap`.
+    """
+    covariance = scipy.fft.irfft2(texture * gain, overlap.shape)
+    return np.asarray(scipy.fft.rfft2(covariance * overlap).real)
 
 
 def diffraction_loss(

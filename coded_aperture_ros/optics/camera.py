@@ -118,10 +118,8 @@ class Camera:
     ) -> "Camera":
         """Build a camera from its lens and sensor; `others` are the other fields of `Camera`.
 
-        Raises
-        ------
-        InputError
-            If a value is out of range, or the focus is nearer than the lens can form an image.
+        An `InputError` if a value is out of range, or the focus nearer than the lens can form an
+        image.
         """
         check_option("focal_length_mm", focal_length_mm, *_NUMBERS["focal_length_mm"])
         check_option("pixel_pitch_um", pixel_pitch_um, *_NUMBERS["pixel_pitch_um"])
@@ -179,11 +177,8 @@ class Camera:
     def depth_m(self, blur_size_px: ArrayLike) -> NDArray[np.float64]:
         """Depth at each signed blur size; the inverse of `blur_size_px`.
 
-        Returns
-        -------
-        ndarray of float64
-            `+inf` at or beyond the blur size of infinity, NaN where the blur size is NaN or so far
-            in front of the focal plane that no depth has it.
+        `+inf` at or beyond the blur size of infinity, NaN where the blur size is NaN or so far in
+        front of the focal plane that no depth has it.
         """
         size, mask_m = np.asarray(blur_size_px, dtype=np.float64), self._lens_mask_distance_m
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -195,10 +190,7 @@ class Camera:
     def blur_range_px(self, near_m: float, far_m: float) -> tuple[float, float]:
         """Signed blur sizes at the two ends of a depth range, the smaller one first.
 
-        Raises
-        ------
-        InputError
-            If the range is not one, or does not lie on the camera's side of the focal plane.
+        An `InputError` if the range is not one, or not on the camera's side of the focal plane.
         """
         nearest = max(0.0, self._lens_mask_distance_m)
         if not nearest < near_m < far_m:
@@ -226,10 +218,7 @@ class Camera:
     def number_of_levels(self, near_m: float, far_m: float, resolution_px: float = 1.0) -> float:
         """Count the depth levels that can be told apart in a depth range (thesis eq. 3.29).
 
-        Raises
-        ------
-        InputError
-            As `blur_range_px`, or if `resolution_px` is not positive.
+        An `InputError` as of `blur_range_px`, or if `resolution_px` is not positive.
         """
         if not resolution_px > 0:
             raise InputError(f"resolution_px: expected more than 0 px, got {resolution_px!r}")
@@ -266,10 +255,7 @@ class Camera:
     def fitted(self, width: int, height: int) -> "Camera":
         """Return the camera for frames of this size, which show the same view.
 
-        Raises
-        ------
-        InputError
-            If their proportions are others.
+        An `InputError` if their proportions are others.
         """
         if (width, height) == (self.image_width, self.image_height):
             return self
@@ -308,17 +294,9 @@ def _check_focus_is_possible(focal_length_mm: float, focus_distance_m: float) ->
 
 
 def load_camera(path: str | os.PathLike[str]) -> Camera:
-    """Read a camera file.
+    """Read a camera file, in YAML; `config/example_camera.yaml` explains its keys.
 
-    Parameters
-    ----------
-    path : path
-        YAML; `config/example_camera.yaml` explains its keys.
-
-    Raises
-    ------
-    InputError
-        One line that names the file and the key, and says what is allowed.
+    An `InputError` is one line that names the file and the key, and says what is allowed.
     """
     content = read_yaml(path, f"camera file {path}")
     return camera_from_mapping(content, f"camera file {path}", Path(path).parent)

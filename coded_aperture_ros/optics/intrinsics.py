@@ -142,10 +142,7 @@ def scaled_matrix(matrix: Sequence[float], x: float, y: float) -> tuple[float, .
 def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
     """Read a camera calibration as ROS tools write it.
 
-    Raises
-    ------
-    InputError
-        One line that names the file and the key.
+    An `InputError` is one line that names the file and the key.
     """
     content = read_yaml(path, str(path))
     try:
@@ -155,12 +152,10 @@ def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
             if key not in content:
                 raise InputError(f"missing {key}")
         values = {key: content[key] for key in ("image_width", "image_height")}
-        names = [key for key in ("camera_name", "distortion_model") if key in content]
-        values |= {key: str(content[key]) for key in names}
+        names = ("camera_name", "distortion_model")
+        values |= {key: str(content[key]) for key in names if key in content}
         shapes = {**_MATRICES, "distortion_coefficients": (1, None)}
-        values |= {
-            key: _data(key, content[key], *shape) for key, shape in shapes.items() if key in content
-        }
+        values |= {k: _data(k, content[k], *shape) for k, shape in shapes.items() if k in content}
         return Intrinsics(**values)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error

@@ -101,13 +101,7 @@ class Mask:
 
     @staticmethod
     def named(name: str) -> "Mask":
-        """Return one of the masks of `MASK_NAMES`.
-
-        Raises
-        ------
-        InputError
-            If there is no mask of that name.
-        """
+        """Return one of the masks of `MASK_NAMES`; an `InputError` if it is none."""
         if name not in _BUILDERS:
             close = difflib.get_close_matches(str(name), MASK_NAMES, 1)
             hint = f"did you mean {close[0]}? " if close else ""
@@ -126,10 +120,7 @@ class Mask:
     def from_file(path: str | os.PathLike[str]) -> "Mask":
         """Read a mask from a picture (white is open) or from a two-dimensional `.npy` array.
 
-        Raises
-        ------
-        InputError
-            If the file is missing, not a picture or array, or holds values outside 0 to 1.
+        An `InputError` if the file is missing, neither of them, or has values outside 0 to 1.
         """
         path = Path(path)
         try:

@@ -177,12 +177,8 @@ class PsfStack:
 
         A measured file needs `psfs` [N, k, k] only, and may have `sizes_px` [N] and `depths_m`
         [N]. Measured PSFs may be noisy, slightly negative and not of unit sum: they are divided
-        by their sum.
-
-        Raises
-        ------
-        InputError
-            Naming the file, if it is missing, truncated, of another kind or of a newer version.
+        by their sum. An `InputError` names the file, if it is missing, truncated, of another kind
+        or of a newer version.
         """
         arrays = read_archive(path, _SCHEMA, _SCHEMA_VERSION, foreign=True)
         if "psfs" not in arrays:
@@ -212,14 +208,7 @@ def _unit_sum(psfs: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def render_psf_stack(mask: Mask, blur_sizes_px: ArrayLike) -> PsfStack:
-    """Render the PSFs of several blur sizes onto one common support; see `render_psf`.
-
-    Parameters
-    ----------
-    mask : Mask
-    blur_sizes_px : array_like, float [L]
-        Signed; at least one.
-    """
+    """Render the PSFs of signed blur sizes [L] onto one common support; see `render_psf`."""
     sizes = np.atleast_1d(np.asarray(blur_sizes_px, dtype=np.float64))
     if sizes.size == 0:
         raise InputError("blur sizes: at least one is needed")

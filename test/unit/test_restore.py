@@ -23,7 +23,6 @@ from coded_aperture_ros.deblur.blur_map import (
     sharper_near_edges,
     without_specks,
 )
-from coded_aperture_ros.deblur.frame import from_opponents, opponents
 from coded_aperture_ros.deblur.iterative import Fit, conjugate_gradients
 from coded_aperture_ros.deblur.least_squares import restore_quadratic, restore_sparse
 from coded_aperture_ros.deblur.occlusion import OccludedBlur
@@ -37,6 +36,7 @@ from coded_aperture_ros.deblur.prior import (
     quadratic_power,
     sparse_weights,
 )
+from coded_aperture_ros.deblur.problem import from_opponents, opponents
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.metrics import psnr_db
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf, render_psf_stack
