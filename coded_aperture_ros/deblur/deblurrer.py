@@ -11,12 +11,12 @@ from coded_aperture_ros.deblur.blur_map import filled_blur_map, safe_blur_map
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fast import ClosedForm, Fast
 from coded_aperture_ros.deblur.least_squares import ConjugateGradients, Sparse
-from coded_aperture_ros.deblur.motion import motion_of_frame
 from coded_aperture_ros.deblur.problem import (
     Method,
     Problem,
     VideoState,
     measured_pixels,
+    motion_of_frame,
     opponents,
 )
 from coded_aperture_ros.deblur.psf_basis import PsfBasis

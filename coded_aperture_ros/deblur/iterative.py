@@ -12,9 +12,8 @@ from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blur_map import filled_blur_map, model_weight
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fast import ClosedForm
-from coded_aperture_ros.deblur.motion import motion_parts
 from coded_aperture_ros.deblur.occlusion import OccludedBlur
-from coded_aperture_ros.deblur.operator import BlurOperator, SpreadingBlur
+from coded_aperture_ros.deblur.operator import BlurOperator, SpreadingBlur, motion_parts
 from coded_aperture_ros.deblur.problem import Problem, VideoState, from_opponents
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.likelihood import torch_device

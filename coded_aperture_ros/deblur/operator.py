@@ -1,5 +1,6 @@
-"""The blur of a whole frame as a linear operator, and its adjoint."""
+"""The blur of a whole frame, by depth and motion, as a linear operator, and its adjoint."""
 
+import dataclasses
 from typing import Any, Protocol
 
 import cv2
@@ -8,9 +9,14 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.deblur.motion import MotionParts
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.imaging import periodic_shape, transfer_function
+from coded_aperture_ros.methods.motion import motion_kernel
+
+# Motions that a frame is divided among, at most; rarer ones are taken for the nearest of these.
+_MOST_MOTIONS = 8
+# Motions are told apart in steps of this, px.
+_STEP_PX = 0.25
 
 
 class BlurOperator(Protocol):
@@ -83,6 +89,37 @@ def frame_within(scene: Any, operator: BlurOperator) -> Any:
     """Return the part of a scene that the frame shows."""
     margin, (rows, columns) = operator.margin_px, operator.shape
     return scene[margin : margin + rows, margin : margin + columns]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MotionParts:
+    """The motion of a frame: M ways to the right, and down, and which of them each pixel has."""
+
+    vectors_px: NDArray[np.float32]  # [M, 2]
+    labels: NDArray[np.intp]  # [rows, columns]
+
+    def traces(self) -> list[NDArray[np.float32]]:
+        """Return the PSF of every motion."""
+        return [motion_kernel((vector[0], vector[1])) for vector in self.vectors_px]
+
+
+def motion_parts(motion_px: NDArray[np.float32]) -> MotionParts:
+    """Divide a map [rows, columns, 2] among the motions that occur most; none where not finite."""
+    known = np.isfinite(motion_px).all(axis=2, keepdims=True)
+    coarse = np.rint(np.where(known, motion_px, 0) / _STEP_PX)
+    # Blur does not tell one way along a line from the other.
+    right, down = coarse[..., 0], coarse[..., 1]
+    back = (right < 0) | ((right == 0) & (down < 0))
+    coarse = np.where(back[..., None], -coarse, coarse) + 0.0
+    found, labels, counts = np.unique(
+        coarse.reshape(-1, 2), axis=0, return_inverse=True, return_counts=True
+    )
+    kept = np.argsort(-counts, kind="stable")[:_MOST_MOTIONS]
+    apart = np.minimum(
+        *(np.linalg.norm(found[:, None] - sign * found[kept], axis=2) for sign in (1, -1))
+    )
+    labels = apart.argmin(axis=1)[labels.ravel()].reshape(motion_px.shape[:2])
+    return MotionParts((found[kept] * _STEP_PX).astype(np.float32), labels)
 
 
 class SpreadingBlur(OnProcessor):

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import StaticAverage, filled
 
 # One bad pixel beyond these bounds would spoil the whole frame through its Fourier transform.
@@ -38,6 +39,26 @@ def measured_pixels(
         # Much faster than a reduction along so short an axis.
         measured = measured[..., 0] & measured[..., 1] & measured[..., 2]
     return np.ascontiguousarray(frame, np.float32), measured
+
+
+def motion_of_frame(
+    motion_px: NDArray[np.float32] | None, shape: tuple[int, ...]
+) -> NDArray[np.float32] | None:
+    """Return a map of motion in the size of the frame; None where nothing moves.
+
+    An `InputError` if it is not [rows, columns, 2], or not of a floating type.
+    """
+    if motion_px is None:
+        return None
+    if motion_px.ndim != 3 or motion_px.shape[2] != 2 or not motion_px.size:
+        raise InputError(f"motion: expected [rows, columns, 2], got {list(motion_px.shape)}")
+    if not np.issubdtype(motion_px.dtype, np.floating):
+        raise InputError(f"motion: expected floating values in px, got {motion_px.dtype}")
+    if not np.nan_to_num(motion_px).any():
+        return None
+    motion = np.ascontiguousarray(motion_px, np.float32)
+    size = (shape[1], shape[0])
+    return np.asarray(cv2.resize(motion, size, interpolation=cv2.INTER_NEAREST_EXACT))
 
 
 def opponents(image: NDArray[np.float32]) -> list[NDArray[np.float32]]:

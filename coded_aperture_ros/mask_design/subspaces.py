@@ -82,16 +82,12 @@ def subspace_distances(
         rank = min(rank, int(np.count_nonzero(values > noise)))
         vectors.append(basis[:, ::-1])
     rank = max(rank, 1)
-    return _compare(np.array([basis[:, :rank] for basis in vectors]), rank)
-
-
-def _compare(bases: NDArray[np.float64], rank: int) -> SubspaceDistances:
-    levels, size, _ = bases.shape
-    projectors = (bases @ bases.transpose(0, 2, 1)).reshape(levels, size * size)
+    bases = np.array([basis[:, :rank] for basis in vectors])
+    projectors = (bases @ bases.transpose(0, 2, 1)).reshape(len(sizes), -1)
     # trace(P1 P2) = sum over i, j of (u1_i . u2_j)^2
     matrix = np.sqrt(np.maximum(rank - projectors @ projectors.T, 0))
     np.fill_diagonal(matrix, 0)
-    ideal = np.sqrt(rank) * (1 - np.eye(levels))
+    ideal = np.sqrt(rank) * (1 - np.eye(len(sizes)))
     return SubspaceDistances(matrix, rank, float(np.abs(ideal - matrix).mean()))
 
 

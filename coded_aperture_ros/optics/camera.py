@@ -154,18 +154,8 @@ class Camera:
 
         ``S = M f (1/z_focus - 1/z) z / (z - C)``: positive beyond the focal plane, negative in
         front of it. The thesis takes the absolute value; the sign tells which way round the mask
-        is seen in the image.
-
-        Parameters
-        ----------
-        depth_m : array_like
-            Along the optical axis; infinity is allowed.
-
-        Returns
-        -------
-        ndarray of float64
-            In px, of the shape of `depth_m`; NaN where the depth is NaN or lies behind the lens or
-            the mask.
+        is seen in the image. Depths are along the optical axis, infinity is allowed. The result has
+        their shape; it is NaN where the depth is NaN or lies behind the lens or the mask.
         """
         z, mask_m = np.asarray(depth_m, dtype=np.float64), self._lens_mask_distance_m
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
