@@ -48,15 +48,11 @@ def named_frames(
     """Go through every frame of every input.
 
     A single frame goes to the output itself where that names a file, which may end in one of
-    `suffixes`; otherwise the output is a folder that gets one file per frame, named like the
-    frame, that ends in `suffix`. `outputs` gives all the files that belong to an output. That they
-    can be written is checked before a frame is handed out.
-
-    Raises
-    ------
-    InputError
-        If several frames would go to one file, an input cannot be read, or an output cannot be
-        written or would overwrite an input.
+    `suffixes`; otherwise the output is a folder that gets one file per frame, named like the frame,
+    that ends in `suffix`. `outputs` gives all the files that belong to an output. That they can be
+    written is checked before a frame is handed out. Raises `InputError` if several frames would go
+    to one file, an input cannot be read, or an output cannot be written or would overwrite an
+    input.
     """
     from coded_aperture_ros.imaging import linear_from_pixels
     from coded_aperture_ros.io.sources import PictureSource, captures, open_files
@@ -77,7 +73,12 @@ def named_frames(
         )
     files = [file for _, source in sources for file in source.files]
     pictures = [source for _, source in sources if isinstance(source, PictureSource)]
-    _check_names(output, [file.stem for source in pictures for file in source.files])
+    names = Counter(file.stem for source in pictures for file in source.files)
+    if twice := [name for name, count in names.items() if count > 1]:
+        raise InputError(
+            f"{output}: several inputs are named {twice[0]}, and so would their results be: "
+            "use a folder for each"
+        )
 
     def frames() -> Iterator[tuple[str, Any, int]]:
         video, alone = 0, False
@@ -96,12 +97,3 @@ def named_frames(
             check_output(path, files)
         image = linear_from_pixels(capture.frame, args.gamma)
         yield NamedFrame(given, target, image, capture.stamp_ns, video)
-
-
-def _check_names(output: Path, names: Sequence[str]) -> None:
-    twice = [name for name, count in Counter(names).items() if count > 1]
-    if twice:
-        raise InputError(
-            f"{output}: several inputs are named {twice[0]}, and so would their results be: "
-            "use a folder for each"
-        )

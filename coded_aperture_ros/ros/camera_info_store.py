@@ -21,17 +21,9 @@ _VARIABLE = re.compile(r"\$\{([^}]*)\}")
 def camera_info_path(url: str, camera_name: str) -> Path:
     """Return the file that the URL of a calibration stands for.
 
-    Parameters
-    ----------
-    url : str
-        `file:///PATH` or `package://PACKAGE/PATH`; `${NAME}` is the camera's name, `${ROS_HOME}`
-        the environment variable or `~/.ros`.
-    camera_name : str
-
-    Raises
-    ------
-    InputError
-        If it is another kind of URL, names another variable, or the package is not installed.
+    It is `file:///PATH` or `package://PACKAGE/PATH`, where `${NAME}` is the camera's name and
+    `${ROS_HOME}` the environment variable or `~/.ros`. Raises `InputError` if it is another kind
+    of URL, names another variable, or the package is not installed.
     """
 
     def value_of(match: re.Match[str]) -> str:
@@ -67,11 +59,7 @@ class CameraInfoStore:
 
     The node offers the service `set_camera_info`. An empty URL stands for that of
     `camera_info_manager`, if there is such a file; `measured` is what was loaded, or set last.
-
-    Raises
-    ------
-    InputError
-        If a URL was given and nothing can be loaded from it.
+    Raises `InputError` if a URL was given and nothing can be loaded from it.
     """
 
     def __init__(self, node: Node, url: str, camera_name: str) -> None:
@@ -109,10 +97,7 @@ class CameraInfoStore:
 def intrinsics_of(info: CameraInfo, camera_name: str) -> Intrinsics:
     """Return the model of a message.
 
-    Raises
-    ------
-    InputError
-        Naming the value that no camera can have.
+    Raises `InputError`, naming the value that no camera can have.
     """
     return Intrinsics(
         image_width=int(info.width),

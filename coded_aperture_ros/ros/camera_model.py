@@ -25,11 +25,7 @@ def fitted_camera(camera: Camera, width: int, height: int) -> Camera:
     """Return the camera for frames of this size.
 
     A frame of the same proportions as the camera file's is taken to be the same view, resized.
-
-    Raises
-    ------
-    MessageError
-        Of kind "size", where the proportions differ.
+    Raises `MessageError` of kind "size", where the proportions differ.
     """
     try:
         return camera.fitted(width, height)

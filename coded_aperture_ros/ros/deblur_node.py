@@ -151,10 +151,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
 def depth_of_frame(depth: Image, image: Image) -> NDArray[np.float32]:
     """Return the depth image of a frame in metres, NaN where it says nothing.
 
-    Raises
-    ------
-    MessageError
-        If it cannot be the depth of that frame.
+    Raises `MessageError` if it cannot be the depth of that frame.
     """
     if stamp_ns(image.header) == 0:
         raise MessageError("stamp", "the frame has no stamp, so its depth cannot be told apart")

@@ -43,10 +43,7 @@ def limit_pictures() -> None:
 def prepare_ros_environment() -> None:
     """Make `import rclpy` and what follows work with the wheels; call it before the import.
 
-    Raises
-    ------
-    SystemExit
-        With one line that says what to install, where rclpy is not to be found.
+    Raises `SystemExit` with one line that says what to install, where rclpy is not to be found.
     """
     if find_spec("rclpy") is None:
         raise SystemExit(

@@ -77,12 +77,8 @@ class FrameModel(Generic[Model]):
     A new camera file is prepared in full before anything changes, so that one that cannot be used
     leaves everything as it was; it takes effect with the next frame that `fit` is called for. The
     parameters of the node have `ModelConfig`. `make` makes a model from a camera and a bank, or
-    from a camera for a range of depths; see `new_model`.
-
-    Raises
-    ------
-    InputError
-        If a file does not load, or the model cannot be made.
+    from a camera for a range of depths; see `new_model`. Raises `InputError` if a file does not
+    load, or the model cannot be made.
     """
 
     def __init__(self, node: Node, parameters: NodeParameters, make: Callable[..., Model]) -> None:
@@ -147,12 +143,8 @@ class FrameModel(Generic[Model]):
         """Make `camera` and `model` those for frames of this size.
 
         A model that was learned here is learned again for another size. A bank from a file stays:
-        its blur sizes are in pixels, so they mean other depths then.
-
-        Raises
-        ------
-        MessageError
-            Of kind "size", where frames of this size cannot be the camera's, or are too small.
+        its blur sizes are in pixels, so they mean other depths then. Raises `MessageError` of kind
+        "size", where frames of this size cannot be the camera's, or are too small.
         """
         if self._next is not None:
             self._state, self._next = self._next, None

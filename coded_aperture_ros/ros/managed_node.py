@@ -47,10 +47,7 @@ class ManagedNode(ABC, LifecycleNode):
     def begin(self) -> None:
         """Configure and activate, unless a manager does it; the last thing in a constructor.
 
-        Raises
-        ------
-        InputError
-            Why the node cannot be configured.
+        An `InputError` says why the node cannot be configured.
         """
         if not self.configs[LifeConfig].autostart:
             self.get_logger().info("waiting to be configured and activated")

@@ -69,10 +69,7 @@ def stamp_ns(header: Header) -> int:
 def image_from_compressed(message: CompressedImage) -> Image:
     """Return the image that a compressed one (JPEG, PNG and others) holds, with its header.
 
-    Raises
-    ------
-    MessageError
-        See `array_from_compressed`.
+    Raises `MessageError` as `array_from_compressed` does.
     """
     pixels, encoding = array_from_compressed(message)
     return image_from_array(pixels, encoding, message.header)
@@ -114,12 +111,8 @@ def scaled_camera_info(info: CameraInfo, width: int, height: int, header: Header
     """Return the camera model of the same view resized to `width` x `height`.
 
     Pixel centres have whole coordinates: a scale s moves x to s (x + 1/2) - 1/2. Distortion
-    coefficients act on normalised coordinates and stay.
-
-    Raises
-    ------
-    MessageError
-        Of kind "camera_info", where the message holds no camera model.
+    coefficients act on normalised coordinates and stay. Raises `MessageError` of kind
+    "camera_info", where the message holds no camera model.
     """
     scaled = CameraInfo(header=copied_header(header), distortion_model=info.distortion_model)
     scaled.k, scaled.p = scaled_matrices(info, width, height)

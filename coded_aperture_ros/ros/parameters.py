@@ -47,19 +47,9 @@ class NodeParameters:
     consistent one, and can tell by identity that something has changed since. An integer is good
     for a number that may have a fraction. Former names of parameters are accepted, with a warning.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    *configs : dataclass instances
-        The defaults, made with `core.options.option`; names of parameters must differ.
-    fixed : dict, optional
-        Further ones that cannot change while the node runs, by the prefix of their parameters'
-        names, such as ``{"learn.": LearnConfig()}``.
-
-    Raises
-    ------
-    InputError
-        Where the node was started with a value that is refused.
+    `configs` are instances with the defaults, made with `core.options.option`, whose parameters'
+    names must differ; `fixed` are further ones that cannot change while the node runs, by the
+    prefix of their parameters' names, such as ``{"learn.": LearnConfig()}``. Raises `InputError` where the node was started with a value that is refused.
     """
 
     def __init__(

@@ -46,10 +46,8 @@ class FrameGrabber:
     def mean_frame(self, count: int, timeout_s: float) -> NDArray[np.float32]:
         """Return the mean of the next `count` frames, float32.
 
-        Raises
-        ------
-        InputError
-            If they do not come in time, cannot be used, or change their size meanwhile.
+        Raises `InputError` if they do not come in time, cannot be used, or change their size
+        meanwhile.
         """
         deadline_s = time.monotonic() + timeout_s
         with self._changed:

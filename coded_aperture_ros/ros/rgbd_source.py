@@ -86,10 +86,7 @@ class RgbdSource:
 def depth_in_metres(message: Image) -> NDArray[np.float32]:
     """Return the pixels of a depth image (REP 118) in metres, NaN where it has no distance.
 
-    Raises
-    ------
-    MessageError
-        Where it is no depth image, or nothing is known in it.
+    Raises `MessageError` where it is no depth image, or nothing is known in it.
     """
     pixels = array_from_image(message)
     if message.encoding not in ("32FC1", "16UC1", "mono16"):

@@ -27,18 +27,9 @@ def run_nodes(factories: Sequence[Callable[[], Any]], args: Sequence[str] | None
     the work is done in each node's own thread. The order of the end matters: first the work
     stops, then the middleware, so that nothing is published on a context that is gone.
 
-    Parameters
-    ----------
-    factories : sequence of callables
-        Each makes one node that has a method `close`, which ends the node's own threads.
-    args : sequence of str, optional
-        Command line, with ROS arguments.
-
-    Returns
-    -------
-    int
-        Exit status: 0 after a signal; 1 where a node could not start (after one line on stderr)
-        or a callback failed.
+    Each of `factories` makes one node, whose method `close` ends its own threads; `args` is a
+    command line with ROS arguments. Returns the exit status: 0 after a signal; 1 where a node could
+    not start (after one line on stderr) or a callback failed.
     """
     stop = _Stop()
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -19,14 +19,8 @@ def optical_transform(
 ) -> TransformStamped:
     """Return the transform of a camera that looks forward from `base_frame`.
 
-    Parameters
-    ----------
-    base_frame, optical_frame : str
-        The first has x forward, y left, z up; the second x right, y down, z forward.
-    position_m : (x, y, z)
-        Of the camera in the base frame.
-    pitch_rad : float
-        How far the camera looks down.
+    The base frame has x forward, y left, z up; the optical one x right, y down, z forward. The
+    camera is at `position_m` in the base frame, and looks down by `pitch_rad`.
     """
     from scipy.spatial.transform import Rotation
 

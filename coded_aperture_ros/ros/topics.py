@@ -163,10 +163,7 @@ class Inputs:
     def open(self) -> None:
         """Subscribe to all topics.
 
-        Raises
-        ------
-        InputError
-            If a QoS override cannot be met.
+        Raises `InputError` if a QoS override cannot be met.
         """
         for topic, message_type, callback in self._wanted:
             name = self._node.resolve_topic_name(topic)
