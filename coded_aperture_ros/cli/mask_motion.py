@@ -1,11 +1,11 @@
 """`coded_aperture mask motion`: how an aperture is best cut up, if things move."""
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output
+from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import add_numbers, add_options, table
 from coded_aperture_ros.cli.progress import progress
 
@@ -86,8 +86,7 @@ def run(args: argparse.Namespace) -> int:
     }
     if args.output is not None:
         _write(Path(args.output), analysis, args.best)
-    print(json.dumps(results) if args.json else _text(results))
-    return 0
+    return tell(args, results, _text)
 
 
 def _rounded(values: Any, digits: int = 4) -> list[float]:

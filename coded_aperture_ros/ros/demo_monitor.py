@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 
 from coded_aperture_ros.metrics.errors import DepthError, depth_error
@@ -33,11 +33,8 @@ class DemoMonitor(Node):
 
     def __init__(self, context: Context, reliable: bool) -> None:
         super().__init__("demo_monitor", context=context)
-        self._qos = QoSProfile(
-            depth=5,
-            history=HistoryPolicy.KEEP_LAST,
-            reliability=(ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT),
-        )
+        wanted = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+        self._qos = QoSProfile(depth=5, reliability=wanted)
         self._lock = threading.Lock()
         self._arrivals: dict[str, list[tuple[float, float]]] = {topic: [] for topic in _MEASURED}
         self._frames: dict[int, dict[str, Image]] = {}

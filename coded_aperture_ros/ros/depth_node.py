@@ -181,13 +181,14 @@ class DepthNode(FrameNode[Image]):
         if estimate.depth_m is None:
             raise InputError("the bank and the camera file give no depth")
         depth_m = limit_depth(estimate.depth_m, self._range.near_m, self._range.far_m or math.inf)
-        for topic, encoding, pixels in (
-            ("depth/image", "32FC1", lambda: depth_m),
-            ("depth/image_raw", "16UC1", lambda: millimetres_from_depth(depth_m)),
-            ("depth/confidence", "32FC1", lambda: estimate.confidence),
-        ):
-            if self.wants(topic):
-                self.send(topic, image_from_array(pixels(), encoding, header))
+        if self.wants("depth/image"):
+            self.send("depth/image", image_from_array(depth_m, "32FC1", header))
+        if self.wants("depth/image_raw"):
+            millimetres = millimetres_from_depth(depth_m)
+            self.send("depth/image_raw", image_from_array(millimetres, "16UC1", header))
+        if self.wants("depth/confidence"):
+            confidence = image_from_array(estimate.confidence, "32FC1", header)
+            self.send("depth/confidence", confidence)
         if complaint := self._info.complaint(frame_size):
             self.reject("camera_info", complaint)
         if self.wants("depth/camera_info") or self.wants("depth/points"):

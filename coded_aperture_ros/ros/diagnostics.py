@@ -158,11 +158,11 @@ def camera_of(node: Node) -> str:
 
 
 def _by_stage(frames: list[Mapping[str, float]]) -> dict[str, tuple[float, float, float]]:
-    by_stage: dict[str, list[float]] = {}
-    for stages in frames:
-        for stage, seconds in stages.items():
-            by_stage.setdefault(stage, []).append(seconds)
-    figures = {stage: percentiles(values) for stage, values in by_stage.items()}
+    stages = dict.fromkeys(stage for seconds in frames for stage in seconds)
+    figures = {
+        stage: percentiles([seconds[stage] for seconds in frames if stage in seconds])
+        for stage in stages
+    }
     return {stage: three for stage, three in figures.items() if three is not None}
 
 

@@ -49,7 +49,8 @@ class NodeParameters:
 
     `configs` are instances with the defaults, made with `core.options.option`, whose parameters'
     names must differ; `fixed` are further ones that cannot change while the node runs, by the
-    prefix of their parameters' names, such as ``{"learn.": LearnConfig()}``. Raises `InputError` where the node was started with a value that is refused.
+    prefix of their parameters' names, such as ``{"learn.": LearnConfig()}``. Raises `InputError`
+    where the node was started with a value that is refused.
     """
 
     def __init__(

@@ -8,7 +8,7 @@ from typing import Any
 
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
 
 from coded_aperture_ros.core.errors import InputError
@@ -94,7 +94,7 @@ class Outputs:
     def open(self) -> None:
         """Create the publishers."""
         for topic, message_type in self._types.items():
-            qos = _qos(5, ReliabilityPolicy.RELIABLE)
+            qos = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
             with _readable_qos_errors(topic):
                 self._publishers[topic] = self._node.create_publisher(
                     message_type, topic, qos, qos_overriding_options=_OVERRIDABLE
@@ -170,7 +170,7 @@ class Inputs:
             if self._local is not None and self._local.offers(name):
                 self._endings.append(self._local.subscribe(name, callback))
                 continue
-            qos = _qos(1, ReliabilityPolicy.BEST_EFFORT)
+            qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
             with _readable_qos_errors(topic):
                 subscription = self._node.create_subscription(
                     message_type, topic, callback, qos, qos_overriding_options=_OVERRIDABLE
@@ -182,10 +182,6 @@ class Inputs:
         endings, self._endings = self._endings, []
         for end in endings:
             end()
-
-
-def _qos(depth: int, reliability: ReliabilityPolicy) -> QoSProfile:
-    return QoSProfile(depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=reliability)
 
 
 @contextmanager
