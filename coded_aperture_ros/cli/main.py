@@ -30,7 +30,7 @@ INTERRUPTED = 130  # what shells report for a program that Ctrl-C ended
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the sub-command of some arguments, by default the process', and return its status.
 
-    That is 0: done, 1: failed (one line on stderr says why), or 130: interrupted. Wrong usage raises
+    0: done, 1: failed (one line on stderr says why), 130: interrupted. Wrong usage raises
     `SystemExit` with status 2, after argparse has said what is wrong.
     """
     _set_up_libraries()

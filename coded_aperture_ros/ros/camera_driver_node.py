@@ -48,68 +48,59 @@ _RETRY_S = (0.5, 10.0)
 
 @dataclasses.dataclass(frozen=True)
 class CameraDriverConfig:
-    """Where frames come from and how they are published."""
+    """Where frames come from and how they are published; it cannot change while the node runs."""
 
     source: str = option(
         SIMULATOR,
         "simulator; a camera's index, device, URL or GStreamer pipeline; a video, picture or "
         "folder of pictures; rgbd: coded from the topics rgbd/image and rgbd/depth",
-        read_only=True,
     )
-    camera_file: str = option("", "Camera file (YAML)", read_only=True)
-    rate_hz: float = option(
-        15.0, "Frames per second", unit="Hz", minimum=0.1, maximum=1000.0, read_only=True
-    )
-    frame_id: str = option("camera_optical_frame", "Optical frame of the images", read_only=True)
+    camera_file: str = option("", "Camera file (YAML)")
+    rate_hz: float = option(15.0, "Frames per second", unit="Hz", minimum=0.1, maximum=1000.0)
+    frame_id: str = option("camera_optical_frame", "Optical frame of the images")
     encoding: str = option(
-        "bgr8", "Encoding of image_raw", choices=("mono8", "rgb8", "bgr8", "mono16"), read_only=True
+        "bgr8", "Encoding of image_raw", choices=("mono8", "rgb8", "bgr8", "mono16")
     )
-    loop: bool = option(True, "Begin files again after their last frame", read_only=True)
+    loop: bool = option(True, "Begin files again after their last frame")
     noise: float = option(
         0.002,
         "Standard deviation of the simulated sensor's noise in linear light",
         minimum=0.0,
         maximum=0.5,
-        read_only=True,
         parameter="simulation.noise",
     )
-    lazy: bool = option(True, "Simulate, or read files, only while someone subscribes")
     camera_name: str = option(
-        "", "Of the camera's calibration; empty: the node's namespace, or camera", read_only=True
+        "", "Of the camera's calibration; empty: the node's namespace, or camera"
     )
     camera_info_url: str = option(
         "",
         "Calibration to publish, file:// or package://, with ${NAME} and ${ROS_HOME}; empty: "
         "file://${ROS_HOME}/camera_info/${NAME}.yaml if there is one, else the camera file's",
-        read_only=True,
     )
-    publish_clock: bool = option(
-        False, "Publish the frames' stamps as the time, on /clock", read_only=True
-    )
+    publish_clock: bool = option(False, "Publish the frames' stamps as the time, on /clock")
     base_frame: str = option(
         "",
         "Publish the static transform from this frame to frame_id; empty: none",
-        read_only=True,
         parameter="base.frame",
     )
-    base_x_m: float = option(
-        0.0, "Camera position in base_frame", unit="m", read_only=True, parameter="base.x_m"
-    )
-    base_y_m: float = option(
-        0.0, "Camera position in base_frame", unit="m", read_only=True, parameter="base.y_m"
-    )
-    base_z_m: float = option(
-        0.0, "Camera position in base_frame", unit="m", read_only=True, parameter="base.z_m"
-    )
+    base_x_m: float = option(0.0, "Camera position in base_frame", unit="m", parameter="base.x_m")
+    base_y_m: float = option(0.0, "Camera position in base_frame", unit="m", parameter="base.y_m")
+    base_z_m: float = option(0.0, "Camera position in base_frame", unit="m", parameter="base.z_m")
     base_pitch_deg: float = option(
         0.0,
         "How far the camera looks down",
         unit="degrees",
         minimum=-180.0,
         maximum=180.0,
-        read_only=True,
         parameter="base.pitch_deg",
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class LazyConfig:
+    """When there are frames at all."""
+
+    lazy: bool = option(True, "Simulate, or read files, only while someone subscribes")
 
 
 class CameraDriverNode(ManagedNode):
@@ -123,10 +114,10 @@ class CameraDriverNode(ManagedNode):
     def __init__(self, *, local: LocalTopics | None = None, **node_options: Any) -> None:
         super().__init__(
             "camera_driver_node",
-            CameraDriverConfig(),
+            LazyConfig(),
             DeviceConfig(),
             DiagnosticsConfig(),
-            fixed={},
+            fixed={"": CameraDriverConfig()},
             **node_options,
         )
         config = self._config
@@ -212,7 +203,7 @@ class CameraDriverNode(ManagedNode):
 
     def _idle(self, source: Source) -> bool:
         # A live source goes on, or the first frame to be published would be an old one.
-        if source.live or not self._config.lazy:
+        if source.live or not self.configs[LazyConfig].lazy:
             return False
         return not self._outputs.listened()
 
