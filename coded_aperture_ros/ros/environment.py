@@ -5,13 +5,10 @@ An installed ROS is set up by its `setup.bash`; nothing here changes anything th
 
 import os
 import sys
-from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
 _BOOTSTRAP = "ros_wheels_bootstrapper"
-_BOOTSTRAP_DONE = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
-
 
 # Nodes share a computer. Threads that wait for each other on busy cores cost far more than they
 # bring: one frame took 2.4 s instead of 0.12 s beside two busy processes.
@@ -58,20 +55,6 @@ def prepare_ros_environment() -> None:
         os.environ["AMENT_PREFIX_PATH"] = os.pathsep.join([sys.prefix, *prefixes])
 
 
-def clean_environment() -> dict[str, str]:
-    """Return the environment for a program that runs in *another* Python environment.
-
-    The wheels point LD_LIBRARY_PATH at their own libraries and leave a guard variable that keeps
-    the other environment's wheels from doing so; AMENT_PREFIX_PATH names this environment. What
-    the user put into these variables stays.
-    """
-    environment = dict(os.environ)
-    if environment.pop(_BOOTSTRAP_DONE, None) is not None:
-        _remove(environment, "LD_LIBRARY_PATH", _is_inside_this_environment)
-    _remove(environment, "AMENT_PREFIX_PATH", lambda entry: entry == sys.prefix)
-    return environment
-
-
 def _rclpy_is_a_wheel() -> bool:
     # A virtual environment may hold the wheels while rclpy comes from a sourced ROS all the same,
     # by PYTHONPATH: what counts is where rclpy will be imported from.
@@ -79,21 +62,6 @@ def _rclpy_is_a_wheel() -> bool:
     if rclpy is None or bootstrap is None or rclpy.origin is None or bootstrap.origin is None:
         return False
     return Path(rclpy.origin).parents[1] == Path(bootstrap.origin).parents[1]
-
-
-def _is_inside_this_environment(entry: str) -> bool:
-    prefix = Path(sys.prefix)
-    return Path(entry) == prefix / "lib" or (
-        Path(entry).is_relative_to(prefix.resolve()) and Path(entry).name.startswith("ros_")
-    )
-
-
-def _remove(environment: dict[str, str], name: str, unwanted: Callable[[str], bool]) -> None:
-    kept = [entry for entry in _split(environment.get(name)) if not unwanted(entry)]
-    if kept:
-        environment[name] = os.pathsep.join(kept)
-    else:
-        environment.pop(name, None)
 
 
 def _split(variable: str | None) -> list[str]:

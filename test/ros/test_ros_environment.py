@@ -10,6 +10,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from clean_environment import clean_environment
+
 from coded_aperture_ros.ros import environment
 
 
@@ -89,7 +91,7 @@ def test_the_environment_for_another_python(monkeypatch):
     monkeypatch.setenv("LD_LIBRARY_PATH", f"{sys.prefix}/lib:{libraries}:/opt/mine/lib")
     monkeypatch.setenv("AMENT_PREFIX_PATH", sys.prefix)
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
-    clean = environment.clean_environment()
+    clean = clean_environment()
     assert "_ROS_WHEELS_BOOTSTRAP_COMPLETE" not in clean
     assert clean["LD_LIBRARY_PATH"] == "/opt/mine/lib"
     assert "AMENT_PREFIX_PATH" not in clean
@@ -101,7 +103,7 @@ def test_an_installed_ros_keeps_its_library_path(monkeypatch):
     monkeypatch.delenv("_ROS_WHEELS_BOOTSTRAP_COMPLETE", raising=False)
     path = f"/opt/ros/jazzy/lib:{sys.prefix}/lib"
     monkeypatch.setenv("LD_LIBRARY_PATH", path)
-    assert environment.clean_environment()["LD_LIBRARY_PATH"] == path
+    assert clean_environment()["LD_LIBRARY_PATH"] == path
 
 
 def test_the_wheels_start_with_the_clean_environment():
@@ -109,7 +111,7 @@ def test_the_wheels_start_with_the_clean_environment():
     code = "import coded_aperture_ros.ros, rclpy; rclpy.init(); rclpy.shutdown(); print('works')"
     result = subprocess.run(
         [sys.executable, "-c", code],
-        env=environment.clean_environment(),
+        env=clean_environment(),
         capture_output=True,
         text=True,
         check=False,
