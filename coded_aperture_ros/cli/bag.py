@@ -9,9 +9,7 @@ from typing import Any
 from coded_aperture_ros.cli.estimators import (
     add_estimator_options,
     add_estimator_settings,
-    add_gyroscope_options,
     check_estimator_options,
-    check_gyroscope_options,
     expected_motion_of,
     pipeline_of,
 )
@@ -61,7 +59,6 @@ def add_parser(subparsers: Any) -> None:
         motion=", so that it does not pass for blur by defocus: depth/motion has the way during "
         "the exposure, px, to the right and down (32FC2); --deblur cg and sparse remove it too",
     )
-    add_gyroscope_options(parser)
     parser.add_argument(
         "--deblur",
         choices=_DEBLUR,
@@ -97,7 +94,6 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     check_estimator_options(args)
-    check_gyroscope_options(args)
     if args.camera is None:
         args.usage_error("the following arguments are required: --camera")
     if processors() > 1:

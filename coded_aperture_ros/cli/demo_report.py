@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from coded_aperture_ros.ros.demo_monitor import DemoMonitor
 
-    Snapshot = dict[str, NDArray]
-
 _LATENCIES = ("latency_median_s", "latency_p99_s", "latency_max_s")
 RESULTS = ("coded.png", "depth.png", "all_in_focus.png", "summary.json")
 
@@ -48,7 +46,7 @@ def summarise(monitor: "DemoMonitor", seconds: float) -> dict[str, Any]:
     return summary
 
 
-def write_results(output: Path, snapshot: "Snapshot", summary: dict[str, Any]) -> None:
+def write_results(output: Path, snapshot: "dict[str, NDArray]", summary: dict[str, Any]) -> None:
     """Write the pictures and the summary."""
     from coded_aperture_ros.core.files import atomic_output
     from coded_aperture_ros.imaging import SRGB
@@ -106,7 +104,7 @@ class Speaker:
         self._drawn = len(lines) if self.redraws else 0
 
 
-def figures_of_snapshot(snapshot: "Snapshot") -> dict[str, Any]:
+def figures_of_snapshot(snapshot: "dict[str, NDArray]") -> dict[str, Any]:
     """Return what one frame and its results say, ready for JSON."""
     from coded_aperture_ros.metrics.errors import psnr_db
     from coded_aperture_ros.ros import demo_monitor as topics

@@ -13,9 +13,7 @@ from coded_aperture_ros.cli.checks import naming
 from coded_aperture_ros.cli.estimators import (
     add_estimator_options,
     add_estimator_settings,
-    add_gyroscope_options,
     check_estimator_options,
-    check_gyroscope_options,
     expected_motion_of,
     pipeline_of,
 )
@@ -62,7 +60,6 @@ def add_parser(subparsers: Any) -> None:
         motion=": x.motion.npy beside x.npy has the way during the exposure in px, [row, column, "
         "right and down], and x.motion.confidence.npy how sure it is",
     )
-    add_gyroscope_options(parser)
     look_ahead = {
         "--look-ahead": "with --temporal-frames N: for recorded videos, and pictures in order. "
         "Each frame is estimated together with those after it, as far as with those before it "
@@ -82,7 +79,6 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.optics import load_camera
 
     check_estimator_options(args)
-    check_gyroscope_options(args)
     if args.look_ahead and not args.temporal_frames:
         args.usage_error("--look-ahead: needs --temporal-frames above 0 too")
     if args.look_ahead and args.angular_velocity is not None:

@@ -17,7 +17,10 @@ CAMERA_OPTION = {
 
 
 def add_estimator_options(parser: argparse.ArgumentParser, motion: str) -> None:
-    """Add the method, and what each of them needs; `motion` says what comes of `--motion`."""
+    """Add the method, what each of them needs, and what a gyroscope says of the motion.
+
+    `motion` says what comes of `--motion`.
+    """
     parser.add_argument(
         "--method",
         choices=("bank", "simple", "motion"),
@@ -31,6 +34,13 @@ def add_estimator_options(parser: argparse.ArgumentParser, motion: str) -> None:
     add_options(parser, {"--bank NPZ": bank, **CAMERA_OPTION})
     add_options(parser, depths, type=float)
     add_options(parser, {"--motion": f"estimate motion blur too, with --method bank{motion}"})
+    gyroscope = {
+        "--angular-velocity X Y Z": "with --motion and --camera: of the camera around its axes to "
+        "the right, down and forward, rad/s; only motions near what it lets expect are tried, "
+        "which is faster",
+        "--exposure S": "with --angular-velocity: exposure time, s",
+    }
+    add_options(parser, gyroscope, type=float)
 
 
 def add_estimator_settings(parser: argparse.ArgumentParser, **defaults: Any) -> None:
@@ -57,13 +67,21 @@ def check_estimator_options(args: argparse.Namespace) -> None:
             args.usage_error("the following arguments are required: --bank (or --method simple)")
         if args.depth_range is not None:
             args.usage_error("--depth-range: a bank has its own range; only for --method simple")
+    else:
+        if args.bank is not None:
+            args.usage_error("--bank: --method simple has none, leave it out")
+        for name, option in (("camera", "--camera"), ("depth_range", "--depth-range")):
+            if getattr(args, name) is None:
+                what = "the following arguments are required with --method simple"
+                args.usage_error(f"{what}: {option}")
+    if args.angular_velocity is None:
+        if args.exposure is not None:
+            args.usage_error("--exposure: only with --angular-velocity")
         return
-    if args.bank is not None:
-        args.usage_error("--bank: --method simple has none, leave it out")
-    for name in ("camera", "depth_range"):
-        if getattr(args, name) is None:
-            option = f"--{name.replace('_', '-')}"
-            args.usage_error(f"the following arguments are required with --method simple: {option}")
+    for name in ("motion", "camera", "exposure"):
+        # An exposure of 0 is equal to False, and is given all the same.
+        if (given := getattr(args, name)) is None or given is False:
+            args.usage_error(f"--angular-velocity: needs --{name} too")
 
 
 def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> Any:
@@ -100,29 +118,6 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
     if warning := side_warning(model):
         logging.warning(warning)
     return pipeline
-
-
-def add_gyroscope_options(parser: argparse.ArgumentParser) -> None:
-    """Add what a gyroscope says of the motion."""
-    options = {
-        "--angular-velocity X Y Z": "with --motion and --camera: of the camera around its axes to "
-        "the right, down and forward, rad/s; only motions near what it lets expect are tried, "
-        "which is faster",
-        "--exposure S": "with --angular-velocity: exposure time, s",
-    }
-    add_options(parser, options, type=float)
-
-
-def check_gyroscope_options(args: argparse.Namespace) -> None:
-    """Refuse options that do not go together."""
-    if args.angular_velocity is None:
-        if args.exposure is not None:
-            args.usage_error("--exposure: only with --angular-velocity")
-        return
-    for name in ("motion", "camera", "exposure"):
-        # An exposure of 0 is equal to False, and is given all the same.
-        if (given := getattr(args, name)) is None or given is False:
-            args.usage_error(f"--angular-velocity: needs --{name} too")
 
 
 def expected_motion_of(args: argparse.Namespace, camera: Any) -> Any:

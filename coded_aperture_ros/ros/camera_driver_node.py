@@ -201,12 +201,6 @@ class CameraDriverNode(ManagedNode):
             device=self.configs[DeviceConfig],
         )
 
-    def _idle(self, source: Source) -> bool:
-        # A live source goes on, or the first frame to be published would be an old one.
-        if source.live or not self.configs[LazyConfig].lazy:
-            return False
-        return not self._outputs.listened()
-
     def _run(self) -> None:
         source = self._source
         assert source is not None  # it was set up
@@ -214,7 +208,9 @@ class CameraDriverNode(ManagedNode):
         retry_s = _RETRY_S[0]
         settings = self.configs[DeviceConfig]
         while not self._stopping.is_set():
-            if self._idle(source):
+            # A live source goes on, or the first frame to be published would be an old one.
+            lazy = self.configs[LazyConfig].lazy and not source.live
+            if lazy and not self._outputs.listened():
                 self._stopping.wait(_IDLE_S)
                 pace.begin()
                 continue
@@ -229,7 +225,7 @@ class CameraDriverNode(ManagedNode):
                 taken_s = time.monotonic()
                 if not source.live:
                     pace.wait(1.0 / self._config.rate_hz, capture.stamp_ns)
-                self._publish(capture, self._header_of(capture))
+                self._publish(capture)
                 self.statistics.count_processed(None, time.monotonic() - taken_s)
             except Exception as error:
                 # A camera that is unplugged, or a driver that fails in its own way: the robot
@@ -262,14 +258,10 @@ class CameraDriverNode(ManagedNode):
             source.refused = ()
         return present
 
-    def _header_of(self, capture: Capture) -> Header:
-        if capture.stamp_ns is None:
-            stamp = self.get_clock().now().to_msg()
-        else:
-            stamp = Time(nanoseconds=capture.stamp_ns).to_msg()
-        return Header(frame_id=self._config.frame_id, stamp=stamp)
-
-    def _publish(self, capture: Capture, header: Header) -> None:
+    def _publish(self, capture: Capture) -> None:
+        now, stamp_ns = self.get_clock().now(), capture.stamp_ns
+        stamp = (now if stamp_ns is None else Time(nanoseconds=stamp_ns)).to_msg()
+        header = Header(frame_id=self._config.frame_id, stamp=stamp)
         encoding = self._config.encoding
         if "/clock" in self._outputs.topics:
             self._outputs.send("/clock", ClockMessage(clock=header.stamp))
