@@ -100,7 +100,7 @@ class MotionParts:
 
     def traces(self) -> list[NDArray[np.float32]]:
         """Return the PSF of every motion."""
-        return [motion_kernel((vector[0], vector[1])) for vector in self.vectors_px]
+        return [motion_kernel((right, down)) for right, down in self.vectors_px]
 
 
 def motion_parts(motion_px: NDArray[np.float32]) -> MotionParts:

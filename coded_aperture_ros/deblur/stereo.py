@@ -94,7 +94,10 @@ def stereo_pair(
     if not isinstance(parallax, Parallax):
         parallax = Parallax.of_scene(blur_size_px, parallax)
     check_parallax(parallax.largest_px, sharp.shape[1])
-    disparity = _with_mixed_pixels(parallax.disparity_px(blur))
+    disparity = parallax.disparity_px(blur)
+    for _ in range(_MIXED_PX):  # foregrounds take the pixels around them along
+        nearer = cv2.dilate(disparity, np.ones((3, 3), np.uint8))
+        disparity = np.where(nearer - disparity > _TEAR_PX, nearer, disparity)
     left = _left_view(sharp, disparity)
     # What the right eye sees is what the left one would see in a mirror.
     right = _left_view(np.ascontiguousarray(sharp[:, ::-1]), disparity[:, ::-1])
@@ -142,14 +145,6 @@ def _check_pair(left: NDArray[np.float32], right: NDArray[np.float32]) -> None:
             for view in (left, right)
         )
         raise InputError("the views of a stereo pair differ: left {}, right {}".format(*sizes))
-
-
-def _with_mixed_pixels(disparity: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Let foregrounds take the pixels around them along."""
-    for _ in range(_MIXED_PX):
-        nearer = cv2.dilate(disparity, np.ones((3, 3), np.uint8))
-        disparity = np.where(nearer - disparity > _TEAR_PX, nearer, disparity)
-    return disparity
 
 
 def _left_view(sharp: NDArray[np.float32], disparity: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -59,15 +59,14 @@ def curves_of(
         focus_range_m = min(low_m, focus_m), max(high_m, focus_m)
     share = openings_of(camera.mask).smallest_width
     cameras = refocused_cameras(camera, near_m, far_m, focus_range_m)
+    levels = [one.number_of_levels(near_m, far_m, config.resolution_px) for one in cameras]
+    mean_px = [mean_blur_size_px(one, near_m, far_m) for one in cameras]
     steps_px = np.arange(near_px, far_px, config.resolution_px)
     depth_m = np.linspace(near_m, far_m, _SAMPLES)
     return Curves(
         focus_m=np.array([one.focus_distance_m for one in cameras]),
-        levels=np.array(
-            [one.number_of_levels(near_m, far_m, config.resolution_px) for one in cameras]
-        ),
-        hole_blur_mean_px=share
-        * np.abs([mean_blur_size_px(one, near_m, far_m) for one in cameras]),
+        levels=np.array(levels),
+        hole_blur_mean_px=share * np.abs(mean_px),
         hole_blur_far_px=share * np.abs([one.blur_size_px(far_m) for one in cameras]),
         depth_m=depth_m,
         resolution_m=resolution_m(camera, depth_m, config.resolution_px),

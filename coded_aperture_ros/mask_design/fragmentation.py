@@ -1,6 +1,7 @@
 """How an aperture is best cut up, if things move: the analysis of thesis 7.4."""
 
 import dataclasses
+import functools
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator
@@ -118,11 +119,7 @@ def analyse_fragmentation(
     disc = round_mask(grid, holes)
     noise = tuple(noise_levels)
     traces = [transfer(motion_kernel((right, down))) for right, down in motions.vectors_px]
-    sizes_px = np.atleast_1d(np.asarray(blur_sizes_px, np.float64))
-
-    def preserved(mask: Mask) -> NDArray[np.float64]:
-        return _preserved(mask, sizes_px, np.array(traces), noise)
-
+    preserved = functools.partial(_preserved, blur_sizes_px, np.array(traces), noise)
     turned = _turned(grid)
     total = math.comb(grid**2, holes)
     exhaustive = total <= 8 * MOST_PLACEMENTS
@@ -149,20 +146,17 @@ def analyse_fragmentation(
 
 
 def _preserved(
-    mask: Mask,
-    blur_sizes_px: NDArray[np.float64],
-    traces: NDArray[np.float32],
-    noise_levels: tuple[float, ...],
+    blur_sizes_px: ArrayLike, traces: NDArray[np.float32], noises: tuple[float, ...], mask: Mask
 ) -> NDArray[np.float64]:
     """Return the share of the frequencies that stay above each noise (eq. 7.8)."""
     motions, rows, columns = traces.shape
     once = (np.arange(columns) == 0) | (2 * (columns - 1) == np.arange(columns))
     counts = np.broadcast_to(np.where(once, 1.0, 2.0), (rows, columns)).ravel()
     stack = render_psf_stack(mask, blur_sizes_px)
-    above = np.zeros(len(noise_levels))
+    above = np.zeros(len(noises))
     for psf in stack.psfs:
         passed = traces.reshape(motions, -1) * transfer(psf).ravel()
-        above += [((passed > noise) @ counts).sum() for noise in noise_levels]
+        above += [((passed > noise) @ counts).sum() for noise in noises]
     return above / (len(stack) * motions * counts.sum())
 
 

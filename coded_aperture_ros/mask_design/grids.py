@@ -27,11 +27,8 @@ def smallest_openings(grids: NDArray[np.floating]) -> NDArray[np.int64]:
 def squares_only(opened: NDArray[np.bool_], side: int) -> NDArray[np.bool_]:
     """Keep of each mask [B, n, n] the cells that lie in open squares of a side (an opening)."""
     count = opened.shape[-1] - side + 1
-    places = [
-        np.s_[:, row : row + count, column : column + count]
-        for row in range(side)
-        for column in range(side)
-    ]
+    corners = np.ndindex(side, side)
+    places = [np.s_[:, row : row + count, left : left + count] for row, left in corners]
     fits = np.logical_and.reduce([opened[place] for place in places])
     kept = np.zeros_like(opened)
     for place in places:

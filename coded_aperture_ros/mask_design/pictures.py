@@ -64,7 +64,18 @@ class PictureScorer:
         self.spectra = WindowSpectra(window_px)
         self.side_px = patch_side_px(self.scene, window_px)
         check_sigmas(sigmas)
-        _check_scene(self.scene, window_px)
+        for name in ("motion_px", "diffraction_px"):
+            if getattr(self.scene, name) > 0:
+                raise InputError(
+                    f"{name}: the prediction from pictures knows none: leave it at 0, or predict "
+                    "from the mask alone"
+                )
+        widest = psf_width(self.scene.largest_px)
+        if widest > window_px:
+            raise InputError(
+                f"a PSF of {widest} px does not fit the {window_px} px window: "
+                "use a larger window, or smaller blur sizes"
+            )
         if len(patches) == 0 or patches.shape[1:] != (self.side_px, self.side_px):
             raise InputError(
                 f"patches: expected the shape [N, {self.side_px}, {self.side_px}] for this scene's "
@@ -181,21 +192,6 @@ def likeliest_levels(cost: NDArray[np.float32]) -> NDArray[np.float64]:
     middle = (cost.shape[1] - 1) / 2
     undecided = cost.max(axis=1) == cost.min(axis=1)
     return np.where(undecided, middle, cost.argmin(axis=1)).astype(np.float64)
-
-
-def _check_scene(scene: SceneConfig, window_px: int) -> None:
-    for name in ("motion_px", "diffraction_px"):
-        if getattr(scene, name) > 0:
-            raise InputError(
-                f"{name}: the prediction from pictures knows none: leave it at 0, or predict "
-                "from the mask alone"
-            )
-    widest = psf_width(scene.largest_px)
-    if widest > window_px:
-        raise InputError(
-            f"a PSF of {widest} px does not fit the {window_px} px window: "
-            "use a larger window, or smaller blur sizes"
-        )
 
 
 def _blocks(count: int) -> Iterator[slice]:

@@ -224,11 +224,8 @@ class Camera:
         focal_length_px = self.focal_length_px
         if self.focal_length_mm is not None:
             _check_focus_is_possible(self.focal_length_mm, focus_distance_m)
-            before, after = (
-                image_distance(self.focal_length_mm, focus_m * 1e3)
-                for focus_m in (self.focus_distance_m, focus_distance_m)
-            )
-            focal_length_px *= after / before
+            before = image_distance(self.focal_length_mm, self.focus_distance_m * 1e3)
+            focal_length_px *= image_distance(self.focal_length_mm, focus_distance_m * 1e3) / before
         return dataclasses.replace(
             self, focal_length_px=focal_length_px, focus_distance_m=focus_distance_m
         )

@@ -144,8 +144,7 @@ class Mask:
 
 def _array_of(path: Path) -> NDArray[np.float32]:
     try:
-        array = np.load(path, allow_pickle=False)
-        return np.asarray(array, dtype=np.float32)
+        return np.asarray(np.load(path, allow_pickle=False), dtype=np.float32)
     except (ValueError, EOFError, OSError, TypeError) as error:
         raise InputError(f"cannot read mask {path}: not a numeric .npy array") from error
 

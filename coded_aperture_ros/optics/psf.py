@@ -191,20 +191,16 @@ class PsfStack:
                 arrays.get("depths_m"),
                 in_pixels="sizes_px" in arrays,
             )
-            return dataclasses.replace(stack, psfs=_unit_sum(psfs))
+            sums = psfs.sum(axis=(1, 2), keepdims=True)
+            if not (sums > 0).all():
+                worst = int(np.argmin(sums))
+                raise InputError(
+                    f"psfs: PSF {worst} has the sum {sums[worst].item():.3g}: it has to be "
+                    "positive, a PSF is divided by it"
+                )
+            return dataclasses.replace(stack, psfs=(psfs / sums).astype(np.float32))
         except (InputError, ValueError, TypeError) as error:
             raise InputError(f"{path}: {error}") from error
-
-
-def _unit_sum(psfs: NDArray[np.float64]) -> NDArray[np.float32]:
-    sums = psfs.sum(axis=(1, 2), keepdims=True)
-    if not (sums > 0).all():
-        worst = int(np.argmin(sums))
-        raise InputError(
-            f"psfs: PSF {worst} has the sum {sums[worst].item():.3g}: it has to be positive, "
-            "a PSF is divided by it"
-        )
-    return (psfs / sums).astype(np.float32)
 
 
 def render_psf_stack(mask: Mask, blur_sizes_px: ArrayLike) -> PsfStack:

@@ -33,17 +33,10 @@ class ExpectedMotion:
     reason: str = ""
 
     def at(self, rows: ArrayLike, columns: ArrayLike, image_width: int) -> NDArray[np.float64]:
-        """Return the way of the picture during the exposure, px, in a grid of places.
+        """Return the way of the picture during the exposure, to the right and down, px [r, c, 2].
 
-        Parameters
-        ----------
-        rows, columns : array_like [r], array_like [c]
-            Places in a picture of `image_width`, px.
-
-        Returns
-        -------
-        ndarray, float64 [r, c, 2]
-            To the right, and down; zeros if the angle is not known.
+        In a grid of places, rows [r] and columns [c] of a picture of `image_width`, px; zeros if
+        the angle is not known.
         """
         scale = image_width / self.image_width
         fx, _, cx, _, fy, cy = self.camera_matrix[:6]
@@ -106,10 +99,7 @@ def expected_motion(
 def rotation_of(axes: str) -> tuple[tuple[int, int], ...]:
     """Return for each axis of the camera the index of the gyroscope's axis, and its sign.
 
-    Raises
-    ------
-    InputError
-        If the text does not name each axis once, or what it says is a mirror and no rotation.
+    An `InputError` if the text does not name each axis once, or means a mirror and no rotation.
     """
     found = []
     for word in axes.split():
