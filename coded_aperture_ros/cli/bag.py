@@ -17,9 +17,7 @@ from coded_aperture_ros.cli.options import add_gamma_option, add_options
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.workers import load_in_fork_server, processors
 
-_DEBLUR = ("fast", "cg", "sparse", "none")
 _DEBLUR_RANK = 10
-_SIZES = ("auto", "full", "half", "quarter")
 _EPILOG = """examples:
   depth, confidence and all-in-focus frames beside the originals:
     coded_aperture bag recording -o results --bank bank.npz --camera camera.yaml
@@ -59,27 +57,20 @@ def add_parser(subparsers: Any) -> None:
         motion=", so that it does not pass for blur by defocus: depth/motion has the way during "
         "the exposure, px, to the right and down (32FC2); --deblur cg and sparse remove it too",
     )
-    parser.add_argument(
-        "--deblur",
-        choices=_DEBLUR,
-        default=_DEBLUR[0],
-        help="how all-in-focus frames are made, see deblur --help (default %(default)s)",
-    )
+    method = {
+        "--deblur {fast,cg,sparse,none}": "how all-in-focus frames are made, see deblur --help "
+        "(default %(default)s)"
+    }
     rank = {"--deblur-rank N": "kernels of --deblur fast: fewer is faster (default %(default)s)"}
+    sizes = {
+        "--deblur-band {full,half}": "frequencies that --deblur fast works on: half is faster, and "
+        "leaves the finest details as they are (default %(default)s)",
+        "--output-size {auto,full,half,quarter}": "of the depth images, in parts of the frame; "
+        "auto: at most 320x240 (default auto)",
+    }
+    add_options(parser, method)
     add_options(parser, rank, type=int, default=_DEBLUR_RANK)
-    parser.add_argument(
-        "--deblur-band",
-        choices=("full", "half"),
-        default="full",
-        help="frequencies that --deblur fast works on: half is faster, and leaves the finest "
-        "details as they are (default %(default)s)",
-    )
-    parser.add_argument(
-        "--output-size",
-        choices=_SIZES,
-        default=_SIZES[0],
-        help="of the depth images, in parts of the frame; auto: at most 320x240 (default auto)",
-    )
+    add_options(parser, sizes)
     add_gamma_option(parser)
     add_options(parser, {"--json": "print the results as JSON"})
     parser.add_late_options = _add_settings

@@ -21,17 +21,14 @@ def add_estimator_options(parser: argparse.ArgumentParser, motion: str) -> None:
 
     `motion` says what comes of `--motion`.
     """
-    parser.add_argument(
-        "--method",
-        choices=("bank", "simple", "motion"),
-        default="bank",
-        help="bank: a filter bank, for any mask; simple: a pixel and its neighbours, for a mask of "
-        "2 to 8 equal holes, from --camera and --depth-range alone; motion: bank with --motion "
-        "(default bank)",
-    )
-    bank = "filter bank, see learn; needed with --method bank"
+    method = {
+        "--method {bank,simple,motion}": "bank: a filter bank, for any mask; simple: a pixel and "
+        "its neighbours, for a mask of 2 to 8 equal holes, from --camera and --depth-range alone; "
+        "motion: bank with --motion (default bank)",
+        "--bank NPZ": "filter bank, see learn; needed with --method bank",
+    }
     depths = {"--depth-range NEAR FAR": "with --method simple: depths that are told apart, m"}
-    add_options(parser, {"--bank NPZ": bank, **CAMERA_OPTION})
+    add_options(parser, method | CAMERA_OPTION)
     add_options(parser, depths, type=float)
     add_options(parser, {"--motion": f"estimate motion blur too, with --method bank{motion}"})
     gyroscope = {

@@ -197,7 +197,8 @@ def add_options(
     parser : argparse.ArgumentParser
     options : mapping of str to str
         How each is written, such as ``-o --output FILE`` or ``--depth-range NEAR FAR``, and what
-        it is. One without a placeholder for its value is a flag.
+        it is. One without a placeholder for its value is a flag; of ``--band {full,half}`` the
+        first is the default.
     others
         What `add_argument` gets for each of them.
     """
@@ -207,6 +208,9 @@ def add_options(
         shape: dict[str, Any] = {"metavar": places, "nargs": len(places)}
         if len(places) < 2:
             shape = {"metavar": places[0]} if places else {"action": "store_true"}
+        if places and places[0].startswith("{"):
+            choices = tuple(places[0].strip("{}").split(","))
+            shape = {"choices": choices, "default": choices[0]}
         action = parser.add_argument(*names, help=what, **shape, **others)
     return action
 
