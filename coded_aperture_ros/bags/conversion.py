@@ -16,7 +16,7 @@ from coded_aperture_ros.bags.messages import (
 )
 from coded_aperture_ros.bags.page import PAGE, write_report
 from coded_aperture_ros.bags.record import Record
-from coded_aperture_ros.bags.references import References
+from coded_aperture_ros.bags.score import References
 from coded_aperture_ros.bags.workers import Wait, frame_workers, in_order
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.figures import new_figure

@@ -123,8 +123,7 @@ def _write_files(args: argparse.Namespace, found: Any, filters: Any, summary: An
     import numpy as np
 
     from coded_aperture_ros.bank import learn_bank, save_bank
-    from coded_aperture_ros.calibration.blind.picture import blind_picture
-    from coded_aperture_ros.calibration.tiles import enlarged
+    from coded_aperture_ros.calibration.pictures import blind_picture, enlarged
     from coded_aperture_ros.core.files import atomic_outputs
     from coded_aperture_ros.io import write_image
     from coded_aperture_ros.optics import render_psf_stack

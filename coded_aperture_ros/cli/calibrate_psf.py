@@ -208,7 +208,7 @@ def _measured(args: argparse.Namespace, number: int, picture: Any, mask: Any, si
 
 def _write(args: argparse.Namespace, stack: Any, centred: Any) -> None:
     """Write the stack and the picture, or neither."""
-    from coded_aperture_ros.calibration.psf.stack import psf_picture
+    from coded_aperture_ros.calibration.pictures import psf_picture
     from coded_aperture_ros.core.files import atomic_outputs
     from coded_aperture_ros.io import write_image
 

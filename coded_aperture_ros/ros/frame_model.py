@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 
 from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT, FilterBank, load_bank
-from coded_aperture_ros.bank.guard import guarded_range
+from coded_aperture_ros.bank.learning import guarded_range
 from coded_aperture_ros.bank.remap import remap_bank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option

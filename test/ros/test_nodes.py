@@ -19,7 +19,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from small_camera import CAMERA, DEPTH_M, HEIGHT, NEAR_M, WIDTH
 from std_msgs.msg import Header
 
-from coded_aperture_ros.bank.guard import guarded_range
+from coded_aperture_ros.bank.learning import guarded_range
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import map_size
 from coded_aperture_ros.optics import load_camera, render_psf

@@ -17,15 +17,19 @@ from coded_aperture_benchmarks.textures import load_textures
 from coded_aperture_ros.bank import WindowedFourierBasis, load_bank
 from coded_aperture_ros.calibration.blind.config import BlindConfig
 from coded_aperture_ros.calibration.blind.find import BlindMask, find_mask
-from coded_aperture_ros.calibration.blind.grid_misfit import FoundSpectra, GridMisfit
-from coded_aperture_ros.calibration.blind.grid_search import best_grid, improved
-from coded_aperture_ros.calibration.blind.picture import blind_picture
+from coded_aperture_ros.calibration.blind.grid_misfit import (
+    FoundSpectra,
+    GridMisfit,
+    best_grid,
+    improved,
+)
 from coded_aperture_ros.calibration.blind.relative_sizes import relative_blur_sizes
 from coded_aperture_ros.calibration.mask.fit import MaskFit
 from coded_aperture_ros.calibration.mask.likelihood import MaskLikelihood
 from coded_aperture_ros.calibration.mask.sizes import FreeSizes
 from coded_aperture_ros.calibration.mask.spectra import half_plane
 from coded_aperture_ros.calibration.mask.windows import mean_by_contrast, window_powers
+from coded_aperture_ros.calibration.pictures import blind_picture
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io import read_image, write_image
 from coded_aperture_ros.mask_design.textures import Textures

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from psf_pictures import dot_picture, error_of, pair
 
+from coded_aperture_ros.calibration.pictures import psf_picture
 from coded_aperture_ros.calibration.psf.centre import CentredPsf
 from coded_aperture_ros.calibration.psf.dots import psf_from_dots
 from coded_aperture_ros.calibration.psf.fine import mask_psf
 from coded_aperture_ros.calibration.psf.pair import psf_from_pair
-from coded_aperture_ros.calibration.psf.stack import psf_picture, psf_stack
+from coded_aperture_ros.calibration.psf.stack import psf_stack
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask, render_psf
 

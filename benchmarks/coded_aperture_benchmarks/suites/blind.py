@@ -16,7 +16,7 @@ from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import load_textures
 from coded_aperture_ros.calibration.blind import find
-from coded_aperture_ros.calibration.blind.picture import blind_picture
+from coded_aperture_ros.calibration.pictures import blind_picture
 from coded_aperture_ros.cli.options import mask_of, noise_level
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output

@@ -20,8 +20,12 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import WindowedFourierBasis
 from coded_aperture_ros.calibration.blind.config import BlindConfig
-from coded_aperture_ros.calibration.blind.grid_misfit import FoundSpectra, GridMisfit
-from coded_aperture_ros.calibration.blind.grid_search import BinaryGrid, best_grid
+from coded_aperture_ros.calibration.blind.grid_misfit import (
+    BinaryGrid,
+    FoundSpectra,
+    GridMisfit,
+    best_grid,
+)
 from coded_aperture_ros.calibration.blind.relative_sizes import relative_blur_sizes
 from coded_aperture_ros.calibration.mask.cells import autocorrelation
 from coded_aperture_ros.calibration.mask.fit import MaskFit, normalised, random_parts

@@ -1,10 +1,19 @@
-"""Masks as square grids of cells, and what spectra tell of them: autocorrelations."""
+"""Masks as square grids of cells, their autocorrelations, and the way back: phase retrieval.
+
+Power spectra leave it open whether a mask is turned by 180 degrees, and so is what is found here.
+"""
+
+from typing import Any
 
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.optics import Mask
+
+# Many starts are cheap; those that are behind after some steps seldom catch up.
+_STARTS, _FIRST_STEPS = 60, 120
+_KEPT, _STEPS = 20, 300
 
 
 def square_cells(mask: Mask) -> NDArray[np.float64]:
@@ -24,3 +33,36 @@ def autocorrelation(parts: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(
         scipy.fft.irfft2((np.abs(scipy.fft.rfft2(parts, torus)) ** 2).sum(axis=0), torus)
     )
+
+
+def retrieved_masks(parts: NDArray[np.float64], count: int) -> list[NDArray[np.float64]]:
+    """Find masks whose autocorrelations are about the sum of those of the parts.
+
+    Phase retrieval for a non-negative mask of limited support, the best of many random starts.
+    """
+    import scipy.fft
+    import scipy.optimize
+
+    cells = parts.shape[-1]
+    torus = (2 * cells, 2 * cells)
+    wanted = autocorrelation(parts)
+
+    def misfit(x: NDArray) -> tuple[float, NDArray]:
+        transform = scipy.fft.rfft2(x.reshape(cells, cells), torus)
+        error = scipy.fft.irfft2(np.abs(transform) ** 2, torus) - wanted
+        slope = scipy.fft.irfft2(scipy.fft.rfft2(error) * transform, torus)[:cells, :cells]
+        return 1e4 * float(np.sum(error**2)), 4e4 * slope.ravel()
+
+    def improved(start: NDArray, steps: int) -> Any:
+        return scipy.optimize.minimize(
+            misfit, start, jac=True, method="L-BFGS-B",
+            bounds=[(0, None)] * cells**2, options={"maxiter": steps},
+        )  # fmt: skip
+
+    random = np.random.default_rng(0)
+    starts = [random.uniform(size=cells**2) ** 2 for _ in range(_STARTS)]
+    found = [improved(start / start.sum(), _FIRST_STEPS) for start in starts]
+    found.sort(key=lambda result: float(result.fun))
+    found = [improved(result.x, _STEPS) for result in found[: max(count, _KEPT)]]
+    found.sort(key=lambda result: float(result.fun))
+    return [np.asarray(result.x).reshape(cells, cells) for result in found[:count]]

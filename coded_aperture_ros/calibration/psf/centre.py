@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from coded_aperture_ros.calibration.psf.fine import FinePsf
-from coded_aperture_ros.calibration.psf.light import centres_of, steps_of
+from coded_aperture_ros.calibration.psf.fine import FinePsf, centres_of, steps_of
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask, render_psf
 

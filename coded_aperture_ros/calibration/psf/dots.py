@@ -6,9 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.calibration.psf.centre import CentredPsf, centred
-from coded_aperture_ros.calibration.psf.fine import FinePsf, fit_fine, mask_psf
+from coded_aperture_ros.calibration.psf.fine import (
+    FinePsf,
+    centres_of,
+    extent_of,
+    fit_fine,
+    mask_psf,
+    rim_of,
+    steps_of,
+)
 from coded_aperture_ros.calibration.psf.lattice import find_lattice
-from coded_aperture_ros.calibration.psf.light import centres_of, extent_of, rim_of, steps_of
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import channel_mean
 from coded_aperture_ros.optics import Mask

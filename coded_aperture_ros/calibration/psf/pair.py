@@ -8,8 +8,7 @@ from scipy import fft, linalg, ndimage, optimize
 
 from coded_aperture_ros.calibration.psf.centre import PHASES, CentredPsf, centred, check_misfit
 from coded_aperture_ros.calibration.psf.dots import SATURATED
-from coded_aperture_ros.calibration.psf.fine import FinePsf
-from coded_aperture_ros.calibration.psf.light import centres_of, extent_of
+from coded_aperture_ros.calibration.psf.fine import FinePsf, centres_of, extent_of
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import channel_mean
 from coded_aperture_ros.optics import Mask, render_psf

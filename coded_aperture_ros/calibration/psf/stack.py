@@ -1,4 +1,4 @@
-"""From PSFs measured at some depths to a stack of equally spaced blur sizes, and a picture."""
+"""From PSFs measured at some depths to a stack of equally spaced blur sizes."""
 
 from collections.abc import Sequence
 
@@ -6,13 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from coded_aperture_ros.calibration.psf.centre import CentredPsf
-from coded_aperture_ros.calibration.tiles import enlarged, tiled
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import PsfStack
 
 # PSFs whose blur sizes differ less are one: a level between them is not told apart.
 _CLOSEST_PX = 0.02
-_WIDTH_PX, _PER_ROW, _GAP_LIGHT = 120, 8, 0.25
 
 
 def psf_stack(
@@ -87,11 +85,3 @@ def _between(ranked: list[CentredPsf], sizes: NDArray, size: float, width: int) 
         (1 - share) * ranked[above - 1].psf(width, size / sizes[above - 1])
         + share * ranked[above].psf(width, size / sizes[above])
     )
-
-
-def psf_picture(psfs: Sequence[NDArray[np.floating]]) -> NDArray[np.float32]:
-    """Draw PSFs in rows of eight, all at one scale, each up to its own brightest value."""
-    width = max(len(psf) for psf in psfs)
-    padded = [np.pad(np.maximum(psf, 0), (width - len(psf)) // 2) for psf in psfs]
-    tiles = [enlarged(psf / max(float(psf.max()), 1e-12), _WIDTH_PX) for psf in padded]
-    return tiled(tiles, _PER_ROW, _GAP_LIGHT)

@@ -1,12 +1,31 @@
-"""A bag, or one file of it, that rosbags opens as it is."""
+"""A bag, or one file of it, that rosbags opens as it is; and what it raises if there is damage."""
 
+import sqlite3
+import struct
+import sys
 from collections.abc import Iterator, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, ReaderError
 
 from coded_aperture_ros.io.bags.recorded import SUFFIXES, Recorded, Topic
+
+# What rosbags itself depends on.
+_apsw: Any = import_module("apsw")
+_zstd: Any = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
+
+# A computer that lost its power can leave behind anything for a reader to stumble over.
+DAMAGE: tuple[type[BaseException], ...] = (
+    *(ReaderError, OSError, sqlite3.Error, _apsw.Error, struct.error, _zstd.ZstdError),
+    *(ValueError, TypeError, KeyError, IndexError, EOFError, AssertionError, RuntimeError),
+)
+
+
+def in_a_line(error: BaseException) -> str:
+    """Return what an error says, or at least its name."""
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 class CompleteBag:

@@ -16,7 +16,7 @@ from typing import IO
 
 from rosbags.rosbag2.storage_mcap import decompress, get_qos, read_bytes, read_string
 
-from coded_aperture_ros.io.bags.damage import DAMAGE
+from coded_aperture_ros.io.bags.complete import DAMAGE
 from coded_aperture_ros.io.bags.recorded import Recorded, Topic
 
 _MAGIC = b"\x89MCAP0\r\n"

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Protocol
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.bags.complete import CompleteBag
+from coded_aperture_ros.io.bags.complete import DAMAGE, CompleteBag, in_a_line
 from coded_aperture_ros.io.bags.cut_mcap import CutMcap
 from coded_aperture_ros.io.bags.cut_sqlite import CutSqlite
-from coded_aperture_ros.io.bags.damage import DAMAGE, in_a_line
 from coded_aperture_ros.io.bags.recorded import METADATA, SUFFIXES, Recorded, Topic
 
 _CUT: dict[str, type] = {"mcap": CutMcap, "sqlite3": CutSqlite}

@@ -71,7 +71,7 @@ class Bag:
 
         In the order of their recording; behind a cut nothing comes, and `damage` says so.
         """
-        from coded_aperture_ros.io.bags.damage import DAMAGE, in_a_line
+        from coded_aperture_ros.io.bags.complete import DAMAGE, in_a_line
 
         for part in self._parts:
             try:

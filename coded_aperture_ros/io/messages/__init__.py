@@ -3,12 +3,6 @@
 A message is whatever has the fields of its type: those of rclpy and those read from a bag.
 """
 
-from coded_aperture_ros.io.messages.camera_model import scaled_matrices
-from coded_aperture_ros.io.messages.depth import (
-    depth_from_pixels,
-    limit_depth,
-    millimetres_from_depth,
-)
 from coded_aperture_ros.io.messages.encodings import (
     ENCODINGS,
     Encoding,
@@ -19,10 +13,14 @@ from coded_aperture_ros.io.messages.encodings import (
     encoding_of,
 )
 from coded_aperture_ros.io.messages.frames import (
+    depth_from_pixels,
     frame_from_image,
     frame_from_pixels,
+    limit_depth,
     luminance,
+    millimetres_from_depth,
     pixels_from_frame,
+    scaled_matrices,
 )
 
 __all__ = [

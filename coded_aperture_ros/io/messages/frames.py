@@ -1,4 +1,4 @@
-"""From the pixels of a message to frames in linear light, and back."""
+"""From messages to frames in linear light, depth and camera models, and back (REP 117, 118)."""
 
 from typing import Any
 
@@ -7,10 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.imaging import Gamma, linear_from_pixels, pixels_from_linear
-from coded_aperture_ros.io.messages.encodings import array_from_image, encoding_of
+from coded_aperture_ros.io.messages.encodings import MessageError, array_from_image, encoding_of
+from coded_aperture_ros.optics.intrinsics import scaled_matrix
 
 # Weights of linear red, green and blue in luminance (ITU-R BT.709).
 _LUMINANCE = np.array([[0.2126, 0.7152, 0.0722]], np.float32)
+# Relative error of a depth computed from a blur size in single precision, generously.
+_DEPTH_ROUNDING = 1e-4
+_MILLIMETRE = np.float32(1e-3)
 
 
 def frame_from_image(message: Any, gamma: Gamma = 1.0) -> NDArray[np.float32]:
@@ -79,3 +83,74 @@ def pixels_from_frame(frame: NDArray, encoding: str, gamma: Gamma = 1.0) -> NDAr
         linear = linear_from_pixels(frame, gamma)
         pixels = pixels_from_linear(linear, 8 * np.dtype(target.dtype).itemsize, gamma)
     return pixels if target.from_rgb is None else cv2.cvtColor(pixels, target.from_rgb)
+
+
+def scaled_matrices(info: Any, width: int, height: int) -> tuple[list[float], list[float]]:
+    """Return K and P of a `sensor_msgs/CameraInfo` for its view resized to `width` x `height`.
+
+    Parameters
+    ----------
+    info : sensor_msgs/CameraInfo
+        Or anything with its fields `width`, `height`, `k` and `p`. Distortion coefficients act on
+        normalised coordinates and stay.
+    width, height : int
+
+    Returns
+    -------
+    k : list of 9 float
+    p : list of 12 float
+        Made from K where a driver left it empty.
+
+    Raises
+    ------
+    MessageError
+        Of kind "camera_info", where the message holds no camera model.
+    """
+    if info.width == 0 or info.height == 0 or info.k[0] <= 0 or info.k[4] <= 0:
+        raise MessageError("camera_info", "camera_info holds no camera model (size or K is 0)")
+    x, y = width / info.width, height / info.height
+    k = list(scaled_matrix(info.k, x, y))
+    if info.p[0] > 0:
+        return k, list(scaled_matrix(info.p, x, y))
+    return k, [*k[:3], 0.0, *k[3:6], 0.0, 0.0, 0.0, 1.0, 0.0]
+
+
+def limit_depth(
+    depth_m: NDArray[np.float32], near_m: float = 0.0, far_m: float = np.inf
+) -> NDArray[np.float32]:
+    """Mark known depths outside the range the way REP 117 asks for.
+
+    Returns
+    -------
+    float32, [row, column]
+        Metres; -Inf where nearer than `near_m`, +Inf where farther than `far_m`, NaN where the
+        depth is unknown: what is unknown is never called far.
+    """
+    depth_m = depth_m.astype(np.float32, copy=True)
+    # The outermost levels of a bank are the ends of the range but for rounding.
+    depth_m[depth_m < near_m * (1 - _DEPTH_ROUNDING)] = -np.inf
+    depth_m[depth_m > far_m * (1 + _DEPTH_ROUNDING)] = np.inf
+    return depth_m
+
+
+def millimetres_from_depth(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Return depth in whole millimetres, as REP 118 stores it in 16UC1.
+
+    0 stands for everything without a distance: unknown, too near, beyond the range. A distance
+    too long for 16 bits saturates at 65535 instead of wrapping, and one below half a millimetre
+    becomes 1, because 0 is taken.
+    """
+    known = np.isfinite(depth_m) & (depth_m > 0)
+    # Clipped in metres first: the largest float32 would overflow when multiplied.
+    millimetres = np.rint(np.clip(np.where(known, depth_m, 0.0), 0.0, 66.0) * 1000.0)
+    return np.where(known, np.clip(millimetres, 1, 65535), 0).astype(np.uint16)
+
+
+def depth_from_pixels(pixels: NDArray) -> NDArray[np.float32]:
+    """Return a depth image of another camera, float32 (m) or uint16 (mm), in metres.
+
+    NaN where the message says nothing: 0, negative, NaN, and infinities, which are no distance.
+    """
+    depth_m = pixels * _MILLIMETRE if pixels.dtype == np.uint16 else pixels
+    known = np.isfinite(depth_m) & (depth_m > 0)
+    return np.where(known, depth_m, np.float32(np.nan)).astype(np.float32)

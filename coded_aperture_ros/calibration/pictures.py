@@ -1,13 +1,37 @@
-"""A picture of a found mask and of the spectra that it explains, for people to look at."""
+"""Pictures of PSFs, and of a found mask and the spectra that it explains, for people to look at."""
+
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.calibration.blind.find import BlindMask
-from coded_aperture_ros.calibration.tiles import tiled
 
-_TILE_PX, _PER_ROW, _GAP_LIGHT = 192, 5, 0.3
+_GAP_PX = 6
+_TILE_PX, _TILES_PER_ROW, _TILE_GAP_LIGHT = 192, 5, 0.3
+_WIDTH_PX, _PER_ROW, _GAP_LIGHT = 120, 8, 0.25
+
+
+def _tiled(
+    tiles: Sequence[NDArray[np.floating]], per_row: int, gap_light: float
+) -> NDArray[np.float32]:
+    """Return square tiles of one size [k, k] in rows, with gaps between and around them."""
+    side = len(tiles[0])
+    step = side + _GAP_PX
+    columns = min(per_row, len(tiles))
+    shape = -(-len(tiles) // columns) * step + _GAP_PX, columns * step + _GAP_PX
+    drawn = np.full(shape, gap_light, np.float32)
+    for number, tile in enumerate(tiles):
+        top, left = (_GAP_PX + step * place for place in divmod(number, columns))
+        drawn[top : top + side, left : left + side] = tile
+    return drawn
+
+
+def enlarged(cells: NDArray[np.floating], side_px: int) -> NDArray[np.float32]:
+    """Draw cells as whole squares of equal size, at most `side_px` wide in all if they fit."""
+    factor = max(1, side_px // max(cells.shape))
+    return np.kron(cells, np.ones((factor, factor), np.float32)).astype(np.float32)
 
 
 def blind_picture(found: BlindMask) -> NDArray[np.float32]:
@@ -18,7 +42,7 @@ def blind_picture(found: BlindMask) -> NDArray[np.float32]:
     """
     tiles = [_mask_tile(found.mask.transmission)]
     tiles += [_halves(*found.spectra[plane]) for plane in np.argsort(found.blur_sizes_px)]
-    return tiled(tiles, _PER_ROW, _GAP_LIGHT)
+    return _tiled(tiles, _TILES_PER_ROW, _TILE_GAP_LIGHT)
 
 
 def _mask_tile(transmission: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -44,3 +68,11 @@ def _halves(measured: NDArray, explained: NDArray) -> NDArray[np.float32]:
     return np.asarray(
         cv2.resize(light.astype(np.float32), size, interpolation=cv2.INTER_NEAREST_EXACT)
     )
+
+
+def psf_picture(psfs: Sequence[NDArray[np.floating]]) -> NDArray[np.float32]:
+    """Draw PSFs in rows of eight, all at one scale, each up to its own brightest value."""
+    width = max(len(psf) for psf in psfs)
+    padded = [np.pad(np.maximum(psf, 0), (width - len(psf)) // 2) for psf in psfs]
+    tiles = [enlarged(psf / max(float(psf.max()), 1e-12), _WIDTH_PX) for psf in padded]
+    return _tiled(tiles, _PER_ROW, _GAP_LIGHT)
