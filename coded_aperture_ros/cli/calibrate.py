@@ -13,7 +13,7 @@ from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, naming
 from coded_aperture_ros.cli.measuring import checked_config, tell
-from coded_aperture_ros.cli.options import add_commands, add_config_options
+from coded_aperture_ros.cli.options import add_commands, add_config_options, add_options
 
 # What is measured from pictures; without an action, the command designs.
 ACTIONS: dict[str, Any] = {
@@ -49,36 +49,21 @@ def add_parser(subparsers: Any) -> None:
         "measure a camera from its pictures: 'coded_aperture calibrate ACTION --help'.",
         epilog=_EPILOG,
     )
-    parser.add_argument(
-        "--camera",
-        metavar="YAML",
-        help="camera file, as config/example_camera.yaml, which explains every entry",
-    )
-    parser.add_argument(
-        "--depth-range",
-        nargs=2,
-        type=float,
-        metavar=("NEAR", "FAR"),
-        help="where the objects of interest are, in m",
-    )
-    parser.add_argument(
-        "--focus-range",
-        nargs=2,
-        type=float,
-        metavar=("A", "B"),
-        help="focus distances to search and draw, in m (default: NEAR / 4 to 4 FAR)",
-    )
-    parser.add_argument(
-        "--mask-range",
-        nargs=2,
-        type=float,
-        metavar=("A", "B"),
-        help="mask sizes to search, in mm (default: half to twice the camera file's)",
-    )
-    parser.add_argument(
-        "--output", metavar="DIR", help=f"folder for {_NUMBERS}, {_PAGE} and {_PICTURE}"
-    )
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    camera = "camera file, as config/example_camera.yaml, which explains every entry"
+    add_options(parser, {"--camera YAML": camera})
+    ranges = {
+        "--depth-range NEAR FAR": "where the objects of interest are, in m",
+        "--focus-range A B": "focus distances to search and draw, in m (default: NEAR / 4 to 4 "
+        "FAR)",
+        "--mask-range A B": "mask sizes to search, in mm (default: half to twice the camera "
+        "file's)",
+    }
+    add_options(parser, ranges, type=float)
+    results = {
+        "--output DIR": f"folder for {_NUMBERS}, {_PAGE} and {_PICTURE}",
+        "--json": "print the numbers as JSON",
+    }
+    add_options(parser, results)
     add_commands(parser, "action", ACTIONS.values(), required=False)
     parser.add_late_options = _add_config_options
 

@@ -13,7 +13,7 @@ from coded_aperture_ros.cli.measuring import (
     tell,
     write_report,
 )
-from coded_aperture_ros.cli.options import add_config_options, add_gamma_option
+from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, add_options
 from coded_aperture_ros.cli.progress import progress
 
 _EPILOG = """examples:
@@ -47,16 +47,13 @@ def add_parser(subparsers: Any) -> None:
         "inputs", nargs="+", metavar="FOLDER|PICTURE", help="pictures, or a folder of them"
     )
     add_gamma_option(parser)
-    parser.add_argument(
-        "--output",
-        metavar="DIR",
-        help=f"folder for {_MASK}, {_PICTURE_OF_MASK}, {_PICTURE} and {_REPORT}",
-    )
+    results = f"folder for {_MASK}, {_PICTURE_OF_MASK}, {_PICTURE} and {_REPORT}"
+    add_options(parser, {"--output DIR": results})
     parser.add_argument(
         "-o", metavar="FILE", dest="bank", help="bank (.npz) from the least to the largest blur"
     )
     add_level_count_option(parser, _LEVEL_COUNT, f"levels of the bank (default {_LEVEL_COUNT})")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    add_options(parser, {"--json": "print the numbers as JSON"})
     parser.add_late_options = _add_config_options
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from coded_aperture_ros.cli.checks import naming
 from coded_aperture_ros.cli.measuring import tell
-from coded_aperture_ros.cli.options import add_gamma_option
+from coded_aperture_ros.cli.options import add_gamma_option, add_options
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError
 
@@ -30,7 +30,7 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("frames", nargs="+", metavar="FRAME", help="two or more pictures")
     add_gamma_option(parser)
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    add_options(parser, {"--json": "print the numbers as JSON"})
 
 
 def run(args: argparse.Namespace) -> int:

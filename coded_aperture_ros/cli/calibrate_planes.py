@@ -14,10 +14,17 @@ from coded_aperture_ros.cli.measuring import (
     add_depths_option,
     add_level_count_option,
     checked_config,
+    rounded,
     tell,
     write_report,
 )
-from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, at_least, table
+from coded_aperture_ros.cli.options import (
+    add_config_options,
+    add_gamma_option,
+    add_options,
+    at_least,
+    table,
+)
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError
 
@@ -59,36 +66,25 @@ def add_parser(subparsers: Any) -> None:
         help="folder with planes.json or planes.csv, or pictures with --depths",
     )
     add_depths_option(parser, "depth in m of each picture, by name in a folder")
-    parser.add_argument(
-        "--depth-range",
-        nargs=2,
-        type=float,
-        metavar=("NEAR", "FAR"),
-        help="of the bank, in m (default: nearest to farthest plane)",
-    )
+    depth_range = "of the bank, in m (default: nearest to farthest plane)"
+    add_options(parser, {"--depth-range NEAR FAR": depth_range}, type=float)
     add_level_count_option(parser, _LEVEL_COUNT, f"levels of the bank (default {_LEVEL_COUNT})")
-    parser.add_argument(
-        "--camera",
-        metavar="YAML",
-        help="camera file: its mask is taken for granted, its focus is compared",
-    )
-    parser.add_argument("--topic", metavar="NAME", help="take pictures from this ROS topic first")
-    for name, kind, default, metavar, what in (
-        ("depth", above(0, "a positive distance in m"), None, "Z", "distance of the plane in m"),
-        ("frames", at_least(1), 8, "N", "a picture is the mean of so many frames"),
-        ("timeout", above(0, "a positive time"), 10.0, "S", "longest wait for the frames in s"),
+    sources = {
+        "--camera YAML": "camera file: its mask is taken for granted, its focus is compared",
+        "--topic NAME": "take pictures from this ROS topic first",
+    }
+    add_options(parser, sources)
+    for written, kind, default, what in (
+        ("--depth Z", above(0, "a positive distance in m"), None, "distance of the plane in m"),
+        ("--frames N", at_least(1), 8, "a picture is the mean of so many frames"),
+        ("--timeout S", above(0, "a positive time"), 10.0, "longest wait for the frames in s"),
     ):
         shown = "" if default is None else f" (default {default:g})"
-        parser.add_argument(
-            f"--{name}", type=kind, default=default, metavar=metavar,
-            help=f"with --topic: {what}{shown}",
-        )  # fmt: skip
+        add_options(parser, {written: f"with --topic: {what}{shown}"}, type=kind, default=default)
     add_gamma_option(parser)
     parser.add_argument("-o", metavar="FILE", dest="bank", help="bank (.npz)")
-    parser.add_argument(
-        "--output", metavar="DIR", help=f"folder for {_REPORT} and, with --camera, {_CAMERA}"
-    )
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    add_options(parser, {"--output DIR": f"folder for {_REPORT} and, with --camera, {_CAMERA}"})
+    add_options(parser, {"--json": "print the numbers as JSON"})
     parser.add_late_options = _add_config_options
 
 
@@ -222,7 +218,7 @@ def _summary(args: argparse.Namespace, found: Any, camera: Any, seconds: float) 
             "blur_size_px": round(float(fitted[i]), 3),
             "measured_px": round(plane.size_px, 3),
             "tilt_px": [round(tilt, 3) for tilt in plane.tilt_px],
-            "left_out_depth_m": _finite(left_out.depths_m[i]),
+            "left_out_depth_m": rounded(left_out.depths_m[i], 5),
             "left_out_error": round(float(left_out.errors[i]), 5),
             "left_out_window_error": round(float(left_out.window_errors[i]), 5),
         }
@@ -236,7 +232,7 @@ def _summary(args: argparse.Namespace, found: Any, camera: Any, seconds: float) 
         "far_m": float(bank.stack.depths_m.max()),
         "mask": pattern.mask.name,
         "mask_is_known": found.mask_is_known,
-        "focus_distance_m": _finite(pattern.focus_distance_m),
+        "focus_distance_m": rounded(pattern.focus_distance_m, 5),
         "slope_px_m": round(pattern.slope_px_m, 5),
         "side": "far" if np.median(fitted) > 0 else "near",
         "residual_px": round(found.residual_px, 4),
@@ -252,10 +248,6 @@ def _summary(args: argparse.Namespace, found: Any, camera: Any, seconds: float) 
         summary["camera_slope_px_m"] = camera.mask_extent_mm * 1e-3 * camera.focal_length_px
         summary["mask_extent_mm"] = round(pattern.slope_px_m / camera.focal_length_px * 1e3, 4)
     return summary
-
-
-def _finite(value: float) -> float | None:
-    return round(float(value), 5) if math.isfinite(value) else None
 
 
 def _write_files(args: argparse.Namespace, found: Any, camera: Any, summary: Any) -> None:
@@ -299,9 +291,7 @@ def _text(summary: Any) -> str:
             f"{plane['textured']:.0%}",
             f"{plane['measured_px']:.2f}",
             f"{abs(plane['blur_size_px']):.2f}",
-            format(
-                plane["left_out_depth_m"] or "beyond", ".4g" if plane["left_out_depth_m"] else ""
-            ),
+            _depth(plane["left_out_depth_m"] or None, "beyond", ""),
             f"{plane['left_out_error']:.1%}",
         )
         for plane in summary["planes"]

@@ -14,9 +14,10 @@ from coded_aperture_ros.cli.measuring import (
     add_depths_option,
     add_level_count_option,
     pictures_in,
+    rounded,
     tell,
 )
-from coded_aperture_ros.cli.options import add_gamma_option, mask_of, table
+from coded_aperture_ros.cli.options import add_gamma_option, add_options, mask_of, table
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError
 
@@ -63,28 +64,23 @@ def add_parser(subparsers: Any) -> None:
         "depth in m of each picture, by name in a folder (default: as the names end, such as "
         "a_1.25m.png)",
     )
-    parser.add_argument(
-        "--camera",
-        metavar="YAML",
-        help="camera file: its mask and its side; with depths, its blur sizes are compared",
-    )
-    parser.add_argument(
-        "--mask",
-        metavar="NAME|FILE",
-        help="the mask (default: the camera file's; without either, a PSF's centre of light is its "
-        "centre, and blur sizes are right in proportion only)",
-    )
+    known = {
+        "--camera YAML": "camera file: its mask and its side; with depths, its blur sizes are "
+        "compared",
+        "--mask NAME|FILE": "the mask (default: the camera file's; without either, a PSF's centre "
+        "of light is its centre, and blur sizes are right in proportion only)",
+    }
+    add_options(parser, known)
     add_level_count_option(parser, None, "PSFs to write (default: one for each picture)", least=1)
-    parser.add_argument(
-        "--largest-blur-px",
-        type=above(1 - 1e-9, "1 px or more"),
-        metavar="PX",
-        help=f"with --sharp: widest PSF looked for (default {_WIDEST_PX:g})",
-    )
+    widest = f"with --sharp: widest PSF looked for (default {_WIDEST_PX:g})"
+    add_options(parser, {"--largest-blur-px PX": widest}, type=above(1 - 1e-9, "1 px or more"))
     add_gamma_option(parser)
-    parser.add_argument("-o", "--output", required=True, metavar="FILE", help="PSF stack (.npz)")
-    parser.add_argument("--picture", metavar="PNG", help="picture of the measured PSFs to write")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    add_options(parser, {"-o --output FILE": "PSF stack (.npz)"}, required=True)
+    further = {
+        "--picture PNG": "picture of the measured PSFs to write",
+        "--json": "print the numbers as JSON",
+    }
+    add_options(parser, further)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -119,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
             "depth_m": None if depths_m is None else depths_m[number],
             "blur_size_px": round(centred[number].blur_size_px, 4),
             "camera_blur_size_px": None if expected is None else round(float(expected[number]), 4),
-            "mask_misfit": _number(centred[number].misfit),
+            "mask_misfit": rounded(centred[number].misfit, 4),
             **_row(measured[number]),
         }
         for number, name in enumerate(names)
@@ -227,17 +223,13 @@ def _row(measured: Any) -> dict[str, Any]:
         return {**row, "explained": explained, "shift_px": list(measured.shift_px)}
     return {
         **row,
-        "field_variation": _number(measured.field_variation),
+        "field_variation": rounded(measured.field_variation, 4),
         "spacing_px": round(measured.spacing_px, 3),
         **{
             f"dots_{name}": getattr(measured, name)
             for name in ("used", "saturated", "rejected", "missing")
         },
     }
-
-
-def _number(value: float) -> float | None:
-    return round(value, 4) if math.isfinite(value) else None
 
 
 def _warnings(row: dict[str, Any]) -> Iterator[str]:

@@ -15,7 +15,12 @@ from coded_aperture_ros.cli.measuring import (
     checked_config,
     tell,
 )
-from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, mask_of
+from coded_aperture_ros.cli.options import (
+    add_config_options,
+    add_gamma_option,
+    add_options,
+    mask_of,
+)
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError
 
@@ -60,56 +65,30 @@ def add_parser(subparsers: Any) -> None:
         epilog=_EPILOG,
     )
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument(
-        "--camera",
-        metavar="YAML",
-        help="camera file, as config/example_camera.yaml, which explains every entry; needs "
-        "--depth-range",
-    )
-    source.add_argument(
-        "--blur-sizes",
-        nargs=3,
-        metavar=("MIN", "MAX", "N"),
-        help="N equally spaced blur sizes in px; needs --mask",
-    )
-    source.add_argument("--psfs", metavar="NPZ", help="measured PSFs")
-    source.add_argument(
-        "--planes", metavar="DIR", help="pictures of planes (16-bit linear) and planes.json"
-    )
-    parser.add_argument(
-        "--remap",
-        metavar="BANK",
-        help="make the bank of the camera file's focus from this bank of the same lens and mask; "
-        "without --depth-range the same filters get new depths",
-    )
-    parser.add_argument(
-        "--depth-range", nargs=2, type=float, metavar=("NEAR", "FAR"), help="with --camera, in m"
-    )
-    parser.add_argument("--mask", metavar="NAME", help="name or file (PNG, .npy) of a mask")
+    sources = {
+        "--camera YAML": "camera file, as config/example_camera.yaml, which explains every entry; "
+        "needs --depth-range",
+        "--blur-sizes MIN MAX N": "N equally spaced blur sizes in px; needs --mask",
+        "--psfs NPZ": "measured PSFs",
+        "--planes DIR": "pictures of planes (16-bit linear) and planes.json",
+    }
+    add_options(source, sources)
+    remap = "make the bank of the camera file's focus from this bank of the same lens and mask; "
+    remap += "without --depth-range the same filters get new depths"
+    add_options(parser, {"--remap BANK": remap})
+    add_options(parser, {"--depth-range NEAR FAR": "with --camera, in m"}, type=float)
+    add_options(parser, {"--mask NAME": "name or file (PNG, .npy) of a mask"})
     add_depths_option(parser, "depth in metres of each measured PSF")
-    parser.add_argument(
-        "--images",
-        metavar="DIR",
-        help="sharp pictures of the kind of scene that the camera sees: what textures look like is "
-        "learned from them; not with --planes",
-    )
-    parser.add_argument(
-        "--budget-ms",
-        type=above(0, "more than 0"),
-        metavar="MS",
-        help="choose window, rank and stride: the most accurate that need no more time per frame "
-        "of the camera, as measured now (about a minute; not with --planes and --psfs)",
-    )
-    parser.add_argument(
-        "--budget-threads",
-        type=int,
-        default=1,
-        metavar="N",
-        help="threads that depth estimation will have, with --budget-ms (default 1)",
-    )
+    images = "sharp pictures of the kind of scene that the camera sees: what textures look like is "
+    add_options(parser, {"--images DIR": images + "learned from them; not with --planes"})
+    budget = "choose window, rank and stride: the most accurate that need no more time per frame "
+    budget += "of the camera, as measured now (about a minute; not with --planes and --psfs)"
+    add_options(parser, {"--budget-ms MS": budget}, type=above(0, "more than 0"))
+    threads = "threads that depth estimation will have, with --budget-ms (default 1)"
+    add_options(parser, {"--budget-threads N": threads}, type=int, default=1)
     add_gamma_option(parser)
-    parser.add_argument("-o", "--output", required=True, metavar="FILE", help="bank (.npz)")
-    parser.add_argument("--json", action="store_true", help="print a summary as JSON")
+    add_options(parser, {"-o --output FILE": "bank (.npz)"}, required=True)
+    add_options(parser, {"--json": "print a summary as JSON"})
     parser.add_late_options = _add_late_options
 
 

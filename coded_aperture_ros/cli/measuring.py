@@ -54,6 +54,11 @@ def checked_config(args: argparse.Namespace, config: type) -> Any:
         args.usage_error(f"--{error}".replace("_", "-"))
 
 
+def rounded(value: float, digits: int) -> float | None:
+    """Return a number for JSON, None where it is not finite."""
+    return round(float(value), digits) if math.isfinite(value) else None
+
+
 def pictures_in(inputs: list[str]) -> list[str]:
     """Return the pictures, or those of the one folder."""
     from coded_aperture_ros.io.sources import open_files
