@@ -124,7 +124,7 @@ def test_focus_of_ray_traced_planes_is_found(data_dir):
 
 @pytest.mark.parametrize(("window_px", "warned"), [(16, True), (32, False)])
 def test_blur_wider_than_half_the_window_is_told(planes, caplog, monkeypatch, window_px, warned):
-    monkeypatch.setattr("coded_aperture_ros.calibration.planes.search._STARTS", 4)
+    monkeypatch.setattr("coded_aperture_ros.calibration.mask.cells._STARTS", 4)
     search = MaskSearch(
         planes, window_px, lambda steps: [steps[0], steps[8]] if len(steps) > 4 else steps[:1]
     )
