@@ -42,7 +42,7 @@ def few_steps(monkeypatch):
     """Learn quickly: for tests of what is around the fit."""
     for name in ("_FIRST_STEPS", "_COARSE_STEPS", "_FINE_STEPS", "_SINGLE_STEPS"):
         monkeypatch.setattr(f"coded_aperture_ros.calibration.planes.search.{name}", 1)
-    monkeypatch.setattr("coded_aperture_ros.calibration.planes.search._STARTS", 4)
+    monkeypatch.setattr("coded_aperture_ros.calibration.mask.cells._STARTS", 4)
 
 
 def folder_of(tmp_path, entries=None, **pictures):
