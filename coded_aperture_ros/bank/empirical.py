@@ -106,10 +106,7 @@ class _Spectrum:
 
 
 def _log_spectra(fourier: WindowedFourierBasis, image: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the logarithmic radial spectra of an image's textured windows [windows, 9].
-
-    Without their mean: the contrast is another hypothesis.
-    """
+    """Return the log radial spectra of textured windows [windows, 9], without their mean."""
     grey = channel_mean(image)
     if min(grey.shape) < _WINDOW_PX:
         raise InputError(

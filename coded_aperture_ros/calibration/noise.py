@@ -144,11 +144,7 @@ def _clipped_mean(squares: NDArray) -> float:
 
 
 def _robust_line(light: NDArray, variance: NDArray) -> tuple[float, float, float]:
-    """Fit variance over light by a line that is never negative.
-
-    Groups far off the line count less (Huber's weights); all errors are relative, as those of
-    variances are. Returns height in the dark, slope, and the relative error.
-    """
+    """Fit a line, never negative, to relative errors (Huber): dark, slope, relative error."""
     terms = np.stack([np.ones_like(light), light], axis=1)
     least = 1e-3 * variance.mean() + 1e-30
     trust, fitted = np.ones_like(light), variance

@@ -217,10 +217,7 @@ class _Search:
     def _tried(
         self, fit: FreeFit, found: FoundSpectra, extent: float
     ) -> list[tuple[NDArray, float]]:
-        """Return the best grids of some numbers of cells, the best number first.
-
-        Each with its width over that of the mixture's grid.
-        """
+        """Return the best grids, best number of cells first, with widths over the mixture's."""
         best: dict[int, tuple[BinaryGrid, float]] = {}
         candidates = [(n, float(width)) for n in self._counts for width in _widths(extent, n)]
         for count, width in self.progress(candidates):

@@ -162,10 +162,7 @@ class GridMisfit:
 
 
 def _square_overlap(lag: NDArray, cell_px: float) -> NDArray:
-    """Autocorrelation of a cell one pixel's integral away from a point, along one axis.
-
-    That of a box one pixel wide, convolved with that of a box as wide as the cell; unit sum.
-    """
+    """Return the autocorrelation of a cell, integrated over pixels, along one axis; unit sum."""
     total = np.zeros_like(lag)
     for pixel, one in ((-1, 1), (0, -2), (1, 1)):
         for cell, other in ((-1, 1), (0, -2), (1, 1)):

@@ -111,11 +111,7 @@ def _shape(image: NDArray[np.float32], window_px: int) -> _Shape:
 
 
 def _likelihood_of_shifts(first: _Shape, second: _Shape) -> tuple[NDArray, float]:
-    """Return what is gained by taking two spectra for one, shifted, and the best correlation.
-
-    The gain is that of normal variables of the correlation that is found, for every shift of the
-    second from ``-_REACH`` to ``_REACH``.
-    """
+    """Return the gain of taking two spectra for one, for every shift, and the best correlation."""
     period = 2 * first.weight.shape[1] + 2 * _REACH
 
     def correlated(a: NDArray, b: NDArray) -> NDArray[np.float64]:

@@ -59,10 +59,7 @@ def signed_fit(planes: Planes, measured: Sequence[MeasuredPlane]) -> ThinLens:
 
 
 def _line(depths: NDArray, sizes: NDArray, errors: NDArray) -> tuple[ThinLens, int]:
-    """Return the line with the fewest sizes off it, and how many there are.
-
-    Tried are the lines through all pairs of planes, then the best is fitted to what agrees.
-    """
+    """Return the line with the fewest sizes off it, from those through pairs, and how many."""
     inverse = 1 / depths
     best: tuple[int, float, NDArray] | None = None
     for i, j in itertools.combinations(range(len(inverse)), 2):

@@ -302,10 +302,7 @@ def _registered(windows: NDArray, offsets: NDArray, support: int, rounds: int) -
 def _fit_dots(
     windows: NDArray, fine: FinePsf, offsets: NDArray
 ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Fit strength, move and a plane of background to each window, by one Gauss-Newton step.
-
-    Returns moves [N, 2], strengths [N], backgrounds and what is left [N, k, k].
-    """
+    """Fit moves [N, 2], strengths [N], background planes and rest, by a Gauss-Newton step."""
     width, cells = windows.shape[1], len(fine.light)
 
     def along(axis: int, aside: float = 0.0) -> NDArray[np.float64]:

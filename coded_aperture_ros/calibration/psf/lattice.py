@@ -124,10 +124,7 @@ def _hills(light: NDArray, basis: NDArray) -> NDArray:
 
 
 def _steps(hills: NDArray, basis: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Count the steps between hills, from neighbour to neighbour.
-
-    Returns the steps [N, 2] and the numbers of the hills [N] that can be reached so.
-    """
+    """Count the steps [N, 2] from neighbour to neighbour, and number the hills [N] reached so."""
     best: dict[int, tuple[int, int]] = {}
     near_px = _TOLERANCE * np.linalg.norm(basis[0])
     # The hill in the middle may be a speck of dust: start from another one then.

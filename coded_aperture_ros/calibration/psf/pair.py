@@ -170,10 +170,7 @@ def _grey(picture: NDArray[np.floating], name: str) -> NDArray:
 
 
 def _evenly_lit(sharp: NDArray, coded: NDArray, width: int) -> NDArray:
-    """Return the coded picture with the brightness of the sharp one, on the large scale.
-
-    Its own may differ by exposure and vignetting: a smooth polynomial.
-    """
+    """Return the coded picture lit as the sharp one, up to a smooth polynomial."""
     smooth = [ndimage.gaussian_filter(one, width / 2)[::8, ::8] for one in (sharp, coded)]
     rows, columns = (np.linspace(-1, 1, length) for length in coded.shape)
 
