@@ -27,8 +27,7 @@ from coded_aperture_ros.calibration.blind.relative_sizes import relative_blur_si
 from coded_aperture_ros.calibration.mask.fit import MaskFit
 from coded_aperture_ros.calibration.mask.likelihood import MaskLikelihood
 from coded_aperture_ros.calibration.mask.sizes import FreeSizes
-from coded_aperture_ros.calibration.mask.spectra import half_plane
-from coded_aperture_ros.calibration.mask.windows import mean_by_contrast, window_powers
+from coded_aperture_ros.calibration.mask.spectra import half_plane, mean_by_contrast, window_powers
 from coded_aperture_ros.calibration.pictures import blind_picture
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io import read_image, write_image

@@ -31,7 +31,7 @@ from coded_aperture_ros.calibration.mask.cells import autocorrelation
 from coded_aperture_ros.calibration.mask.fit import MaskFit, normalised, random_parts
 from coded_aperture_ros.calibration.mask.likelihood import MaskLikelihood
 from coded_aperture_ros.calibration.mask.sizes import FreeSizes
-from coded_aperture_ros.calibration.mask.windows import mean_by_contrast, window_powers
+from coded_aperture_ros.calibration.mask.spectra import mean_by_contrast, window_powers
 from coded_aperture_ros.calibration.planes.checks import check_pictures
 from coded_aperture_ros.calibration.planes.pictures import check_picture
 from coded_aperture_ros.core.errors import InputError

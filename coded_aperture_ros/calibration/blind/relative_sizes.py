@@ -14,7 +14,7 @@ import scipy.ndimage
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
-from coded_aperture_ros.calibration.mask.windows import mean_by_contrast, window_powers
+from coded_aperture_ros.calibration.mask.spectra import mean_by_contrast, window_powers
 from coded_aperture_ros.core.errors import InputError
 
 _DIRECTIONS = 48

@@ -2,7 +2,8 @@
 
 A mixture of masks stands for one whose autocorrelation is the sum of theirs: no power spectrum can
 tell the two apart. Grids of cells become PSFs, these one autocorrelation for every plane, and that
-the expected power spectrum of a window. All steps but one are linear.
+the expected power spectrum of a window. All steps but one are linear. What is measured are
+the power spectra of the windows of pictures, and their means.
 """
 
 import dataclasses
@@ -13,11 +14,14 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.prior import power_spectrum
+from coded_aperture_ros.imaging import channel_mean
 from coded_aperture_ros.optics.psf import cell_shares, psf_width
 
 SLOPES = (1.6, 2.4, 3.2)
 _MODEL_ERROR = 3e-4
 _STEP_PX = 5e-3
+# Windows of little and of much contrast differ in how far they rise above the noise.
+_CLASSES = 3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -123,3 +127,34 @@ def autocorrelation_to_power(
         folded = (shifted * overlap).reshape(2, n, 2, n).sum(axis=(0, 2))
         columns[:, column] = scipy.fft.rfft2(folded).real.ravel()
     return columns
+
+
+def window_powers(image: NDArray[np.float32], fourier: WindowedFourierBasis) -> NDArray[np.float32]:
+    """Return the power spectra of a picture's windows, a quarter of a window apart [W, K].
+
+    White noise of variance s^2 has the power s^2.
+
+    Raises
+    ------
+    InputError
+        If the picture is smaller than a window.
+    """
+    power, _ = fourier.power(channel_mean(image), fourier.window_px // 4)
+    return power.reshape(-1, fourier.size)
+
+
+def mean_by_contrast(
+    powers: NDArray[np.floating], fourier: WindowedFourierBasis, classes: int = _CLASSES
+) -> NDArray[np.float32]:
+    """Average the spectra of windows [W, K] of about the same contrast [classes, K].
+
+    Every window counts alike, whatever its contrast: the mean itself would be that of a few strong
+    edges. The averages keep the scale of the noise; the least contrast comes first.
+    """
+    contrast = powers @ fourier.multiplicity
+    members = np.array_split(np.argsort(contrast), min(classes, len(powers)))
+    means = [
+        (powers[chosen] / contrast[chosen, None]).mean(axis=0) / (1 / contrast[chosen]).mean()
+        for chosen in members
+    ]
+    return np.array(means, np.float32)

@@ -13,7 +13,7 @@ from coded_aperture_ros.calibration.mask.cells import retrieved_masks
 from coded_aperture_ros.calibration.mask.fit import MaskFit, normalised, random_parts
 from coded_aperture_ros.calibration.mask.likelihood import MaskLikelihood
 from coded_aperture_ros.calibration.mask.sizes import LensSizes
-from coded_aperture_ros.calibration.mask.windows import window_powers
+from coded_aperture_ros.calibration.mask.spectra import window_powers
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.optics import Mask
 
