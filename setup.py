@@ -94,6 +94,6 @@ setup(
             f"deblur_node = {NAME}.ros.programs:deblur_node",
             f"pipeline = {NAME}.ros.programs:pipeline",
             f"coded_aperture = {NAME}.cli.main:main",
-        ],
+        ]
     },
 )

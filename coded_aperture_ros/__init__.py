@@ -22,14 +22,7 @@ _ROOMS = {
     "FramePipeline": "pipeline",
     "learn_bank": "bank",
 }
-__all__ = [
-    "Camera",
-    "Deblurrer",
-    "DepthEstimator",
-    "FilterBank",
-    "FramePipeline",
-    "learn_bank",
-]
+__all__ = ["Camera", "Deblurrer", "DepthEstimator", "FilterBank", "FramePipeline", "learn_bank"]
 
 
 def __getattr__(name: str) -> object:

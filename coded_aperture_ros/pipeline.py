@@ -9,9 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stamp_order import StampOrder
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
@@ -40,10 +38,10 @@ class FrameResult:
 
     depth: DepthEstimate
     stamp: int | None
-    _deblur: Callable[[], NDArray[np.float32]] = dataclasses.field(repr=False)
+    _deblur: Callable[[], FloatArray] = dataclasses.field(repr=False)
 
     @cached_property
-    def all_in_focus(self) -> NDArray[np.float32]:
+    def all_in_focus(self) -> FloatArray:
         """The frame without its blur, float32 in [0, 1], like the frame.
 
         It is made when first asked for, with the pipeline's settings of that time. With
@@ -66,7 +64,6 @@ class FramePipeline:
         A filter bank, or what another method knows about the mask; see `new_model`.
     camera : Camera, optional
         Turns blur sizes into metres, and may know its noise.
-    depth : DepthConfig, optional
     deblur : DeblurConfig or None, optional
         None: no all-in-focus pictures.
 
@@ -100,7 +97,7 @@ class FramePipeline:
 
     def __call__(
         self,
-        frame: NDArray[np.float32],
+        frame: FloatArray,
         stamp: int | None = None,
         *,
         size: tuple[int, int] | None = None,
@@ -131,15 +128,15 @@ class FramePipeline:
         return self._result(frame, estimate, stamp)
 
     def video(
-        self, frames: Iterable[NDArray[np.float32]], size: tuple[int, int] | None = None
+        self, frames: Iterable[FloatArray], size: tuple[int, int] | None = None
     ) -> Iterator[FrameResult]:
         """Work on a recorded video, each frame in the light of those before and after it.
 
         Needs `DepthConfig.temporal_frames` above 0; see `estimate_video`.
         """
-        waiting: list[NDArray[np.float32]] = []
+        waiting: list[FloatArray] = []
 
-        def kept() -> Iterator[NDArray[np.float32]]:
+        def kept() -> Iterator[FloatArray]:
             for frame in frames:
                 waiting.append(frame)
                 yield frame
@@ -211,14 +208,10 @@ class FramePipeline:
         if self._deblurrer is not None:
             self._deblurrer.reset()
 
-    def _result(
-        self, frame: NDArray[np.float32], estimate: DepthEstimate, stamp: int | None
-    ) -> FrameResult:
+    def _result(self, frame: FloatArray, estimate: DepthEstimate, stamp: int | None) -> FrameResult:
         return FrameResult(estimate, stamp, lambda: self._deblurred(frame, estimate))
 
-    def _deblurred(
-        self, frame: NDArray[np.float32], estimate: DepthEstimate
-    ) -> NDArray[np.float32]:
+    def _deblurred(self, frame: FloatArray, estimate: DepthEstimate) -> FloatArray:
         deblurrer = self._deblurrer
         if deblurrer is None:
             raise InputError("deblurring: the pipeline was made without it")

@@ -11,11 +11,7 @@ Other arguments are those of pipeline.launch.py. Everything has the settings of
 config/obstacle_avoidance.yaml; what `params_file` says of a node by its name wins over them.
 """
 
-from launch.actions import (
-    DeclareLaunchArgument,
-    IncludeLaunchDescription,
-    OpaqueFunction,
-)
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution

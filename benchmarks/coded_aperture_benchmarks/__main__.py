@@ -133,10 +133,7 @@ def make_parser(program: str) -> argparse.ArgumentParser:
             _add_suite(chosen, name, name, described)
             continue
         group = chosen.add_parser(
-            name,
-            help=described.help,
-            description=described.description,
-            epilog=described.examples,
+            name, help=described.help, description=described.description, epilog=described.examples
         )
         frames = _choice(group, "frames")
         prefix = "" if described is _ACCURACY else f"{name}_"

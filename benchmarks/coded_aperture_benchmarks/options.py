@@ -6,12 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_benchmarks.run import RESULTS as RESULTS_FILE
-from coded_aperture_ros.cli.options import (
-    add_jobs_option,
-    at_least,
-    mask_of,
-    noise_level,
-)
+from coded_aperture_ros.cli.options import add_jobs_option, at_least, mask_of, noise_level
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import processors
 

@@ -14,9 +14,7 @@ _TITLE_HEIGHT_PX = 20
 _GAP_PX = 6
 
 
-def side_by_side(
-    columns: Sequence[tuple[str, Sequence[NDArray[np.uint8]]]],
-) -> NDArray[np.uint8]:
+def side_by_side(columns: Sequence[tuple[str, Sequence[NDArray[np.uint8]]]]) -> NDArray[np.uint8]:
     """Put columns of pictures beside each other, each below its title.
 
     Parameters

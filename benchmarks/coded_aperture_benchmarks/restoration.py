@@ -66,9 +66,7 @@ class PictureScore:
 
 
 def picture_score(
-    image: NDArray[np.floating],
-    truth: NDArray[np.floating],
-    part: NDArray[np.bool_] | None = None,
+    image: NDArray[np.floating], truth: NDArray[np.floating], part: NDArray[np.bool_] | None = None
 ) -> PictureScore:
     """Compare a picture with the true one.
 

@@ -7,13 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.bags.frames import FrameProcessor
-from coded_aperture_ros.bags.messages import (
-    Batch,
-    batches,
-    result_messages,
-    result_topics,
-    warm_up,
-)
+from coded_aperture_ros.bags.messages import Batch, batches, result_messages, result_topics, warm_up
 from coded_aperture_ros.bags.page import PAGE, write_report
 from coded_aperture_ros.bags.record import Record
 from coded_aperture_ros.bags.score import References
@@ -67,7 +61,6 @@ class BagConversion:
 
         Parameters
         ----------
-        source, target : pathlib.Path
         progress : callable, optional
             Given the steps and their number, if it is known, it returns the steps.
 

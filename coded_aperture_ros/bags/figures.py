@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bags.record import Sample
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.figures import new_figure, save_figure
 from coded_aperture_ros.imaging import SRGB, Gamma, decode, pixels_from_linear
 from coded_aperture_ros.io import confidence_picture, depth_picture
@@ -95,12 +96,12 @@ def png(picture: NDArray[np.uint8]) -> bytes:
     return bytes(cv2.imencode(".png", stored)[1])
 
 
-def _light(frame: NDArray[np.float32], gamma: Gamma) -> NDArray[np.uint8]:
+def _light(frame: FloatArray, gamma: Gamma) -> NDArray[np.uint8]:
     """Return a frame, its values as stored, as a display wants it."""
     return np.asarray(pixels_from_linear(decode(_small(frame), gamma), 8, SRGB), np.uint8)
 
 
-def _small(values: NDArray[np.float32]) -> NDArray[np.float32]:
+def _small(values: FloatArray) -> FloatArray:
     if values.shape[1] <= _PICTURE_PX:
         return values
     size = _PICTURE_PX, max(1, round(values.shape[0] * _PICTURE_PX / values.shape[1]))
@@ -110,7 +111,7 @@ def _small(values: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(cv2.resize(values, size, interpolation=how), np.float32)
 
 
-def _error_picture(error: NDArray[np.float32]) -> NDArray[np.uint8]:
+def _error_picture(error: FloatArray) -> NDArray[np.uint8]:
     """Draw relative errors from black to white; where there is none, blue."""
     picture = np.repeat(confidence_picture(error / _WHITE_ERROR)[..., None], 3, axis=2)
     picture[~np.isfinite(error)] = _NO_ERROR_RGB

@@ -4,9 +4,9 @@ import dataclasses
 import time
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.imaging import Gamma
@@ -20,10 +20,10 @@ from coded_aperture_ros.pipeline import FramePipeline
 class DepthMaps:
     """What the new bag has of a `DepthEstimate`; all maps are float32 and of one size."""
 
-    depth_m: NDArray[np.float32]
-    confidence: NDArray[np.float32]
+    depth_m: FloatArray
+    confidence: FloatArray
     noise: float
-    motion_px: NDArray[np.float32] | None = None
+    motion_px: FloatArray | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -96,13 +96,12 @@ class FrameProcessor:
         stages.lap("deblur")
         return dataclasses.replace(processed, sharp=sharp, seconds=stages.seconds)
 
-    def _decoded(self, data: bytes) -> tuple[Picture, NDArray[np.float32]]:
+    def _decoded(self, data: bytes) -> tuple[Picture, FloatArray]:
         picture = read_picture(data, self.type_name)
         rows, columns = picture.pixels.shape[:2]
         if (rows, columns) != self.size:
             raise MessageError(
-                "size",
-                f"the frame is {columns}x{rows}, others are {self.size[1]}x{self.size[0]}",
+                "size", f"the frame is {columns}x{rows}, others are {self.size[1]}x{self.size[0]}"
             )
         return picture, frame_from_pixels(picture.pixels, self.gamma)
 

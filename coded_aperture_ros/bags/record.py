@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
 from coded_aperture_ros.bags.score import FrameScore, summary
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.bags.codec import read_picture, stamp_ns_of
 from coded_aperture_ros.io.bags.recorded import Recorded
@@ -28,8 +29,8 @@ class Sample:
     """A frame that the report shows; frames are float32 in linear light."""
 
     index: int
-    frame: NDArray[np.float32]
-    sharp: NDArray[np.float32] | None
+    frame: FloatArray
+    sharp: FloatArray | None
     maps: DepthMaps
     score: FrameScore | None = None  # once its reference has come
 
@@ -165,7 +166,7 @@ class Record:
             }
 
 
-def _shown(stored: NDArray, encoding: str) -> NDArray[np.float32]:
+def _shown(stored: NDArray, encoding: str) -> FloatArray:
     """Return stored pixels in the order red, green, blue, without alpha."""
     pixels = stored[..., :3] if stored.ndim == 3 else stored
     return frame_from_pixels(pixels[..., ::-1] if encoding.startswith("bgr") else pixels)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.io.bags.codec import read_depth_image, stamp_ns_of
 from coded_aperture_ros.io.bags.recorded import Recorded
 from coded_aperture_ros.io.messages import MessageError, depth_from_pixels
@@ -30,14 +31,11 @@ class FrameScore:
     error: RelativeError  # of the pixels of the depth image whose reference is known
     apart_ns: int  # between the stamps of depth and reference
     reliability: Reliability  # of the pixels that have both; right is within 5 %
-    reference_m: NDArray[np.float32]  # as it was compared, [rows, columns]
+    reference_m: FloatArray  # as it was compared, [rows, columns]
 
 
 def frame_score(
-    depth_m: NDArray[np.float32],
-    confidence: NDArray[np.float32],
-    reference: NDArray,
-    apart_ns: int = 0,
+    depth_m: FloatArray, confidence: FloatArray, reference: NDArray, apart_ns: int = 0
 ) -> FrameScore:
     """Compare a depth image with a reference of any size that shows the same view.
 

@@ -38,7 +38,6 @@ def in_order(
     ----------
     begin : callable
         Begins to process an item, and returns what waits for the result; None: there is none.
-    items : iterable
     ahead : int
         Items that are taken before the first of them is asked for, at most; bounds the memory.
     """

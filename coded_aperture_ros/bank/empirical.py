@@ -4,11 +4,11 @@ import dataclasses
 from collections.abc import Callable, Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.prior import NaturalImagePrior, power_spectrum
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import channel_mean
 
@@ -47,7 +47,7 @@ class EmpiricalPrior(NaturalImagePrior):
             raise InputError("prior deviations: expected finite numbers")
 
     @classmethod
-    def from_images(cls, images: Iterable[NDArray[np.float32]], kinds: int = 4) -> "EmpiricalPrior":
+    def from_images(cls, images: Iterable[FloatArray], kinds: int = 4) -> "EmpiricalPrior":
         """Sort the windows of sharp images into kinds by their spectra.
 
         Parameters
@@ -83,7 +83,7 @@ class EmpiricalPrior(NaturalImagePrior):
         )
 
     @property
-    def spectra(self) -> tuple[Callable[[tuple[int, int]], NDArray[np.float64]], ...]:
+    def spectra(self) -> tuple[Callable[[tuple[int, int]], DoubleArray], ...]:
         """For each kind, a function like `power_spectrum` of an image's shape."""
         return tuple(
             _Spectrum(slope, np.array(deviation))
@@ -96,16 +96,16 @@ class _Spectrum:
     """Power law times what departs from it; a power law beyond the measured frequencies."""
 
     slope: float
-    deviation: NDArray[np.float64]
+    deviation: DoubleArray
 
-    def __call__(self, shape: tuple[int, int]) -> NDArray[np.float64]:
+    def __call__(self, shape: tuple[int, int]) -> DoubleArray:
         frequencies = np.log(_FREQUENCIES)
         return power_spectrum(
             self.slope, shape, lambda scale: np.interp(scale, frequencies, self.deviation)
         )
 
 
-def _log_spectra(fourier: WindowedFourierBasis, image: NDArray[np.float32]) -> NDArray[np.float64]:
+def _log_spectra(fourier: WindowedFourierBasis, image: FloatArray) -> DoubleArray:
     """Return the log radial spectra of textured windows [windows, 9], without their mean."""
     grey = channel_mean(image)
     if min(grey.shape) < _WINDOW_PX:

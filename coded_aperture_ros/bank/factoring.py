@@ -4,10 +4,12 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+
 
 def factor_weights(
-    weights: NDArray[np.float64], scales: NDArray[np.float64], rank: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    weights: DoubleArray, scales: DoubleArray, rank: int
+) -> tuple[FloatArray, FloatArray]:
     """Factor ``weights ~ basis @ coefficients`` at a given rank.
 
     Applied to a patch, the basis costs ``K * rank`` once and every level only ``rank`` more,
@@ -39,9 +41,7 @@ def factor_weights(
     return basis.astype(np.float32), np.stack(coefficients, axis=1).astype(np.float32)
 
 
-def common_basis(
-    weights: NDArray[np.float64], scales: NDArray[np.float64], rank: int
-) -> NDArray[np.float64]:
+def common_basis(weights: DoubleArray, scales: DoubleArray, rank: int) -> DoubleArray:
     """Return the basis [K, rank] of `factor_weights`."""
     common = np.exp(np.log(scales).mean(axis=0))
     leading = _leading_vectors(weights.reshape(-1, len(common)).T * common[:, None], rank)
@@ -49,15 +49,15 @@ def common_basis(
 
 
 def fitted_coefficients(
-    basis: NDArray[np.float64], filters: NDArray[np.floating], scale: NDArray[np.float64]
-) -> NDArray[np.float64]:
+    basis: DoubleArray, filters: NDArray[np.floating], scale: DoubleArray
+) -> DoubleArray:
     """Return the coefficients [rank, M] of filters [M, K] in a basis, for spectra like `scale`."""
     scaled = basis * scale[:, None]
-    solution: NDArray[np.float64] = scipy.linalg.lstsq(scaled, (filters * scale).T, cond=1e-9)[0]
+    solution: DoubleArray = scipy.linalg.lstsq(scaled, (filters * scale).T, cond=1e-9)[0]
     return solution
 
 
-def _leading_vectors(matrix: NDArray[np.float64], rank: int) -> NDArray[np.float64]:
+def _leading_vectors(matrix: DoubleArray, rank: int) -> DoubleArray:
     """Return the leading left singular vectors, from the smaller of the two Gram matrices."""
     tall = matrix.shape[0] > matrix.shape[1]
     gram = matrix.T @ matrix if tall else matrix @ matrix.T

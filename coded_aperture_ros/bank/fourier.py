@@ -11,9 +11,9 @@ from functools import cached_property
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.prior import power_spectrum
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging.patches import PatchGrid
 
@@ -45,7 +45,7 @@ class WindowedFourierBasis:
             )
 
     @cached_property
-    def window(self) -> NDArray[np.float32]:
+    def window(self) -> FloatArray:
         """One side of the separable Hann window [window_px], with unit energy.
 
         With unit energy, white noise of variance s^2 has the expected power s^2 everywhere.
@@ -54,7 +54,7 @@ class WindowedFourierBasis:
         return (hann / np.linalg.norm(hann)).astype(np.float32)
 
     @cached_property
-    def multiplicity(self) -> NDArray[np.float32]:
+    def multiplicity(self) -> FloatArray:
         """How many coefficients of the full transform each frequency stands for [K].
 
         0 for those that do not count: the mean of a patch says nothing about blur, and the Hann
@@ -64,26 +64,26 @@ class WindowedFourierBasis:
         return (self._repetitions * low_enough).astype(np.float32)
 
     @cached_property
-    def noise_weights(self) -> NDArray[np.float32]:
+    def noise_weights(self) -> FloatArray:
         """Weights of the mean power of the highest frequencies [K]; blur leaves noise there."""
         weights = self._repetitions * (self._frequency > _HIGH_FREQUENCY)
         return (weights / weights.sum()).astype(np.float32)
 
     @property
-    def _repetitions(self) -> NDArray[np.intp]:
+    def _repetitions(self) -> IndexArray:
         vertical, horizontal = self._cycles
         once = (horizontal == 0) | (horizontal == self.window_px // 2)
         counts = np.maximum(vertical, horizontal) > 1
-        repetitions: NDArray[np.intp] = (np.where(once, 1, 2) * counts).ravel()
+        repetitions: IndexArray = (np.where(once, 1, 2) * counts).ravel()
         return repetitions
 
     @property
-    def _frequency(self) -> NDArray[np.float64]:
-        frequency: NDArray[np.float64] = np.hypot(*self._cycles).ravel() / self.window_px
+    def _frequency(self) -> DoubleArray:
+        frequency: DoubleArray = np.hypot(*self._cycles).ravel() / self.window_px
         return frequency
 
     @property
-    def _cycles(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _cycles(self) -> tuple[DoubleArray, DoubleArray]:
         n = self.window_px
         vertical = np.abs(np.fft.fftfreq(n) * n)[:, None]
         horizontal = np.fft.rfftfreq(n) * n
@@ -95,9 +95,7 @@ class WindowedFourierBasis:
         """Number K of frequencies."""
         return self.window_px * (self.window_px // 2 + 1)
 
-    def power(
-        self, image: NDArray[np.float32], stride_px: int
-    ) -> tuple[NDArray[np.float32], PatchGrid]:
+    def power(self, image: FloatArray, stride_px: int) -> tuple[FloatArray, PatchGrid]:
         """Return the power spectrum of every window; slow, for learning and for tests.
 
         Parameters
@@ -128,10 +126,8 @@ class WindowedFourierBasis:
         return power, grid
 
     def expected_power(
-        self,
-        psf: NDArray[np.float32],
-        spectrum: float | Callable[[tuple[int, int]], NDArray[np.float64]],
-    ) -> NDArray[np.float64]:
+        self, psf: FloatArray, spectrum: float | Callable[[tuple[int, int]], DoubleArray]
+    ) -> DoubleArray:
         """Return the expected power of a window on a naturally textured, blurred plane.
 
         This is exact for the windowed transform: the autocovariance of the blurred texture is

@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.empirical import EmpiricalPrior
 from coded_aperture_ros.bank.factoring import factor_weights
@@ -13,6 +12,7 @@ from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.model import FilterBank
 from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.bank.prior import NaturalImagePrior
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
@@ -31,28 +31,24 @@ class LearnConfig:
         48,
         "Side of the patches. Larger is more accurate on planes, smaller is sharper at edges.",
         unit="px",
-        minimum=16,
-        maximum=256,
+        within=(16, 256),
     )
     rank: int = option(
         128,
         "Vectors in the common basis of the filters. Fewer is faster and less accurate.",
-        minimum=1,
-        maximum=4096,
+        within=(1, 4096),
     )
     highest_frequency: float = option(
         1.0,
         "Frequencies above this are left out; 0.4 costs little from blur sizes of 7 px on, and "
         "saves a third of the time. 1: all count.",
         unit="cycles/px",
-        minimum=0.1,
-        maximum=1.0,
+        within=(0.1, 1.0),
     )
     noise: float = option(
         0.0,
         "Standard deviation of the camera's noise in linear light; 0 if it is not known.",
-        minimum=0.0,
-        maximum=0.5,
+        within=(0.0, 0.5),
     )
 
     def __post_init__(self) -> None:
@@ -74,7 +70,6 @@ def learn_bank_for_camera(
 
     Parameters
     ----------
-    camera : Camera
     near_m, far_m : float
         Depth range, metres.
     level_count : int
@@ -123,7 +118,7 @@ def psf_stack_for_camera(
     return dataclasses.replace(render_psf_stack(camera.mask, blur_sizes), depths_m=depths_m)
 
 
-def _blur_sizes(camera: Camera, near_m: float, far_m: float, count: int) -> NDArray[np.float64]:
+def _blur_sizes(camera: Camera, near_m: float, far_m: float, count: int) -> DoubleArray:
     """Return equally spaced blur sizes; with the focus among them, the same on both sides of it.
 
     Else the side with a level just there would seem the likelier one. To have that, one end may lie
@@ -171,7 +166,7 @@ def learn_bank(
     learned_from: str = "PSFs, natural-image prior",
     mask: Mask | None = None,
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
-    components: NDArray[np.float32] | None = None,
+    components: FloatArray | None = None,
 ) -> FilterBank:
     """Learn the bank that identifies the blur levels of a PSF stack.
 
@@ -179,7 +174,6 @@ def learn_bank(
     ----------
     stack : PsfStack
         One PSF for every level; at least two.
-    config : LearnConfig, optional
     prior : NaturalImagePrior, optional
         Hypotheses for the texture; an `EmpiricalPrior` has learned them from sharp images.
     learned_from : str, optional
@@ -191,10 +185,6 @@ def learn_bank(
     components : ndarray, float32 [R, L, k, k], optional
         Instead of the PSFs: their autocorrelation is the sum of those of R components. The bank
         needs no more than that; see `learn_bank_from_planes`.
-
-    Returns
-    -------
-    FilterBank
 
     Raises
     ------

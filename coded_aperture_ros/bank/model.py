@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.bank.prior import NaturalImagePrior
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.likelihood import EngineLikelihood, Plan, new_engine
 from coded_aperture_ros.optics import PsfStack
 
@@ -81,10 +81,10 @@ class FilterBank:
     stack: PsfStack
     window_px: int
     prior: NaturalImagePrior
-    ratios: NDArray[np.float64]
-    basis: NDArray[np.float32]
-    coefficients: NDArray[np.float32]
-    log_determinants: NDArray[np.float32]
+    ratios: DoubleArray
+    basis: FloatArray
+    coefficients: FloatArray
+    log_determinants: FloatArray
     truncation_error: float
     noise: float
     mask_digest: str
@@ -95,7 +95,7 @@ class FilterBank:
     pattern: LearnedPattern | None = None
 
     @property
-    def blur_sizes_px(self) -> NDArray[np.float64]:
+    def blur_sizes_px(self) -> DoubleArray:
         """Signed blur size of every level [L], px."""
         return self.stack.blur_sizes_px
 
@@ -130,12 +130,12 @@ class FilterBank:
         )
 
     @cached_property
-    def functions_of_power(self) -> NDArray[np.float32]:
+    def functions_of_power(self) -> FloatArray:
         """What is needed of a patch's spectrum: basis and multiplicity [K, R + 1]."""
         return np.column_stack([self.basis, self.fourier.multiplicity])
 
     @property
-    def window(self) -> NDArray[np.float32]:
+    def window(self) -> FloatArray:
         """The window that patches are multiplied by, along each side [N]."""
         return self.fourier.window
 
@@ -156,9 +156,7 @@ class FilterBank:
         engine = new_engine(Plan.of(self, shape, stride_px), backend, threads)
         return EngineLikelihood(engine, self.window_correlation)
 
-    def energies(
-        self, grey: NDArray[np.float32], stride_px: int, noise: float | NDArray[np.float32]
-    ) -> NDArray[np.float32]:
+    def energies(self, grey: FloatArray, stride_px: int, noise: float | FloatArray) -> FloatArray:
         """Return the energies of a single frame [rows, columns, L]; `plan` is for many.
 
         Parameters

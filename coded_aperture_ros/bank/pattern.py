@@ -3,8 +3,9 @@
 import dataclasses
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
@@ -30,16 +31,16 @@ class ThinLens:
         """Distance of the plane in focus; infinite where there is none."""
         return 1 / self.inverse_focus if self.inverse_focus > 0 else np.inf
 
-    def blur_size_px(self, depth_m: ArrayLike) -> NDArray[np.float64]:
+    def blur_size_px(self, depth_m: ArrayLike) -> DoubleArray:
         """Return the signed blur size at depths in metres."""
         return self.slope_px_m * (self.inverse_focus - 1 / np.asarray(depth_m, np.float64))
 
-    def inverse_depth(self, blur_size_px: ArrayLike) -> NDArray[np.float64]:
+    def inverse_depth(self, blur_size_px: ArrayLike) -> DoubleArray:
         """Return the inverse depth at signed blur sizes; 0 or less at and beyond infinity's."""
         size_px = np.asarray(blur_size_px, np.float64)
         return np.asarray(self.inverse_focus - size_px / self.slope_px_m)
 
-    def depth_m(self, blur_size_px: ArrayLike) -> NDArray[np.float64]:
+    def depth_m(self, blur_size_px: ArrayLike) -> DoubleArray:
         """Return the depth at signed blur sizes; infinite at and beyond that of infinity."""
         inverse = self.inverse_depth(blur_size_px)
         positive = inverse > 0
@@ -89,7 +90,7 @@ class LearnedPattern(ThinLens):
     """
 
     mask: Mask
-    parts: NDArray[np.float64]
+    parts: DoubleArray
     parts_extent: float
     image_width: int
 
@@ -106,7 +107,7 @@ class LearnedPattern(ThinLens):
             raise InputError(f"inverse_focus: expected a number, got {self.inverse_focus!r}")
         object.__setattr__(self, "parts", parts)
 
-    def components(self, blur_sizes_px: ArrayLike) -> NDArray[np.float32]:
+    def components(self, blur_sizes_px: ArrayLike) -> FloatArray:
         """Return the PSFs of the parts at blur sizes of the mask [R, L, k, k].
 
         They are as bright as the parts are.

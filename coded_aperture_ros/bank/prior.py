@@ -4,8 +4,8 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 
 # Photographs in linear light, where one spectrum has to do for all patches: fall-off and contrast
@@ -50,8 +50,8 @@ class NaturalImagePrior:
 def power_spectrum(
     slope: float,
     shape: tuple[int, int],
-    deviation: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None,
-) -> NDArray[np.float64]:
+    deviation: Callable[[DoubleArray], DoubleArray] | None = None,
+) -> DoubleArray:
     """Return the prior's power spectrum for unit contrast, laid out as by ``scipy.fft.rfft2``.
 
     Parameters
@@ -79,6 +79,6 @@ def power_spectrum(
     return power / np.mean(np.fft.irfft2(power, shape)[0, 0])
 
 
-def image_prior(shape: tuple[int, int]) -> NDArray[np.float32]:
+def image_prior(shape: tuple[int, int]) -> FloatArray:
     """Return the power spectrum of photographs of `shape`, as by ``scipy.fft.rfft2``."""
     return (_CONTRAST * power_spectrum(_SLOPE, shape)).astype(np.float32)

@@ -7,15 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.calibration.blind.find import BlindMask
+from coded_aperture_ros.core.arrays import FloatArray
 
 _GAP_PX = 6
 _TILE_PX, _TILES_PER_ROW, _TILE_GAP_LIGHT = 192, 5, 0.3
 _WIDTH_PX, _PER_ROW, _GAP_LIGHT = 120, 8, 0.25
 
 
-def _tiled(
-    tiles: Sequence[NDArray[np.floating]], per_row: int, gap_light: float
-) -> NDArray[np.float32]:
+def _tiled(tiles: Sequence[NDArray[np.floating]], per_row: int, gap_light: float) -> FloatArray:
     """Return square tiles of one size [k, k] in rows, with gaps between and around them."""
     side = len(tiles[0])
     step = side + _GAP_PX
@@ -28,13 +27,13 @@ def _tiled(
     return drawn
 
 
-def enlarged(cells: NDArray[np.floating], side_px: int) -> NDArray[np.float32]:
+def enlarged(cells: NDArray[np.floating], side_px: int) -> FloatArray:
     """Draw cells as whole squares of equal size, at most `side_px` wide in all if they fit."""
     factor = max(1, side_px // max(cells.shape))
     return np.kron(cells, np.ones((factor, factor), np.float32)).astype(np.float32)
 
 
-def blind_picture(found: BlindMask) -> NDArray[np.float32]:
+def blind_picture(found: BlindMask) -> FloatArray:
     """Draw the mask, then the spectrum of each plane, least blurred first, in [0, 1].
 
     The left half of a spectrum is measured, the right half what the mask makes of smooth texture;
@@ -45,7 +44,7 @@ def blind_picture(found: BlindMask) -> NDArray[np.float32]:
     return _tiled(tiles, _TILES_PER_ROW, _TILE_GAP_LIGHT)
 
 
-def _mask_tile(transmission: NDArray[np.float32]) -> NDArray[np.float32]:
+def _mask_tile(transmission: FloatArray) -> FloatArray:
     rows, columns = transmission.shape
     scale = _TILE_PX / max(rows, columns)
     size = (round(columns * scale), round(rows * scale))
@@ -56,7 +55,7 @@ def _mask_tile(transmission: NDArray[np.float32]) -> NDArray[np.float32]:
     return drawn
 
 
-def _halves(measured: NDArray, explained: NDArray) -> NDArray[np.float32]:
+def _halves(measured: NDArray, explained: NDArray) -> FloatArray:
     """Draw two half spectra side by side, zero frequency in the middle."""
     both = np.fft.fftshift(np.stack([measured, explained]), axes=1)[..., :-1]
     # The half with negative horizontal frequencies is the other, turned by 180 degrees.
@@ -70,7 +69,7 @@ def _halves(measured: NDArray, explained: NDArray) -> NDArray[np.float32]:
     )
 
 
-def psf_picture(psfs: Sequence[NDArray[np.floating]]) -> NDArray[np.float32]:
+def psf_picture(psfs: Sequence[NDArray[np.floating]]) -> FloatArray:
     """Draw PSFs in rows of eight, all at one scale, each up to its own brightest value."""
     width = max(len(psf) for psf in psfs)
     padded = [np.pad(np.maximum(psf, 0), (width - len(psf)) // 2) for psf in psfs]

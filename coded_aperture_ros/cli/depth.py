@@ -52,8 +52,7 @@ def add_parser(subparsers: Any) -> None:
         epilog=_EPILOG,
     )
     add_input_options(
-        parser,
-        "depth map: .npy or .tiff in m, .png in mm; or a folder for one .npy per frame",
+        parser, "depth map: .npy or .tiff in m, .png in mm; or a folder for one .npy per frame"
     )
     add_estimator_options(
         parser,

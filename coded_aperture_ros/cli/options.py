@@ -194,7 +194,6 @@ def add_options(
 
     Parameters
     ----------
-    parser : argparse.ArgumentParser
     options : mapping of str to str
         How each is written, such as ``-o --output FILE`` or ``--depth-range NEAR FAR``, and what
         it is. One without a placeholder for its value is a flag; of ``--band {full,half}`` the

@@ -9,8 +9,8 @@ setting itself:
     edge_correction: float = option(0.28, "...", formerly="rim")
     temporal_frames: float = option(0.0, "...", parameter="temporal.frames")
 
-Everything that takes settings from a user looks old names up in `former_names` (command line,
-YAML) or `former_parameters` (ROS), uses the value, and warns with `renamed`.
+The command line looks old names up in `Option.formerly`, ROS in `former_parameters`; both use the
+value, and warn with `renamed`.
 """
 
 import dataclasses
@@ -70,16 +70,20 @@ def option(
     default: Any,
     description: str,
     *,
+    within: tuple[float, float] | None = None,
     formerly: str | tuple[str, ...] = (),
     **described: Any,
 ) -> Any:
     """Declare a dataclass field that carries its `Option`.
 
-    The arguments after `default` are the attributes of `Option`; a single former name need not be
-    in a tuple. An unknown one is a TypeError where the class is defined.
+    The arguments after `default` are the attributes of `Option`; `within` are both bounds, and a
+    single former name need not be in a tuple. An unknown one is a TypeError where the class is
+    defined.
     """
     if isinstance(formerly, str):
         formerly = (formerly,)
+    if within is not None:
+        described["minimum"], described["maximum"] = within
     known = Option(description, formerly=formerly, **described)
     return dataclasses.field(default=default, metadata={"option": known})
 
@@ -90,15 +94,6 @@ def options_of(config: Any) -> dict[str, tuple[dataclasses.Field[Any], Option]]:
         field.name: (field, field.metadata["option"])
         for field in dataclasses.fields(config)
         if "option" in field.metadata
-    }
-
-
-def former_names(config: Any) -> dict[str, str]:
-    """Return `{former name: field name}` of a configuration dataclass, for keywords and YAML."""
-    return {
-        former: name
-        for name, (_, described) in options_of(config).items()
-        for former in described.formerly
     }
 
 

@@ -2,8 +2,8 @@
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DEPTH_EDGE_PX
 
@@ -30,9 +30,7 @@ def covers_frame(map_shape: tuple[int, ...], frame_shape: tuple[int, ...]) -> bo
     return abs(excess) <= max(frame_shape[:2])
 
 
-def filled_blur_map(
-    blur_size_px: NDArray[np.float32], frame: NDArray[np.float32], reduction: int = 1
-) -> NDArray[np.float32]:
+def filled_blur_map(blur_size_px: FloatArray, frame: FloatArray, reduction: int = 1) -> FloatArray:
     """Fill the gaps of a blur map and bring it to the size of its frame, or a part of that.
 
     Gaps, which are not finite, take the value of the nearest known pixel. The frame guides the
@@ -63,7 +61,7 @@ def filled_blur_map(
     return _enlarged(blur, guide if guide.ndim == 2 else guide.mean(axis=2))
 
 
-def _reduced(blur: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+def _reduced(blur: FloatArray, size: tuple[int, int]) -> FloatArray:
     """Return a map at a smaller size (columns, rows): means of what is known, NaN without any."""
     known = np.isfinite(blur)
     if known.all():
@@ -73,7 +71,7 @@ def _reduced(blur: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.flo
     return np.divide(total, share, out=np.full_like(total, np.nan), where=share > 0)
 
 
-def _nearest(source: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _nearest(source: BoolArray) -> IndexArray:
     """Return for every pixel the number of the nearest `source`, as a mask of them counts."""
     # A tenth of the time of an exact distance transform; the distances are good to a few per cent.
     _, labels = cv2.distanceTransformWithLabels(
@@ -84,7 +82,7 @@ def _nearest(source: NDArray[np.bool_]) -> NDArray[np.intp]:
     return number[labels]
 
 
-def _enlarged(small: NDArray[np.float32], grey: NDArray[np.float32]) -> NDArray[np.float32]:
+def _enlarged(small: FloatArray, grey: FloatArray) -> FloatArray:
     """Interpolate a smaller map; across a depth edge each pixel joins the side it looks like."""
     size = grey.shape[::-1]
     smooth = cv2.resize(small, size, interpolation=cv2.INTER_LINEAR)
@@ -110,9 +108,7 @@ def _enlarged(small: NDArray[np.float32], grey: NDArray[np.float32]) -> NDArray[
     return np.asarray(smooth, np.float32)
 
 
-def safe_blur_map(
-    blur: NDArray[np.float32], reach_px: float, reduction: int, moves: bool
-) -> NDArray[np.float32]:
+def safe_blur_map(blur: FloatArray, reach_px: float, reduction: int, moves: bool) -> FloatArray:
     """Return the blur sizes that do the least harm where the depth may be wrong.
 
     `reach_px` says how far its edges may be off, in px of the frame; 0: it is exact. The map is
@@ -124,7 +120,7 @@ def safe_blur_map(
     return smoothed_over_surfaces(blur) if moves else blur
 
 
-def without_specks(blur: NDArray[np.float32], reduction: int = 1) -> NDArray[np.float32]:
+def without_specks(blur: FloatArray, reduction: int = 1) -> FloatArray:
     """Return blur sizes without small spots that are sharper than all around them."""
     amount = np.abs(blur)
     side = _SPECK_PX // reduction | 1
@@ -133,7 +129,7 @@ def without_specks(blur: NDArray[np.float32], reduction: int = 1) -> NDArray[np.
     return np.where(closed - amount > DEPTH_EDGE_PX, np.copysign(closed, blur), blur)
 
 
-def sharper_near_edges(blur: NDArray[np.float32], reach_px: int) -> NDArray[np.float32]:
+def sharper_near_edges(blur: FloatArray, reach_px: int) -> FloatArray:
     """Return blur sizes that near a depth edge are those of its sharper side.
 
     Where the edge is off, a pixel is deblurred with the PSF of the other side. One that is too
@@ -144,7 +140,7 @@ def sharper_near_edges(blur: NDArray[np.float32], reach_px: int) -> NDArray[np.f
     return np.where(amount - least > DEPTH_EDGE_PX, np.copysign(least, blur), blur)
 
 
-def smoothed_over_surfaces(blur: NDArray[np.float32]) -> NDArray[np.float32]:
+def smoothed_over_surfaces(blur: FloatArray) -> FloatArray:
     """Return blur sizes averaged over surfaces, whose edges stay.
 
     The inverse of a long motion rings where the other blur is wrong by little.
@@ -152,13 +148,13 @@ def smoothed_over_surfaces(blur: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(cv2.bilateralFilter(blur, 3 * _SMOOTH_PX | 1, _SAME_SURFACE_PX, _SMOOTH_PX))
 
 
-def model_weight(blur: NDArray[np.float32], noise: float) -> NDArray[np.float32]:
+def model_weight(blur: FloatArray, noise: float) -> FloatArray:
     """Return how far every pixel's data can be trusted, 0 to 1, from the relief around it."""
     least = np.float32(noise**2 + MODEL_ERROR**2)
     return least / (least + np.float32(_ERROR_PER_PX**2) * local_variance(blur, _AROUND_PX))
 
 
-def local_variance(blur: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+def local_variance(blur: FloatArray, side: int) -> FloatArray:
     """Return the variance of a map in a square around every pixel."""
     # Variances of differences from the overall mean keep their digits in single precision.
     centred = blur - blur.mean()

@@ -3,8 +3,8 @@
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blur_map import filled_blur_map, safe_blur_map
@@ -31,7 +31,6 @@ class Deblurrer:
     ----------
     stack : PsfStack
         PSFs of the blur levels, as a filter bank has them.
-    config : DeblurConfig, optional
     """
 
     def __init__(self, stack: PsfStack, config: DeblurConfig | None = None) -> None:
@@ -77,11 +76,11 @@ class Deblurrer:
 
     def deblur(
         self,
-        frame: NDArray[np.float32],
-        blur_size_px: NDArray[np.float32],
+        frame: FloatArray,
+        blur_size_px: FloatArray,
         noise: float | None = None,
-        motion_px: NDArray[np.float32] | None = None,
-    ) -> NDArray[np.float32]:
+        motion_px: FloatArray | None = None,
+    ) -> FloatArray:
         """Return the all-in-focus frame.
 
         Parameters
@@ -121,9 +120,7 @@ class Deblurrer:
         problem = Problem(channels, frame_count, measured, blur, motion, noise)
         return np.clip(self._method.restore(problem, self._video), 0, 1)
 
-    def _blur_map(
-        self, blur_size_px: NDArray[np.float32], frame: NDArray[np.float32], moves: bool
-    ) -> NDArray[np.float32]:
+    def _blur_map(self, blur_size_px: FloatArray, frame: FloatArray, moves: bool) -> FloatArray:
         """Return the blur sizes to deblur by, as much smaller as the method wants them."""
         blur = filled_blur_map(blur_size_px, frame, self._method.reduction)
         if not self.stack.in_pixels:

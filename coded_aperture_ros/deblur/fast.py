@@ -2,8 +2,8 @@
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.inverse_filters import HalfBandFilters, InverseFilters
@@ -32,8 +32,8 @@ class ClosedForm:
         self._of_colour.prepare(shape)
 
     def restore(
-        self, channels: list[NDArray[np.float32]], blur_size_px: NDArray[np.float32], noise: float
-    ) -> list[NDArray[np.float32]]:
+        self, channels: list[FloatArray], blur_size_px: FloatArray, noise: float
+    ) -> list[FloatArray]:
         """Deblur the `opponents` of a frame, by a map that is smaller by `reduction`."""
         places = self._of_brightness.places(blur_size_px)
         restored = self._of_brightness.apply(channels[:1], places, noise)
@@ -53,7 +53,7 @@ class Fast:
         self._config, self._closed_form = config, closed_form
         self.reduction = closed_form.reduction
 
-    def restore(self, problem: Problem, _: VideoState) -> NDArray[np.float32]:
+    def restore(self, problem: Problem, _: VideoState) -> FloatArray:
         """Return the all-in-focus frame."""
         # One noise for the whole frame: that of places with few frames, which would show it.
         few = float(np.quantile(problem.frame_count, _FEW)) if problem.frame_count.size > 1 else 1.0

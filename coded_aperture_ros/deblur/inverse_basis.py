@@ -7,6 +7,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import image_prior
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.imaging import transfer_function
 from coded_aperture_ros.optics import PsfStack
 
@@ -18,10 +19,7 @@ _LEAST_POWER = 1e-8
 
 
 def wiener_filters(
-    transfer: NDArray[np.complex64],
-    prior: NDArray[np.float32],
-    model_errors: NDArray[np.float64],
-    noise: float,
+    transfer: NDArray[np.complex64], prior: FloatArray, model_errors: DoubleArray, noise: float
 ) -> NDArray[np.complex64]:
     """Return the transforms of the inverse filters of one or more PSFs.
 
@@ -48,12 +46,12 @@ class InverseBasis:
     stack: PsfStack
     # Each is the sum, with these weights [L, G, R], of the inverse filters of all levels for each
     # of the G `MODEL_ERRORS`, at the noise that the basis is best for.
-    generators: NDArray[np.float32]
+    generators: FloatArray
     noise: float
     # They are orthogonal at a coarse sampling of the frequencies [R, n], times how much of each
     # there is in blurred photographs [n].
     coarse: NDArray[np.complex64]
-    coarse_weight: NDArray[np.float32]
+    coarse_weight: FloatArray
 
     @classmethod
     def learn(cls, stack: PsfStack, noise: float, rank: int) -> "InverseBasis":
@@ -89,7 +87,7 @@ class InverseBasis:
             basis[:, rows] = (weights @ flat).view(np.complex64).reshape(basis[:, rows].shape)
         return basis
 
-    def coefficients(self, model_errors: NDArray[np.float64], noise: float) -> NDArray[np.float32]:
+    def coefficients(self, model_errors: DoubleArray, noise: float) -> FloatArray:
         """Return the combinations [L, E, R] that come nearest to the inverse filters.
 
         They are scaled so that flat areas keep their brightness exactly.
@@ -103,7 +101,7 @@ class InverseBasis:
         return (coefficients / flat[..., None]).astype(np.float32)
 
 
-def _coarse_model(stack: PsfStack) -> tuple[NDArray[np.float32], NDArray[np.complex64]]:
+def _coarse_model(stack: PsfStack) -> tuple[FloatArray, NDArray[np.complex64]]:
     # Which filters resemble each other shows at a coarse sampling of the frequencies already.
     side = scipy.fft.next_fast_len(max(96, 4 * stack.psfs.shape[-1]), real=True)
     transfers = [transfer_function(psf, (side, side)) for psf in stack.psfs]

@@ -7,6 +7,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blur_map import local_variance
 from coded_aperture_ros.deblur.inverse_basis import MODEL_ERRORS, InverseBasis
@@ -57,7 +58,7 @@ class InverseFilters:
         for noise in _NOISES[:-1]:
             self._transforms(noise, periodic_shape(shape, self._extension_px))
 
-    def places(self, blur: NDArray[np.float32]) -> NDArray[np.intp]:
+    def places(self, blur: FloatArray) -> IndexArray:
         """Return the place of every pixel in the tables of coefficients, of any rank and noise.
 
         `blur` has signed blur sizes in px of the frame [rows / reduction, columns / reduction].
@@ -70,8 +71,8 @@ class InverseFilters:
         return place.astype(np.intp)
 
     def apply(
-        self, channels: list[NDArray[np.float32]], places: NDArray[np.intp], noise: float
-    ) -> list[NDArray[np.float32]]:
+        self, channels: list[FloatArray], places: IndexArray, noise: float
+    ) -> list[FloatArray]:
         """Deblur channels of a frame by their `places`; `noise` is its standard deviation, > 0."""
         basis_noise = min(_NOISES, key=lambda known: abs(np.log(known / noise)))
         shape = channels[0].shape
@@ -87,11 +88,8 @@ class InverseFilters:
         return [self._filter(channel, transforms, weights) for channel in channels]
 
     def _filter(
-        self,
-        channel: NDArray[np.float32],
-        transforms: NDArray[np.complex64],
-        weights: list[NDArray[np.float32]],
-    ) -> NDArray[np.float32]:
+        self, channel: FloatArray, transforms: NDArray[np.complex64], weights: list[FloatArray]
+    ) -> FloatArray:
         height, width = channel.shape
         shape = periodic_shape(channel.shape, self._extension_px)
         spectrum = scipy.fft.rfft2(periodic(channel, shape), workers=self._workers.threads)
@@ -107,7 +105,7 @@ class InverseFilters:
     def _new_transforms(self, noise: float, shape: tuple[int, int]) -> NDArray[np.complex64]:
         return self._basis(noise).transforms(shape)
 
-    def _new_lookup_table(self, basis_noise: float, tenths: int) -> NDArray[np.float32]:
+    def _new_lookup_table(self, basis_noise: float, tenths: int) -> FloatArray:
         """Coefficients [R, steps of level * steps of model error], interpolated."""
         table = self._basis(basis_noise).coefficients(_MODEL_ERRORS, 10 ** (tenths / 10))
         table = table[self._order]
@@ -120,7 +118,7 @@ class InverseFilters:
         return np.ascontiguousarray(table.reshape(-1, table.shape[-1]).T)
 
 
-def _index_among(places: NDArray[np.floating], values: NDArray[np.float32]) -> NDArray[np.floating]:
+def _index_among(places: NDArray[np.floating], values: FloatArray) -> NDArray[np.floating]:
     """Return fractional indices of values among ascending places, those beyond at the ends."""
     last = len(places) - 1
     steps = np.diff(places)
@@ -131,7 +129,7 @@ def _index_among(places: NDArray[np.floating], values: NDArray[np.float32]) -> N
     return np.clip((values - first) / step, 0, np.float32(last))
 
 
-def _log_model_error(blur: NDArray[np.float32], reduction: int) -> NDArray[np.float32]:
+def _log_model_error(blur: FloatArray, reduction: int) -> FloatArray:
     """Logarithm of every pixel's model error, from how much the blur size changes around it."""
     variance = local_variance(blur, _SURROUNDINGS_PX // reduction | 1)
     variance *= np.float32(_ERROR_PER_PX**2)
@@ -158,8 +156,8 @@ class HalfBandFilters(InverseFilters):
         super().prepare((-(-shape[0] // 2), -(-shape[1] // 2)))
 
     def apply(
-        self, channels: list[NDArray[np.float32]], places: NDArray[np.intp], noise: float
-    ) -> list[NDArray[np.float32]]:
+        self, channels: list[FloatArray], places: IndexArray, noise: float
+    ) -> list[FloatArray]:
         """Deblur the channels of a frame; see `InverseFilters.apply`."""
         halves = [cv2.pyrDown(channel) for channel in channels]
         changes = super().apply(halves, places, noise)

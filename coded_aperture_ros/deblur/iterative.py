@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blur_map import filled_blur_map, model_weight
 from coded_aperture_ros.deblur.config import DeblurConfig
@@ -31,9 +31,9 @@ class Fit:
     """A frame to be explained by a sharp scene: ``min ||g - H_d f||^2 + alpha prior(f)``."""
 
     operator: BlurOperator  # H_d
-    channels: list[NDArray[np.float32]]  # g [rows, columns]: brightness and colour differences
-    weight: NDArray[np.float32]  # how much every pixel of the frame counts, 0 to 1
-    start: list[NDArray[np.float32]]  # where to begin, such as the last frame's result
+    channels: list[FloatArray]  # g [rows, columns]: brightness and colour differences
+    weight: FloatArray  # how much every pixel of the frame counts, 0 to 1
+    start: list[FloatArray]  # where to begin, such as the last frame's result
     noise: float  # standard deviation
     config: DeblurConfig  # with a factor of alpha, and when to stop
 
@@ -57,7 +57,7 @@ class Iterative(abc.ABC):
         self._config, self._closed_form = config, closed_form
         self._basis, self._workers = basis, workers
 
-    def restore(self, problem: Problem, video: VideoState) -> NDArray[np.float32]:
+    def restore(self, problem: Problem, video: VideoState) -> FloatArray:
         """Return the all-in-focus frame; see `Method`."""
         blur, count = problem.blur_size_px, problem.frame_count
         most = float(np.max(count))
@@ -78,7 +78,7 @@ class Iterative(abc.ABC):
         return from_opponents(restored)
 
     @abc.abstractmethod
-    def minimise(self, fit: Fit) -> list[NDArray[np.float32]]:
+    def minimise(self, fit: Fit) -> list[FloatArray]:
         """Return the channels of the sharp scene within the frame."""
 
     def _operator(self, problem: Problem) -> BlurOperator:

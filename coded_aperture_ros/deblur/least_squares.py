@@ -4,8 +4,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.deblur.blur_map import MODEL_ERROR
 from coded_aperture_ros.deblur.iterative import (
     RANGES,
@@ -55,12 +55,12 @@ class ConjugateGradients(Iterative):
     runs_on_torch = True
     # Occlusion would take 1.7 times as long for nothing: the iterations stop early.
 
-    def minimise(self, fit: Fit) -> list[NDArray[np.float32]]:
+    def minimise(self, fit: Fit) -> list[FloatArray]:
         """Return the channels of the sharp scene within the frame."""
         return restore_quadratic(fit)[0]
 
 
-def restore_quadratic(fit: Fit) -> tuple[list[NDArray[np.float32]], int]:
+def restore_quadratic(fit: Fit) -> tuple[list[FloatArray], int]:
     """Minimise ``||g - H_d f||^2 + alpha ||Sigma f||^2`` by conjugate gradients.
 
     ``alpha`` is the variance of the noise, and of the model's error, over that of photographs. The
@@ -92,12 +92,12 @@ class Sparse(Iterative):
 
     gains_by_occlusion = True
 
-    def minimise(self, fit: Fit) -> list[NDArray[np.float32]]:
+    def minimise(self, fit: Fit) -> list[FloatArray]:
         """Return the channels of the sharp scene within the frame."""
         return restore_sparse(fit)
 
 
-def restore_sparse(fit: Fit) -> list[NDArray[np.float32]]:
+def restore_sparse(fit: Fit) -> list[FloatArray]:
     """Minimise ``||g - H_d f||^2 + alpha sum |D f|^0.7`` by reweighted least squares.
 
     Every few iterations the prior's weights follow the solution (see `sparse_weights`), and pixels
@@ -151,17 +151,15 @@ def _smoothness(fft: Any, penalty: Any) -> Linear:
     return lambda scene: fft.irfft2(penalty * fft.rfft2(scene), scene.shape)
 
 
-def _sparseness(edges: list[NDArray[np.float32]]) -> Linear:
-    def prior(scene: NDArray[np.float32]) -> NDArray[np.float32]:
+def _sparseness(edges: list[FloatArray]) -> Linear:
+    def prior(scene: FloatArray) -> FloatArray:
         parts = [each * part for each, part in zip(edges, differences(scene), strict=True)]
         return differences_adjoint(parts)
 
     return prior
 
 
-def _explained(
-    residuals: list[NDArray[np.float32]], noise: float, allowed: float
-) -> NDArray[np.float32]:
+def _explained(residuals: list[FloatArray], noise: float, allowed: float) -> FloatArray:
     """Return how far the frame is explained at every pixel, 0 to 1."""
     squared = np.mean([residual**2 for residual in residuals], axis=0)
     misfit = cv2.GaussianBlur(squared, (0, 0), _MISFIT_REACH_PX)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.operator import OnProcessor, steps_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
@@ -35,7 +36,7 @@ class OccludedBlur(OnProcessor):
     """
 
     def __init__(
-        self, basis: PsfBasis, blur_size_px: NDArray[np.float32], workers: Workers | None = None
+        self, basis: PsfBasis, blur_size_px: FloatArray, workers: Workers | None = None
     ) -> None:
         rows, columns = blur_size_px.shape
         self.shape, self.margin_px = (rows, columns), basis.margin_px
@@ -63,7 +64,7 @@ class OccludedBlur(OnProcessor):
         """Return views [down, right] of what is so far from every pixel, less the margin."""
         return sliding_window_view(scene, self.shape, writeable=True)
 
-    def forward(self, scene: NDArray[np.float32]) -> NDArray[np.float32]:
+    def forward(self, scene: FloatArray) -> FloatArray:
         """Blur a scene."""
         frame, around = np.zeros(self.shape, np.float32), self._around(scene)
 
@@ -77,7 +78,7 @@ class OccludedBlur(OnProcessor):
         self.workers.each(add, range(0, self.shape[0], _BAND_ROWS))
         return frame
 
-    def adjoint(self, frame: NDArray[np.float32]) -> NDArray[np.float32]:
+    def adjoint(self, frame: FloatArray) -> FloatArray:
         """Apply the transpose."""
         # Each thread has its own scene: bands of rows overlap by the margin.
         scenes = [np.zeros(self.scene_shape, np.float32) for _ in range(self.workers.threads)]
@@ -93,7 +94,7 @@ class OccludedBlur(OnProcessor):
         return np.sum(scenes, axis=0)
 
 
-def _visible(amounts: NDArray[np.float32], place: tuple[int, int]) -> NDArray[np.bool_]:
+def _visible(amounts: FloatArray, place: tuple[int, int]) -> BoolArray:
     """Return for which pixels nothing is in front of the point at a place of their surroundings."""
     centre = len(amounts) // 2
     offset = place[0] - centre, place[1] - centre

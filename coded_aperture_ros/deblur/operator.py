@@ -8,6 +8,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.imaging import periodic_shape, transfer_function
@@ -32,10 +33,10 @@ class BlurOperator(Protocol):
     workers: Workers
     fft: Any
 
-    def array(self, values: NDArray[np.float32]) -> Any:
+    def array(self, values: FloatArray) -> Any:
         """Bring an array to where the operator computes."""
 
-    def to_numpy(self, values: Any) -> NDArray[np.float32]:
+    def to_numpy(self, values: Any) -> FloatArray:
         """Bring a result back."""
 
     def forward(self, scene: Any) -> Any:
@@ -53,22 +54,22 @@ class OnProcessor:
 
     fft: Any = scipy.fft
     _basis: PsfBasis
-    _steps: NDArray[np.intp]  # of the scene, see `PsfBasis.steps_of`
+    _steps: IndexArray  # of the scene, see `PsfBasis.steps_of`
 
-    def array(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def array(self, values: FloatArray) -> FloatArray:
         """Return the array itself."""
         return values
 
     to_numpy = array
 
-    def ranges(self, count: int) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    def ranges(self, count: int) -> list[tuple[FloatArray, FloatArray]]:
         """Divide the scene among ranges of blur sizes."""
         return self._basis.ranges(self._steps, count)
 
 
 def scene_around(
-    frame: NDArray[np.float32], operator: BlurOperator, border: int = cv2.BORDER_REPLICATE
-) -> NDArray[np.float32]:
+    frame: FloatArray, operator: BlurOperator, border: int = cv2.BORDER_REPLICATE
+) -> FloatArray:
     """Extend a frame to a scene."""
     margin = operator.margin_px
     below = operator.scene_shape[0] - operator.shape[0] - margin
@@ -77,9 +78,7 @@ def scene_around(
     return np.asarray(scene, np.float32)
 
 
-def steps_around(
-    basis: PsfBasis, blur_size_px: NDArray[np.float32], operator: BlurOperator
-) -> NDArray[np.intp]:
+def steps_around(basis: PsfBasis, blur_size_px: FloatArray, operator: BlurOperator) -> IndexArray:
     """Return the column of the basis' table for every pixel of a scene around a blur map."""
     steps = basis.steps_of(blur_size_px).astype(np.float32)
     return scene_around(steps, operator).astype(np.intp)
@@ -95,15 +94,15 @@ def frame_within(scene: Any, operator: BlurOperator) -> Any:
 class MotionParts:
     """The motion of a frame: M ways to the right, and down, and which of them each pixel has."""
 
-    vectors_px: NDArray[np.float32]  # [M, 2]
-    labels: NDArray[np.intp]  # [rows, columns]
+    vectors_px: FloatArray  # [M, 2]
+    labels: IndexArray  # [rows, columns]
 
-    def traces(self) -> list[NDArray[np.float32]]:
+    def traces(self) -> list[FloatArray]:
         """Return the PSF of every motion."""
         return [motion_kernel((right, down)) for right, down in self.vectors_px]
 
 
-def motion_parts(motion_px: NDArray[np.float32]) -> MotionParts:
+def motion_parts(motion_px: FloatArray) -> MotionParts:
     """Divide a map [rows, columns, 2] among the motions that occur most; none where not finite."""
     known = np.isfinite(motion_px).all(axis=2, keepdims=True)
     coarse = np.rint(np.where(known, motion_px, 0) / _STEP_PX)
@@ -142,7 +141,7 @@ class SpreadingBlur(OnProcessor):
     def __init__(
         self,
         basis: PsfBasis,
-        blur_size_px: NDArray[np.float32],
+        blur_size_px: FloatArray,
         workers: Workers | None = None,
         motion: MotionParts | None = None,
     ) -> None:
@@ -157,7 +156,7 @@ class SpreadingBlur(OnProcessor):
         self._steps = steps_around(basis, blur_size_px, self)
         self._shares = [np.take(of_kernel, self._steps) for of_kernel in basis.table]
         self._traces = [transfer_function(trace, self.scene_shape) for trace in traces]
-        self._parts: list[NDArray[np.float32]] = []
+        self._parts: list[FloatArray] = []
         if motion is not None:
             labels = scene_around(motion.labels.astype(np.float32), self)
             self._parts = [(labels == part).astype(np.float32) for part in range(len(traces))]
@@ -165,7 +164,7 @@ class SpreadingBlur(OnProcessor):
         self._scale = np.ones(self.shape, np.float32)
         self._scale /= self.forward(np.ones(self.scene_shape, np.float32))
 
-    def _share(self, part: int, kernel: int) -> NDArray[np.float32]:
+    def _share(self, part: int, kernel: int) -> FloatArray:
         share = self._shares[kernel]
         return share * self._parts[part] if self._parts else share
 
@@ -173,7 +172,7 @@ class SpreadingBlur(OnProcessor):
         transform = self._transforms[kernel]
         return transform * self._traces[part] if self._traces else transform
 
-    def forward(self, scene: NDArray[np.float32]) -> NDArray[np.float32]:
+    def forward(self, scene: FloatArray) -> FloatArray:
         """Blur a scene."""
         sums = [np.zeros_like(self._transforms[0]) for _ in range(self.workers.threads)]
 
@@ -186,7 +185,7 @@ class SpreadingBlur(OnProcessor):
         blurred = scipy.fft.irfft2(np.sum(sums, axis=0), self.scene_shape)
         return frame_within(blurred, self) * self._scale
 
-    def adjoint(self, frame: NDArray[np.float32]) -> NDArray[np.float32]:
+    def adjoint(self, frame: FloatArray) -> FloatArray:
         """Apply the transpose."""
         spectrum = scipy.fft.rfft2(scene_around(frame * self._scale, self, cv2.BORDER_CONSTANT))
         sums = [np.zeros(self.scene_shape, np.float32) for _ in range(self.workers.threads)]
@@ -198,7 +197,7 @@ class SpreadingBlur(OnProcessor):
         self.workers.each(add, self._terms)
         return np.sum(sums, axis=0)
 
-    def ranges(self, count: int) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    def ranges(self, count: int) -> list[tuple[FloatArray, FloatArray]]:
         """Divide the scene among ranges of blur sizes, and motions."""
         ranges = super().ranges(count)
         moving = list(zip(self._parts, self._traces, strict=True))

@@ -3,9 +3,9 @@
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import power_spectrum
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.imaging import transfer_function
 
 # Side of the patches that the high-order prior relates, px.
@@ -18,7 +18,7 @@ _EXPONENT = 0.7
 _SMALL = 0.01
 
 
-def natural_covariance(side_px: int) -> NDArray[np.float64]:
+def natural_covariance(side_px: int) -> DoubleArray:
     """Return the covariance of sharp patches of unit contrast, less their mean, by the prior."""
     period = 64
     correlation = np.fft.irfft2(power_spectrum(_SLOPE, (period, period)), (period, period))
@@ -30,7 +30,7 @@ def natural_covariance(side_px: int) -> NDArray[np.float64]:
     return no_mean @ covariance @ no_mean
 
 
-def high_order_filters(covariance: NDArray[np.float64]) -> NDArray[np.float32]:
+def high_order_filters(covariance: DoubleArray) -> FloatArray:
     """Return the filters [side**2 - 1, side, side] to which sharp patches hardly respond.
 
     ``Sigma`` of thesis eq. 6.3 is made of the singular directions of sharp patches that have small
@@ -47,7 +47,7 @@ def high_order_filters(covariance: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 @lru_cache(maxsize=2)
-def quadratic_power(shape: tuple[int, int]) -> NDArray[np.float32]:
+def quadratic_power(shape: tuple[int, int]) -> FloatArray:
     """Return the power spectrum of ``Sigma^T Sigma`` of natural images, as by ``rfft2``.
 
     Every pixel is in as many patches as they have pixels: of these the mean. Do not write to it.
@@ -57,13 +57,13 @@ def quadratic_power(shape: tuple[int, int]) -> NDArray[np.float32]:
     return np.asarray(power / filters[0].size, np.float32)
 
 
-def differences(image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+def differences(image: FloatArray) -> list[FloatArray]:
     """Return first and second differences of an image, each of its shape; 0 across its border."""
     down, right = _difference(image, 0), _difference(image, 1)
     return [down, right, *(_difference(*pair) for pair in ((down, 0), (right, 1), (down, 1)))]
 
 
-def differences_adjoint(parts: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+def differences_adjoint(parts: list[FloatArray]) -> FloatArray:
     """Apply the transpose of `differences`."""
     down, right, down_down, right_right, down_right = parts
     down = down + _adjoint(down_down, 0) + _adjoint(down_right, 1)
@@ -71,7 +71,7 @@ def differences_adjoint(parts: list[NDArray[np.float32]]) -> NDArray[np.float32]
     return _adjoint(down, 0) + _adjoint(right, 1)
 
 
-def difference_powers(shape: tuple[int, int]) -> list[NDArray[np.float32]]:
+def difference_powers(shape: tuple[int, int]) -> list[FloatArray]:
     """Return the power spectra of the `differences` of periodic images, as by ``rfft2``."""
     down = 2 - 2 * np.cos(2 * np.pi * np.fft.fftfreq(shape[0]))[:, None]
     right = 2 - 2 * np.cos(2 * np.pi * np.fft.rfftfreq(shape[1]))[None, :]
@@ -79,7 +79,7 @@ def difference_powers(shape: tuple[int, int]) -> list[NDArray[np.float32]]:
     return [power.astype(np.float32) for power in powers]
 
 
-def sparse_weights(channels: list[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
+def sparse_weights(channels: list[FloatArray]) -> list[FloatArray]:
     """Return the weights that make a quadratic prior of the differences a sparse one.
 
     The prior ``sum |D f|^0.7`` lets few large differences stand and presses many small ones down,
@@ -98,14 +98,14 @@ def sparse_weights(channels: list[NDArray[np.float32]]) -> list[NDArray[np.float
     ]
 
 
-def _difference(image: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+def _difference(image: FloatArray, axis: int) -> FloatArray:
     result = np.zeros_like(image)
     inner, source = (result, image) if axis == 0 else (result.T, image.T)
     np.subtract(source[1:], source[:-1], out=inner[:-1])
     return result
 
 
-def _adjoint(part: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+def _adjoint(part: FloatArray, axis: int) -> FloatArray:
     result = np.zeros_like(part)
     inner, source = (result, part) if axis == 0 else (result.T, part.T)
     inner[1:] = source[:-1]

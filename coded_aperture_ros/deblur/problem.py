@@ -5,8 +5,8 @@ from typing import Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import StaticAverage, filled
 
@@ -18,9 +18,7 @@ _OPPONENTS = np.float32(np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt(
 _STATIC = 1.5
 
 
-def measured_pixels(
-    frame: NDArray[np.float32], saturation: float
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def measured_pixels(frame: FloatArray, saturation: float) -> tuple[FloatArray, BoolArray]:
     """Return a frame whose impossible pixels are filled, and which pixels have been measured.
 
     Pixels that are not finite, or far from [0, 1], are impossible. From a brightness of
@@ -41,9 +39,7 @@ def measured_pixels(
     return np.ascontiguousarray(frame, np.float32), measured
 
 
-def motion_of_frame(
-    motion_px: NDArray[np.float32] | None, shape: tuple[int, ...]
-) -> NDArray[np.float32] | None:
+def motion_of_frame(motion_px: FloatArray | None, shape: tuple[int, ...]) -> FloatArray | None:
     """Return a map of motion in the size of the frame; None where nothing moves.
 
     An `InputError` if it is not [rows, columns, 2], or not of a floating type.
@@ -61,7 +57,7 @@ def motion_of_frame(
     return np.asarray(cv2.resize(motion, size, interpolation=cv2.INTER_NEAREST_EXACT))
 
 
-def opponents(image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+def opponents(image: FloatArray) -> list[FloatArray]:
     """Return brightness and two colour differences of an image; of a grey one just itself.
 
     They are ``(r + g + b) / sqrt(3)``, ``(r - b) / sqrt(2)``, ``(r - 2 g + b) / sqrt(6)``.
@@ -71,7 +67,7 @@ def opponents(image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
     return list(cv2.split(cv2.transform(image, _OPPONENTS)))
 
 
-def from_opponents(channels: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+def from_opponents(channels: list[FloatArray]) -> FloatArray:
     """Undo `opponents`."""
     if len(channels) == 1:
         return channels[0]
@@ -91,15 +87,13 @@ class VideoState:
         self._most_frames = most_frames
         self._averages: list[StaticAverage] = []
         self._shape: tuple[int, ...] = ()
-        self._restored: list[NDArray[np.float32]] | None = None
+        self._restored: list[FloatArray] | None = None
 
     def reset(self) -> None:
         """Forget the frames so far."""
         self._averages, self._restored = [], None
 
-    def add(
-        self, channels: list[NDArray[np.float32]], noise: float
-    ) -> tuple[list[NDArray[np.float32]], NDArray[np.float32]]:
+    def add(self, channels: list[FloatArray], noise: float) -> tuple[list[FloatArray], FloatArray]:
         """Return the mean with one more frame, and how many frames it is of.
 
         Another number or size of channels than before begins another video. `noise` is the
@@ -120,16 +114,14 @@ class VideoState:
         frame_count = cv2.resize(least, shape[:0:-1], interpolation=cv2.INTER_LINEAR)
         return [mean.copy() for mean, _ in means], np.asarray(frame_count, np.float32)
 
-    def start(
-        self, closed_form: list[NDArray[np.float32]], frame_count: NDArray[np.float32]
-    ) -> list[NDArray[np.float32]]:
+    def start(self, closed_form: list[FloatArray], frame_count: FloatArray) -> list[FloatArray]:
         """Return where to begin to restore: the last result wherever nothing has changed."""
         if self._restored is None:
             return closed_form
         pairs = zip(self._restored, closed_form, strict=True)
         return [np.where(frame_count > _STATIC, last, fresh) for last, fresh in pairs]
 
-    def keep(self, restored: list[NDArray[np.float32]]) -> None:
+    def keep(self, restored: list[FloatArray]) -> None:
         """Remember a result, to begin with it next time."""
         if self._most_frames:
             self._restored = restored
@@ -139,11 +131,11 @@ class VideoState:
 class Problem:
     """All that is known of one frame when its blur is to be removed."""
 
-    channels: list[NDArray[np.float32]]  # [rows, columns], see `opponents`; averaged in a video
-    frame_count: NDArray[np.float32]  # that they are the mean of [rows, columns] or [1, 1]
-    measured: NDArray[np.bool_]  # neither saturated nor impossible [rows, columns]
-    blur_size_px: NDArray[np.float32]  # signed, finite; as much smaller as the method asks for
-    motion_px: NDArray[np.float32] | None  # [rows, columns, 2]; None if nothing moves
+    channels: list[FloatArray]  # [rows, columns], see `opponents`; averaged in a video
+    frame_count: FloatArray  # that they are the mean of [rows, columns] or [1, 1]
+    measured: BoolArray  # neither saturated nor impossible [rows, columns]
+    blur_size_px: FloatArray  # signed, finite; as much smaller as the method asks for
+    motion_px: FloatArray | None  # [rows, columns, 2]; None if nothing moves
     noise: float  # standard deviation of one channel of one frame
 
 
@@ -158,7 +150,7 @@ class Method(Protocol):
     edge_reach: float
     removes_motion: bool
 
-    def restore(self, problem: Problem, video: VideoState) -> NDArray[np.float32]:
+    def restore(self, problem: Problem, video: VideoState) -> FloatArray:
         """Return the all-in-focus frame [rows, columns] or [rows, columns, 3], not yet clipped.
 
         A method that iterates begins with what `video` has, and leaves its result there.

@@ -8,6 +8,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import power_spectrum
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.imaging import transfer_function
 from coded_aperture_ros.optics import PsfStack
 
@@ -22,11 +23,11 @@ _STEPS = 16
 class PsfBasis:
     """A few kernels whose combinations are the PSFs of all blur sizes, fractional ones too."""
 
-    kernels: NDArray[np.float32]  # [R, k, k]
+    kernels: FloatArray  # [R, k, k]
     # How much of each there is in the PSFs [R, steps] of these signed sizes, which ascend, equally
     # many between all levels of the stack.
-    table: NDArray[np.float32]
-    table_sizes_px: NDArray[np.float64]
+    table: FloatArray
+    table_sizes_px: DoubleArray
     in_pixels: bool = True  # and not mere indices of levels
 
     @classmethod
@@ -74,14 +75,12 @@ class PsfBasis:
         """How far a PSF reaches from its centre."""
         return self.kernels.shape[-1] // 2
 
-    def steps_of(self, blur_size_px: NDArray[np.float32]) -> NDArray[np.intp]:
+    def steps_of(self, blur_size_px: FloatArray) -> IndexArray:
         """Return the column of `table` for every blur size; sizes beyond get the last ones."""
         steps = np.arange(len(self.table_sizes_px))
         return np.rint(np.interp(blur_size_px, self.table_sizes_px, steps)).astype(np.intp)
 
-    def ranges(
-        self, steps: NDArray[np.intp], count: int
-    ) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    def ranges(self, steps: IndexArray, count: int) -> list[tuple[FloatArray, FloatArray]]:
         """Divide a scene with these `steps` among at most `count` ranges of blur sizes.
 
         Each has a share [rows, columns], the square root of how far a pixel belongs to it, so that
@@ -110,6 +109,6 @@ class PsfBasis:
             divided.append((np.sqrt(share), np.maximum(power, 0)))
         return divided
 
-    def psfs(self) -> NDArray[np.float32]:
+    def psfs(self) -> FloatArray:
         """Return the PSFs of all `table_sizes_px` [steps, k, k]."""
         return np.tensordot(self.table.T, self.kernels, axes=1)

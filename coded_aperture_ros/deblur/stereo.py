@@ -4,8 +4,8 @@ import dataclasses
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur.blur_map import filled_blur_map
 from coded_aperture_ros.imaging import check_frame
@@ -38,7 +38,7 @@ class Parallax:
     largest_px: float
 
     @classmethod
-    def of_scene(cls, blur_size_px: NDArray[np.float32], shift_px: float) -> "Parallax":
+    def of_scene(cls, blur_size_px: FloatArray, shift_px: float) -> "Parallax":
         """Put the median of a scene at the screen, and give what is farthest from it `shift_px`.
 
         This is the largest distance between the two views of one point, > 0. A scene that is almost
@@ -52,15 +52,15 @@ class Parallax:
         relief = max(screen - nearest, farthest - screen, _LEAST_RELIEF_PX)
         return cls(float(screen), float(shift_px / relief), float(shift_px))
 
-    def disparity_px(self, blur_size_px: NDArray[np.float32]) -> NDArray[np.float32]:
+    def disparity_px(self, blur_size_px: FloatArray) -> FloatArray:
         """Return how much farther to the right the left eye sees a point than the right eye."""
         disparity = self.scale * (self.screen_px - blur_size_px)
         return np.clip(disparity, -self.largest_px, self.largest_px).astype(np.float32)
 
 
 def stereo_pair(
-    sharp: NDArray[np.float32], blur_size_px: NDArray[np.float32], parallax: Parallax | float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    sharp: FloatArray, blur_size_px: FloatArray, parallax: Parallax | float
+) -> tuple[FloatArray, FloatArray]:
     """Render the views of two eyes, at equal distances to the left and right of the given view.
 
     Surfaces are stretched and compressed without cracks, what is nearer covers what is farther, and
@@ -114,7 +114,7 @@ def check_parallax(shift_px: float, width: int) -> None:
         )
 
 
-def anaglyph(left: NDArray[np.float32], right: NDArray[np.float32]) -> NDArray[np.float32]:
+def anaglyph(left: FloatArray, right: FloatArray) -> FloatArray:
     """Return one picture for glasses with a red filter on the left and a cyan one on the right.
 
     Red is the luminance of the left view, green and blue are those of the right one: the "half
@@ -130,13 +130,13 @@ def anaglyph(left: NDArray[np.float32], right: NDArray[np.float32]) -> NDArray[n
     return np.dstack([left @ _LUMINANCE, right[..., 1:]])
 
 
-def side_by_side(left: NDArray[np.float32], right: NDArray[np.float32]) -> NDArray[np.float32]:
+def side_by_side(left: FloatArray, right: FloatArray) -> FloatArray:
     """Return one picture of twice the width, left on the left; else like `anaglyph`."""
     _check_pair(left, right)
     return np.concatenate([left, right], axis=1)
 
 
-def _check_pair(left: NDArray[np.float32], right: NDArray[np.float32]) -> None:
+def _check_pair(left: FloatArray, right: FloatArray) -> None:
     check_frame(left)
     check_frame(right)
     if left.shape != right.shape:
@@ -147,7 +147,7 @@ def _check_pair(left: NDArray[np.float32], right: NDArray[np.float32]) -> None:
         raise InputError("the views of a stereo pair differ: left {}, right {}".format(*sizes))
 
 
-def _left_view(sharp: NDArray[np.float32], disparity: NDArray[np.float32]) -> NDArray[np.float32]:
+def _left_view(sharp: FloatArray, disparity: FloatArray) -> FloatArray:
     """Move every pixel to the right by half of its disparity."""
     columns = _seen_columns(disparity / np.float32(2))
     rows = np.repeat(np.arange(len(sharp), dtype=np.float32)[:, None], sharp.shape[1], axis=1)
@@ -155,7 +155,7 @@ def _left_view(sharp: NDArray[np.float32], disparity: NDArray[np.float32]) -> ND
     return np.clip(view, 0, 1)
 
 
-def _seen_columns(shift: NDArray[np.float32]) -> NDArray[np.float32]:
+def _seen_columns(shift: FloatArray) -> FloatArray:
     """Return which fractional column of the frame each pixel of a view shows [rows, columns].
 
     `shift` says how far each pixel of the frame moves to the right; the nearer, the farther.
@@ -182,12 +182,7 @@ def _seen_columns(shift: NDArray[np.float32]) -> NDArray[np.float32]:
     return seen
 
 
-def _fill_holes(
-    seen: NDArray[np.float32],
-    shift: NDArray[np.float32],
-    place: NDArray[np.float32],
-    torn: NDArray[np.bool_],
-) -> None:
+def _fill_holes(seen: FloatArray, shift: FloatArray, place: FloatArray, torn: BoolArray) -> None:
     """Paint what is behind all surfaces: backgrounds that go on, mirrored at their ends.
 
     A hole opens to the right of a pixel that moves less than its right neighbour, and so is the
@@ -213,7 +208,7 @@ def _fill_holes(
     seen.reshape(-1)[target] = _mirrored(stop[hole] - target % width, span)
 
 
-def _mirrored(distance: NDArray[np.float32], span: NDArray[np.intp]) -> NDArray[np.float32]:
+def _mirrored(distance: FloatArray, span: IndexArray) -> FloatArray:
     """Return how far back to go for what lies beyond a surface's end, to and fro within its span.
 
     The `distance` >= 0 is from the edge of the surface's last pixel.
@@ -224,8 +219,8 @@ def _mirrored(distance: NDArray[np.float32], span: NDArray[np.intp]) -> NDArray[
 
 
 def _painted(
-    row: NDArray[np.intp], start: NDArray[np.float32], stop: NDArray[np.float32], width: int
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
+    row: IndexArray, start: FloatArray, stop: FloatArray, width: int
+) -> tuple[IndexArray, IndexArray, FloatArray]:
     """Go through the pixels of a view that intervals ``start <= column < stop`` of rows cover.
 
     Returns, for each, the index of its interval, in the order given; its flat index in a view of

@@ -4,6 +4,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.operator import frame_within, steps_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
@@ -16,7 +17,7 @@ class TorchBlur:
     fft = torch.fft
 
     def __init__(
-        self, basis: PsfBasis, blur_size_px: NDArray[np.float32], device: str, threads: int = 1
+        self, basis: PsfBasis, blur_size_px: FloatArray, device: str, threads: int = 1
     ) -> None:
         torch.set_num_threads(threads)  # of the whole process
         rows, columns = blur_size_px.shape
@@ -40,9 +41,9 @@ class TorchBlur:
         """Bring an array to the device."""
         return torch.from_numpy(np.ascontiguousarray(values)).to(self._device)
 
-    def to_numpy(self, values: torch.Tensor) -> NDArray[np.float32]:
+    def to_numpy(self, values: torch.Tensor) -> FloatArray:
         """Bring a result back."""
-        result: NDArray[np.float32] = values.cpu().numpy()
+        result: FloatArray = values.cpu().numpy()
         return result
 
     def forward(self, scene: torch.Tensor) -> torch.Tensor:

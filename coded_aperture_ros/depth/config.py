@@ -20,8 +20,7 @@ class DepthConfig:
         "Distance between the patches whose depth is estimated; 0: as the bank says, which is 8 "
         "unless it was learned for a time per frame.",
         unit="px",
-        minimum=0,
-        maximum=64,
+        within=(0, 64),
         parameter="compute.stride_px",
     )
     regularize: str = option(
@@ -33,45 +32,39 @@ class DepthConfig:
     smoothness: float = option(
         1.0,
         "Strength of the spatial regularisation, relative to its default.",
-        minimum=0.0,
-        maximum=100.0,
+        within=(0.0, 100.0),
         parameter="regularize.smoothness",
     )
     edge_correction: float = option(
         0.28,
         "How much is taken off foregrounds, which windows fatten, as a share of the window; 0: "
         "nothing.",
-        minimum=0.0,
-        maximum=1.0,
+        within=(0.0, 1.0),
         parameter="regularize.edge_correction",
         formerly="rim",
     )
     noise: float = option(
         0.0,
         "Standard deviation of one channel's noise, linear light; 0: estimated in each frame.",
-        minimum=0.0,
-        maximum=0.5,
+        within=(0.0, 0.5),
         parameter="noise.sigma",
     )
     noise_gain: float = option(
         0.0,
         "Variance of one channel's shot noise per unit of light; adds to the variance of noise.",
-        minimum=0.0,
-        maximum=0.1,
+        within=(0.0, 0.1),
         parameter="noise.gain",
     )
     saturation: float = option(
         0.995,
         "Brightness from which a pixel counts as saturated and is left out; above 1: none.",
-        minimum=0.1,
-        maximum=2.0,
+        within=(0.1, 2.0),
         parameter="frames.saturation",
     )
     confidence_threshold: float = option(
         0.55,
         "Depth is unknown where the confidence, which is at most 0.86, is below this.",
-        minimum=0.0,
-        maximum=1.0,
+        within=(0.0, 1.0),
         parameter="confidence.threshold",
     )
     unknown: str = option(
@@ -86,8 +79,7 @@ class DepthConfig:
         0.0,
         "Frames of a video after which what was seen has lost most of its weight; 0: every frame "
         "for itself.",
-        minimum=0.0,
-        maximum=1000.0,
+        within=(0.0, 1000.0),
         parameter="temporal.frames",
     )
     backend: str = option(
@@ -100,8 +92,7 @@ class DepthConfig:
     threads: int = option(
         1,
         "Threads of the processor for the costs; at most as many as it has cores.",
-        minimum=1,
-        maximum=1024,
+        within=(1, 1024),
         parameter="compute.threads",
     )
 

@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.likelihood import LikelihoodModel
 
 # Surfaces whose blur sizes differ by more than this, within a window, are not one slant.
@@ -13,7 +13,7 @@ DEPTH_EDGE_PX = 2.3
 
 
 # A map of levels and its scale, map pixels per frame pixel, to the corrected map.
-EdgeCorrection = Callable[[NDArray[np.float32], float], NDArray[np.float32]]
+EdgeCorrection = Callable[[FloatArray, float], FloatArray]
 
 
 def edge_correction(model: LikelihoodModel, strength: float) -> EdgeCorrection:
@@ -31,7 +31,7 @@ def edge_correction(model: LikelihoodModel, strength: float) -> EdgeCorrection:
     share = min(model.fattening * strength, 1.0)
     jump_levels = DEPTH_EDGE_PX / float(np.abs(steps).mean())
 
-    def correct(level: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
+    def correct(level: FloatArray, scale: float) -> FloatArray:
         window_px = model.window_px * scale
         speck_px = 2 * round(window_px / 4) - 1  # odd: centred on its pixel
         return behind * slimmed_foreground(
@@ -42,8 +42,8 @@ def edge_correction(model: LikelihoodModel, strength: float) -> EdgeCorrection:
 
 
 def slimmed_foreground(
-    level: NDArray[np.float32], reach_px: int, speck_px: int, jump_levels: float
-) -> NDArray[np.float32]:
+    level: FloatArray, reach_px: int, speck_px: int, jump_levels: float
+) -> FloatArray:
     """Undo foreground fattening: make foregrounds slimmer that windows have made too wide.
 
     A window that sees a sharper and a more blurred surface takes the level of the sharper, whose

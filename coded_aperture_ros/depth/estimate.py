@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.posterior import is_unsure
 from coded_aperture_ros.likelihood import MotionField
@@ -45,12 +45,12 @@ class DepthEstimate:
         How long every stage of the work took, in their order.
     """
 
-    level: NDArray[np.float32]
-    blur_size_px: NDArray[np.float32]
-    depth_m: NDArray[np.float32] | None
-    confidence: NDArray[np.float32]
+    level: FloatArray
+    blur_size_px: FloatArray
+    depth_m: FloatArray | None
+    confidence: FloatArray
     noise: float
-    side_confidence: NDArray[np.float32] | None = None
+    side_confidence: FloatArray | None = None
     motion: MotionField | None = None
     seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
@@ -58,10 +58,10 @@ class DepthEstimate:
         """Return the estimate with NaN wherever the confidence is below the threshold."""
         return self.without(is_unsure(self.confidence, threshold))
 
-    def without(self, unknown: NDArray[np.bool_]) -> "DepthEstimate":
+    def without(self, unknown: BoolArray) -> "DepthEstimate":
         """Return the estimate with NaN in some places [rows, columns]."""
 
-        def known(values: NDArray[np.float32]) -> NDArray[np.float32]:
+        def known(values: FloatArray) -> FloatArray:
             values = values.copy()
             np.putmask(values, unknown, np.float32(np.nan))
             return values
@@ -73,16 +73,14 @@ class DepthEstimate:
         if self.level.shape == size:
             return self
 
-        def large(values: NDArray[np.float32]) -> NDArray[np.float32]:
+        def large(values: FloatArray) -> FloatArray:
             # Not linearly: that would make up depths in the air beside every edge.
             return np.asarray(cv2.resize(values, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT))
 
         maps = ("level", "blur_size_px", "depth_m", "confidence", "side_confidence")
         return self._mapped(large, *maps)
 
-    def _mapped(
-        self, change: Callable[[NDArray[np.float32]], NDArray[np.float32]], *names: str
-    ) -> "DepthEstimate":
+    def _mapped(self, change: Callable[[FloatArray], FloatArray], *names: str) -> "DepthEstimate":
         values = {name: getattr(self, name) for name in names}
         changed = {name: change(value) for name, value in values.items() if value is not None}
         return dataclasses.replace(self, **changed)  # type: ignore[arg-type]

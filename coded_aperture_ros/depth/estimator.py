@@ -4,8 +4,8 @@ import dataclasses
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.edges import edge_correction
@@ -23,12 +23,7 @@ from coded_aperture_ros.depth.regularize import Regularizer, regularizer
 from coded_aperture_ros.depth.sides import FocalSides
 from coded_aperture_ros.depth.temporal import TemporalFilter
 from coded_aperture_ros.depth.upsample import MapGrid
-from coded_aperture_ros.imaging import (
-    KnownNoise,
-    StaticAverage,
-    frames_of_patches,
-    grey_image,
-)
+from coded_aperture_ros.imaging import KnownNoise, StaticAverage, frames_of_patches, grey_image
 from coded_aperture_ros.likelihood import Cost, Likelihood, LikelihoodModel, MotionField
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.optics.rotation import ExpectedMotion
@@ -99,7 +94,7 @@ class DepthEstimator:
 
     def estimate(
         self,
-        frame: NDArray[np.float32],
+        frame: FloatArray,
         size: tuple[int, int] | None = None,
         prior: ExpectedMotion | None = None,
     ) -> DepthEstimate:
@@ -136,7 +131,7 @@ class DepthEstimator:
             stages.lap("temporal")
         return self.decide(seen, volume, own, size, stages)
 
-    def observe(self, frame: NDArray[np.float32]) -> Observation:
+    def observe(self, frame: FloatArray) -> Observation:
         """Look at a frame by itself; the first step of `estimate`.
 
         Raises
@@ -152,8 +147,8 @@ class DepthEstimator:
     def cost(
         self,
         seen: Observation,
-        grey: NDArray[np.float32],
-        frames: NDArray[np.float32] | None = None,
+        grey: FloatArray,
+        frames: FloatArray | None = None,
         prior: ExpectedMotion | None = None,
     ) -> Cost:
         """Return the cost of every level for every patch.
@@ -180,7 +175,7 @@ class DepthEstimator:
     def decide(
         self,
         seen: Observation,
-        volume: NDArray[np.float32],
+        volume: FloatArray,
         own: Cost,
         size: tuple[int, int] | None = None,
         stages: Stages | None = None,
@@ -221,12 +216,12 @@ class DepthEstimator:
 
     def _confidence(
         self,
-        level: NDArray[np.float32],
-        of_patches: NDArray[np.float32],
-        volume: NDArray[np.float32],
-        probability: NDArray[np.float32],
+        level: FloatArray,
+        of_patches: FloatArray,
+        volume: FloatArray,
+        probability: FloatArray,
         at: MapGrid,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    ) -> tuple[FloatArray, FloatArray | None]:
         """Return how likely each pixel's level is right, and how likely its side is."""
         agreement = self._levels.agreement
         sides = self._plan_for(at.frame_shape).sides
@@ -238,7 +233,7 @@ class DepthEstimator:
         confidence *= np.where(sides.agree(level), 1, of_side)
         return confidence, of_side
 
-    def _left_open(self, probability: NDArray[np.float32]) -> NDArray[np.bool_]:
+    def _left_open(self, probability: FloatArray) -> BoolArray:
         """Return which patches are uninformative; others have the level of their neighbours."""
         alone = is_uninformative(probability)
         if self._neighbours_decide and not alone.all():

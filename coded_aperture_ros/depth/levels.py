@@ -3,8 +3,8 @@
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood import BlurLevels, LikelihoodModel
 from coded_aperture_ros.optics import Camera
@@ -25,12 +25,12 @@ class Levels:
     or, where depths are not known, they are neighbours.
     """
 
-    blur_sizes_px: NDArray[np.float64]
-    depths_m: NDArray[np.float64] | None
+    blur_sizes_px: DoubleArray
+    depths_m: DoubleArray | None
     in_pixels: bool
-    agreement: NDArray[np.intp]
-    _size_table: NDArray[np.float32]
-    _depth_table: NDArray[np.float32] | None
+    agreement: IndexArray
+    _size_table: FloatArray
+    _depth_table: FloatArray | None
 
     @classmethod
     def of(cls, model: LikelihoodModel, camera: Camera | None = None) -> "Levels":
@@ -65,20 +65,18 @@ class Levels:
         return len(self.blur_sizes_px)
 
     @property
-    def nearest_first(self) -> NDArray[np.intp]:
+    def nearest_first(self) -> IndexArray:
         """The levels in the order of their depths, or of their blur sizes [L]."""
         table = self._size_table if self._depth_table is None else self._depth_table
         return np.argsort(table[::_STEPS], kind="stable")
 
-    def nearer(self, level: NDArray[np.float32], other: NDArray[np.float32]) -> NDArray[np.float32]:
+    def nearer(self, level: FloatArray, other: FloatArray) -> FloatArray:
         """Return the nearer one of two maps of levels."""
         # Depth grows or falls with the level's index.
         choose = np.minimum if self.nearest_first[0] == 0 else np.maximum
         return np.asarray(choose(level, other))
 
-    def meaning(
-        self, level: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    def meaning(self, level: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """Return blur sizes, px, and depths, m, of fractional levels of any shape, without NaN."""
         index = (level * _STEPS + np.float32(0.5)).astype(np.int32)
         depth = None if self._depth_table is None else self._depth_table[index]
@@ -90,7 +88,7 @@ def depths_are_measured(model: BlurLevels) -> bool:
     return not model.mask_digest and model.stack.depths_m is not None
 
 
-def _agreement(count: int, depths_m: NDArray[np.float64] | None) -> NDArray[np.intp]:
+def _agreement(count: int, depths_m: DoubleArray | None) -> IndexArray:
     index = np.arange(count)
     if depths_m is None:
         near = np.abs(index[:, None] - index) <= 1
@@ -102,7 +100,7 @@ def _agreement(count: int, depths_m: NDArray[np.float64] | None) -> NDArray[np.i
     return np.array([near.argmax(axis=1), count - 1 - near[:, ::-1].argmax(axis=1)])
 
 
-def _depths_by_camera(model: LikelihoodModel, camera: Camera) -> NDArray[np.float64]:
+def _depths_by_camera(model: LikelihoodModel, camera: Camera) -> DoubleArray:
     sizes = model.stack.blur_sizes_px
     if not model.stack.in_pixels:
         raise InputError(

@@ -3,8 +3,8 @@
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.imaging import (
     GreyNoise,
     KnownNoise,
@@ -24,18 +24,18 @@ class Observation:
     patches [rows, columns].
     """
 
-    grey: NDArray[np.float32]
+    grey: FloatArray
     grid: PatchGrid
-    brightness: NDArray[np.float32]
-    usable: NDArray[np.bool_]
+    brightness: FloatArray
+    usable: BoolArray
     noise: GreyNoise
     channels: int
 
     @classmethod
     def of(
         cls,
-        grey: NDArray[np.float32],
-        unusable: NDArray[np.bool_] | None,
+        grey: FloatArray,
+        unusable: BoolArray | None,
         grid: PatchGrid,
         known: KnownNoise,
         channels: int,

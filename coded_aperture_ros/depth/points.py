@@ -4,16 +4,17 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+
+from coded_aperture_ros.core.arrays import FloatArray
 
 
 def points_of_depth(
-    depth_m: NDArray[np.float32],
-    confidence: NDArray[np.float32],
+    depth_m: FloatArray,
+    confidence: FloatArray,
     projection: Sequence[float],
     near_m: float = 0.0,
     far_m: float = 0.0,
-) -> NDArray[np.float32]:
+) -> FloatArray:
     """Return the points of a depth map in the optical frame: x right, y down, z forward.
 
     Parameters
@@ -45,7 +46,7 @@ def points_of_depth(
     return points
 
 
-def nearest_obstacle_m(depth_m: NDArray[np.float32], share: float) -> float:
+def nearest_obstacle_m(depth_m: FloatArray, share: float) -> float:
     """Return how far the nearest thing of a certain size is.
 
     Parameters

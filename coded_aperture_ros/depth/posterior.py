@@ -1,7 +1,8 @@
 """From costs to probabilities: of every level, and that the estimated one is right."""
 
 import numpy as np
-from numpy.typing import NDArray
+
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 
 # Offset and slope of the logistic calibration of a patch's probability, fitted on ray-traced
 # scenes, and how sure a patch may be.
@@ -12,7 +13,7 @@ _SURE = 1e-3
 _PLAUSIBLE = 0.05
 
 
-def refine_level(cost: NDArray[np.float32], level: NDArray[np.intp]) -> NDArray[np.float32]:
+def refine_level(cost: FloatArray, level: IndexArray) -> FloatArray:
     """Refine whole levels by the parabola through each level's cost and its neighbours'.
 
     At most half a level is added or taken away. At the ends of the range, and where the cost
@@ -31,7 +32,7 @@ def refine_level(cost: NDArray[np.float32], level: NDArray[np.intp]) -> NDArray[
     return (level + np.clip(vertex, -0.5, 0.5)).astype(np.float32)
 
 
-def level_probability(volume: NDArray[np.float32]) -> NDArray[np.float32]:
+def level_probability(volume: FloatArray) -> FloatArray:
     """Return the probability of every level from its cost.
 
     Takes and gives [rows, columns, L]; sums to one over the levels.
@@ -41,9 +42,7 @@ def level_probability(volume: NDArray[np.float32]) -> NDArray[np.float32]:
     return probability
 
 
-def nearest_plausible_level(
-    probability: NDArray[np.float32], nearest_first: NDArray[np.intp]
-) -> NDArray[np.intp]:
+def nearest_plausible_level(probability: FloatArray, nearest_first: IndexArray) -> IndexArray:
     """Return the level [rows, columns] that a patch's true level is hardly nearer than.
 
     It is the quantile of 5 % from the near end of the probability [rows, columns, L];
@@ -55,11 +54,11 @@ def nearest_plausible_level(
 
 
 def confidence_of(
-    level: NDArray[np.float32],
-    probability: NDArray[np.float32],
-    patches: tuple[NDArray[np.intp], NDArray[np.intp]],
-    agreement: NDArray[np.intp],
-) -> NDArray[np.float32]:
+    level: FloatArray,
+    probability: FloatArray,
+    patches: tuple[IndexArray, IndexArray],
+    agreement: IndexArray,
+) -> FloatArray:
     """Return the probability that the true level agrees with the estimated one.
 
     The probability that a pixel's own patch gives to the level is calibrated: near depth edges a
@@ -106,12 +105,12 @@ def confidence_of(
     return np.asarray(confidence.astype(np.float32).reshape(-1)[index], np.float32)
 
 
-def is_unsure(confidence: NDArray[np.float32], threshold: float) -> NDArray[np.bool_]:
+def is_unsure(confidence: FloatArray, threshold: float) -> BoolArray:
     """Return where the depth counts as unknown: below the threshold, and where it is 0."""
     return ~(confidence >= threshold) | ~(confidence > 0)
 
 
-def is_uninformative(probability: NDArray[np.float32]) -> NDArray[np.bool_]:
+def is_uninformative(probability: FloatArray) -> BoolArray:
     """Return which patches [rows, columns] find all levels alike."""
-    alike: NDArray[np.bool_] = probability.max(axis=-1) <= 1.0001 / probability.shape[-1]
+    alike: BoolArray = probability.max(axis=-1) <= 1.0001 / probability.shape[-1]
     return alike

@@ -4,8 +4,8 @@ from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.posterior import refine_level
 from coded_aperture_ros.depth.surface import on_surfaces
@@ -31,12 +31,8 @@ class Regularizer(Protocol):
     """Chooses the level of every patch, in the light of its neighbours'."""
 
     def __call__(
-        self,
-        volume: NDArray[np.float32],
-        own: NDArray[np.float32],
-        brightness: NDArray[np.float32] | None,
-        stride_px: int,
-    ) -> NDArray[np.float32]:
+        self, volume: FloatArray, own: FloatArray, brightness: FloatArray | None, stride_px: int
+    ) -> FloatArray:
         """Return the fractional level of every patch.
 
         Parameters
@@ -82,11 +78,8 @@ def _by_total_variation(smoothness: float) -> Regularizer:
 
 def _by_semi_global_matching(smoothness: float) -> Regularizer:
     def regularize(
-        volume: NDArray[np.float32],
-        own: NDArray[np.float32],
-        brightness: NDArray[np.float32] | None,
-        stride_px: int,
-    ) -> NDArray[np.float32]:
+        volume: FloatArray, own: FloatArray, brightness: FloatArray | None, stride_px: int
+    ) -> FloatArray:
         chosen = _semi_global(volume, smoothness, brightness)
         return on_surfaces(own, chosen, smoothness, stride_px)
 
@@ -95,11 +88,8 @@ def _by_semi_global_matching(smoothness: float) -> Regularizer:
 
 def _by_graph_cut(smoothness: float) -> Regularizer:
     def regularize(
-        volume: NDArray[np.float32],
-        own: NDArray[np.float32],
-        brightness: NDArray[np.float32] | None,
-        stride_px: int,
-    ) -> NDArray[np.float32]:
+        volume: FloatArray, own: FloatArray, brightness: FloatArray | None, stride_px: int
+    ) -> FloatArray:
         return on_surfaces(own, _graph_cut(volume, smoothness), smoothness, stride_px)
 
     return regularize
@@ -115,10 +105,8 @@ REGULARIZERS: dict[str, Callable[[float], Regularizer]] = {
 
 
 def _semi_global(
-    volume: NDArray[np.float32],
-    smoothness: float,
-    brightness: NDArray[np.float32] | None,
-) -> NDArray[np.intp]:
+    volume: FloatArray, smoothness: float, brightness: FloatArray | None
+) -> IndexArray:
     """Minimise along rows and columns, both ways, and add up (Hirschmueller, 2008).
 
     Each of the four paths through a patch is minimised exactly, with a small cost for steps of
@@ -144,7 +132,7 @@ def _semi_global(
     return np.asarray(total.argmin(axis=-1))
 
 
-def _both_ways(volume: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[np.float32]:
+def _both_ways(volume: FloatArray, weights: FloatArray) -> FloatArray:
     """Add up the costs of the best paths that reach each patch along the first axis.
 
     Takes [n, m, L] and the weight of the smoothness between neighbours [n - 1, m].
@@ -169,7 +157,7 @@ def _both_ways(volume: NDArray[np.float32], weights: NDArray[np.float32]) -> NDA
     return (costs[:, 0] + costs[::-1, 1]).swapaxes(1, 2)
 
 
-def _graph_cut(volume: NDArray[np.float32], smoothness: float) -> NDArray[np.intp]:
+def _graph_cut(volume: FloatArray, smoothness: float) -> IndexArray:
     """Alpha expansion of ``-log p + beta min(|d_p - d_q|, edge)`` (thesis eq. 6.25 and 5.24)."""
     try:
         from maxflow.fastmin import aexpansion_grid
@@ -187,7 +175,7 @@ def _graph_cut(volume: NDArray[np.float32], smoothness: float) -> NDArray[np.int
     return np.asarray(labels, np.intp)
 
 
-def _total_variation(volume: NDArray[np.float32], smoothness: float) -> NDArray[np.float32]:
+def _total_variation(volume: FloatArray, smoothness: float) -> FloatArray:
     """Minimise ``sum -log p(v) + (u - v)^2 / (2 theta) + beta |grad u|`` with theta shrinking.
 
     The cost is not convex in the level, total variation is: they get a variable each, which
@@ -218,7 +206,7 @@ def _total_variation(volume: NDArray[np.float32], smoothness: float) -> NDArray[
     return np.clip(smooth, 0, index[-1])
 
 
-def _bounded(volume: NDArray[np.float32]) -> NDArray[np.float32]:
+def _bounded(volume: FloatArray) -> FloatArray:
     """Return the negative logarithm of the probability, up to where it is an outlier's."""
     of_all = np.log(np.exp(-volume).sum(axis=-1, keepdims=True))
     return np.minimum(volume + of_all, np.float32(_MOST_COST))

@@ -12,6 +12,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import image_prior
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.posterior import is_uninformative, level_probability
@@ -73,9 +74,7 @@ class FocalSides:
         self._regularize = regularize
         self._ambiguous = _ambiguous_levels(levels)
 
-    def weigh(
-        self, volume: NDArray[np.float32], seen: Observation, grey: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
+    def weigh(self, volume: FloatArray, seen: Observation, grey: FloatArray) -> FloatArray:
         """Return the cost of every level by spectrum and phase, from that by the spectrum alone.
 
         Spectra tell the size of the blur, the same for both sides. With the PSF of that size, and
@@ -99,22 +98,20 @@ class FocalSides:
         both -= both.min(axis=-1, keepdims=True)
         return np.asarray(both, np.float32)
 
-    def given(self, probability: NDArray[np.float32]) -> NDArray[np.float32]:
+    def given(self, probability: FloatArray) -> FloatArray:
         """Return the probability of every level if its side is the right one."""
         return given_side(probability, self._sizes_px)
 
-    def confidence(
-        self, level: NDArray[np.float32], volume: NDArray[np.float32], grid: PatchGrid
-    ) -> NDArray[np.float32]:
+    def confidence(self, level: FloatArray, volume: FloatArray, grid: PatchGrid) -> FloatArray:
         """Return how likely each patch is on the side of its level; see `side_confidence`."""
         return side_confidence(level, far_log_odds(volume, self._sizes_px), grid, self._sizes_px)
 
-    def agree(self, level: NDArray[np.float32]) -> NDArray[np.bool_]:
+    def agree(self, level: FloatArray) -> BoolArray:
         """Return where the level of the other side with the same blur is as good."""
         return np.asarray(self._ambiguous[np.rint(level).astype(np.intp)])
 
 
-def _ambiguous_levels(levels: Levels) -> NDArray[np.bool_]:
+def _ambiguous_levels(levels: Levels) -> BoolArray:
     """Return for which levels that of the same blur on the other side is as good [L]."""
     sizes, index = levels.blur_sizes_px, np.arange(len(levels))
     order = np.argsort(sizes)
@@ -125,9 +122,7 @@ def _ambiguous_levels(levels: Levels) -> NDArray[np.bool_]:
     return np.asarray(agree & (first <= mirrored) & (mirrored <= last))
 
 
-def given_side(
-    probability: NDArray[np.float32], blur_sizes_px: NDArray[np.float64]
-) -> NDArray[np.float32]:
+def given_side(probability: FloatArray, blur_sizes_px: DoubleArray) -> FloatArray:
     """Return the probability of every level if its side of the focal plane is the right one.
 
     Takes and gives [rows, columns, L]. Patches that are uninformative are left as they are.
@@ -140,9 +135,7 @@ def given_side(
     return np.where(known[..., None], given, probability)
 
 
-def far_log_odds(
-    volume: NDArray[np.float32], blur_sizes_px: NDArray[np.float64]
-) -> NDArray[np.float32]:
+def far_log_odds(volume: FloatArray, blur_sizes_px: DoubleArray) -> FloatArray:
     """Return the logarithm of the odds that a patch is beyond the focal plane [rows, columns].
 
     From the cost of all levels [rows, columns, L]: a blur size that only one side has
@@ -159,11 +152,8 @@ def far_log_odds(
 
 
 def side_confidence(
-    level: NDArray[np.float32],
-    log_odds: NDArray[np.float32],
-    grid: PatchGrid,
-    blur_sizes_px: NDArray[np.float64],
-) -> NDArray[np.float32]:
+    level: FloatArray, log_odds: FloatArray, grid: PatchGrid, blur_sizes_px: DoubleArray
+) -> FloatArray:
     """Return how likely it is that each patch is on the side of its level [rows, columns].
 
     What the patch and its neighbours on the same surface tell, together: from the fractional levels
@@ -180,9 +170,7 @@ def _reach(grid: PatchGrid) -> int:
     return max(round(grid.window_px / grid.stride_px), 1)
 
 
-def _around(
-    values: NDArray[np.float32], level: NDArray[np.float32], grid: PatchGrid
-) -> NDArray[np.float32]:
+def _around(values: FloatArray, level: FloatArray, grid: PatchGrid) -> FloatArray:
     """Return the sum over each patch and its neighbours on the same surface [rows, columns]."""
     reach = _reach(grid)
     rows, columns = values.shape
@@ -209,19 +197,14 @@ class SideFinder:
         self._transfers: dict[int, NDArray[np.complex64]] = {}
 
     def log_odds(
-        self,
-        grey: NDArray[np.float32],
-        grid: PatchGrid,
-        level: NDArray[np.intp],
-        noise: float,
-    ) -> NDArray[np.float32]:
+        self, grey: FloatArray, grid: PatchGrid, level: IndexArray, noise: float
+    ) -> FloatArray:
         """Return the log-odds that each patch lies beyond the focal plane, not before it.
 
         Parameters
         ----------
         grey : ndarray, float32 [height, width]
             Linear light, without NaN.
-        grid : PatchGrid
         level : ndarray of int [rows, columns]
             A level with each patch's blur size, of either side.
         noise : float
@@ -241,9 +224,7 @@ class SideFinder:
             found[here] = own_side * _GAIN * mean_at(clearer, grid, grid.window_px)[here]
         return np.clip(found, -_MOST_LOG_ODDS, _MOST_LOG_ODDS)
 
-    def _clearer(
-        self, spectrum: NDArray[np.complex64], level: int, noise: float
-    ) -> NDArray[np.float32]:
+    def _clearer(self, spectrum: NDArray[np.complex64], level: int, noise: float) -> FloatArray:
         """Return by how much clearer the frame is by a level's PSF than by that turned around.
 
         The logarithm of the ratio of the squared gradients, of every pixel [height, width].
@@ -261,7 +242,7 @@ class SideFinder:
             logarithm += cv2.log((others + floor) / (mine + floor))
         return logarithm
 
-    def _gradients(self, transform: NDArray[np.complex64]) -> list[NDArray[np.float32]]:
+    def _gradients(self, transform: NDArray[np.complex64]) -> list[FloatArray]:
         """Return the squared differences to the right and down, within the frame."""
         sharp = scipy.fft.irfft2(transform, self._periodic)
         height, width = self._shape

@@ -2,8 +2,8 @@
 
 import numpy as np
 import scipy.sparse
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.depth.posterior import refine_level
 
 # What a bend of one level costs, beside costs in natural logarithms, for patches of
@@ -22,8 +22,8 @@ _SOLVED = 1e-9
 
 
 def on_surfaces(
-    own: NDArray[np.float32], chosen: NDArray[np.intp], smoothness: float, stride_px: int
-) -> NDArray[np.float32]:
+    own: FloatArray, chosen: IndexArray, smoothness: float, stride_px: int
+) -> FloatArray:
     """Return fractional levels, in [0, L - 1], next to the whole ones that were chosen.
 
     As in thesis 8.3.2 the cost of each patch is expanded to second order (eq. 8.22), around its
@@ -53,7 +53,7 @@ def on_surfaces(
 
 
 def _bending_beside(
-    curvature: NDArray[np.float32], chosen: NDArray[np.intp], stiffness: float
+    curvature: FloatArray, chosen: IndexArray, stiffness: float
 ) -> scipy.sparse.dia_matrix:
     """Return the matrix of the quadratic form of costs and bends [patches, patches]."""
     size, columns = chosen.size, chosen.shape[1]
@@ -84,8 +84,8 @@ def _bending_beside(
 
 
 def _least_bent(
-    level: NDArray[np.float32], curvature: NDArray[np.float32], matrix: scipy.sparse.dia_matrix
-) -> NDArray[np.float32]:
+    level: FloatArray, curvature: FloatArray, matrix: scipy.sparse.dia_matrix
+) -> FloatArray:
     """Minimise by conjugate gradients, preconditioned by the diagonal."""
     found = level.ravel().copy()
     residual = curvature.ravel() * found - matrix @ found

@@ -2,8 +2,8 @@
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.imaging import PatchGrid
 
 # The frames are compared at this many pixels per patch distance, shifted by so many of them each
@@ -47,20 +47,16 @@ class TemporalFilter:
 
     def __init__(self, frames: float) -> None:
         self._keep = float(np.exp(-1 / frames))
-        self._past: NDArray[np.float32] | None = None
-        self._samples: NDArray[np.float32] | None = None
+        self._past: FloatArray | None = None
+        self._samples: FloatArray | None = None
 
     def reset(self) -> None:
         """Forget the past."""
         self._past = self._samples = None
 
     def add(
-        self,
-        volume: NDArray[np.float32],
-        grey: NDArray[np.float32],
-        grid: PatchGrid,
-        noise: float,
-    ) -> NDArray[np.float32]:
+        self, volume: FloatArray, grey: FloatArray, grid: PatchGrid, noise: float
+    ) -> FloatArray:
         """Return the cost of every level by a frame and by what is alike in those before it.
 
         Takes the cost [rows, columns, L] by the frame alone, the frame, where its patches lie, and
@@ -82,12 +78,12 @@ class TemporalFilter:
         return np.moveaxis(total, 0, -1)
 
 
-def bounded(volume: NDArray[np.float32]) -> NDArray[np.float32]:
+def bounded(volume: FloatArray) -> FloatArray:
     """Return the cost of one frame as far as it counts."""
     return np.minimum(volume, np.float32(_OF_A_FRAME))
 
 
-def _sampled(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.float32]:
+def _sampled(grey: FloatArray, grid: PatchGrid) -> FloatArray:
     """Return the frame at `_SAMPLES` pixels per patch distance."""
     first = (grid.window_px - grid.stride_px) // 2
     top, left = max(grid.top + first, 0), max(grid.left + first, 0)
@@ -99,8 +95,8 @@ def _sampled(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.float32]:
 
 
 def _matches(
-    present: NDArray[np.float32], last: NDArray[np.float32], variance: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    present: FloatArray, last: FloatArray, variance: float
+) -> tuple[FloatArray, FloatArray]:
     """Compare every patch with those around its place in the last frame.
 
     Returns
@@ -133,14 +129,14 @@ def _matches(
     return weights.reshape(3, 3, *match.shape), match
 
 
-def _smoothed(samples: NDArray[np.float32]) -> NDArray[np.float32]:
+def _smoothed(samples: FloatArray) -> FloatArray:
     """Return the Gaussian mean around every patch."""
     size = samples.shape[1] // _SAMPLES, samples.shape[0] // _SAMPLES
     of_patches = cv2.resize(samples, size, interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.GaussianBlur(of_patches, (0, 0), _SIGMA), np.float32)
 
 
-def _gathered(past: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[np.float32]:
+def _gathered(past: FloatArray, weights: FloatArray) -> FloatArray:
     """Return the weighted mean of the neighbours' costs [L, rows, columns]."""
     levels, rows, columns = past.shape
     around = np.empty((levels, rows + 2, columns + 2), np.float32)

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.bank import FilterBank, LearnConfig, power_spectrum
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.estimator import DepthEstimator
@@ -151,7 +151,7 @@ def simulated_error(bank: FilterBank, stride_px: int) -> float:
     return float(np.mean(errors))
 
 
-def _plane(psf: NDArray[np.float32], side: int, random: np.random.Generator) -> NDArray[np.float32]:
+def _plane(psf: FloatArray, side: int, random: np.random.Generator) -> FloatArray:
     """Return a textured plane behind one PSF, with noise."""
     size = side + len(psf) - 1
     spectrum = np.fft.rfft2(random.standard_normal((size, size)))

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.imaging import PatchGrid
 
 # Where the levels of the four patches around a pixel differ by more, there is a depth edge between
@@ -24,7 +25,7 @@ class MapGrid:
     grid: PatchGrid
     frame_shape: tuple[int, ...]
     size: tuple[int, int]
-    patches: tuple[NDArray[np.intp], NDArray[np.intp]]
+    patches: tuple[IndexArray, IndexArray]
 
     @classmethod
     def of(cls, grid: PatchGrid, frame_shape: tuple[int, ...], size: tuple[int, int]) -> "MapGrid":
@@ -48,7 +49,7 @@ class MapGrid:
         """Pixels of the map per pixel of the frame."""
         return self.size[1] / self.frame_shape[1]
 
-    def interpolated(self, level: NDArray[np.float32]) -> NDArray[np.float32]:
+    def interpolated(self, level: FloatArray) -> FloatArray:
         """Return the map of the patches' levels [rows, columns].
 
         Between four patches of one surface levels are interpolated bilinearly, across a depth edge
@@ -75,7 +76,7 @@ class MapGrid:
 
 def _axes(
     grid: PatchGrid, frame_shape: tuple[int, ...], size: tuple[int, int]
-) -> tuple[tuple[NDArray[np.intp], int, int], tuple[NDArray[np.intp], int, int]]:
+) -> tuple[tuple[IndexArray, int, int], tuple[IndexArray, int, int]]:
     """Return for rows and columns the patches' centres, the frame's length and the map's."""
     return (
         (grid.row_centres, frame_shape[0], size[0]),
@@ -83,26 +84,26 @@ def _axes(
     )
 
 
-def _positions(centres: NDArray[np.intp], frame_length: int, length: int) -> NDArray[np.float64]:
+def _positions(centres: IndexArray, frame_length: int, length: int) -> DoubleArray:
     """Give the fractional patch index of every output pixel of an axis."""
     scale = frame_length / length
     return np.interp((np.arange(length) + 0.5) * scale - 0.5, centres, np.arange(len(centres)))
 
 
-def _below(centres: NDArray[np.intp], frame_length: int, length: int) -> NDArray[np.intp]:
+def _below(centres: IndexArray, frame_length: int, length: int) -> IndexArray:
     """Give the first of the two patches around every output pixel of an axis."""
     fractional = _positions(centres, frame_length, length)
     return np.minimum(fractional.astype(np.intp), max(len(centres) - 2, 0))
 
 
-def _weights(centres: NDArray[np.intp], frame_length: int, length: int) -> NDArray[np.float32]:
+def _weights(centres: IndexArray, frame_length: int, length: int) -> FloatArray:
     """Give the linear weight of every patch for every output pixel of an axis [length, patches]."""
     fractional = _positions(centres, frame_length, length)
     distance = np.abs(fractional[:, None] - np.arange(len(centres)))
     return np.maximum(1 - distance, 0).astype(np.float32)
 
 
-def _of_four(level: NDArray[np.float32], extreme: np.ufunc) -> NDArray[np.float32]:
+def _of_four(level: FloatArray, extreme: np.ufunc) -> FloatArray:
     """Return the extreme of every patch and those below, beside and across [rows, columns]."""
     two = level.copy()
     extreme(level[:-1], level[1:], out=two[:-1])

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Iterator
 from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
 from coded_aperture_ros.depth.estimator import DepthEstimator
@@ -21,9 +21,7 @@ _BLOCK = 3
 
 
 def estimate_video(
-    estimator: DepthEstimator,
-    frames: Iterable[NDArray[np.float32]],
-    size: tuple[int, int] | None = None,
+    estimator: DepthEstimator, frames: Iterable[FloatArray], size: tuple[int, int] | None = None
 ) -> Iterator[DepthEstimate]:
     """Estimate the depth of a video's frames from the past and the future.
 
@@ -57,7 +55,7 @@ def estimate_video(
     ahead = int(np.ceil(_AHEAD * memory))
     remaining = (estimator.observe(frame) for frame in frames)
     forward_mean, forward_cost = StaticAverage(2 * memory), TemporalFilter(memory)
-    means: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
+    means: list[tuple[FloatArray, FloatArray]] = []
     waiting: list[Observation] = []
     while True:
         new = list(islice(remaining, (_BLOCK + 1) * ahead - len(waiting)))
@@ -83,7 +81,7 @@ def estimate_video(
 def _costs_both_ways(
     estimator: DepthEstimator,
     waiting: list[Observation],
-    means: list[tuple[NDArray[np.float32], NDArray[np.float32]]],
+    means: list[tuple[FloatArray, FloatArray]],
 ) -> list[Cost]:
     """Return the cost of every frame, from the mean of what is like it before and after."""
     backward = StaticAverage(2 * estimator.config.temporal_frames)
@@ -94,9 +92,7 @@ def _costs_both_ways(
     return costs[::-1]
 
 
-def _carried_back(
-    waiting: list[Observation], costs: list[Cost], memory: float
-) -> list[NDArray[np.float32]]:
+def _carried_back(waiting: list[Observation], costs: list[Cost], memory: float) -> list[FloatArray]:
     """Return the cost of every frame and of those after it."""
     backward = TemporalFilter(memory)
     carried = [

@@ -1,20 +1,16 @@
 """Design of a coded-aperture camera: what a lens, a mask and a focus can tell, before building."""
 
 from coded_aperture_ros.design.curves import (
-    Curves,
     best_settings,
     curves_of,
     default_extent_range_mm,
     default_focus_range_m,
 )
-from coded_aperture_ros.design.openings import Openings, openings_of
-from coded_aperture_ros.design.setting import DesignConfig, Setting, setting_of
+from coded_aperture_ros.design.openings import openings_of
+from coded_aperture_ros.design.setting import DesignConfig, setting_of
 
 __all__ = [
-    "Curves",
     "DesignConfig",
-    "Openings",
-    "Setting",
     "best_settings",
     "curves_of",
     "default_extent_range_mm",

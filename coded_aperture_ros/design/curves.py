@@ -4,8 +4,8 @@ import dataclasses
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design.openings import openings_of
 from coded_aperture_ros.design.setting import (
@@ -28,15 +28,15 @@ class Curves:
 
     # Focus distances, increasing [n]; those within the depth range, where the side of the focus is
     # ambiguous, are left out.
-    focus_m: NDArray[np.float64]
-    levels: NDArray[np.float64]  # depth levels there (eq. 3.29)
+    focus_m: DoubleArray
+    levels: DoubleArray  # depth levels there (eq. 3.29)
     # Blur of the smallest hole there (eq. 3.16): mean over the depth range, and at its far end.
-    hole_blur_mean_px: NDArray[np.float64]
-    hole_blur_far_px: NDArray[np.float64]
-    depth_m: NDArray[np.float64]  # in the range [k]
-    resolution_m: NDArray[np.float64]  # there (eq. 3.30), at the camera's own focus
+    hole_blur_mean_px: DoubleArray
+    hole_blur_far_px: DoubleArray
+    depth_m: DoubleArray  # in the range [k]
+    resolution_m: DoubleArray  # there (eq. 3.30), at the camera's own focus
     # Depths from `near_m` to `far_m`, one resolvable step of blur size apart [levels + 1].
-    level_edges_m: NDArray[np.float64]
+    level_edges_m: DoubleArray
 
 
 def curves_of(
@@ -141,7 +141,6 @@ def best_settings(
         Its focus, side and mask size matter only for the default ranges.
     near_m, far_m : float
         Depth range.
-    config : DesignConfig, optional
     focus_range_m, extent_range_mm : tuple of two floats, optional
         What is searched; by default `default_focus_range_m` and `default_extent_range_mm`.
 

@@ -5,8 +5,8 @@ import functools
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask
 
@@ -32,7 +32,7 @@ class Openings:
     loose_parts: int  # closed, hang on nothing, and would fall out of a mask cut from cardboard
 
 
-def open_cells(mask: Mask) -> NDArray[np.bool_]:
+def open_cells(mask: Mask) -> BoolArray:
     """Return which cells [n, m] let through more than half of the most open one's light."""
     return np.asarray(mask.transmission > 0.5 * mask.transmission.max())
 
@@ -76,7 +76,7 @@ def outlines_of(mask: Mask) -> list[Outline]:
     ]
 
 
-def _fine_cells(mask: Mask) -> NDArray[np.bool_]:
+def _fine_cells(mask: Mask) -> BoolArray:
     steps = _STEPS_PER_CELL
     light = cv2.resize(
         np.pad(mask.transmission, 1), None, fx=steps, fy=steps, interpolation=cv2.INTER_LINEAR
@@ -90,7 +90,7 @@ def _fine_cells(mask: Mask) -> NDArray[np.bool_]:
     return cells
 
 
-def _trace(cells: NDArray[np.bool_]) -> list[list[tuple[int, int]]]:
+def _trace(cells: BoolArray) -> list[list[tuple[int, int]]]:
     """Return the corners (x, y) of the outlines of the open cells, each clockwise with y down."""
     closed = ~np.pad(cells, 1)
     # For each side of a cell with a closed neighbour there: where its edge starts, and its

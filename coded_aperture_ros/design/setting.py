@@ -4,8 +4,9 @@ import dataclasses
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.design.openings import openings_of
@@ -22,22 +23,27 @@ class DesignConfig:
     resolution_px: float = option(
         1.0,
         "Smallest change of blur size that is told apart, alpha times lambda of thesis eq. 3.29.",
-        unit="px", minimum=0.01, maximum=100.0,
-    )  # fmt: skip
+        unit="px",
+        within=(0.01, 100.0),
+    )
     # The longest that the thesis reckons with (eq. 3.21): red suffers most from diffraction.
     wavelength_nm: float = option(
-        750.0, "Longest wavelength of the light.", unit="nm", minimum=200.0, maximum=2000.0,
-    )  # fmt: skip
+        750.0, "Longest wavelength of the light.", unit="nm", within=(200.0, 2000.0)
+    )
     # Below this the cells of Levin's mask are a quarter of a pixel wide, and the code is lost.
     smallest_blur_px: float = option(
-        3.0, "The best setting has no smaller blur in the depth range.",
-        unit="px", minimum=0.0, maximum=10_000.0,
-    )  # fmt: skip
+        3.0,
+        "The best setting has no smaller blur in the depth range.",
+        unit="px",
+        within=(0.0, 10_000.0),
+    )
     # Half the window of a filter bank with default settings.
     largest_blur_px: float = option(
-        24.0, "The best setting has no larger blur in the depth range.",
-        unit="px", minimum=0.1, maximum=10_000.0,
-    )  # fmt: skip
+        24.0,
+        "The best setting has no larger blur in the depth range.",
+        unit="px",
+        within=(0.1, 10_000.0),
+    )
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -90,10 +96,8 @@ def setting_of(
 
     Parameters
     ----------
-    camera : Camera
     near_m, far_m : float
         Depth range, on the camera's side of its focus.
-    config : DesignConfig, optional
 
     Raises
     ------
@@ -134,9 +138,7 @@ def setting_of(
     )
 
 
-def resolution_m(
-    camera: Camera, depth_m: ArrayLike, resolution_px: float = 1.0
-) -> NDArray[np.float64]:
+def resolution_m(camera: Camera, depth_m: ArrayLike, resolution_px: float = 1.0) -> DoubleArray:
     """Return how much farther than each depth the next is that can be told apart (eq. 3.30).
 
     In metres; infinite where even an infinite depth looks the same. `resolution_px` is the change

@@ -17,9 +17,8 @@ from coded_aperture_ros.imaging.noise import (
     channel_noise,
     estimate_noise,
     grey_noise,
-    high_power,
 )
-from coded_aperture_ros.imaging.patches import PatchGrid, brightness_at, mean_at, usable_windows
+from coded_aperture_ros.imaging.patches import PatchGrid, brightness_at, usable_windows
 from coded_aperture_ros.imaging.periodic import periodic, periodic_shape, transfer_function
 from coded_aperture_ros.imaging.static_average import StaticAverage, frames_of_patches
 
@@ -43,9 +42,7 @@ __all__ = [
     "gamma_from_text",
     "grey_image",
     "grey_noise",
-    "high_power",
     "linear_from_pixels",
-    "mean_at",
     "periodic",
     "periodic_shape",
     "pixels_from_linear",

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 
 # Black is near 0, but for noise; what is as dark as this is no measurement.
@@ -28,15 +29,13 @@ def check_frame(frame: NDArray[np.floating]) -> None:
         raise InputError(f"frame: expected floating values in [0, 1], got {frame.dtype}")
 
 
-def channel_mean(frame: NDArray[np.floating]) -> NDArray[np.float32]:
+def channel_mean(frame: NDArray[np.floating]) -> FloatArray:
     """Return the mean of the channels, float32 [rows, columns]; of a grey frame, itself."""
     frame = np.ascontiguousarray(frame, np.float32)
     return frame if frame.ndim == 2 else cv2.transform(frame, np.full((1, 3), 1 / 3, np.float32))
 
 
-def grey_image(
-    frame: NDArray[np.float32], saturation: float
-) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
+def grey_image(frame: FloatArray, saturation: float) -> tuple[FloatArray, BoolArray | None]:
     """Return the mean of the channels, with unusable pixels filled in, and where those are.
 
     Parameters
@@ -71,7 +70,7 @@ def grey_image(
     return filled(grey, usable), ~usable
 
 
-def filled(image: NDArray[np.float32], usable: NDArray[np.bool_]) -> NDArray[np.float32]:
+def filled(image: FloatArray, usable: BoolArray) -> FloatArray:
     """Return a grey image whose unusable pixels have the mean of the usable ones around them."""
     known = image.copy()
     known[~usable] = 0

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 
 # An exponent (stored value = light ** (1 / gamma)), or the sRGB transfer curve.
@@ -29,7 +30,7 @@ def gamma_from_text(text: str) -> Gamma:
     return gamma
 
 
-def decode(stored: ArrayLike, gamma: Gamma) -> NDArray[np.float32]:
+def decode(stored: ArrayLike, gamma: Gamma) -> FloatArray:
     """Turn stored values, 0 to 1, into linear light."""
     _check(gamma)
     values = np.asarray(stored, dtype=np.float32)
@@ -39,7 +40,7 @@ def decode(stored: ArrayLike, gamma: Gamma) -> NDArray[np.float32]:
     return values if gamma == 1.0 else np.maximum(values, 0.0) ** np.float32(gamma)
 
 
-def encode(light: ArrayLike, gamma: Gamma) -> NDArray[np.float32]:
+def encode(light: ArrayLike, gamma: Gamma) -> FloatArray:
     """Turn linear light, 0 to 1, into stored values; the inverse of `decode`."""
     _check(gamma)
     values = np.asarray(light, dtype=np.float32)
@@ -49,7 +50,7 @@ def encode(light: ArrayLike, gamma: Gamma) -> NDArray[np.float32]:
     return values if gamma == 1.0 else np.maximum(values, 0.0) ** np.float32(1.0 / gamma)
 
 
-def linear_from_pixels(pixels: NDArray, gamma: Gamma = 1.0) -> NDArray[np.float32]:
+def linear_from_pixels(pixels: NDArray, gamma: Gamma = 1.0) -> FloatArray:
     """Turn pixels of any usual type into linear light.
 
     Parameters

@@ -8,8 +8,8 @@ from typing import Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging.frame import grey_image
 from coded_aperture_ros.imaging.patches import PatchGrid, brightness_at, mean_at
@@ -31,7 +31,7 @@ _NEVER_SATURATED = 1e9
 NOISE_FLOOR = 2e-4
 
 
-def high_power(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.float32]:
+def high_power(grey: FloatArray, grid: PatchGrid) -> FloatArray:
     """Return the mean power of the highest frequencies around every patch [rows, columns].
 
     It is the variance of the noise, and what little there is of texture.
@@ -41,9 +41,7 @@ def high_power(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.float32
     return mean_at(passed, grid, grid.window_px * 3 // 4)
 
 
-def estimate_noise(
-    high_power: NDArray[np.float32], shot_variance: NDArray[np.float32] | None = None
-) -> float:
+def estimate_noise(high_power: FloatArray, shot_variance: FloatArray | None = None) -> float:
     """Estimate the standard deviation of white noise, erring upward; at least `NOISE_FLOOR`.
 
     From the `high_power` of a frame's windows. The variance of shot noise, of the same shape, is
@@ -107,10 +105,10 @@ class GreyNoise:
     """
 
     sigma: float
-    shot_variance: NDArray[np.float32] | None = None
+    shot_variance: FloatArray | None = None
 
     @property
-    def deviation(self) -> float | NDArray[np.float32]:
+    def deviation(self) -> float | FloatArray:
         """Standard deviation with shot noise, of the frame or around every patch."""
         if self.shot_variance is None:
             return self.sigma
@@ -125,12 +123,12 @@ class GreyNoise:
 
 
 def grey_noise(
-    grey: NDArray[np.float32],
+    grey: FloatArray,
     grid: PatchGrid,
     known: KnownNoise,
     channels: int = 1,
-    brightness: NDArray[np.float32] | None = None,
-    usable: NDArray[np.bool_] | None = None,
+    brightness: FloatArray | None = None,
+    usable: BoolArray | None = None,
 ) -> GreyNoise:
     """Return the noise of a frame: what is known of it, and an estimate of the rest.
 
@@ -159,7 +157,7 @@ def grey_noise(
     return GreyNoise(estimate_noise(high_power(grey, grid)[telling], shot), shot_variance)
 
 
-def channel_noise(frame: NDArray[np.float32], known: KnownNoise) -> float:
+def channel_noise(frame: FloatArray, known: KnownNoise) -> float:
     """Return the standard deviation of one channel's noise in a frame, with its shot noise.
 
     What deblurring reckons with, in nodes, commands and bags alike.

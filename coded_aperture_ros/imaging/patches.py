@@ -4,8 +4,8 @@ import dataclasses
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 
 # A window with more than this share of unusable pixels gives no depth.
@@ -62,17 +62,17 @@ class PatchGrid:
         )
 
     @property
-    def row_centres(self) -> NDArray[np.intp]:
+    def row_centres(self) -> IndexArray:
         """Pixel row of the centre of each row of windows."""
         return self.top + self.window_px // 2 + self.stride_px * np.arange(self.rows)
 
     @property
-    def column_centres(self) -> NDArray[np.intp]:
+    def column_centres(self) -> IndexArray:
         """Pixel column of the centre of each column of windows."""
         return self.left + self.window_px // 2 + self.stride_px * np.arange(self.columns)
 
 
-def usable_windows(unusable: NDArray[np.bool_], grid: PatchGrid) -> NDArray[np.bool_]:
+def usable_windows(unusable: BoolArray, grid: PatchGrid) -> BoolArray:
     """Return which windows of a grid have few enough unusable pixels [rows, columns]."""
     # The Hann window's weight is within half its side around the centre, for the most part.
     side = grid.window_px // 2
@@ -80,18 +80,18 @@ def usable_windows(unusable: NDArray[np.bool_], grid: PatchGrid) -> NDArray[np.b
     return share[np.ix_(grid.row_centres, grid.column_centres)] <= _TOLERATED
 
 
-def brightness_at(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.float32]:
+def brightness_at(grey: FloatArray, grid: PatchGrid) -> FloatArray:
     """Return the mean brightness around the centre of every window of a grid [rows, columns]."""
     return mean_at(grey, grid, grid.window_px // 2)
 
 
-def mean_at(values: NDArray[np.float32], grid: PatchGrid, side_px: int) -> NDArray[np.float32]:
+def mean_at(values: FloatArray, grid: PatchGrid, side_px: int) -> FloatArray:
     """Return the mean of a map of the frame's size over a square around every window's centre."""
     # Blocks of the frame first: the squares are much larger than they are.
     scale = 1 / _BLOCK_PX
     blocks = cv2.resize(values, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     side = max(side_px // _BLOCK_PX, 1)
-    mean: NDArray[np.float32] = cv2.blur(blocks, (side, side))
+    mean: FloatArray = cv2.blur(blocks, (side, side))
     rows = np.minimum(grid.row_centres // _BLOCK_PX, len(mean) - 1)
     columns = np.minimum(grid.column_centres // _BLOCK_PX, mean.shape[1] - 1)
     return mean[np.ix_(rows, columns)]

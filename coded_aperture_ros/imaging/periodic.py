@@ -4,6 +4,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
+
 
 def periodic_shape(shape: tuple[int, ...], extension_px: int) -> tuple[int, int]:
     """Return the rows and columns, fast to transform, of an image extended by so much at least."""
@@ -11,7 +13,7 @@ def periodic_shape(shape: tuple[int, ...], extension_px: int) -> tuple[int, int]
     return rows, columns
 
 
-def periodic(image: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
+def periodic(image: FloatArray, shape: tuple[int, int]) -> FloatArray:
     """Extend an image below and to the right, so that it goes on smoothly with its first row.
 
     A step between opposite borders would ring as far as filters reach: 7 dB near the border of a
@@ -34,7 +36,7 @@ def periodic(image: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.f
     return extended
 
 
-def transfer_function(psf: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.complex64]:
+def transfer_function(psf: FloatArray, shape: tuple[int, int]) -> NDArray[np.complex64]:
     """Return the transform of a centred PSF for images of `shape`, as by ``scipy.fft.rfft2``."""
     width = len(psf)
     padded = np.zeros(shape, np.float32)
@@ -42,6 +44,6 @@ def transfer_function(psf: NDArray[np.float32], shape: tuple[int, int]) -> NDArr
     return scipy.fft.rfft2(np.roll(padded, (-(width // 2), -(width // 2)), axis=(0, 1)))
 
 
-def _passage(pixels: int) -> NDArray[np.float32]:
+def _passage(pixels: int) -> FloatArray:
     """Return the steps of a smooth way from 0 to 1, without its ends."""
     return (0.5 - 0.5 * np.cos(np.pi * np.arange(1, pixels + 1) / (pixels + 1))).astype(np.float32)

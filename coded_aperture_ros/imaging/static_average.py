@@ -2,8 +2,8 @@
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.imaging.patches import PatchGrid
 
 # Frames are compared by blocks, so many along the side of a square, and a Gaussian around every
@@ -32,7 +32,7 @@ class StaticAverage:
 
     def __init__(self, frames: float) -> None:
         self._most = max(frames, 1.0)
-        self._mean: NDArray[np.float32] | None = None
+        self._mean: FloatArray | None = None
         self._count = np.empty((0, 0), np.float32)
         self._difference = self._product = np.empty((0, 0), np.float32)
 
@@ -40,9 +40,7 @@ class StaticAverage:
         """Forget the past."""
         self._mean = None
 
-    def add(
-        self, grey: NDArray[np.float32], noise: float
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def add(self, grey: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
         """Return the mean with one more frame, and how many frames it is of.
 
         Parameters
@@ -67,9 +65,7 @@ class StaticAverage:
         difference = cv2.subtract(grey, self._mean, self._difference)
         # Means of blocks have less noise, but as much of what moves: it is blurred.
         blocks = cv2.resize(
-            difference,
-            (_BLOCKS * squares[0], _BLOCKS * squares[1]),
-            interpolation=cv2.INTER_AREA,
+            difference, (_BLOCKS * squares[0], _BLOCKS * squares[1]), interpolation=cv2.INTER_AREA
         )
         changed = cv2.resize(blocks * blocks, squares, interpolation=cv2.INTER_AREA)
         changed = cv2.GaussianBlur(changed, (0, 0), _SIGMA) / (1 + 1 / self._count)
@@ -86,7 +82,7 @@ class StaticAverage:
         return self._mean, self._count
 
 
-def frames_of_patches(frames: NDArray[np.float32], grid: PatchGrid) -> NDArray[np.float32]:
+def frames_of_patches(frames: FloatArray, grid: PatchGrid) -> FloatArray:
     """Return how many frames the mean is of, as every patch's noise has it [rows, columns]."""
     side = max(grid.window_px // 2 // _SQUARE_PX, 1)
     share = cv2.blur(1 / frames, (side, side))
@@ -96,10 +92,10 @@ def frames_of_patches(frames: NDArray[np.float32], grid: PatchGrid) -> NDArray[n
 
 
 def joined(
-    forward: tuple[NDArray[np.float32], NDArray[np.float32]],
-    backward: tuple[NDArray[np.float32], NDArray[np.float32]],
-    grey: NDArray[np.float32],
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    forward: tuple[FloatArray, FloatArray],
+    backward: tuple[FloatArray, FloatArray],
+    grey: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
     """Join the means of the frames up to one and from it on, both with it, and their counts."""
     size = grey.shape[::-1]
     before, after = (cv2.resize(frames, size) for _, frames in (forward, backward))

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 
 UNKNOWN_RGB = (70, 70, 70)
@@ -14,10 +15,7 @@ _FONT, _FONT_SCALE, _STROKE = cv2.FONT_HERSHEY_SIMPLEX, 0.4, 1
 
 
 def depth_picture(
-    depth_m: NDArray,
-    near_m: float | None = None,
-    far_m: float | None = None,
-    unit: str = "m",
+    depth_m: NDArray, near_m: float | None = None, far_m: float | None = None, unit: str = "m"
 ) -> NDArray[np.uint8]:
     """Colour a depth map, near in red and far in blue, above a scale bar in metres.
 
@@ -82,7 +80,7 @@ def _scale_strip(width: int, near_m: float, far_m: float, unit: str) -> NDArray[
     return strip
 
 
-def _ticks(near_m: float, far_m: float, count: int) -> NDArray[np.float64]:
+def _ticks(near_m: float, far_m: float, count: int) -> DoubleArray:
     """Return at most about `count` round numbers (1, 2 or 5 times a power of ten) in the range."""
     raw = (far_m - near_m) / count
     power = 10.0 ** np.floor(np.log10(raw))

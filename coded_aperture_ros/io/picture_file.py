@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.imaging.decoding import decode_picture
@@ -31,7 +32,7 @@ def picture_files(folder: Path) -> list[Path]:
     )
 
 
-def read_image(path: str | os.PathLike[str], gamma: Gamma = 1.0) -> NDArray[np.float32]:
+def read_image(path: str | os.PathLike[str], gamma: Gamma = 1.0) -> FloatArray:
     """Read a picture as linear light.
 
     Parameters
@@ -105,9 +106,7 @@ def write_image(
     _write(path, image)
 
 
-def read_depth(
-    path: str | os.PathLike[str], metres_per_unit: float | None = None
-) -> NDArray[np.float32]:
+def read_depth(path: str | os.PathLike[str], metres_per_unit: float | None = None) -> FloatArray:
     """Read a depth map in metres: 16-bit PNG in millimetres, or float TIFF or `.npy` in metres.
 
     Parameters

@@ -2,7 +2,6 @@
 
 from coded_aperture_ros.likelihood.backends import (
     BACKENDS,
-    Engine,
     EngineLikelihood,
     check_backend,
     new_engine,
@@ -23,7 +22,6 @@ __all__ = [
     "BACKENDS",
     "BlurLevels",
     "Cost",
-    "Engine",
     "EngineLikelihood",
     "Likelihood",
     "LikelihoodModel",

@@ -3,9 +3,7 @@
 from importlib.util import find_spec
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.imaging import PatchGrid
@@ -26,10 +24,10 @@ class Engine(Protocol):
     name: str
     grid: PatchGrid
 
-    def project(self, grey: NDArray[np.float32]) -> None:
+    def project(self, grey: FloatArray) -> None:
         """Take a frame [rows, columns] of the planned size, linear light, without NaN."""
 
-    def energies(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
+    def energies(self, noise: float | FloatArray) -> FloatArray:
         """Return the energy of every level for every patch [rows, columns, L].
 
         For a standard deviation of the noise, > 0, of the frame or of each patch.
@@ -49,9 +47,9 @@ class EngineLikelihood:
 
     def cost(
         self,
-        grey: NDArray[np.float32],
-        noise: float | NDArray[np.float32],
-        usable: NDArray[np.bool_] | None = None,
+        grey: FloatArray,
+        noise: float | FloatArray,
+        usable: BoolArray | None = None,
         prior: object = None,
     ) -> Cost:
         """See `Likelihood.cost`."""

@@ -4,8 +4,8 @@ import dataclasses
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.likelihood.plan import Plan
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE, take_logarithm
@@ -20,13 +20,13 @@ _PATCHES = 128
 class _Scratch:
     """What one thread needs for its part of a frame."""
 
-    windows: NDArray[np.float32]
-    parts: NDArray[np.float32]
-    power: NDArray[np.float32]
-    product: NDArray[np.float32]
-    functions: NDArray[np.float32]
-    patches: NDArray[np.float32]
-    hypotheses: NDArray[np.float32]
+    windows: FloatArray
+    parts: FloatArray
+    power: FloatArray
+    product: FloatArray
+    functions: FloatArray
+    patches: FloatArray
+    hypotheses: FloatArray
 
 
 class NumpyEngine:
@@ -59,7 +59,7 @@ class NumpyEngine:
             for _ in range(threads)
         ]
 
-    def project(self, grey: NDArray[np.float32]) -> None:
+    def project(self, grey: FloatArray) -> None:
         """Take a frame: project every patch onto the common basis."""
         overlapping = np.lib.stride_tricks.sliding_window_view(
             self.plan.covered(grey), self.grid.window_px, axis=1
@@ -68,12 +68,12 @@ class NumpyEngine:
         self._workers.each(partial(self._transform_rows, overlapping), starts)
         self._workers.each(self._project_row, range(self.grid.rows))
 
-    def take_products(self, products: NDArray[np.float32]) -> None:
+    def take_products(self, products: FloatArray) -> None:
         """Take a frame as the products of transforms [patches, (2 V + U) H]; see `Plan`."""
         functions = self._functions.reshape(len(self._functions), -1)
         np.matmul(self.plan.features, products.T, out=functions)
 
-    def energies(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
+    def energies(self, noise: float | FloatArray) -> FloatArray:
         """Return the energies of the frame taken last [rows, columns, L]."""
         plan = self.plan
         tried = plan.hypotheses_of(plan.tried(noise))
@@ -87,9 +87,7 @@ class NumpyEngine:
         """End the engine's threads."""
         self._workers.close()
 
-    def _transform_rows(
-        self, windows_of_rows: NDArray[np.float32], start: int, thread: int
-    ) -> None:
+    def _transform_rows(self, windows_of_rows: FloatArray, start: int, thread: int) -> None:
         """Transform the windows of some pixel rows horizontally."""
         plan, grid = self.plan, self.grid
         rows = windows_of_rows[start : start + _PIXEL_ROWS]
@@ -127,9 +125,7 @@ class NumpyEngine:
         np.matmul(plan.features, power, out=scratch.functions)
         self._functions[:, row] = scratch.functions
 
-    def _try_hypotheses(
-        self, functions: NDArray[np.float32], tried: slice, start: int, thread: int
-    ) -> None:
+    def _try_hypotheses(self, functions: FloatArray, tried: slice, start: int, thread: int) -> None:
         """Find the energies of some patches; see `FilterBank` for what they are."""
         plan, scratch = self.plan, self._scratch[thread]
         some = slice(start, min(start + _PATCHES, functions.shape[1]))

@@ -18,6 +18,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE, plausible_ratios
 
@@ -30,23 +31,23 @@ class Filters(Protocol):
         """Side of the patches."""
 
     @property
-    def ratios(self) -> NDArray[np.float64]:
+    def ratios(self) -> DoubleArray:
         """Contrast over noise variance [S]."""
 
     @property
-    def coefficients(self) -> NDArray[np.float32]:
+    def coefficients(self) -> FloatArray:
         """Weights in the common basis [R, S, slopes, L]."""
 
     @property
-    def log_determinants(self) -> NDArray[np.float32]:
+    def log_determinants(self) -> FloatArray:
         """Of every hypothesis [S, slopes, L]."""
 
     @property
-    def window(self) -> NDArray[np.float32]:
+    def window(self) -> FloatArray:
         """The window that patches are multiplied by [N]."""
 
     @property
-    def functions_of_power(self) -> NDArray[np.float32]:
+    def functions_of_power(self) -> FloatArray:
         """Basis and multiplicity [K, R + 1]."""
 
     @property
@@ -86,14 +87,14 @@ class Plan:
     """
 
     grid: PatchGrid
-    horizontal: NDArray[np.float32]
-    vertical: NDArray[np.float32]
+    horizontal: FloatArray
+    vertical: FloatArray
     paired: int
-    features: NDArray[np.float32]
-    hypotheses: NDArray[np.float32]
+    features: FloatArray
+    hypotheses: FloatArray
     count: float
     levels: int
-    ratios: NDArray[np.float64]
+    ratios: DoubleArray
     contrasts: Sequence[float]
 
     @classmethod
@@ -138,7 +139,7 @@ class Plan:
             contrasts=bank.contrasts,
         )
 
-    def tried(self, noise: float | NDArray[np.float32]) -> slice:
+    def tried(self, noise: float | FloatArray) -> slice:
         """Return which ratios are tried under a noise of this standard deviation."""
         return plausible_ratios(self.ratios, self.contrasts, float(np.median(noise)))
 
@@ -161,7 +162,7 @@ class Plan:
         """How many rows of pixels the patches cover."""
         return (self.grid.rows - 1) * self.grid.stride_px + self.grid.window_px
 
-    def covered(self, grey: NDArray[np.float32]) -> NDArray[np.float32]:
+    def covered(self, grey: FloatArray) -> FloatArray:
         """Return the part of a frame that the patches cover, as a view."""
         grid = self.grid
         width = (grid.columns - 1) * grid.stride_px + grid.window_px
@@ -197,5 +198,5 @@ def _of_products(
     return np.concatenate(parts).reshape(-1, count)
 
 
-def _float32(values: NDArray[np.floating]) -> NDArray[np.float32]:
+def _float32(values: NDArray[np.floating]) -> FloatArray:
     return np.ascontiguousarray(values, np.float32)

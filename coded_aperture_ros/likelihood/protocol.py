@@ -9,9 +9,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.optics import PsfStack
 
@@ -32,8 +30,8 @@ class MotionField:
         Why all motions were tried and not only expected ones; empty where these were enough.
     """
 
-    vectors_px: NDArray[np.float32]
-    confidence: NDArray[np.float32]
+    vectors_px: FloatArray
+    confidence: FloatArray
     searched: str = ""
 
 
@@ -52,7 +50,7 @@ class Cost:
         How long the parts of the work took, in their order.
     """
 
-    volume: NDArray[np.float32]
+    volume: FloatArray
     motion: MotionField | None = None
     seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
@@ -66,9 +64,9 @@ class Likelihood(Protocol):
 
     def cost(
         self,
-        grey: NDArray[np.float32],
-        noise: float | NDArray[np.float32],
-        usable: NDArray[np.bool_] | None = None,
+        grey: FloatArray,
+        noise: float | FloatArray,
+        usable: BoolArray | None = None,
         prior: Any = None,
     ) -> Cost:
         """Return the cost of every level for every patch.

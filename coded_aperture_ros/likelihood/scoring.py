@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 
 # A patch without any noise of its own is treated as having this share of the variance that was
 # expected: without noise, rounding and the rank of the basis would decide.
@@ -14,9 +15,7 @@ LEAST_EXCESS = np.float32(1e-3)
 TEMPERATURE = 4.0
 
 
-def take_logarithm(
-    excess: NDArray[np.float32], textureless: NDArray[np.float32], count: float
-) -> NDArray[np.float32]:
+def take_logarithm(excess: FloatArray, textureless: FloatArray, count: float) -> FloatArray:
     """Turn the least excess of every level into its energy, in place; of `count` numbers a patch.
 
     The energy is twice the negative log-likelihood, with the patch's own noise at its best value.
@@ -31,10 +30,8 @@ def take_logarithm(
 
 
 def relative_cost(
-    energies: NDArray[np.float32],
-    window_correlation: float,
-    usable: NDArray[np.bool_] | None = None,
-) -> NDArray[np.float32]:
+    energies: FloatArray, window_correlation: float, usable: BoolArray | None = None
+) -> FloatArray:
     """Return the cost volume: the negative log-likelihood of every level, 0 for the likeliest.
 
     Parameters
@@ -57,9 +54,7 @@ def relative_cost(
     return cost
 
 
-def plausible_ratios(
-    ratios: NDArray[np.float64], contrasts: Sequence[float], noise: float
-) -> slice:
+def plausible_ratios(ratios: DoubleArray, contrasts: Sequence[float], noise: float) -> slice:
     """Return which of `ratios` [S] belong to contrasts under a noise (standard deviation, > 0).
 
     Ratios are contrast over noise variance, in half decades; the contrasts, in the steps of these,

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.workers import check_threads
 from coded_aperture_ros.likelihood.plan import Plan
 from coded_aperture_ros.likelihood.scoring import LEAST_EXCESS, OWN_NOISE
@@ -49,7 +49,7 @@ class TorchEngine:
             slice(first, min(first + rows, grid.rows)) for first in range(0, grid.rows, rows)
         ]
 
-        def constant(matrix: NDArray[np.float32]) -> torch.Tensor:
+        def constant(matrix: FloatArray) -> torch.Tensor:
             return torch.tensor(matrix, device=device)
 
         def room(*shape: int) -> torch.Tensor:
@@ -81,7 +81,7 @@ class TorchEngine:
         )
 
     @torch.inference_mode()
-    def project(self, grey: NDArray[np.float32]) -> None:
+    def project(self, grey: FloatArray) -> None:
         """Take a frame: project every patch onto the common basis."""
         here, frame = self._buffers.frame
         np.copyto(here.numpy(), self._plan.covered(grey))
@@ -90,7 +90,7 @@ class TorchEngine:
             self._project_rows(frame, rows)
 
     @torch.inference_mode()
-    def energies(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
+    def energies(self, noise: float | FloatArray) -> FloatArray:
         """Return the energies of the frame taken last [rows, columns, L]."""
         tried = self._plan.hypotheses_of(self._plan.tried(noise))
         here, precision = self._buffers.precision

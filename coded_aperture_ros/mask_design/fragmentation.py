@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import scipy.fft
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.methods.motion.kernels import Motions, motion_kernel
 from coded_aperture_ros.optics import Mask, render_psf_stack
@@ -82,9 +83,9 @@ class Fragmentation:
 
     masks: list[Mask]  # placements, no two of them alike but for a turn or a reflection
     # ``M_w`` of eq. 7.8 as a share of all frequencies, levels and motions [placements, noises].
-    preserved: NDArray[np.float64]
+    preserved: DoubleArray
     disc: Mask  # the round aperture of equal light
-    disc_preserved: NDArray[np.float64]  # [noises]
+    disc_preserved: DoubleArray  # [noises]
     noise_levels: tuple[float, ...]
     placements: int  # how many ways there are to place the holes, turned ones and all
     exhaustive: bool  # whether all of them were tried
@@ -146,8 +147,8 @@ def analyse_fragmentation(
 
 
 def _preserved(
-    blur_sizes_px: ArrayLike, traces: NDArray[np.float32], noises: tuple[float, ...], mask: Mask
-) -> NDArray[np.float64]:
+    blur_sizes_px: ArrayLike, traces: FloatArray, noises: tuple[float, ...], mask: Mask
+) -> DoubleArray:
     """Return the share of the frequencies that stay above each noise (eq. 7.8)."""
     motions, rows, columns = traces.shape
     once = (np.arange(columns) == 0) | (2 * (columns - 1) == np.arange(columns))
@@ -160,7 +161,7 @@ def _preserved(
     return above / (len(stack) * motions * counts.sum())
 
 
-def transfer(psf: NDArray[np.float32]) -> NDArray[np.float32]:
+def transfer(psf: FloatArray) -> FloatArray:
     """Return the modulus of a PSF's Fourier coefficients for a patch of `PATCH_PX`, as ``rfft2``.
 
     A PSF wider than the patch wraps around, as the patch itself is taken to.
@@ -174,10 +175,10 @@ def transfer(psf: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def _improved(
     grid: int,
-    measured: dict[Cells, NDArray[np.float64]],
-    turned: list[NDArray[np.intp]],
-    preserved: Callable[[Mask], NDArray[np.float64]],
-) -> Iterator[tuple[Cells, NDArray[np.float64]]]:
+    measured: dict[Cells, DoubleArray],
+    turned: list[IndexArray],
+    preserved: Callable[[Mask], DoubleArray],
+) -> Iterator[tuple[Cells, DoubleArray]]:
     """Move one hole of the best placement after the other, as long as that helps."""
     best = max(measured, key=lambda cells: float(measured[cells].sum()))
     most, better = measured[best].sum(), True
@@ -194,14 +195,14 @@ def _improved(
                 break
 
 
-def _turned(grid: int) -> list[NDArray[np.intp]]:
+def _turned(grid: int) -> list[IndexArray]:
     """Return where every cell comes to lie in each of the eight turns and reflections."""
     cells = np.arange(grid**2).reshape(grid, grid)
     turns = [np.rot90(cells, turn) for turn in range(4)]
     return [np.argsort(turn.ravel()) for turn in (*turns, *(turn.T for turn in turns))]
 
 
-def _first(cells: Cells, turned: list[NDArray[np.intp]]) -> Cells:
+def _first(cells: Cells, turned: list[IndexArray]) -> Cells:
     """Return the first in order of all turns and reflections of a placement."""
     chosen = list(cells)
     return min(tuple(int(cell) for cell in np.sort(turn[chosen])) for turn in turned)

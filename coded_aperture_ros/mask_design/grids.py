@@ -4,6 +4,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray
+
 SYMMETRIES = ("none", "point", "mirror")
 CARRIERS = ("transparent", "connected")
 
@@ -24,7 +26,7 @@ def smallest_openings(grids: NDArray[np.floating]) -> NDArray[np.int64]:
     return widths
 
 
-def squares_only(opened: NDArray[np.bool_], side: int) -> NDArray[np.bool_]:
+def squares_only(opened: BoolArray, side: int) -> BoolArray:
     """Keep of each mask [B, n, n] the cells that lie in open squares of a side (an opening)."""
     count = opened.shape[-1] - side + 1
     corners = np.ndindex(side, side)
@@ -36,14 +38,14 @@ def squares_only(opened: NDArray[np.bool_], side: int) -> NDArray[np.bool_]:
     return kept
 
 
-def is_connected(grid: NDArray[np.bool_]) -> bool:
+def is_connected(grid: BoolArray) -> bool:
     """Whether all that is closed hangs together with the frame around the mask [n, n]."""
     closed = np.pad(~grid, 1, constant_values=True).astype(np.uint8)
     count, _ = cv2.connectedComponents(closed, connectivity=4)
     return bool(count == 2)
 
 
-def symmetric(grids: NDArray[np.bool_], symmetry: str) -> NDArray[np.bool_]:
+def symmetric(grids: BoolArray, symmetry: str) -> BoolArray:
     """Make masks [B, n, n] the same after a half turn (`point`), or in a mirror (`mirror`)."""
     if symmetry == "point":
         return grids | grids[:, ::-1, ::-1]
@@ -59,7 +61,7 @@ def random_grids(
     symmetry: str,
     random: np.random.Generator,
     light: tuple[float, float] = (0.1, 0.8),
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Draw masks of open squares, with open shares from a range [count, cells, cells]."""
     grids = np.zeros((count, cells, cells), bool)
     for grid in grids:
@@ -72,8 +74,8 @@ def random_grids(
 
 
 def changed(
-    grids: NDArray[np.bool_], opening: int, symmetry: str, random: np.random.Generator
-) -> NDArray[np.bool_]:
+    grids: BoolArray, opening: int, symmetry: str, random: np.random.Generator
+) -> BoolArray:
     """Return a child of every mask [B, n, n]: a mutation, or a mixture with another one.
 
     A child may break constraints; see `allowed`.
@@ -110,9 +112,7 @@ def changed(
     return symmetric(children, symmetry)
 
 
-def allowed(
-    grids: NDArray[np.bool_], opening: int, light: tuple[float, float], carrier: str
-) -> NDArray[np.bool_]:
+def allowed(grids: BoolArray, opening: int, light: tuple[float, float], carrier: str) -> BoolArray:
     """Which masks [B, n, n] keep to the constraints [B].
 
     Every open cell has to lie in an open square of the side `opening`; `light` is the least and

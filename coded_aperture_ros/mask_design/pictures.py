@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.learning import RATIOS
 from coded_aperture_ros.bank.prior import NaturalImagePrior, power_spectrum
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood import plausible_ratios, take_logarithm
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE
@@ -53,7 +54,7 @@ class PictureScorer:
 
     def __init__(
         self,
-        patches: NDArray[np.float32],
+        patches: FloatArray,
         scene: SceneConfig | None = None,
         sigmas: Sequence[float] = SIGMAS,
         seed: int = 0,
@@ -89,7 +90,7 @@ class PictureScorer:
         white = (random.standard_normal(shape, dtype=np.float32) for shape in shapes)
         self._noise = np.concatenate([self.spectra.of_windows(windows) for windows in white])
 
-    def depth_error(self, mask: Mask) -> NDArray[np.float64]:
+    def depth_error(self, mask: Mask) -> DoubleArray:
         """Predict the mean |level error| of a mask at each noise; an `InputError` of one colour."""
         check_two_colours(mask)
         psfs = render_psf_stack(mask, self.scene.blur_sizes_px).psfs
@@ -103,7 +104,7 @@ class PictureScorer:
             errors.append(np.abs(levels - self.true_levels).mean())
         return np.array(errors)
 
-    def _blurred(self, psfs: NDArray[np.float32]) -> NDArray[np.complex64]:
+    def _blurred(self, psfs: FloatArray) -> NDArray[np.complex64]:
         """Return the spectra of the windows in the middle of blurred patches [N, K]."""
         side, reach = self.side_px, psfs.shape[-1] // 2
         centred = np.zeros((len(psfs), side, side), np.float32)
@@ -135,7 +136,7 @@ class WindowSpectra:
         self.multiplicity = multiplicity[self._counts]
         self._prior = NaturalImagePrior()
 
-    def of_windows(self, windows: NDArray[np.float32]) -> NDArray[np.complex64]:
+    def of_windows(self, windows: FloatArray) -> NDArray[np.complex64]:
         """Return the spectra [N, K] of windows [N, n, n]; white noise has the power s^2."""
         half = self.window_px // 2
         weighted = windows * (self._window[:, None] * self._window)
@@ -144,7 +145,7 @@ class WindowSpectra:
         taken: NDArray[np.complex64] = scipy.fft.rfft2(folded)[:, self._counts]
         return taken
 
-    def expected(self, psfs: NDArray[np.float32]) -> NDArray[np.float32]:
+    def expected(self, psfs: FloatArray) -> FloatArray:
         """Return the power that is expected of the prior's texture behind PSFs [slopes, L, K].
 
         For unit contrast, with the model error, as `learn_bank` has it. The PSFs [L, k, k] are no
@@ -166,9 +167,7 @@ class WindowSpectra:
             spectra.append(np.maximum(spectrum[:, self._counts], 0))
         return np.array(spectra, np.float32) + np.float32(self._prior.model_error**2)
 
-    def cost(
-        self, power: NDArray[np.float32], expected: NDArray[np.float32], noise: float
-    ) -> NDArray[np.float32]:
+    def cost(self, power: FloatArray, expected: FloatArray, noise: float) -> FloatArray:
         """Return the cost of every level for every window [N, L], as the filter bank has it.
 
         That is twice the negative log-likelihood, over the number of frequencies. `power` [N, K] is
@@ -187,7 +186,7 @@ class WindowSpectra:
         return take_logarithm(best.T, textureless, 1.0).T
 
 
-def likeliest_levels(cost: NDArray[np.float32]) -> NDArray[np.float64]:
+def likeliest_levels(cost: FloatArray) -> DoubleArray:
     """Return the level [N] of least cost [N, L], or the middle one where all cost the same."""
     middle = (cost.shape[1] - 1) / 2
     undecided = cost.max(axis=1) == cost.min(axis=1)

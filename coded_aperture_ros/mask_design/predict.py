@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design import openings_of
 from coded_aperture_ros.mask_design.grids import smallest_openings
@@ -62,11 +63,11 @@ class Prediction:
     """What is expected of B masks."""
 
     # Mean |level error| [B, noises]; comparable between masks, its scale is rough.
-    depth_error: NDArray[np.float64]
+    depth_error: DoubleArray
     # Root mean square error of a Wiener filter's picture and its gradient, by the true depth, as a
     # share of that of the texture [B, noises].
-    deblurring_error: NDArray[np.float64]
-    light: NDArray[np.float64]  # open fraction of the mask's square [B]
+    deblurring_error: DoubleArray
+    light: DoubleArray  # open fraction of the mask's square [B]
 
 
 class MaskScorer:
@@ -74,7 +75,6 @@ class MaskScorer:
 
     Parameters
     ----------
-    scene : SceneConfig, optional
     sigmas : sequence of float, optional
         Noise behind an open aperture (standard deviation, linear light, > 0); divided by the light
         that a mask passes.
@@ -85,7 +85,7 @@ class MaskScorer:
         self.scene = scene or SceneConfig()
         self.sigmas = tuple(sigmas)
         self.frequencies = Frequencies.of_window()
-        self._matrices: dict[int, NDArray[np.float32]] = {}
+        self._matrices: dict[int, FloatArray] = {}
         levels = np.arange(self.scene.levels, dtype=np.float32)
         self._steps = np.abs(levels[:, None] - levels)
         # What a change of the slope adds to the log spectrum of texture [K].
@@ -135,15 +135,13 @@ class MaskScorer:
         columns = zip(*(vars(part).values() for part in parts), strict=True)
         return Prediction(*map(np.concatenate, columns))
 
-    def _predict(self, power: NDArray[np.float32], light: NDArray[np.float64]) -> Prediction:
+    def _predict(self, power: FloatArray, light: DoubleArray) -> Prediction:
         signals = [(light / sigma) ** 2 for sigma in self.sigmas]
         depth = [self._depth_error(power, signal) for signal in signals]
         deblurring = [self._deblurring_error(power, signal) for signal in signals]
         return Prediction(np.stack(depth, 1), np.stack(deblurring, 1), light)
 
-    def _depth_error(
-        self, power: NDArray[np.float32], signal: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _depth_error(self, power: FloatArray, signal: DoubleArray) -> DoubleArray:
         error = np.zeros(len(power))
         for texture in _TEXTURES:
             ratio = (texture.contrast * signal).astype(np.float32)
@@ -155,9 +153,7 @@ class MaskScorer:
                 error += texture.weight / len(ways) * expected.mean(axis=1)
         return error
 
-    def _deblurring_error(
-        self, power: NDArray[np.float32], signal: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _deblurring_error(self, power: FloatArray, signal: DoubleArray) -> DoubleArray:
         every = max(1, self.scene.levels // _LEVELS_TO_DEBLUR)
         texture = self._sharp
         transfer = power[:, ::every] / texture
@@ -188,7 +184,7 @@ def check_two_colours(mask: Mask) -> None:
         )
 
 
-def _log_spectra(power: NDArray[np.float32], ratio: NDArray[np.float32]) -> NDArray[np.float32]:
+def _log_spectra(power: FloatArray, ratio: FloatArray) -> FloatArray:
     """Return log variances, for noise of one [B, L, K]."""
     logs = power + np.float32(_MODEL_ERROR**2)
     logs *= ratio[:, None, None]
@@ -196,7 +192,7 @@ def _log_spectra(power: NDArray[np.float32], ratio: NDArray[np.float32]) -> NDAr
     return np.log(logs, out=logs)
 
 
-def _distances(logs: NDArray[np.float32], slope: NDArray[np.float32]) -> NDArray[np.float32]:
+def _distances(logs: FloatArray, slope: FloatArray) -> FloatArray:
     """Return Bhattacharyya distances of diagonal Gaussians, to second order [B, L, L].
 
     For log variances that differ by D they are ``sum log cosh(D / 2)``, near 0 the sum of

@@ -12,8 +12,8 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.mask_design.grids import (
@@ -40,17 +40,15 @@ class Front:
     The least depth error comes first. Of all scores less is better.
     """
 
-    grids: NDArray[np.bool_]  # [F, n, n]
-    scores: NDArray[np.float64]  # [F, 3]: depth error, deblurring error, closed share (1 - light)
+    grids: BoolArray  # [F, n, n]
+    scores: DoubleArray  # [F, 3]: depth error, deblurring error, closed share (1 - light)
 
     @staticmethod
     def empty(cells: int) -> "Front":
         """Return a front without masks."""
         return Front(np.zeros((0, cells, cells), bool), np.zeros((0, 3)))
 
-    def with_masks(
-        self, grids: NDArray[np.bool_], scores: NDArray[np.float64], most: int
-    ) -> "Front":
+    def with_masks(self, grids: BoolArray, scores: DoubleArray, most: int) -> "Front":
         """Return the front of these and more masks, of at most `most`.
 
         Where there are too many, those that differ least in depth error from their neighbour go.
@@ -66,7 +64,7 @@ class Front:
         return Front(grids[first], scores[first])
 
 
-def not_beaten(scores: NDArray[np.float64]) -> NDArray[np.bool_]:
+def not_beaten(scores: DoubleArray) -> BoolArray:
     """Which rows [N, objectives] no other row is at least as good as in all, and better in one."""
     keep = np.ones(len(scores), bool)
     for index, score in enumerate(scores):
@@ -80,13 +78,12 @@ def not_beaten(scores: NDArray[np.float64]) -> NDArray[np.bool_]:
 class SearchConfig:
     """Which masks are looked for, and for how long."""
 
-    cells: int = option(11, "Cells along a side of the mask's grid.", minimum=7, maximum=13)
+    cells: int = option(11, "Cells along a side of the mask's grid.", within=(7, 13))
     smallest_opening: int = option(
-        1, "Every opening is made of open squares of so many cells.", unit="cells", minimum=1,
-        maximum=4,
-    )  # fmt: skip
-    least_light: float = option(0.15, "Least open share of the mask.", minimum=0.0, maximum=1.0)
-    most_light: float = option(0.8, "Most open share of the mask.", minimum=0.0, maximum=1.0)
+        1, "Every opening is made of open squares of so many cells.", unit="cells", within=(1, 4)
+    )
+    least_light: float = option(0.15, "Least open share of the mask.", within=(0.0, 1.0))
+    most_light: float = option(0.8, "Most open share of the mask.", within=(0.0, 1.0))
     carrier: str = option(
         "transparent",
         "What holds the closed cells: transparent film, or, connected, they must hang together.",
@@ -96,12 +93,13 @@ class SearchConfig:
         "none", "The same after a half turn (point), or in a mirror.", choices=SYMMETRIES
     )
     deblurring: float = option(
-        0.3, "Weight of the deblurring error beside the depth error in what is looked for.",
-        minimum=0.0, maximum=10.0,
-    )  # fmt: skip
-    islands: int = option(4, "Populations that rarely mix.", minimum=1, maximum=256)
-    epochs: int = option(20, "Rounds of the search.", minimum=1, maximum=100000)
-    generations: int = option(40, "Children of every mask in a round.", minimum=1, maximum=10000)
+        0.3,
+        "Weight of the deblurring error beside the depth error in what is looked for.",
+        within=(0.0, 10.0),
+    )
+    islands: int = option(4, "Populations that rarely mix.", within=(1, 256))
+    epochs: int = option(20, "Rounds of the search.", within=(1, 100000))
+    generations: int = option(40, "Children of every mask in a round.", within=(1, 10000))
     seed: int = option(0, "Of the random numbers.", minimum=0)
 
     def __post_init__(self) -> None:
@@ -122,8 +120,8 @@ class SearchConfig:
 class Island:
     """A population of masks, and all that is known of those that were ever scored in it."""
 
-    grids: NDArray[np.bool_]  # [masks, n, n]
-    objective: NDArray[np.float64]  # [masks], less is better; infinite before the first epoch
+    grids: BoolArray  # [masks, n, n]
+    objective: DoubleArray  # [masks], less is better; infinite before the first epoch
     front: Front
     scored: int = 0  # how many were
 
@@ -144,10 +142,10 @@ class SearchState:
         return front
 
     @property
-    def best(self) -> NDArray[np.bool_]:
+    def best(self) -> BoolArray:
         """The mask with the least objective [n, n]."""
         island = min(self.islands, key=lambda each: each.objective.min())
-        best: NDArray[np.bool_] = island.grids[int(np.argmin(island.objective))]
+        best: BoolArray = island.grids[int(np.argmin(island.objective))]
         return best
 
     @property
@@ -247,13 +245,13 @@ def _with_migrants(islands: list[Island]) -> tuple[Island, ...]:
     return tuple(moved)
 
 
-def _allowed(grids: NDArray[np.bool_], config: SearchConfig) -> NDArray[np.bool_]:
+def _allowed(grids: BoolArray, config: SearchConfig) -> BoolArray:
     return allowed(grids, config.smallest_opening, config.light, config.carrier)
 
 
 def _objective(
-    grids: NDArray[np.bool_], config: SearchConfig, scene: SceneConfig
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    grids: BoolArray, config: SearchConfig, scene: SceneConfig
+) -> tuple[DoubleArray, DoubleArray]:
     predicted = _scorer(scene).score_grids(grids.astype(np.float32))
     # The geometric mean: each noise counts by its ratio.
     depth = np.exp(np.log(predicted.depth_error).mean(axis=1))
@@ -262,8 +260,8 @@ def _objective(
     return _value(scores, config), scores
 
 
-def _value(scores: NDArray[np.float64], config: SearchConfig) -> NDArray[np.float64]:
-    value: NDArray[np.float64] = np.log(scores[:, 0]) + config.deblurring * np.log(scores[:, 1])
+def _value(scores: DoubleArray, config: SearchConfig) -> DoubleArray:
+    value: DoubleArray = np.log(scores[:, 0]) + config.deblurring * np.log(scores[:, 1])
     return value
 
 

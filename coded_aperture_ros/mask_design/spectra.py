@@ -13,6 +13,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.optics import Mask, render_psf
@@ -34,21 +35,22 @@ class SceneConfig:
     levels: int = option(
         30, "Blur levels, equally spaced between the smallest and the largest.", minimum=2
     )
-    smallest_px: float = option(7.0, "Smallest blur size.", unit="px", minimum=0.5, maximum=60)
-    largest_px: float = option(30.0, "Largest blur size.", unit="px", minimum=1.0, maximum=60)
-    slope: float = option(
-        2.4, "Fall-off of the texture's power with frequency.", minimum=0.5, maximum=4.0
-    )
+    smallest_px: float = option(7.0, "Smallest blur size.", unit="px", within=(0.5, 60))
+    largest_px: float = option(30.0, "Largest blur size.", unit="px", within=(1.0, 60))
+    slope: float = option(2.4, "Fall-off of the texture's power with frequency.", within=(0.5, 4.0))
     diffraction_px: float = option(
         0.0,
         "Radius of the Airy disc of an opening as wide as the mask, in the picture; narrower "
         "openings have a larger one. 0: no diffraction.",
-        unit="px", minimum=0.0, maximum=5.0,
-    )  # fmt: skip
+        unit="px",
+        within=(0.0, 5.0),
+    )
     motion_px: float = option(
-        0.0, "Length of motion blur in an unknown direction. 0: nothing moves.",
-        unit="px", minimum=0.0, maximum=60.0,
-    )  # fmt: skip
+        0.0,
+        "Length of motion blur in an unknown direction. 0: nothing moves.",
+        unit="px",
+        within=(0.0, 60.0),
+    )
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -59,7 +61,7 @@ class SceneConfig:
             )
 
     @cached_property
-    def blur_sizes_px(self) -> NDArray[np.float64]:
+    def blur_sizes_px(self) -> DoubleArray:
         """Blur size of every level, px [levels]."""
         return np.linspace(self.smallest_px, self.largest_px, self.levels)
 
@@ -71,8 +73,8 @@ class Frequencies:
     `vertical` and `horizontal` are whole cycles per window.
     """
 
-    vertical: NDArray[np.intp]
-    horizontal: NDArray[np.intp]
+    vertical: IndexArray
+    horizontal: IndexArray
 
     @staticmethod
     def of_window() -> "Frequencies":
@@ -87,12 +89,12 @@ class Frequencies:
         return Frequencies(vertical[keep], horizontal[keep])
 
     @property
-    def radius(self) -> NDArray[np.float64]:
+    def radius(self) -> DoubleArray:
         """Cycles per pixel [K]."""
         return np.hypot(self.vertical, self.horizontal) / WINDOW_PX
 
 
-def autocorrelations(grids: NDArray[np.floating]) -> NDArray[np.float32]:
+def autocorrelations(grids: NDArray[np.floating]) -> FloatArray:
     """Return the autocorrelations [B, (2 n - 1) n] of masks [B, n, n], for light of one in all.
 
     Lags go down (-n+1 to n-1) and right (0 to n-1); those to the left count with their mirror
@@ -107,7 +109,7 @@ def autocorrelations(grids: NDArray[np.floating]) -> NDArray[np.float32]:
     return (lags.reshape(len(grids), -1) / light[:, None] ** 2).astype(np.float32)
 
 
-def lag_matrix(cells: int, scene: SceneConfig, frequencies: Frequencies) -> NDArray[np.float32]:
+def lag_matrix(cells: int, scene: SceneConfig, frequencies: Frequencies) -> FloatArray:
     """Return what turns autocorrelations into expected spectra [(2 n - 1) n, levels * K].
 
     For texture of unit variance, as `expected_spectra`; aliasing of the sensor is left out.
@@ -131,9 +133,7 @@ def lag_matrix(cells: int, scene: SceneConfig, frequencies: Frequencies) -> NDAr
     return np.array(rows).reshape(-1, len(down) * cells).T.astype(np.float32)
 
 
-def expected_spectra(
-    mask: Mask, scene: SceneConfig, frequencies: Frequencies
-) -> NDArray[np.float32]:
+def expected_spectra(mask: Mask, scene: SceneConfig, frequencies: Frequencies) -> FloatArray:
     """Return the spectra that a window is expected to see, of any mask [levels, K].
 
     For texture of unit variance before the blur.
@@ -154,9 +154,7 @@ def expected_spectra(
     return np.maximum(taken, 0).astype(np.float32)
 
 
-def seen_spectra(
-    texture: NDArray[np.float32], gain: NDArray[np.float32], overlap: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def seen_spectra(texture: FloatArray, gain: FloatArray, overlap: FloatArray) -> FloatArray:
     """Return the spectra of texture behind PSFs, as windows with this autocorrelation see them.
 
     `texture` and `gain` are powers as by ``rfft2``, [rows, columns] and [L, rows, columns], of a
@@ -168,25 +166,25 @@ def seen_spectra(
 
 def diffraction_loss(
     smallest_opening: NDArray[np.floating], scene: SceneConfig, frequencies: Frequencies
-) -> NDArray[np.float32]:
+) -> FloatArray:
     """Return the share of the power that is left after diffraction [B, K].
 
     `smallest_opening` is the width of each mask's narrowest opening as a share of the mask's. Its
     diffraction counts for all of the mask, which errs on the dark side.
     """
     sigma = _AIRY_TO_SIGMA * scene.diffraction_px / smallest_opening[:, None]
-    loss: NDArray[np.float32] = np.exp(-((2 * np.pi * sigma * frequencies.radius) ** 2))
+    loss: FloatArray = np.exp(-((2 * np.pi * sigma * frequencies.radius) ** 2))
     return loss.astype(np.float32)
 
 
-def _window_power() -> NDArray[np.float64]:
+def _window_power() -> DoubleArray:
     """Return the power of the window at every frequency of the torus, of unit sum [torus]."""
     window = WindowedFourierBasis(WINDOW_PX).window.astype(np.float64)
     power = np.abs(np.fft.fft(window, _TORUS_PX)) ** 2
     return power / power.sum()
 
 
-def _texture(radius: NDArray[np.float64], scene: SceneConfig) -> NDArray[np.float64]:
+def _texture(radius: DoubleArray, scene: SceneConfig) -> DoubleArray:
     """Return the power of texture of unit variance, blurred by motion."""
     frequency = np.fft.fftfreq(_TORUS_PX)
     everywhere = np.hypot(frequency[:, None], frequency)

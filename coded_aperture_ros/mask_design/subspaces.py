@@ -9,6 +9,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.prior import power_spectrum
+from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask, render_psf
 
@@ -40,7 +41,7 @@ class SubspaceDistances:
     """Distances between the subspaces of blurred patches, and how they fit the ideal."""
 
     # Distance (9.4) of every two levels [L, L], 0 to ``sqrt(rank)``; zero on the diagonal.
-    matrix: NDArray[np.float64]
+    matrix: DoubleArray
     # Dimension K of the subspaces: the least number of directions, over all levels, in which
     # blurred texture is stronger than the noise. More is less texture lost.
     rank: int
@@ -98,9 +99,7 @@ def _cosine_transform() -> NDArray[np.complex128]:
     return spectra
 
 
-def _covariance(
-    power: NDArray[np.float64], transform: NDArray[np.complex128]
-) -> NDArray[np.float64]:
+def _covariance(power: DoubleArray, transform: NDArray[np.complex128]) -> DoubleArray:
     """Return the covariance of the cosine coefficients of a patch with this power spectrum."""
     pairs = (transform[:, None] * transform[None].conj()).reshape(-1, _TORUS_PX)
     mixed = (pairs @ power @ pairs.conj().T).real / _TORUS_PX**2

@@ -5,8 +5,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.picture_file import picture_files, read_image
 
@@ -16,7 +16,7 @@ class Textures:
     """Where sharp crops come from."""
 
     kind: str  # for messages; `random` is white noise, uniform in [0, 1]
-    pictures: tuple[NDArray[np.float32], ...]  # grey, 0 to 1; none for random texture
+    pictures: tuple[FloatArray, ...]  # grey, 0 to 1; none for random texture
 
     @classmethod
     def of_files(cls, kind: str, paths: Iterable[Path]) -> "Textures":
@@ -25,9 +25,7 @@ class Textures:
         grey = [image.mean(axis=2) if image.ndim == 3 else image for image in images]
         return cls(kind, tuple(np.asarray(picture, np.float32) for picture in grey))
 
-    def crops(
-        self, count: int, rows: int, columns: int, random: np.random.Generator
-    ) -> NDArray[np.float32]:
+    def crops(self, count: int, rows: int, columns: int, random: np.random.Generator) -> FloatArray:
         """Cut crops [count, rows, columns] at places chosen blindly: flat ones are not thrown away.
 
         Pictures take turns, in random order, so that a few crops do not all come from one of them.

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray
 from coded_aperture_ros.core.errors import InputError
 
 _RIGHT_WITHIN = 0.10
@@ -120,7 +121,7 @@ class RelativeError:
     pixels: int
 
     @staticmethod
-    def of(relative: NDArray[np.floating], part: NDArray[np.bool_]) -> "RelativeError":
+    def of(relative: NDArray[np.floating], part: BoolArray) -> "RelativeError":
         """Summarise signed relative errors, NaN where unknown, of a part of the pixels."""
         errors = np.abs(relative[part])
         return RelativeError.of_known(errors[np.isfinite(errors)], int(np.count_nonzero(part)))

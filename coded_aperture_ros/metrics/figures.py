@@ -4,12 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from coded_aperture_ros.core.figures import (
-    PANEL_INCHES,
-    PathLike,
-    new_figure,
-    save_figure,
-)
+from coded_aperture_ros.core.figures import PANEL_INCHES, PathLike, new_figure, save_figure
 from coded_aperture_ros.metrics.reliability import Reliability
 
 

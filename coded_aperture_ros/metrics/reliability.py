@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
 from coded_aperture_ros.core.errors import InputError
 
 BINS = 10
@@ -30,12 +31,12 @@ class Reliability:
     """
 
     count: NDArray[np.int64]
-    confidence_sum: NDArray[np.float64]
+    confidence_sum: DoubleArray
     right: NDArray[np.int64]
 
     @classmethod
     def of(
-        cls, confidence: NDArray[np.floating], right: NDArray[np.bool_], bins: int = BINS
+        cls, confidence: NDArray[np.floating], right: BoolArray, bins: int = BINS
     ) -> "Reliability":
         """Sort estimates by their confidence.
 
@@ -81,12 +82,12 @@ class Reliability:
         )
 
     @property
-    def mean_confidence(self) -> NDArray[np.float64]:
+    def mean_confidence(self) -> DoubleArray:
         """What each bin promises; NaN for an empty one."""
         return self._per_estimate(self.confidence_sum)
 
     @property
-    def share_right(self) -> NDArray[np.float64]:
+    def share_right(self) -> DoubleArray:
         """What each bin keeps; NaN for an empty one."""
         return self._per_estimate(self.right)
 
@@ -114,6 +115,6 @@ class Reliability:
             if count
         ]
 
-    def _per_estimate(self, sums: NDArray) -> NDArray[np.float64]:
+    def _per_estimate(self, sums: NDArray) -> DoubleArray:
         none = np.full(len(sums), np.nan)
         return np.divide(sums, self.count, out=none, where=self.count > 0)

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import Option, check_option
 from coded_aperture_ros.optics.intrinsics import Intrinsics, load_intrinsics, read_yaml
@@ -149,7 +150,7 @@ class Camera:
         """Blur size of a point infinitely far away: `M f / z_focus`."""
         return self.mask_extent_mm * 1e-3 * self.focal_length_px / self.focus_distance_m
 
-    def blur_size_px(self, depth_m: ArrayLike) -> NDArray[np.float64]:
+    def blur_size_px(self, depth_m: ArrayLike) -> DoubleArray:
         """Signed blur size of the full mask extent at each depth (thesis eq. 3.28).
 
         ``S = M f (1/z_focus - 1/z) z / (z - C)``: positive beyond the focal plane, negative in
@@ -164,7 +165,7 @@ class Camera:
         ratio = (1.0 - self.focus_distance_m * inverse) / (1.0 - mask_m * inverse)
         return np.asarray(self.blur_at_infinity_px * ratio)
 
-    def depth_m(self, blur_size_px: ArrayLike) -> NDArray[np.float64]:
+    def depth_m(self, blur_size_px: ArrayLike) -> DoubleArray:
         """Depth at each signed blur size; the inverse of `blur_size_px`.
 
         `+inf` at or beyond the blur size of infinity, NaN where the blur size is NaN or so far in

@@ -10,8 +10,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import decode_picture
 
@@ -57,7 +58,7 @@ class Mask:
     """
 
     name: str
-    transmission: NDArray[np.float32]
+    transmission: FloatArray
 
     def __post_init__(self) -> None:
         grid = np.array(self.transmission, dtype=np.float32)
@@ -142,25 +143,25 @@ class Mask:
         return Mask(path.name, picture)
 
 
-def _array_of(path: Path) -> NDArray[np.float32]:
+def _array_of(path: Path) -> FloatArray:
     try:
         return np.asarray(np.load(path, allow_pickle=False), dtype=np.float32)
     except (ValueError, EOFError, OSError, TypeError) as error:
         raise InputError(f"cannot read mask {path}: not a numeric .npy array") from error
 
 
-def _grid(rows: str) -> NDArray[np.float32]:
+def _grid(rows: str) -> FloatArray:
     return np.array([[float(cell) for cell in row] for row in rows.split()], dtype=np.float32)
 
 
-def _square_holes(corners: list[tuple[int, int]]) -> NDArray[np.float32]:
+def _square_holes(corners: list[tuple[int, int]]) -> FloatArray:
     grid = np.zeros((_HOLE_GRID, _HOLE_GRID), dtype=np.float32)
     for row, column in corners:
         grid[row : row + _HOLE_SIDE, column : column + _HOLE_SIDE] = 1.0
     return grid
 
 
-def _ring(inner_radius: float) -> NDArray[np.float32]:
+def _ring(inner_radius: float) -> FloatArray:
     """Return the coverage of a ring with outer radius 1 on a square grid that just holds it."""
     fine = _CURVE_GRID * _CURVE_SUPERSAMPLING
     x = (np.arange(fine) + 0.5) / fine * 2.0 - 1.0
@@ -170,7 +171,7 @@ def _ring(inner_radius: float) -> NDArray[np.float32]:
     return blocks.mean(axis=(1, 3), dtype=np.float32)
 
 
-def _mura() -> NDArray[np.float32]:
+def _mura() -> FloatArray:
     """Return a modified uniformly redundant array, by the quadratic-residue rule."""
     p = _MURA_PRIME
     residues = {i * i % p for i in range(1, p)}
@@ -183,7 +184,7 @@ def _mura() -> NDArray[np.float32]:
 
 _MIDDLE = (_HOLE_GRID - _HOLE_SIDE) // 2
 _END = _HOLE_GRID - _HOLE_SIDE
-_BUILDERS: dict[str, Callable[[], NDArray[np.float32]]] = {
+_BUILDERS: dict[str, Callable[[], FloatArray]] = {
     "levin": lambda: _grid(_LEVIN),
     "two_hole": lambda: _square_holes([(_MIDDLE, 0), (_MIDDLE, _END)]),
     "three_hole": lambda: _square_holes([(0, _MIDDLE), (_END, 0), (_END, _END)]),

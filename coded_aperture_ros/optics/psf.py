@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from coded_aperture_ros.core.archive import read_archive, write_archive
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics.mask import Mask
 
@@ -22,7 +23,7 @@ def render_psf(
     blur_size_px: float,
     width_px: int | None = None,
     centre_px: tuple[float, float] = (0.0, 0.0),
-) -> NDArray[np.float32]:
+) -> FloatArray:
     """Render the PSF of a mask whose extent is `blur_size_px` wide in the image.
 
     A pixel's value is the mask's transmission integrated over the pixel's square, divided by the
@@ -31,7 +32,6 @@ def render_psf(
 
     Parameters
     ----------
-    mask : Mask
     blur_size_px : float
         Signed; a negative size, of a point in front of the focal plane, gives the mask rotated
         by 180 degrees.
@@ -71,9 +71,7 @@ def psf_width(blur_size_px: float) -> int:
     return 2 * int(np.ceil(max(abs(blur_size_px) - 1.0, 0.0) / 2.0)) + 1
 
 
-def cell_shares(
-    pixels: int, cells: int, cell_px: float, offset_px: ArrayLike = 0.0
-) -> NDArray[np.float64]:
+def cell_shares(pixels: int, cells: int, cell_px: float, offset_px: ArrayLike = 0.0) -> DoubleArray:
     """Share of each cell, `cell_px` wide, that each pixel covers, along one axis.
 
     Both are centred on zero but for `offset_px`, of any shape: how far the middle of the cells lies
@@ -102,9 +100,9 @@ class PsfStack:
         Whether the blur sizes are pixels, and not mere indices of levels.
     """
 
-    blur_sizes_px: NDArray[np.float64]
-    psfs: NDArray[np.float32]
-    depths_m: NDArray[np.float64] | None = None
+    blur_sizes_px: DoubleArray
+    psfs: FloatArray
+    depths_m: DoubleArray | None = None
     in_pixels: bool = True
 
     def __post_init__(self) -> None:
@@ -140,7 +138,7 @@ class PsfStack:
         sizes = self.blur_sizes_px
         return bool(self.in_pixels and (sizes < 0).any() and (sizes > 0).any())
 
-    def depth_at(self, level: NDArray[np.floating]) -> NDArray[np.float32] | None:
+    def depth_at(self, level: NDArray[np.floating]) -> FloatArray | None:
         """Depth in metres at fractional levels; None if the stack does not know depths.
 
         Between levels the inverse depth is linear, as it is in the blur size of a thin lens.
@@ -150,7 +148,7 @@ class PsfStack:
         inverse = np.interp(level, np.arange(len(self)), 1 / self.depths_m)
         return (1 / inverse).astype(np.float32)
 
-    def blur_size_at(self, depth_m: NDArray[np.floating]) -> NDArray[np.float32] | None:
+    def blur_size_at(self, depth_m: NDArray[np.floating]) -> FloatArray | None:
         """Blur size in px at depths in metres (NaN stays); None if the stack knows no depths.
 
         Depths beyond the first or last level get that level's blur size.

@@ -5,8 +5,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Intrinsics
 
@@ -32,7 +33,7 @@ class ExpectedMotion:
     image_width: int
     reason: str = ""
 
-    def at(self, rows: ArrayLike, columns: ArrayLike, image_width: int) -> NDArray[np.float64]:
+    def at(self, rows: ArrayLike, columns: ArrayLike, image_width: int) -> DoubleArray:
         """Return the way of the picture during the exposure, to the right and down, px [r, c, 2].
 
         In a grid of places, rows [r] and columns [c] of a picture of `image_width`, px; zeros if

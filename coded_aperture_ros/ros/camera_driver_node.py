@@ -56,7 +56,7 @@ class CameraDriverConfig:
         "folder of pictures; rgbd: coded from the topics rgbd/image and rgbd/depth",
     )
     camera_file: str = option("", "Camera file (YAML)")
-    rate_hz: float = option(15.0, "Frames per second", unit="Hz", minimum=0.1, maximum=1000.0)
+    rate_hz: float = option(15.0, "Frames per second", unit="Hz", within=(0.1, 1000.0))
     frame_id: str = option("camera_optical_frame", "Optical frame of the images")
     encoding: str = option(
         "bgr8", "Encoding of image_raw", choices=("mono8", "rgb8", "bgr8", "mono16")
@@ -65,8 +65,7 @@ class CameraDriverConfig:
     noise: float = option(
         0.002,
         "Standard deviation of the simulated sensor's noise in linear light",
-        minimum=0.0,
-        maximum=0.5,
+        within=(0.0, 0.5),
         parameter="simulation.noise",
     )
     camera_name: str = option(
@@ -90,8 +89,7 @@ class CameraDriverConfig:
         0.0,
         "How far the camera looks down",
         unit="degrees",
-        minimum=-180.0,
-        maximum=180.0,
+        within=(-180.0, 180.0),
         parameter="base.pitch_deg",
     )
 

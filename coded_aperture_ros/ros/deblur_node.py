@@ -5,9 +5,9 @@ import threading
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stamp_order import StampOrder
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, blur_levels, covers_frame
@@ -148,7 +148,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         return deblurrer
 
 
-def depth_of_frame(depth: Image, image: Image) -> NDArray[np.float32]:
+def depth_of_frame(depth: Image, image: Image) -> FloatArray:
     """Return the depth image of a frame in metres, NaN where it says nothing.
 
     Raises `MessageError` if it cannot be the depth of that frame.

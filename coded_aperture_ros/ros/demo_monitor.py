@@ -8,12 +8,12 @@ from contextlib import AbstractContextManager
 import cv2
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from numpy.typing import NDArray
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.metrics.errors import DepthError, depth_error
 from coded_aperture_ros.ros.messages import array_from_image, frame_from_image, stamp_ns
 from coded_aperture_ros.ros.running import running_apart
@@ -86,7 +86,7 @@ class DemoMonitor(Node):
             self._truth_wanted = True
             self._subscribe(TRUE_IMAGE)
 
-    def snapshot(self) -> dict[str, NDArray[np.float32]] | None:
+    def snapshot(self) -> dict[str, FloatArray] | None:
         """Return the newest frame of which everything has been received: arrays by their topics."""
         wanted = {*_PICTURES, *_MAPS}
         with self._lock:
@@ -134,9 +134,7 @@ class DemoMonitor(Node):
                 self._reported[node] = {pair.key: pair.value for pair in status.values}
 
 
-def error_of(
-    depth_m: NDArray[np.float32], confidence: NDArray[np.float32], true_depth_m: NDArray[np.float32]
-) -> DepthError:
+def error_of(depth_m: FloatArray, confidence: FloatArray, true_depth_m: FloatArray) -> DepthError:
     """Return the error of a depth map, which may be of another size than the truth."""
     # Each value is one that the truth had: depths are never mixed.
     truth = cv2.resize(true_depth_m, depth_m.shape[::-1], interpolation=cv2.INTER_NEAREST_EXACT)

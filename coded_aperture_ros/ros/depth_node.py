@@ -69,15 +69,13 @@ class DepthNodeConfig:
         "Where depth/points puts what is surely beyond far_m, so that it clears an obstacle map; "
         "0: it has no point",
         unit="m",
-        minimum=0.0,
-        maximum=10_000.0,
+        within=(0.0, 10_000.0),
         parameter="output.points_far_m",
     )
     obstacle_share: float = option(
         0.005,
         "Part of the depth image that is taken up by what /diagnostics calls the nearest obstacle",
-        minimum=0.0,
-        maximum=1.0,
+        within=(0.0, 1.0),
         parameter="diagnostics.obstacle_share",
     )
 

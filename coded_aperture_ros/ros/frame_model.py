@@ -6,12 +6,12 @@ from collections.abc import Callable
 from typing import Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.node import Node
 
 from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT, FilterBank, load_bank
 from coded_aperture_ros.bank.learning import guarded_range
 from coded_aperture_ros.bank.remap import remap_bank
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.depth import depths_are_measured
@@ -49,8 +49,7 @@ class ModelConfig:
     level_count: int = option(
         DEFAULT_LEVEL_COUNT,
         "Blur levels to learn, if no bank is given",
-        minimum=2,
-        maximum=500,
+        within=(2, 500),
         read_only=True,
         formerly="levels",
         parameter="learn.level_count",
@@ -171,7 +170,7 @@ class FrameModel(Generic[Model]):
         """Go on with a changed model; not while a frame is worked on with it."""
         self._state = dataclasses.replace(self._state, model=changed(self._state.model))
 
-    def blur_size_px(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    def blur_size_px(self, depth_m: FloatArray) -> FloatArray:
         """Return the blur size of depths; NaN stays."""
         sizes = None
         if depths_are_measured(self.model):

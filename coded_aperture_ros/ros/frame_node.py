@@ -38,16 +38,14 @@ class FrameNodeConfig:
     gamma: float = option(
         1.0,
         "Gamma of 8-bit images; 1 for a linear sensor",
-        minimum=0.2,
-        maximum=5.0,
+        within=(0.2, 5.0),
         parameter="frames.gamma",
     )
     max_rate_hz: float = option(
         0.0,
         "Most frames to process per second; 0: no limit",
         unit="Hz",
-        minimum=0,
-        maximum=10_000,
+        within=(0, 10_000),
         parameter="frames.max_rate_hz",
     )
     lazy: bool = option(True, "Work only while someone subscribes to an output")

@@ -24,8 +24,7 @@ class GyroConfig:
         0.0,
         "Exposure time of the frames; 0: not known",
         unit="s",
-        minimum=0.0,
-        maximum=10.0,
+        within=(0.0, 10.0),
         parameter="motion.exposure_s",
     )
     imu_axes: str = option(

@@ -5,11 +5,11 @@ Everything here is a pure function of its arguments: no node, no clock, no publi
 
 import sys
 
-import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.io.messages import (  # noqa: F401 (nodes take them from here)
     ENCODINGS,
     Encoding,
@@ -38,7 +38,7 @@ def image_from_array(pixels: NDArray, encoding: str, header: Header) -> Image:
     return _image(pixels, encoding, header)
 
 
-def image_from_motion(motion_px: NDArray[np.float32], header: Header) -> Image:
+def image_from_motion(motion_px: FloatArray, header: Header) -> Image:
     """Return a field of motions [row, column, right and down], as optical flow is kept (32FC2)."""
     return _image(motion_px, "32FC2", header)
 
@@ -75,7 +75,7 @@ def image_from_compressed(message: CompressedImage) -> Image:
     return image_from_array(pixels, encoding, message.header)
 
 
-def cloud_from_points(points: NDArray[np.float32], header: Header) -> PointCloud2:
+def cloud_from_points(points: FloatArray, header: Header) -> PointCloud2:
     """Return points [row, column, 4] as an organised cloud; see `points_of_depth`."""
     names = ("x", "y", "z", "confidence")
     cloud = PointCloud2(header=copied_header(header), is_dense=False)

@@ -6,12 +6,12 @@ import time
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.ros.messages import MessageError, frame_from_image
 from coded_aperture_ros.ros.running import running_apart
@@ -28,7 +28,7 @@ class FrameGrabber:
     def __init__(self, topic: str, gamma: float = 1.0) -> None:
         self._topic, self._gamma = topic, gamma
         self._changed = threading.Condition()
-        self._frames: list[NDArray[np.float32]] = []
+        self._frames: list[FloatArray] = []
         self._wanted = 0
         self._refused = ""
         self._running = contextlib.ExitStack()
@@ -43,7 +43,7 @@ class FrameGrabber:
     def __exit__(self, *_: object) -> None:
         self._running.close()
 
-    def mean_frame(self, count: int, timeout_s: float) -> NDArray[np.float32]:
+    def mean_frame(self, count: int, timeout_s: float) -> FloatArray:
         """Return the mean of the next `count` frames, float32.
 
         Raises `InputError` if they do not come in time, cannot be used, or change their size

@@ -3,10 +3,10 @@
 import threading
 
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import Image
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.messages import depth_from_pixels
 from coded_aperture_ros.io.sources import Capture
@@ -83,7 +83,7 @@ class RgbdSource:
                 self._changed.notify()
 
 
-def depth_in_metres(message: Image) -> NDArray[np.float32]:
+def depth_in_metres(message: Image) -> FloatArray:
     """Return the pixels of a depth image (REP 118) in metres, NaN where it has no distance.
 
     Raises `MessageError` where it is no depth image, or nothing is known in it.

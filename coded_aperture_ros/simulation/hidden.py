@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 
 
@@ -13,8 +14,8 @@ from coded_aperture_ros.core.errors import InputError
 class Surface:
     """One surface per pixel."""
 
-    blur_size_px: NDArray[np.float32]  # [h, w], signed; larger is farther, NaN is no surface
-    colours: NDArray[np.float32]  # [h, w, c]
+    blur_size_px: FloatArray  # [h, w], signed; larger is farther, NaN is no surface
+    colours: FloatArray  # [h, w, c]
 
 
 def hidden_surface(visible: Surface, gap_px: float, reach_px: int) -> Surface:
@@ -55,7 +56,7 @@ def hidden_surface(visible: Surface, gap_px: float, reach_px: int) -> Surface:
     return Surface(sizes, colours)
 
 
-def fill_unknown(depth_m: NDArray) -> NDArray[np.float32]:
+def fill_unknown(depth_m: NDArray) -> FloatArray:
     """Give unknown depths the farther of the nearest known depths to their left and right.
 
     Holes in depth maps are mostly what one of two views beside each other could not see: the
@@ -71,13 +72,13 @@ def fill_unknown(depth_m: NDArray) -> NDArray[np.float32]:
     return _fill_rows(_fill_rows(depth).T).T.copy()
 
 
-def _fill_rows(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+def _fill_rows(depth: FloatArray) -> FloatArray:
     from_left = _last_known(depth)
     from_right = _last_known(depth[:, ::-1])[:, ::-1]
     return np.where(np.isnan(depth), np.fmax(from_left, from_right), depth)
 
 
-def _last_known(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+def _last_known(depth: FloatArray) -> FloatArray:
     """Repeat in each row the last known value; NaN before the first."""
     columns = np.where(np.isnan(depth), 0, np.arange(depth.shape[1]))
     return np.take_along_axis(depth, np.maximum.accumulate(columns, axis=1), axis=1)

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera, Mask, render_psf
 from coded_aperture_ros.simulation.hidden import Surface, fill_unknown, hidden_surface
@@ -33,7 +34,7 @@ def render_coded_frame(
     *,
     layer_spacing_px: float = 0.5,
     aperture_blocks: int = 3,
-) -> NDArray[np.float32]:
+) -> FloatArray:
     """Render what a coded-aperture camera records of a scene.
 
     Parameters
@@ -90,7 +91,7 @@ class _Layer:
     number: int
     surface_gap: int
     blur_size_px: float
-    light: NDArray[np.float32]
+    light: FloatArray
     top: int
     left: int
 
@@ -109,7 +110,7 @@ def _check(image: NDArray, depth_m: NDArray, spacing_px: float, blocks: int) -> 
         raise InputError(f"aperture blocks: expected at least 1, got {blocks!r}")
 
 
-def _blur_sizes(depth_m: NDArray, camera: Camera) -> NDArray[np.float32]:
+def _blur_sizes(depth_m: NDArray, camera: Camera) -> FloatArray:
     blur_size_px = camera.blur_size_px(depth_m)
     # A NaN, of a point behind the mask, fails this comparison too.
     fits = np.abs(blur_size_px) <= max(depth_m.shape)
@@ -142,7 +143,7 @@ def _layers(visible: Surface, hidden: Surface, spacing_px: float) -> Iterator[_L
         yield _Layer(number, surface_gap, float(size), light, int(rows[0]), int(columns[0]))
 
 
-def _share(blur_size_px: NDArray, size: float, step: float) -> NDArray[np.float32]:
+def _share(blur_size_px: NDArray, size: float, step: float) -> FloatArray:
     """Return the share of each pixel in a layer: 1 at its size, 0 at the next layers' sizes."""
     if step == 0:
         return np.isfinite(blur_size_px).astype(np.float32)
@@ -163,7 +164,7 @@ def _blocks(mask: Mask, count: int) -> Iterator[Mask]:
 
 def _through_block(
     layers: list[_Layer], block: Mask, mask: Mask, shape: tuple[int, ...]
-) -> NDArray[np.float32]:
+) -> FloatArray:
     """Compose the light that reaches the sensor through one block of the aperture.
 
     Returns premultiplied colours and a weight, [rows, columns, channels + 1]. The weight is the
@@ -176,7 +177,7 @@ def _through_block(
     total = np.zeros((height, width, layers[0].light.shape[2]), dtype=np.float32)
     # Coverage by the layers that are in front by more than the surface gap.
     occluded = np.zeros((height, width), dtype=np.float32)
-    recent: deque[tuple[int, tuple[slice, slice], NDArray[np.float32]]] = deque()
+    recent: deque[tuple[int, tuple[slice, slice], FloatArray]] = deque()
     for layer in layers:
         while recent and recent[0][0] <= layer.number - layer.surface_gap:
             _, region, coverage = recent.popleft()
@@ -185,13 +186,13 @@ def _through_block(
         blurred *= np.maximum(0, 1 - occluded[region])[..., None]
         total[region] += blurred
         recent.append((layer.number, region, blurred[..., -1]))
-    lit: NDArray[np.float32] = np.maximum(total[..., -1:], _LEAST_COVERAGE)
+    lit: FloatArray = np.maximum(total[..., -1:], _LEAST_COVERAGE)
     return total * (np.float32(weight) / lit)
 
 
 def _blur(
     layer: _Layer, block: Mask, height: int, width: int
-) -> tuple[tuple[slice, slice], NDArray[np.float32]]:
+) -> tuple[tuple[slice, slice], FloatArray]:
     """Blur a layer; return where in the frame the result belongs, and the result."""
     # OpenCV correlates; turned by 180 degrees, the kernel convolves.
     kernel = render_psf(block, layer.blur_size_px)[::-1, ::-1]
@@ -206,7 +207,7 @@ def _blur(
     return region, _correlate(padded, kernel)
 
 
-def _correlate(light: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDArray[np.float32]:
+def _correlate(light: FloatArray, kernel: FloatArray) -> FloatArray:
     """Correlate with a centred kernel, of which only the part that is not zero is computed."""
     rows, columns = np.flatnonzero(kernel.any(axis=1)), np.flatnonzero(kernel.any(axis=0))
     part = np.ascontiguousarray(kernel[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1])

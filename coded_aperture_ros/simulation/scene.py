@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import SRGB, linear_from_pixels
 from coded_aperture_ros.optics import Camera
@@ -40,7 +41,7 @@ class SensorModel:
         if self.bits not in (0, 8, 12, 16):
             raise InputError(f"bits: expected 0, 8, 12 or 16, got {self.bits!r}")
 
-    def expose(self, image: NDArray, rng: np.random.Generator) -> NDArray[np.float32]:
+    def expose(self, image: NDArray, rng: np.random.Generator) -> FloatArray:
         """Return the image as the sensor reads it out; float32, linear, shape of `image`."""
         exposed = np.array(image, dtype=np.float32)
         if self.noise:
@@ -55,8 +56,8 @@ class SensorModel:
 class Scene:
     """A sharp picture with the depth of every pixel."""
 
-    image: NDArray[np.float32]  # [h, w, 3], linear light, RGB
-    depth_m: NDArray[np.float32]  # [h, w], all known
+    image: FloatArray  # [h, w, 3], linear light, RGB
+    depth_m: FloatArray  # [h, w], all known
     focal_length_px: float  # of the camera that took the picture
 
 
@@ -87,9 +88,9 @@ def motorcycle_scene(scale: float = 1.2) -> Scene:
 class View:
     """What the simulated camera records at one time, and the truth behind it."""
 
-    coded: NDArray[np.float32]  # the frame [h, w, 3], with noise
-    sharp: NDArray[np.float32]  # the same view without blur and noise
-    depth_m: NDArray[np.float32]  # the true one [h, w]
+    coded: FloatArray  # the frame [h, w, 3], with noise
+    sharp: FloatArray  # the same view without blur and noise
+    depth_m: FloatArray  # the true one [h, w]
 
 
 class PanningScene:

@@ -135,12 +135,7 @@ def test_figures_are_written(tmp_path, capsys):
     result = call(capsys, *TWO_PLANE, "--methods", "bank", "--output", planes)
     assert (result.status, result.err) == (0, "")
     pictures = {path.name for path in stair.iterdir()}
-    assert pictures == {
-        "maps_random_0.png",
-        "reliability.png",
-        "results.json",
-        "spread_random.png",
-    }
+    assert pictures == {"maps_random_0.png", "reliability.png", "results.json", "spread_random.png"}
     assert {path.name for path in planes.iterdir()} == {"edges.png", "results.json"}
     for path in (*stair.glob("*.png"), *planes.glob("*.png")):
         assert read_image(path).std() > 0.05, f"{path} is blank"
@@ -174,8 +169,7 @@ def folder(scene, tmp_path):
 
 def test_depth_of_a_scene_is_scored(capsys, folder):
     (cell,) = json_of(
-        capsys,
-        *("bench", "accuracy", "scenes", folder, "--levels", 12, "--regularize", "tv"),
+        capsys, *("bench", "accuracy", "scenes", folder, "--levels", 12, "--regularize", "tv")
     )["cells"]
     assert (cell["scene"], cell["mask"], cell["regularize"]) == ("table", "levin", "tv")
     everywhere, confident = cell["everywhere"], cell["confident"]
@@ -226,10 +220,7 @@ def test_wrong_usage_is_refused_with_a_hint(capsys, arguments, hint):
 
 @pytest.mark.parametrize(
     ("arguments", "hint"),
-    [
-        (("--masks", "nonsense"), "nonsense"),
-        (("--images", "no_such_folder"), "no_such_folder"),
-    ],
+    [(("--masks", "nonsense"), "nonsense"), (("--images", "no_such_folder"), "no_such_folder")],
 )
 def test_bad_input_is_one_line(capsys, tmp_path, monkeypatch, arguments, hint):
     monkeypatch.chdir(tmp_path)

@@ -7,11 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from cli_scene import CAMERA, call, texture
-from coded_aperture_benchmarks.deblurring import (
-    ahead,
-    ahead_text,
-    own_methods,
-)
+from coded_aperture_benchmarks.deblurring import ahead, ahead_text, own_methods
 from coded_aperture_benchmarks.frames.stair import make_stair
 from coded_aperture_benchmarks.reference.deblurring import (
     PLANE_METHODS,

@@ -65,7 +65,7 @@ def test_everything_is_measured_in_one_run(small, capsys, tmp_path):
     main = results["main"]
     assert (main["size"], main["map_size"]) == ([80, 96], [80, 96])
     assert list(main["stages"]) == [
-        *("prepare", "average", "spectra", "energies", "temporal", "regularise", "map"),
+        *("prepare", "average", "spectra", "energies", "temporal", "regularise", "map")
     ]
     for times in (*main["stages"].values(), main["engine"], main["total"]):
         assert times["samples"] == 5

@@ -267,8 +267,7 @@ def test_too_timid_and_too_bold_do_not_cancel():
 
 
 @given(
-    st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=1, max_size=30),
-    st.integers(0, 30),
+    st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=1, max_size=30), st.integers(0, 30)
 )
 def test_diagrams_add_up(estimates, cut):
     confidence, right = (np.array(column) for column in zip(*estimates, strict=True))

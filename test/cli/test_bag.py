@@ -249,10 +249,7 @@ def test_frames_that_cannot_be_used_are_named_and_the_rest_is_done(scene, tmp_pa
     messages = recording(scene, frames=3)
     where = [index for index, message in enumerate(messages) if message[0] == "/eye/image_raw"]
     pixels = frame_pixels(scene, "mono8", 1)
-    broken = {
-        where[0]: image(pixels, "bayer_rggb8", 0),
-        where[1]: image(pixels[:64], "mono8", 1),
-    }
+    broken = {where[0]: image(pixels, "bayer_rggb8", 0), where[1]: image(pixels[:64], "mono8", 1)}
     messages = [(*message[:3], broken.get(i, message[3])) for i, message in enumerate(messages)]
     messages.append(("/eye/image_raw", IMAGE, START_NS + 10**9, b"\0\1\0\0nonsense"))
     bag = write_bag(tmp_path / "in", messages)

@@ -105,7 +105,7 @@ def test_pictures(scene, tmp_path, capsys, unit):
     arguments = ("--bank", scene.bank, scene.coded_npy, "-o", tmp_path / "d.npy", "--pictures")
     assert call(capsys, "depth", *arguments, *levels).status == 0
     assert names(tmp_path) == [
-        *("d.confidence.npy", "d.confidence.picture.png", "d.npy", "d.picture.png"),
+        *("d.confidence.npy", "d.confidence.picture.png", "d.npy", "d.picture.png")
     ]
     picture = read_image(tmp_path / "d.picture.png")
     assert picture.shape[0] > HEIGHT

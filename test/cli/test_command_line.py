@@ -144,7 +144,7 @@ def test_commands_are_listed_in_the_order_of_use():
 
 @dataclasses.dataclass(frozen=True)
 class Config:
-    edge_width: float = option(0.5, "Width of edges", minimum=0.0, maximum=1.0, formerly="rim")
+    edge_width: float = option(0.5, "Width of edges", within=(0.0, 1.0), formerly="rim")
     kind: str = option("a", "Kind", choices=("a", "b"), formerly=("sort", "class"))
 
     def __post_init__(self):

@@ -88,8 +88,7 @@ def test_the_pipeline_runs_and_ends_cleanly_in_full_swing(ros, start, number):
 
 
 @pytest.mark.parametrize(
-    ("node", "topic"),
-    [("camera_driver_node", "image_raw"), ("depth_node", "depth/image")],
+    ("node", "topic"), [("camera_driver_node", "image_raw"), ("depth_node", "depth/image")]
 )
 def test_a_node_ends_cleanly_in_full_swing(ros, start, node, topic):
     received = ros.subscribe(topic, Image)

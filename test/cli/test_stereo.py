@@ -121,8 +121,7 @@ def test_borders_show_the_surface_that_ends_there(screen_px, hole_px):
 
 
 @pytest.mark.parametrize(
-    ("slope", "step"),
-    [(-1.4, 1), (-0.3, 1), (0.2, 1), (0.9, 1), (1.6, 1), (-0.2, 4), (0.1, 4)],
+    ("slope", "step"), [(-1.4, 1), (-0.3, 1), (0.2, 1), (0.9, 1), (1.6, 1), (-0.2, 4), (0.1, 4)]
 )
 def test_slanted_planes_have_no_cracks(slope, step):
     """Of a picture that tells the column; half the slope is what a view is stretched by."""

@@ -19,7 +19,7 @@ from coded_aperture_ros.ros.parameters import NodeParameters
 class Config:
     file: str = option("", "A file", read_only=True)
     kind: str = option("fast", "A method", choices=("fast", "slow"))
-    weight: float = option(0.5, "A weight", unit="m", minimum=0.0, maximum=1.0)
+    weight: float = option(0.5, "A weight", unit="m", within=(0.0, 1.0))
     size: int = option(8, "A size", minimum=1)
     free: float = option(1.0, "Any number", parameter="group.free", formerly="unbound")
     on: bool = option(True, "A switch")

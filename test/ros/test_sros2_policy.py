@@ -11,11 +11,7 @@ from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
 
-NODES = {
-    "camera_driver_node": CameraDriverNode,
-    "depth_node": DepthNode,
-    "deblur_node": DeblurNode,
-}
+NODES = {"camera_driver_node": CameraDriverNode, "depth_node": DepthNode, "deblur_node": DeblurNode}
 # What a node may do, but does not with the parameters of this test.
 OTHER_SETTINGS = {
     "/clock",

@@ -80,9 +80,7 @@ def run(installation: Path, program: str, *arguments: str, folder: Path):
 def test_colcon_finds_out_that_the_tests_are_for_pytest(checkout):
     """Else `colcon test` would run unittest, which finds none of them, and call it good."""
     from colcon_core.package_augmentation.python import extract_dependencies
-    from colcon_python_setup_py.package_identification.python_setup_py import (
-        get_setup_information,
-    )
+    from colcon_python_setup_py.package_identification.python_setup_py import get_setup_information
 
     setup = get_setup_information(checkout / "setup.py")
     names = {requirement.split(">")[0] for requirement in extract_dependencies(setup)["test"]}

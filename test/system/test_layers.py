@@ -170,10 +170,7 @@ def test_the_order_allows_what_is_below(path, source):
 @pytest.mark.parametrize(
     "files",
     [
-        {
-            "bank/a.py": "from coded_aperture_ros.bank.b import f",
-            "bank/b.py": "from .a import g",
-        },
+        {"bank/a.py": "from coded_aperture_ros.bank.b import f", "bank/b.py": "from .a import g"},
         {
             "bank/a.py": "def f():\n    from coded_aperture_ros.bank import b",
             "bank/b.py": "from . import a",

@@ -19,13 +19,7 @@ SMALL = {"size": (260, 320), "spacing_px": 29.3}
 
 
 @pytest.mark.parametrize(
-    ("mask", "blur_size_px"),
-    [
-        ("levin", 3.0),
-        ("zhou", 3.0),
-        ("zhou", -7.3),
-        ("four_hole", 5.0),
-    ],
+    ("mask", "blur_size_px"), [("levin", 3.0), ("zhou", 3.0), ("zhou", -7.3), ("four_hole", 5.0)]
 )
 def test_dots_give_the_psf_within_3_percent(mask, blur_size_px):
     """Noise, dots 0.3 px off the grid, vignetting, uneven background light."""

@@ -86,11 +86,7 @@ def test_both_forms_of_a_camera_file_agree():
     )
 
 
-@given(
-    depth=st.floats(0.1, 1e4),
-    focus=st.floats(0.3, 100),
-    lens_mask_mm=st.floats(-90, 90),
-)
+@given(depth=st.floats(0.1, 1e4), focus=st.floats(0.3, 100), lens_mask_mm=st.floats(-90, 90))
 def test_blur_and_depth_are_inverse(depth, focus, lens_mask_mm):
     camera = pinhole(focus_distance_m=focus, lens_mask_distance_mm=lens_mask_mm)
     blur = camera.blur_size_px(depth)

@@ -11,7 +11,6 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import (
     Option,
     check_options,
-    former_names,
     former_parameters,
     option,
     options_of,
@@ -21,8 +20,8 @@ from coded_aperture_ros.core.options import (
 
 @dataclasses.dataclass(frozen=True)
 class Config:
-    rate_hz: float = option(10.0, "Frames a second", unit="Hz", minimum=0.5, maximum=60)
-    levels: int = option(30, "Blur levels", minimum=2, maximum=200)
+    rate_hz: float = option(10.0, "Frames a second", unit="Hz", within=(0.5, 60))
+    levels: int = option(30, "Blur levels", within=(2, 200))
     method: str = option("none", "How to smooth", choices=("none", "tv"), read_only=True)
     lazy: bool = option(True, "Wait for subscribers")
     name: str = option("", "Any text")
@@ -122,7 +121,6 @@ def test_former_names_of_settings_and_of_their_parameters():
         later: float = option(0.0, "Renamed", formerly="early")
         both: float = option(0.0, "Both", formerly=("old", "older"), parameter="group.both")
 
-    assert former_names(Renamed) == {"early": "later", "old": "both", "older": "both"}
     assert parameter_names(Renamed()) == {
         "plain": "plain",
         "moved": "group.moved",

@@ -110,11 +110,7 @@ def test_mean_blur_is_the_mean_over_depths(mask_at_mm, focus_m, side):
     assert setting_of(camera, 1.0, 3.0).hole_blur_mean_px == pytest.approx(expected, rel=1e-6)
 
 
-@given(
-    depth=st.floats(1.0, 20.0),
-    resolution_px=st.floats(0.1, 2.0),
-    mask_at_mm=st.floats(-40, 40),
-)
+@given(depth=st.floats(1.0, 20.0), resolution_px=st.floats(0.1, 2.0), mask_at_mm=st.floats(-40, 40))
 def test_the_next_depth_is_one_step_of_blur_away(depth, resolution_px, mask_at_mm):
     camera = pinhole(lens_mask_distance_mm=mask_at_mm)
     config = DesignConfig(resolution_px=resolution_px)

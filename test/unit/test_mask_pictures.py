@@ -8,11 +8,7 @@ from scipy.signal import fftconvolve
 from coded_aperture_ros.bank import LearnConfig, learn_bank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.mask_design import PictureScorer, SceneConfig
-from coded_aperture_ros.mask_design.pictures import (
-    WindowSpectra,
-    likeliest_levels,
-    patch_side_px,
-)
+from coded_aperture_ros.mask_design.pictures import WindowSpectra, likeliest_levels, patch_side_px
 from coded_aperture_ros.mask_design.textures import Textures
 from coded_aperture_ros.optics import Mask, render_psf_stack
 

@@ -43,9 +43,7 @@ def test_grey_integers_survive_the_round_trip(encoding, data):
     np.testing.assert_array_equal(messages.pixels_from_frame(frame, encoding), pixels)
 
 
-@given(
-    pixels=hnp.arrays(np.float32, SIZES, elements=st.floats(width=32, allow_nan=True)),
-)
+@given(pixels=hnp.arrays(np.float32, SIZES, elements=st.floats(width=32, allow_nan=True)))
 def test_floats_survive_the_round_trip_with_nan_and_infinity(pixels):
     message = messages.image_from_array(pixels, "32FC1", header())
     np.testing.assert_array_equal(messages.frame_from_image(message), pixels)

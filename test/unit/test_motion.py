@@ -88,11 +88,7 @@ def test_a_kernel_does_not_tell_the_way_round_but_the_direction():
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [
-        (((float("nan"), 0.0),), "finite"),
-        (((4.0, 0.0), 4), "odd"),
-        (((4.0, 0.0), 3), "at least 5"),
-    ],
+    [(((float("nan"), 0.0),), "finite"), (((4.0, 0.0), 4), "odd"), (((4.0, 0.0), 3), "at least 5")],
 )
 def test_kernels_that_cannot_be(arguments, message):
     with pytest.raises(InputError, match=message):

@@ -87,10 +87,7 @@ class RayTracedScene:
 
 
 def bank_for(
-    camera: Camera,
-    depth_m: NDArray[np.float32],
-    levels: int,
-    config: LearnConfig | None = None,
+    camera: Camera, depth_m: NDArray[np.float32], levels: int, config: LearnConfig | None = None
 ) -> FilterBank:
     """Learn a bank for a camera and a little more than the depths there are; NaN is unknown."""
     nearest_m = float(np.nanmin(depth_m)) * (1 - RANGE_MARGIN)

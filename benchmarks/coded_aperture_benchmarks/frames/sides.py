@@ -79,11 +79,7 @@ def plane_camera(mask: Mask) -> tuple[Camera, float, float]:
 
 
 def make_planes_on_both_sides(
-    camera: Camera,
-    textures: Textures,
-    sizes_px: NDArray[np.float64],
-    sigma: float,
-    seed: int = 0,
+    camera: Camera, textures: Textures, sizes_px: NDArray[np.float64], sigma: float, seed: int = 0
 ) -> Iterator[SideFrame]:
     """Make a frame with a plane of its own texture for every signed blur size.
 

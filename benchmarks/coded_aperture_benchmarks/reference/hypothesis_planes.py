@@ -75,9 +75,7 @@ class HypothesisPlanes:
         object.__setattr__(self, "weights", weights)
 
     def errors(
-        self,
-        coded: NDArray[np.float32],
-        progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+        self, coded: NDArray[np.float32], progress: Callable[[Iterable[Any]], Iterable[Any]] = iter
     ) -> NDArray[np.float32]:
         """Return the locally averaged reconstruction error of every level, without weights.
 
@@ -115,9 +113,7 @@ class HypothesisPlanes:
         return errors
 
     def levels(
-        self,
-        coded: NDArray[np.float32],
-        progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+        self, coded: NDArray[np.float32], progress: Callable[[Iterable[Any]], Iterable[Any]] = iter
     ) -> NDArray[np.intp]:
         """Return the level of least weighted error at every pixel [h, w]; see `errors`."""
         errors = self.errors(coded, progress)

@@ -269,10 +269,7 @@ def _lost(forms: NDArray, shares: NDArray, rank: int, levels: int) -> float:
 
 
 def _subspace(
-    psf: NDArray[np.float32],
-    patch_px: int,
-    rank: int,
-    images: Sequence[NDArray[np.float32]] | None,
+    psf: NDArray[np.float32], patch_px: int, rank: int, images: Sequence[NDArray[np.float32]] | None
 ) -> NDArray[np.float64]:
     """Return the leading directions of a level's patches without their means [p * p, rank]."""
     if images:

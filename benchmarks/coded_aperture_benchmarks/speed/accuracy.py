@@ -56,11 +56,7 @@ class StairAccuracy:
     def results(self) -> dict[str, float]:
         """Return both errors, in levels, and how many times the reference's the own one is."""
         own, reference = (float(np.mean(self._errors[name])) for name in (_OWN, _REFERENCE))
-        return {
-            "level_error": own,
-            "reference_level_error": reference,
-            "ratio": own / reference,
-        }
+        return {"level_error": own, "reference_level_error": reference, "ratio": own / reference}
 
     def _learn_own(self) -> None:
         self._estimators[_OWN] = _estimator(_bank(self._setting), self._setting)

@@ -76,11 +76,7 @@ def measure(cell: Cell) -> Row:
     deblurrer.close()
     # The first frame has to wait for what is made once.
     times = Times.of(seconds[1:])
-    return {
-        "method": cell.config.method,
-        "channels": cell.channels,
-        **dataclasses.asdict(times),
-    }
+    return {"method": cell.config.method, "channels": cell.channels, **dataclasses.asdict(times)}
 
 
 def _results(args: options.Args, rows: list[Row], _: float) -> Row:

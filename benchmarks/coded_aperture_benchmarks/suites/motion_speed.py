@@ -14,11 +14,7 @@ from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import load_textures
 from coded_aperture_ros.bank import learn_bank_for_camera
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.methods.motion import (
-    MotionConfig,
-    MotionModel,
-    learn_motion_bank,
-)
+from coded_aperture_ros.methods.motion import MotionConfig, MotionModel, learn_motion_bank
 from coded_aperture_ros.optics import Mask
 from coded_aperture_ros.optics.rotation import expected_motion
 
@@ -75,11 +71,7 @@ def _results(args: Args, turns: list[dict[str, float]], _: float) -> Row:
     # The first frame pays for the plan.
     median = {name: float(np.median([turn[name] for turn in turns[1:]])) for name in turns[0]}
     cells = [
-        {
-            "way": name,
-            "ms": round(1000 * each, 1),
-            "over_defocus": round(each / median[_ALONE], 2),
-        }
+        {"way": name, "ms": round(1000 * each, 1), "over_defocus": round(each / median[_ALONE], 2)}
         for name, each in median.items()
     ]
     return {"benchmark": "motion speed", "size": list(args.size), "cells": cells}

@@ -4,11 +4,7 @@ import dataclasses
 import itertools
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.frames.motion_images import (
-    TABLE_7_1,
-    identify_motions,
-    table_masks,
-)
+from coded_aperture_benchmarks.frames.motion_images import TABLE_7_1, identify_motions, table_masks
 from coded_aperture_benchmarks.rows import columns, tables
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import load_textures

@@ -176,11 +176,7 @@ def _size_table(sizes: Row) -> str:
 
 
 def _level_table(levels: Row) -> str:
-    described = {
-        "levels": "{levels:.0f}",
-        **_TOTAL,
-        "of levels p50": "{level_stages_p50_ms:.1f}",
-    }
+    described = {"levels": "{levels:.0f}", **_TOTAL, "of levels p50": "{level_stages_p50_ms:.1f}"}
     title = (
         "time ~ levels^{exponent:.2f} (energies, temporal and regularise "
         "{exponent_of_level_stages:.2f}); ms"

@@ -348,11 +348,7 @@ every frame and patch by itself is always measured: no regularisation, no filter
         options.added_noise(0.005),
         # `frames` is the kind of frames, here "video". One change is a frame and the next.
         options.number(
-            "--frames",
-            WARM_UP_FRAMES + 2,
-            24,
-            "the first so many of each video",
-            dest="length",
+            "--frames", WARM_UP_FRAMES + 2, 24, "the first so many of each video", dest="length"
         ),
         options.number("--levels", 2, 30, "blur levels of the bank"),
         options.option(

@@ -20,14 +20,11 @@ class BlindConfig:
         32,
         "No picture is blurred more than that; the pictures have to be four times as wide.",
         unit="px",
-        minimum=8,
-        maximum=64,
+        within=(8, 64),
     )
-    least_cells: int = option(7, "Masks have at least so many cells a side.", minimum=3, maximum=24)
-    most_cells: int = option(13, "Masks have at most so many cells a side.", minimum=3, maximum=24)
-    starts: int = option(
-        2, "Random starts for each number and width of cells.", minimum=1, maximum=1000
-    )
+    least_cells: int = option(7, "Masks have at least so many cells a side.", within=(3, 24))
+    most_cells: int = option(13, "Masks have at most so many cells a side.", within=(3, 24))
+    starts: int = option(2, "Random starts for each number and width of cells.", within=(1, 1000))
     seed: int = option(0, "Of the random starts.", minimum=0)
 
     def __post_init__(self) -> None:

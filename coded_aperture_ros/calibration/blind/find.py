@@ -34,6 +34,7 @@ from coded_aperture_ros.calibration.mask.sizes import FreeSizes
 from coded_aperture_ros.calibration.mask.spectra import mean_by_contrast, window_powers
 from coded_aperture_ros.calibration.planes.checks import check_pictures
 from coded_aperture_ros.calibration.planes.pictures import check_picture
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import channel_mean
 from coded_aperture_ros.optics import Mask
@@ -86,14 +87,14 @@ class BlindMask:
     """
 
     mask: Mask
-    blur_sizes_px: NDArray[np.float64]
+    blur_sizes_px: DoubleArray
     explained: float
-    spectra: NDArray[np.float64]
+    spectra: DoubleArray
     reaches_limit: bool
 
 
 def find_mask(
-    images: Sequence[NDArray[np.float32]],
+    images: Sequence[FloatArray],
     names: Sequence[str],
     config: BlindConfig | None = None,
     progress: Progress = iter,
@@ -107,7 +108,6 @@ def find_mask(
         one side of the focus, in any order. The textures need not be the same.
     names : sequence of str
         What to call each in messages.
-    config : BlindConfig, optional
     progress : callable, optional
         Wraps the iteration over the steps, as ``tqdm.tqdm`` does.
 
@@ -124,8 +124,8 @@ def find_mask(
 
 
 def _checked(
-    images: Sequence[NDArray[np.float32]], names: Sequence[str], config: BlindConfig
-) -> list[NDArray[np.float32]]:
+    images: Sequence[FloatArray], names: Sequence[str], config: BlindConfig
+) -> list[FloatArray]:
     """Return the grey pictures, or refuse them."""
     if len(images) < _FEWEST:
         raise InputError(
@@ -148,9 +148,7 @@ def _checked(
 class _Search:
     """The steps of `find_mask` after the relative sizes."""
 
-    def __init__(
-        self, images: list[NDArray[np.float32]], config: BlindConfig, progress: Progress
-    ) -> None:
+    def __init__(self, images: list[FloatArray], config: BlindConfig, progress: Progress) -> None:
         fourier = WindowedFourierBasis(config.window_px, _HIGHEST_FREQUENCY)
         means = [mean_by_contrast(window_powers(image, fourier), fourier) for image in images]
         self.config = config
@@ -161,7 +159,7 @@ class _Search:
         self.likelihood = MaskLikelihood(means, fourier, _ROOM * self.widest_px)
         self.random = np.random.default_rng(config.seed)
 
-    def run(self, relative_sizes: NDArray[np.float64]) -> BlindMask:
+    def run(self, relative_sizes: DoubleArray) -> BlindMask:
         fit = self._mixture(relative_sizes * self.widest_px)
         extent = _extent(fit)
         if extent < _ROOMY:
@@ -325,7 +323,7 @@ def _penalty(cells: NDArray) -> float:
     return float(_PER_CELL * cells[_bounds(cells)].size)
 
 
-def _alone(cells: NDArray) -> NDArray[np.intp]:
+def _alone(cells: NDArray) -> IndexArray:
     """Return which cells differ from all their neighbours above, below, left and right, flat."""
     padded = np.pad(cells, 1)
     around = (padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:])

@@ -19,6 +19,7 @@ from coded_aperture_ros.calibration.mask.cells import autocorrelation
 from coded_aperture_ros.calibration.mask.fit import MaskFit
 from coded_aperture_ros.calibration.mask.likelihood import Groups, MaskLikelihood
 from coded_aperture_ros.calibration.mask.spectra import half_plane
+from coded_aperture_ros.core.arrays import DoubleArray
 
 _NEGLIGIBLE = 1e-9
 _GREY_STEPS = 150
@@ -36,8 +37,8 @@ class FoundSpectra:
     """
 
     groups: Groups
-    signal: NDArray[np.float64]
-    noise: NDArray[np.float64]
+    signal: DoubleArray
+    noise: DoubleArray
 
     @classmethod
     def of_fit(cls, fit: MaskFit, likelihood: MaskLikelihood) -> "FoundSpectra":
@@ -111,18 +112,18 @@ class GridMisfit:
         down, across = self.lags.T
         middle = self.cells - 1
 
-        def at(sign: int) -> NDArray[np.float64]:
+        def at(sign: int) -> DoubleArray:
             rows = kernel[:, middle + sign * down][vertical]
             columns = kernel[:, middle + sign * across][horizontal]
             return np.asarray(rows * columns)
 
         return np.where(self.lags.any(axis=1), at(1) + at(-1), at(1))
 
-    def autocorrelation(self, grid: NDArray) -> NDArray[np.float64]:
+    def autocorrelation(self, grid: NDArray) -> DoubleArray:
         """Return that of a grid [n, n], at `lags`."""
         return autocorrelation(grid[None])[self.lags[:, 0], self.lags[:, 1]]
 
-    def misfit(self, autocorrelation: NDArray) -> NDArray[np.float64]:
+    def misfit(self, autocorrelation: NDArray) -> DoubleArray:
         """Return the misfit of autocorrelations [..., lags]; their scale does not matter."""
         light = autocorrelation @ self._light
         error = (autocorrelation / light[..., None]) @ self._root.T - self._target
@@ -132,7 +133,7 @@ class GridMisfit:
         """Return the misfit of a grid [n, n]."""
         return float(self.misfit(self.autocorrelation(grid)))
 
-    def of_flips(self, grid: NDArray) -> NDArray[np.float64]:
+    def of_flips(self, grid: NDArray) -> DoubleArray:
         """Return the misfit of a binary grid with each of its cells changed [n * n].
 
         Not finite where no cell would be open.
@@ -143,7 +144,7 @@ class GridMisfit:
         with np.errstate(divide="ignore", invalid="ignore"):
             return self.misfit(self.autocorrelation(grid) + changes)
 
-    def value_and_gradient(self, x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def value_and_gradient(self, x: DoubleArray) -> tuple[float, DoubleArray]:
         """Return the misfit of a grid of any transmissions, flat, and its gradient."""
         neighbours = self._neighbours(x.reshape(self.cells, self.cells))
         autocorrelation = x @ neighbours / 2
@@ -174,15 +175,12 @@ def _square_overlap(lag: NDArray, cell_px: float) -> NDArray:
 class BinaryGrid:
     """Open (1) and closed (0) cells [n, n], and how badly they explain the spectra."""
 
-    cells: NDArray[np.float64]
+    cells: DoubleArray
     misfit: float
 
 
 def best_grid(
-    misfit: GridMisfit,
-    starts: int,
-    random: np.random.Generator,
-    grids: Sequence[NDArray[np.float64]] = (),
+    misfit: GridMisfit, starts: int, random: np.random.Generator, grids: Sequence[DoubleArray] = ()
 ) -> BinaryGrid:
     """Return the best grid found from random starts and from binary grids."""
     begun = [improved(misfit, grid, random) for grid in grids]
@@ -208,9 +206,7 @@ def _thresholded(misfit: GridMisfit, grey: NDArray) -> NDArray:
     return min(grids, key=misfit.of_grid)
 
 
-def improved(
-    misfit: GridMisfit, grid: NDArray[np.float64], random: np.random.Generator
-) -> BinaryGrid:
+def improved(misfit: GridMisfit, grid: DoubleArray, random: np.random.Generator) -> BinaryGrid:
     """Improve a binary grid by opening and closing single cells."""
     cells = grid.copy()
     best = BinaryGrid(cells.copy(), misfit.of_grid(cells))

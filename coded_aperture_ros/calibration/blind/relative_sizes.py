@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.calibration.mask.spectra import mean_by_contrast, window_powers
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 
 _DIRECTIONS = 48
@@ -37,13 +38,13 @@ _LEAST_RANGE = 1.15
 class _Shape:
     """What stands out of a spectrum, and how far to trust it; both [directions, frequencies]."""
 
-    deviation: NDArray[np.float64]
-    weight: NDArray[np.float64]
+    deviation: DoubleArray
+    weight: DoubleArray
 
 
 def relative_blur_sizes(
-    images: Sequence[NDArray[np.float32]], names: Sequence[str], window_px: int
-) -> NDArray[np.float64]:
+    images: Sequence[FloatArray], names: Sequence[str], window_px: int
+) -> DoubleArray:
     """Estimate the blur sizes of grey pictures but for a common factor [planes]; the largest is 1.
 
     They are good to some per cent. The window has to be four times as wide as the largest blur: the
@@ -80,7 +81,7 @@ def relative_blur_sizes(
     return np.asarray(sizes)
 
 
-def _shape(image: NDArray[np.float32], window_px: int) -> _Shape:
+def _shape(image: FloatArray, window_px: int) -> _Shape:
     """Return the spectrum's deviation from what is smooth, in polar coordinates."""
     fourier = WindowedFourierBasis(window_px)
     mean = mean_by_contrast(window_powers(image, fourier), fourier, classes=1)[0]
@@ -114,7 +115,7 @@ def _likelihood_of_shifts(first: _Shape, second: _Shape) -> tuple[NDArray, float
     """Return the gain of taking two spectra for one, for every shift, and the best correlation."""
     period = 2 * first.weight.shape[1] + 2 * _REACH
 
-    def correlated(a: NDArray, b: NDArray) -> NDArray[np.float64]:
+    def correlated(a: NDArray, b: NDArray) -> DoubleArray:
         spectrum = np.conj(scipy.fft.rfft(a, period)) * scipy.fft.rfft(b, period)
         both = scipy.fft.irfft(spectrum.sum(axis=0), period)
         return np.asarray(both[np.arange(-_REACH, _REACH + 1)])
@@ -133,7 +134,7 @@ def _consistent(gains: NDArray) -> NDArray:
     count = len(gains)
     places = np.arange(-2 * _REACH, 2 * _REACH + 1)
 
-    def gain_of(j: int, others: dict[int, int]) -> NDArray[np.float64]:
+    def gain_of(j: int, others: dict[int, int]) -> DoubleArray:
         total = np.zeros(len(places))
         for i, place in others.items():
             apart = places - place

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.optics import Mask
 
 # Many starts are cheap; those that are behind after some steps seldom catch up.
@@ -16,9 +17,9 @@ _STARTS, _FIRST_STEPS = 60, 120
 _KEPT, _STEPS = 20, 300
 
 
-def square_cells(mask: Mask) -> NDArray[np.float64]:
+def square_cells(mask: Mask) -> DoubleArray:
     """Return a mask's cells on a square grid, whose side is the mask's extent [n, n]."""
-    cells: NDArray[np.float64] = mask.transmission.astype(np.float64)
+    cells: DoubleArray = mask.transmission.astype(np.float64)
     side = max(cells.shape)
     if min(cells.shape) == side:
         return cells
@@ -27,7 +28,7 @@ def square_cells(mask: Mask) -> NDArray[np.float64]:
     return np.pad(cells.repeat(2, axis=0).repeat(2, axis=1), margins)
 
 
-def autocorrelation(parts: NDArray[np.float64]) -> NDArray[np.float64]:
+def autocorrelation(parts: DoubleArray) -> DoubleArray:
     """Return the sum of the autocorrelations of grids [R, m, m]: [2m, 2m], lag zero first."""
     torus = (2 * parts.shape[1], 2 * parts.shape[2])
     return np.asarray(
@@ -35,7 +36,7 @@ def autocorrelation(parts: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-def retrieved_masks(parts: NDArray[np.float64], count: int) -> list[NDArray[np.float64]]:
+def retrieved_masks(parts: DoubleArray, count: int) -> list[DoubleArray]:
     """Find masks whose autocorrelations are about the sum of those of the parts.
 
     Phase retrieval for a non-negative mask of limited support, the best of many random starts.

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.calibration.mask.likelihood import MaskLikelihood
 from coded_aperture_ros.calibration.mask.sizes import BlurSizes
+from coded_aperture_ros.core.arrays import DoubleArray
 
 Sizes = TypeVar("Sizes", bound=BlurSizes)
 
@@ -28,13 +29,13 @@ class MaskFit(Generic[Sizes]):
         Twice the negative log-likelihood of a window, on average.
     """
 
-    parts: NDArray[np.float64]
+    parts: DoubleArray
     sizes: Sizes
-    log_noise: NDArray[np.float64]
+    log_noise: DoubleArray
     score: float = np.inf
 
     @property
-    def sizes_px(self) -> NDArray[np.float64]:
+    def sizes_px(self) -> DoubleArray:
         """Unsigned blur size of every plane [I]."""
         return self.sizes.px
 
@@ -107,12 +108,12 @@ class Variables(Generic[Sizes]):
         )
 
 
-def normalised(parts: NDArray[np.float64]) -> NDArray[np.float64]:
+def normalised(parts: DoubleArray) -> DoubleArray:
     """Scale masks so that their autocorrelations together have unit sum."""
     return np.asarray(parts / np.sqrt(np.sum(parts.sum(axis=(1, 2)) ** 2)))
 
 
-def random_parts(count: int, cells: int) -> NDArray[np.float64]:
+def random_parts(count: int, cells: int) -> DoubleArray:
     """Return masks to start from, brightest in their middle [count, cells, cells]."""
     x = (np.arange(cells) + 0.5) / cells - 0.5
     blob = np.exp(-(x[:, None] ** 2 + x**2) / (2 * 0.3**2))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.calibration.mask.spectra import SLOPES, MaskSpectra
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 
 _CONTRASTS = 10.0 ** np.arange(-5, -0.9, 0.25)
 # Weight that holds the textures to the power laws, relative to a likelihood of one per frequency.
@@ -55,7 +56,7 @@ class MaskLikelihood:
     """
 
     def __init__(
-        self, powers: list[NDArray[np.float32]], fourier: WindowedFourierBasis, widest_px: float
+        self, powers: list[FloatArray], fourier: WindowedFourierBasis, widest_px: float
     ) -> None:
         counts = fourier.multiplicity > 0
         self.multiplicity = fourier.multiplicity[counts].astype(np.float64)
@@ -73,7 +74,7 @@ class MaskLikelihood:
 
     def scores(
         self, parts: NDArray, sizes_px: NDArray, log_noise: NDArray, every: int = 1
-    ) -> NDArray[np.float64]:
+    ) -> DoubleArray:
         """Return the score for several guesses at the blur sizes of all planes [guesses, I].
 
         Of the planes, only one of `every` so many is looked at.

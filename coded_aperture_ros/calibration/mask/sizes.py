@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.pattern import ThinLens
+from coded_aperture_ros.core.arrays import DoubleArray
 
 # Curvatures of the likelihood differ: in these units a focus, or the logarithm of a size, is as
 # soft as the mask's cells.
@@ -23,28 +24,28 @@ class BlurSizes(Protocol):
     """
 
     @property
-    def px(self) -> NDArray[np.float64]: ...  # noqa: D102
+    def px(self) -> DoubleArray: ...  # noqa: D102
 
     @property
-    def variables(self) -> NDArray[np.float64]: ...  # noqa: D102
+    def variables(self) -> DoubleArray: ...  # noqa: D102
 
     @property
     def bounds(self) -> tuple[float, float]: ...  # noqa: D102
 
-    def moved(self, variables: NDArray[np.float64]) -> "BlurSizes": ...  # noqa: D102
+    def moved(self, variables: DoubleArray) -> "BlurSizes": ...  # noqa: D102
 
-    def gradient(self, by_px: NDArray[np.float64]) -> NDArray[np.float64]: ...  # noqa: D102
+    def gradient(self, by_px: DoubleArray) -> DoubleArray: ...  # noqa: D102
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FreeSizes:
     """Each plane by itself; none is blurred by more than `widest_px`."""
 
-    px: NDArray[np.float64]
+    px: DoubleArray
     widest_px: float
 
     @property
-    def variables(self) -> NDArray[np.float64]:
+    def variables(self) -> DoubleArray:
         """Logarithms of the sizes."""
         return np.asarray(np.log(self.px) / _UNIT)
 
@@ -53,11 +54,11 @@ class FreeSizes:
         """From a size of one pixel on."""
         return 0.0, float(np.log(self.widest_px) / _UNIT)
 
-    def moved(self, variables: NDArray[np.float64]) -> "FreeSizes":
+    def moved(self, variables: DoubleArray) -> "FreeSizes":
         """See `BlurSizes`."""
         return FreeSizes(np.exp(_UNIT * variables), self.widest_px)
 
-    def gradient(self, by_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gradient(self, by_px: DoubleArray) -> DoubleArray:
         """See `BlurSizes`."""
         return by_px * self.px * _UNIT
 
@@ -81,10 +82,10 @@ class LensSizes:
     near_ratio: float
     sign: int
     extent_px: float
-    inverse_depths: NDArray[np.float64]
+    inverse_depths: DoubleArray
 
     @property
-    def px(self) -> NDArray[np.float64]:
+    def px(self) -> DoubleArray:
         """See `BlurSizes`."""
         return self.extent_px * (1 - (1 - self.near_ratio) * self._towards_focus)
 
@@ -96,7 +97,7 @@ class LensSizes:
         return np.asarray(share if self.sign > 0 else 1 - share)
 
     @property
-    def variables(self) -> NDArray[np.float64]:
+    def variables(self) -> DoubleArray:
         """The ratio of the sizes."""
         return np.array([self.near_ratio / _UNIT])
 
@@ -105,11 +106,11 @@ class LensSizes:
         """See `BlurSizes`."""
         return 0.0, _LARGEST_RATIO / _UNIT
 
-    def moved(self, variables: NDArray[np.float64]) -> "LensSizes":
+    def moved(self, variables: DoubleArray) -> "LensSizes":
         """See `BlurSizes`."""
         return dataclasses.replace(self, near_ratio=float(variables[0] * _UNIT))
 
-    def gradient(self, by_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gradient(self, by_px: DoubleArray) -> DoubleArray:
         """See `BlurSizes`."""
         return np.array([by_px @ (self.extent_px * self._towards_focus) * _UNIT])
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.prior import power_spectrum
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.imaging import channel_mean
 from coded_aperture_ros.optics.psf import cell_shares, psf_width
 
@@ -46,9 +47,7 @@ class MaskSpectra:
     Of the frequencies those K that `counts` says; no blur size is larger than `widest_px`.
     """
 
-    def __init__(
-        self, fourier: WindowedFourierBasis, counts: NDArray[np.bool_], widest_px: float
-    ) -> None:
+    def __init__(self, fourier: WindowedFourierBasis, counts: BoolArray, widest_px: float) -> None:
         self.width = psf_width(widest_px)
         self.torus = (2 * self.width, 2 * self.width)
         self.lags = half_plane(self.width - 1)
@@ -98,7 +97,7 @@ def _renderers(pixels: int, cells: int, sizes_px: NDArray) -> NDArray:
     return np.array([cell_shares(pixels, cells, width) for width in widths])
 
 
-def half_plane(reach: int) -> NDArray[np.intp]:
+def half_plane(reach: int) -> IndexArray:
     """One of each pair of opposite lags up to `reach` [lags, 2]."""
     rows, columns = np.mgrid[-reach : reach + 1, : reach + 1]
     kept = (columns > 0) | (rows >= 0)
@@ -106,8 +105,8 @@ def half_plane(reach: int) -> NDArray[np.intp]:
 
 
 def autocorrelation_to_power(
-    fourier: WindowedFourierBasis, slope: float, lags: NDArray[np.intp]
-) -> NDArray[np.float64]:
+    fourier: WindowedFourierBasis, slope: float, lags: IndexArray
+) -> DoubleArray:
     """Return the matrix [K, lags] from a PSF's autocorrelation to a window's expected power.
 
     The same as `WindowedFourierBasis.expected_power`, written as what it is: linear.
@@ -129,7 +128,7 @@ def autocorrelation_to_power(
     return columns
 
 
-def window_powers(image: NDArray[np.float32], fourier: WindowedFourierBasis) -> NDArray[np.float32]:
+def window_powers(image: FloatArray, fourier: WindowedFourierBasis) -> FloatArray:
     """Return the power spectra of a picture's windows, a quarter of a window apart [W, K].
 
     White noise of variance s^2 has the power s^2.
@@ -145,7 +144,7 @@ def window_powers(image: NDArray[np.float32], fourier: WindowedFourierBasis) -> 
 
 def mean_by_contrast(
     powers: NDArray[np.floating], fourier: WindowedFourierBasis, classes: int = _CLASSES
-) -> NDArray[np.float32]:
+) -> FloatArray:
     """Average the spectra of windows [W, K] of about the same contrast [classes, K].
 
     Every window counts alike, whatever its contrast: the mean itself would be that of a few strong

@@ -87,7 +87,6 @@ def calibrate_planes(
 
     Parameters
     ----------
-    planes : Planes
     level_count : int, optional
         Of the bank.
     config : LearnConfig, optional

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import PatchGrid, channel_mean
 from coded_aperture_ros.imaging.noise import NOISE_FLOOR, high_power
@@ -61,10 +62,7 @@ class Advice:
 
 
 def check_pictures(
-    images: Sequence[NDArray[np.float32]],
-    names: Sequence[str],
-    window_px: int,
-    depths_m: ArrayLike = np.nan,
+    images: Sequence[FloatArray], names: Sequence[str], window_px: int, depths_m: ArrayLike = np.nan
 ) -> list[PlaneCheck]:
     """Measure every picture, with windows of a size that texture is counted in.
 
@@ -92,7 +90,7 @@ def check_pictures(
     return checks
 
 
-def _check(image: NDArray[np.float32], name: str, depth_m: float, window_px: int) -> PlaneCheck:
+def _check(image: FloatArray, name: str, depth_m: float, window_px: int) -> PlaneCheck:
     grey = channel_mean(image)
     try:
         grid = PatchGrid.covering(grey.shape, window_px, window_px // 2)
@@ -114,12 +112,12 @@ def _check(image: NDArray[np.float32], name: str, depth_m: float, window_px: int
     )
 
 
-def _noise(grey: NDArray[np.float32], grid: PatchGrid) -> float:
+def _noise(grey: FloatArray, grid: PatchGrid) -> float:
     power = high_power(np.ascontiguousarray(grey, np.float32), grid)
     return math.sqrt(max(float(np.quantile(power, 0.05)), NOISE_FLOOR**2))
 
 
-def _window_variances(grey: NDArray[np.float32], grid: PatchGrid) -> NDArray:
+def _window_variances(grey: FloatArray, grid: PatchGrid) -> NDArray:
     n = grid.window_px
     windows = np.lib.stride_tricks.sliding_window_view(grey[grid.top :, grid.left :], (n, n))
     windows = windows[:: grid.stride_px, :: grid.stride_px]
@@ -146,7 +144,7 @@ def _advice_on(check: PlaneCheck) -> Iterator[str]:
 
 
 def advice_on_depths(
-    depths_m: NDArray[np.float64], wanted_m: tuple[float, float] | None = None
+    depths_m: DoubleArray, wanted_m: tuple[float, float] | None = None
 ) -> list[Advice]:
     """Say at which depths planes are missing, for a bank of the `wanted_m` depth range."""
     texts = []

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.bank import ThinLens
 from coded_aperture_ros.calibration.planes.measure import LEAST_ERROR_PX, MeasuredPlane
 from coded_aperture_ros.calibration.planes.pictures import Planes
+from coded_aperture_ros.core.arrays import DoubleArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 
 # What lies farther from the line than this has another depth than it was said to have.
@@ -18,9 +19,7 @@ _ITERATIONS = 20
 _NO_LENS = ThinLens(1e-9, 0.0)
 
 
-def fitted_lens(
-    depths_m: NDArray[np.float64], sizes_px: NDArray[np.float64], errors_px: NDArray[np.float64]
-) -> ThinLens:
+def fitted_lens(depths_m: DoubleArray, sizes_px: DoubleArray, errors_px: DoubleArray) -> ThinLens:
     """Fit the line through signed blur sizes; single ones that are far off count little.
 
     Weighted least squares, weighted anew by Huber's function.
@@ -82,7 +81,7 @@ def _tolerance(sizes: NDArray) -> NDArray:
     return np.maximum(_OUTLIER_PX, _OUTLIER_SHARE * np.abs(sizes))
 
 
-def _outliers(fit: ThinLens, depths: NDArray, sizes: NDArray) -> NDArray[np.intp]:
+def _outliers(fit: ThinLens, depths: NDArray, sizes: NDArray) -> IndexArray:
     return np.flatnonzero(np.abs(sizes - fit.blur_size_px(depths)) > _tolerance(sizes))
 
 
@@ -159,9 +158,9 @@ class LeftOut:
     depth map has without regularisation.
     """
 
-    depths_m: NDArray[np.float64]
-    errors: NDArray[np.float64]
-    window_errors: NDArray[np.float64]
+    depths_m: DoubleArray
+    errors: DoubleArray
+    window_errors: DoubleArray
 
 
 def leave_one_out(planes: Planes, measured: Sequence[MeasuredPlane], fit: ThinLens) -> LeftOut:

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from coded_aperture_ros.calibration.planes.pictures import Planes
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.imaging import Gamma
@@ -139,7 +139,7 @@ def listed_depths_m(folder: str | os.PathLike[str]) -> list[float]:
 
 
 def add_plane(
-    folder: str | os.PathLike[str], image: NDArray[np.float32], depth_m: float, frames: int = 1
+    folder: str | os.PathLike[str], image: FloatArray, depth_m: float, frames: int = 1
 ) -> Path:
     """Add a picture to a folder, in place of one of the same depth.
 
@@ -152,7 +152,6 @@ def add_plane(
         Created if it does not exist.
     image : ndarray, float32 [rows, columns] or [rows, columns, 3]
         Linear light in [0, 1]; stored as 16-bit PNG. The mean of so many `frames`.
-    depth_m : float
 
     Raises
     ------

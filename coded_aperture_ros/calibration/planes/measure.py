@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import LearnConfig, LearnedPattern, learn_bank
 from coded_aperture_ros.calibration.planes.pictures import Planes
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.depth.posterior import refine_level
 from coded_aperture_ros.imaging import PatchGrid, channel_mean
 from coded_aperture_ros.imaging.noise import estimate_noise, high_power
@@ -44,7 +45,7 @@ class MeasuredPlane:
     """
 
     size_px: float
-    sizes_px: NDArray[np.float32]
+    sizes_px: FloatArray
     error_px: float
     tilt_px: tuple[float, float]
     tilt_error_px: float
@@ -87,7 +88,7 @@ def measured_planes(
         energies = bank.energies(grey, stride_px, estimate_noise(high_power(grey, grid)))
         whole = energies.mean(axis=(0, 1), keepdims=True)
 
-        def sizes_of(energies: NDArray[np.float32]) -> NDArray[np.float64]:
+        def sizes_of(energies: FloatArray) -> DoubleArray:
             levels = refine_level(energies, energies.argmin(axis=-1))
             return np.interp(levels, np.arange(_SIZES), sizes_px)
 

@@ -4,8 +4,8 @@ import dataclasses
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 
 _FEWEST = 4
@@ -33,8 +33,8 @@ class Planes:
         one of its value or out of order, or a picture is saturated or not finite.
     """
 
-    images: tuple[NDArray[np.float32], ...]
-    depths_m: NDArray[np.float64]
+    images: tuple[FloatArray, ...]
+    depths_m: DoubleArray
     names: tuple[str, ...]
 
     def __post_init__(self) -> None:
@@ -72,9 +72,7 @@ class Planes:
         object.__setattr__(self, "depths_m", depths[order])
 
 
-def check_picture(
-    image: NDArray[np.float32], name: str, shape: tuple[int, ...], first: str
-) -> None:
+def check_picture(image: FloatArray, name: str, shape: tuple[int, ...], first: str) -> None:
     """Refuse the picture of a plane that nothing can be learned from.
 
     That is one of another `shape` than the `first`, not finite, or saturated.

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from coded_aperture_ros.calibration.psf.fine import FinePsf, centres_of, steps_of
+from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask, render_psf
 
 # What a PSF is at whole pixels, its origin at a place (down, right) from their middle.
-PsfAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+PsfAt = Callable[[DoubleArray], DoubleArray]
 
 _ROUNDS = 4
 _CLOSE_PX = 1e-3
@@ -51,19 +52,19 @@ class CentredPsf:
     """
 
     fine: FinePsf
-    place: NDArray[np.float64]
+    place: DoubleArray
     width_px: int
     blur_size_px: float
     misfit: float
 
-    def psf(self, width: int, scale: float = 1.0) -> NDArray[np.float64]:
+    def psf(self, width: int, scale: float = 1.0) -> DoubleArray:
         """Return the PSF as pixels record it [width, width], `scale` times as wide as measured."""
         return finished(self.fine.at(width, self.place * scale, scale))
 
 
 def centred(
     at: PsfAt, mask: Mask | None = None, sign: float | None = None, phases: NDArray = PHASES
-) -> tuple[NDArray[np.float64], float, float]:
+) -> tuple[DoubleArray, float, float]:
     """Find the middle and the blur size of a measured PSF, given by what it is `at` a place.
 
     `phases` [N, 2] are the places on the pixels at which it is looked at. Returns the place, the
@@ -106,7 +107,7 @@ def _like(
     flat = psfs.ravel()
     aside, mask_spread = _moments(render_psf(mask, _LARGE_PX).astype(np.float64))
 
-    def difference(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def difference(x: DoubleArray) -> DoubleArray:
         models = [render_psf(mask, x[2], width, tuple(x[:2] + phase)) for phase in phases]
         model = np.stack(models).ravel().astype(np.float64)
         return np.asarray(flat - model * (flat @ model) / (model @ model))
@@ -133,7 +134,7 @@ def _moments(psf: NDArray) -> tuple[NDArray, float]:
     return centre, float(np.sqrt(max(np.mean(variances) - _PIXEL_VARIANCE, 1e-4)))
 
 
-def finished(psf: NDArray[np.float64]) -> NDArray[np.float64]:
+def finished(psf: DoubleArray) -> DoubleArray:
     """Return the nearest PSF that is nowhere negative and has the sum 1.
 
     Setting negative values to 0 alone would leave the positive half of the noise, and too large a

@@ -16,6 +16,7 @@ from coded_aperture_ros.calibration.psf.fine import (
     steps_of,
 )
 from coded_aperture_ros.calibration.psf.lattice import find_lattice
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import channel_mean
 from coded_aperture_ros.optics import Mask
@@ -173,8 +174,8 @@ def _odd(length: float) -> int:
 class _Cutter:
     """Cuts windows out of a picture."""
 
-    grey: NDArray[np.float64]
-    clipped: NDArray[np.bool_]
+    grey: DoubleArray
+    clipped: BoolArray
 
     def __call__(self, places: NDArray, width: int) -> tuple[NDArray, NDArray, int]:
         """Return windows of whole dots without saturation, their places, and how many have it."""
@@ -202,14 +203,14 @@ class _Fit:
     """PSF, dots and what is left [N, k, k] of their windows."""
 
     fine: FinePsf
-    light: NDArray[np.float64]
-    offsets: NDArray[np.float64]
-    strengths: NDArray[np.float64]
-    rest: NDArray[np.float64]
-    kept: NDArray[np.bool_]
+    light: DoubleArray
+    offsets: DoubleArray
+    strengths: DoubleArray
+    rest: DoubleArray
+    kept: BoolArray
     variance: float
 
-    def of(self, numbers: NDArray[np.int64] | NDArray[np.bool_]) -> FinePsf:
+    def of(self, numbers: NDArray[np.int64] | BoolArray) -> FinePsf:
         """Fit the PSF of some of the dots."""
         return fit_fine(
             self.light[numbers],
@@ -305,7 +306,7 @@ def _fit_dots(
     """Fit moves [N, 2], strengths [N], background planes and rest, by a Gauss-Newton step."""
     width, cells = windows.shape[1], len(fine.light)
 
-    def along(axis: int, aside: float = 0.0) -> NDArray[np.float64]:
+    def along(axis: int, aside: float = 0.0) -> DoubleArray:
         return cell_shares(width, cells, fine.cell_px, offsets[:, axis] + aside)
 
     rows, columns = along(0), along(1).transpose(0, 2, 1)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from coded_aperture_ros.calibration.mask.cells import square_cells
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, IndexArray
 from coded_aperture_ros.optics import Mask
 from coded_aperture_ros.optics.psf import cell_shares
 
@@ -30,12 +31,10 @@ class FinePsf:
         Width of a cell in px.
     """
 
-    light: NDArray[np.float64]
+    light: DoubleArray
     cell_px: float
 
-    def at(
-        self, width: int, centre: ArrayLike = (0.0, 0.0), scale: float = 1.0
-    ) -> NDArray[np.float64]:
+    def at(self, width: int, centre: ArrayLike = (0.0, 0.0), scale: float = 1.0) -> DoubleArray:
         """Return what pixels record [width, width] if the origin lies `centre` off their middle.
 
         `centre` is down and right in px, `width` odd; the PSF is `scale` times as wide as measured.
@@ -55,11 +54,7 @@ def mask_psf(mask: Mask, blur_size_px: float) -> FinePsf:
 
 
 def fit_fine(
-    windows: NDArray[np.float64],
-    offsets: NDArray[np.float64],
-    strengths: NDArray[np.float64],
-    ridge: float,
-    start: FinePsf,
+    windows: DoubleArray, offsets: DoubleArray, strengths: DoubleArray, ridge: float, start: FinePsf
 ) -> FinePsf:
     """Fit light on fine cells to pictures of dots, by projected gradients (FISTA with restarts).
 
@@ -82,10 +77,10 @@ def fit_fine(
     # All dots' rows below each other: large products instead of many small ones.
     every = rows.reshape(-1, cells)
 
-    def back(windows: NDArray[np.float64]) -> NDArray[np.float64]:
+    def back(windows: DoubleArray) -> DoubleArray:
         return every.T @ (windows @ columns).reshape(-1, cells)
 
-    def normal(light: NDArray[np.float64]) -> NDArray[np.float64]:
+    def normal(light: DoubleArray) -> DoubleArray:
         seen = (every @ light).reshape(rows.shape) @ columns.transpose(0, 2, 1)
         return back(seen) + damping * light
 
@@ -105,7 +100,7 @@ def fit_fine(
     return FinePsf(light / max(light.sum(), 1e-30), start.cell_px)
 
 
-def centres_of(pictures: NDArray[np.floating]) -> NDArray[np.float64]:
+def centres_of(pictures: NDArray[np.floating]) -> DoubleArray:
     """Return the first moments of light (down, right) about the middle [..., 2], not divided.
 
     Pictures are [..., k, k], with odd k.
@@ -114,17 +109,17 @@ def centres_of(pictures: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.stack([pictures.sum(axis=-1) @ steps, pictures.sum(axis=-2) @ steps], axis=-1)
 
 
-def steps_of(width: int) -> NDArray[np.intp]:
+def steps_of(width: int) -> IndexArray:
     """Return each pixel's distance from the middle one along a side [width]."""
     return np.arange(width) - width // 2
 
 
-def rim_of(width: int) -> NDArray[np.bool_]:
+def rim_of(width: int) -> BoolArray:
     """Return which pixels are on the rim [width, width]."""
     return rings_of(width) == width // 2
 
 
-def rings_of(width: int) -> NDArray[np.intp]:
+def rings_of(width: int) -> IndexArray:
     """Return the number of the square ring around the middle that each pixel is on."""
     steps = np.abs(steps_of(width))
     return np.maximum(steps[:, None], steps)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
 from coded_aperture_ros.core.errors import InputError
 
 # Larger pictures are reduced for the search: dots are registered in the full picture later.
@@ -53,7 +54,7 @@ class DotLattice:
         Places within the grid where no dot was found.
     """
 
-    positions: NDArray[np.float64]
+    positions: DoubleArray
     spacing_px: float
     missing: int
 
@@ -144,9 +145,7 @@ def _steps(hills: NDArray, basis: NDArray) -> tuple[NDArray[np.int64], NDArray[n
     return np.array(list(best.values()), np.int64).reshape(-1, 2), np.array(list(best), np.int64)
 
 
-def _smooth(
-    steps: NDArray[np.int64], hills: NDArray, step_px: float
-) -> tuple[NDArray, NDArray[np.bool_]]:
+def _smooth(steps: NDArray[np.int64], hills: NDArray, step_px: float) -> tuple[NDArray, BoolArray]:
     """Return where a polynomial grid has each hill [N, 2], and which hills lie near that."""
     kept = np.ones(len(steps), bool)
     i, j = steps.T / max(1, np.abs(steps).max())

@@ -9,6 +9,7 @@ from scipy import fft, linalg, ndimage, optimize
 from coded_aperture_ros.calibration.psf.centre import PHASES, CentredPsf, centred, check_misfit
 from coded_aperture_ros.calibration.psf.dots import SATURATED
 from coded_aperture_ros.calibration.psf.fine import FinePsf, centres_of, extent_of
+from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import channel_mean
 from coded_aperture_ros.optics import Mask, render_psf
@@ -44,14 +45,14 @@ class PairPsf:
         Down and right: how far the coded picture lies off the sharp one.
     """
 
-    sharp: NDArray[np.float64]
-    coded: NDArray[np.float64]
+    sharp: DoubleArray
+    coded: DoubleArray
     width_px: int
     snr: float
     explained: float
     shift_px: tuple[int, int]
 
-    def at(self, place: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, place: DoubleArray) -> DoubleArray:
         """Return the PSF at whole pixels, its origin moved by `place` (down, right), in px."""
         return _solve(_moved(self.sharp, -place), self.coded, self.width_px)[0]
 
@@ -83,7 +84,7 @@ class PairPsf:
         target = second[inside, inside]
         centre = centres_of(self.at(np.zeros(2)))
 
-        def rest(x: NDArray[np.float64]) -> float:
+        def rest(x: DoubleArray) -> float:
             psf = np.zeros(first.shape)
             size = float(np.copysign(np.clip(abs(x[2]), 1.0, self.width_px), x[2]))
             psf[: self.width_px, : self.width_px] = render_psf(mask, size, self.width_px)
@@ -174,7 +175,7 @@ def _evenly_lit(sharp: NDArray, coded: NDArray, width: int) -> NDArray:
     smooth = [ndimage.gaussian_filter(one, width / 2)[::8, ::8] for one in (sharp, coded)]
     rows, columns = (np.linspace(-1, 1, length) for length in coded.shape)
 
-    def terms(rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
+    def terms(rows: NDArray, columns: NDArray) -> DoubleArray:
         powers = [(p, q) for p in range(4) for q in range(4 - p)]
         return np.stack([np.outer(rows**p, columns**q).ravel() for p, q in powers], axis=1)
 
@@ -205,7 +206,7 @@ def _whole_shift(sharp: NDArray, coded: NDArray) -> tuple[int, int]:
 def _overlapping(sharp: NDArray, coded: NDArray, shift: tuple[int, int]) -> tuple[NDArray, NDArray]:
     """Cut both pictures to what both show."""
 
-    def cut(picture: NDArray[np.float64], sign: int) -> NDArray[np.float64]:
+    def cut(picture: DoubleArray, sign: int) -> DoubleArray:
         down, right = (
             slice(max(0, sign * move), length + min(0, sign * move))
             for move, length in zip(shift, picture.shape, strict=True)

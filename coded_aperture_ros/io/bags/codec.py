@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.io.bags.recorded import Topic
 from coded_aperture_ros.io.messages import (
     MessageError,
@@ -67,7 +68,7 @@ def image_data(pixels: NDArray, encoding: str, header: Any) -> memoryview:
     return _image_data(pixels, encoding, header)
 
 
-def motion_data(motion_px: NDArray[np.float32], header: Any) -> memoryview:
+def motion_data(motion_px: FloatArray, header: Any) -> memoryview:
     """Make an image message of motions [row, column, right and down], as optical flow is kept."""
     return _image_data(motion_px, "32FC2", header)
 

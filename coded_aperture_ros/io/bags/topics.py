@@ -34,10 +34,7 @@ class Outputs:
 
 
 def image_topic(
-    topics: Mapping[str, Topic],
-    wanted: str | None,
-    *others: str | None,
-    named_by: str = "--topic ",
+    topics: Mapping[str, Topic], wanted: str | None, *others: str | None, named_by: str = "--topic "
 ) -> Topic:
     """Return the topic of the coded frames.
 

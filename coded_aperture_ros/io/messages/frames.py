@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.imaging import Gamma, linear_from_pixels, pixels_from_linear
 from coded_aperture_ros.io.messages.encodings import MessageError, array_from_image, encoding_of
 from coded_aperture_ros.optics.intrinsics import scaled_matrix
@@ -17,7 +18,7 @@ _DEPTH_ROUNDING = 1e-4
 _MILLIMETRE = np.float32(1e-3)
 
 
-def frame_from_image(message: Any, gamma: Gamma = 1.0) -> NDArray[np.float32]:
+def frame_from_image(message: Any, gamma: Gamma = 1.0) -> FloatArray:
     """Return an image message as the frame that the library works on.
 
     See `array_from_image` and `frame_from_pixels`.
@@ -25,7 +26,7 @@ def frame_from_image(message: Any, gamma: Gamma = 1.0) -> NDArray[np.float32]:
     return frame_from_pixels(array_from_image(message), gamma)
 
 
-def frame_from_pixels(pixels: NDArray, gamma: Gamma = 1.0) -> NDArray[np.float32]:
+def frame_from_pixels(pixels: NDArray, gamma: Gamma = 1.0) -> FloatArray:
     """Return stored pixels as the frame that the library works on.
 
     Parameters
@@ -93,7 +94,6 @@ def scaled_matrices(info: Any, width: int, height: int) -> tuple[list[float], li
     info : sensor_msgs/CameraInfo
         Or anything with its fields `width`, `height`, `k` and `p`. Distortion coefficients act on
         normalised coordinates and stay.
-    width, height : int
 
     Returns
     -------
@@ -115,9 +115,7 @@ def scaled_matrices(info: Any, width: int, height: int) -> tuple[list[float], li
     return k, [*k[:3], 0.0, *k[3:6], 0.0, 0.0, 0.0, 1.0, 0.0]
 
 
-def limit_depth(
-    depth_m: NDArray[np.float32], near_m: float = 0.0, far_m: float = np.inf
-) -> NDArray[np.float32]:
+def limit_depth(depth_m: FloatArray, near_m: float = 0.0, far_m: float = np.inf) -> FloatArray:
     """Mark known depths outside the range the way REP 117 asks for.
 
     Returns
@@ -133,7 +131,7 @@ def limit_depth(
     return depth_m
 
 
-def millimetres_from_depth(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
+def millimetres_from_depth(depth_m: FloatArray) -> NDArray[np.uint16]:
     """Return depth in whole millimetres, as REP 118 stores it in 16UC1.
 
     0 stands for everything without a distance: unknown, too near, beyond the range. A distance
@@ -146,7 +144,7 @@ def millimetres_from_depth(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
     return np.where(known, np.clip(millimetres, 1, 65535), 0).astype(np.uint16)
 
 
-def depth_from_pixels(pixels: NDArray) -> NDArray[np.float32]:
+def depth_from_pixels(pixels: NDArray) -> FloatArray:
     """Return a depth image of another camera, float32 (m) or uint16 (mm), in metres.
 
     NaN where the message says nothing: 0, negative, NaN, and infinities, which are no distance.

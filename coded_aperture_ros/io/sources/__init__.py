@@ -2,28 +2,20 @@
 
 from coded_aperture_ros.io.sources.bag import BagSource
 from coded_aperture_ros.io.sources.device import DeviceConfig, DeviceSource
-from coded_aperture_ros.io.sources.files import (
-    VIDEO_SUFFIXES,
-    FileSource,
-    PictureSource,
-    VideoSource,
-)
+from coded_aperture_ros.io.sources.files import PictureSource
 from coded_aperture_ros.io.sources.opening import SIMULATOR, open_files, open_source
 from coded_aperture_ros.io.sources.simulator import SimulatorSource
 from coded_aperture_ros.io.sources.source import Capture, Source, captures
 
 __all__ = [
     "SIMULATOR",
-    "VIDEO_SUFFIXES",
     "BagSource",
     "Capture",
     "DeviceConfig",
     "DeviceSource",
-    "FileSource",
     "PictureSource",
     "SimulatorSource",
     "Source",
-    "VideoSource",
     "captures",
     "open_files",
     "open_source",

@@ -20,38 +20,33 @@ class DeviceConfig:
         0,
         "Width of the frames; 0: the camera file's",
         unit="px",
-        minimum=0,
-        maximum=65536,
+        within=(0, 65536),
         parameter="device.width",
     )
     height: int = option(
         0,
         "Height of the frames; 0: the camera file's",
         unit="px",
-        minimum=0,
-        maximum=65536,
+        within=(0, 65536),
         parameter="device.height",
     )
     exposure: float = option(
         -1.0,
         "Exposure time in the device's own unit (V4L2: 0.1 ms); 0: automatic, -1: as it is",
-        minimum=-1.0,
-        maximum=1e6,
+        within=(-1.0, 1e6),
         parameter="device.exposure",
     )
     gain: float = option(
         -1.0,
         "Gain in the device's own unit; -1: as it is",
-        minimum=-1.0,
-        maximum=1e6,
+        within=(-1.0, 1e6),
         parameter="device.gain",
     )
     white_balance_k: float = option(
         -1.0,
         "Colour temperature of the light; 0: automatic, -1: as it is",
         unit="K",
-        minimum=-1.0,
-        maximum=1e5,
+        within=(-1.0, 1e5),
         parameter="device.white_balance_k",
     )
 
@@ -69,7 +64,6 @@ class DeviceSource:
     ----------
     address : int or str
         With an exclamation mark in it, it is a GStreamer pipeline that ends in `appsink`.
-    config : DeviceConfig, optional
     rate_hz : float
         Wanted frame rate; 0 leaves the device's own.
 

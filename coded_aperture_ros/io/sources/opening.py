@@ -31,7 +31,6 @@ def open_files(text: str, loop: bool = False) -> FileSource[Any]:
     text : str
         Path of a picture, a folder of pictures (in the order of their names), a video or a bag; or
         `bag:` and the path of a bag, which may end in `#` and the topic of the frames.
-    loop : bool, optional
 
     Raises
     ------
@@ -79,7 +78,6 @@ def open_source(
         Of files.
     noise : float
         Of the simulator.
-    device : DeviceConfig, optional
 
     Raises
     ------

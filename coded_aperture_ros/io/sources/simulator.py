@@ -15,7 +15,6 @@ class SimulatorSource:
 
     Parameters
     ----------
-    camera : Camera
     rate_hz : float
         Frames per second of simulated time.
     noise : float

@@ -4,8 +4,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
 from numpy.typing import NDArray
+
+from coded_aperture_ros.core.arrays import FloatArray
 
 
 @dataclass(frozen=True)
@@ -28,8 +29,8 @@ class Capture:
     """
 
     frame: NDArray
-    depth_m: NDArray[np.float32] | None = None
-    sharp: NDArray[np.float32] | None = None
+    depth_m: FloatArray | None = None
+    sharp: FloatArray | None = None
     stamp_ns: int | None = None
     name: str = ""
 

@@ -1,14 +1,12 @@
 """Depth and motion together: blur by defocus and by what moves during the exposure."""
 
-from coded_aperture_ros.methods.motion.bank import MotionBank, learn_motion_bank
+from coded_aperture_ros.methods.motion.bank import learn_motion_bank
 from coded_aperture_ros.methods.motion.config import MotionConfig
 from coded_aperture_ros.methods.motion.kernels import Motions, blurred_psf, motion_kernel
-from coded_aperture_ros.methods.motion.likelihood import MotionLikelihood, MotionModel
+from coded_aperture_ros.methods.motion.likelihood import MotionModel
 
 __all__ = [
-    "MotionBank",
     "MotionConfig",
-    "MotionLikelihood",
     "MotionModel",
     "Motions",
     "blurred_psf",

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import scipy.fft
 import scipy.linalg
-from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import EmpiricalPrior, FilterBank, WindowedFourierBasis, power_spectrum
 from coded_aperture_ros.bank.factoring import common_basis, fitted_coefficients
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.methods.motion.kernels import Motions, blurred_psf, motion_kernel
 from coded_aperture_ros.optics import PsfStack
@@ -36,7 +36,7 @@ class MotionBank:
     defocus: FilterBank
     motions: Motions
     product: FilterBank
-    expected: NDArray[np.float32]
+    expected: FloatArray
 
     @property
     def exact(self) -> bool:
@@ -130,10 +130,8 @@ def learn_motion_bank(
 
 
 def expected_powers(
-    bank: FilterBank,
-    motions: Motions,
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
-) -> NDArray[np.float32]:
+    bank: FilterBank, motions: Motions, progress: Callable[[Iterable[Any]], Iterable[Any]] = iter
+) -> FloatArray:
     """Return the expected power of every product of motion and level [slopes, M * L, K].
 
     This is `WindowedFourierBasis.expected_power` in another order: the window's own spectrum
@@ -168,7 +166,7 @@ def expected_powers(
     return expected
 
 
-def _spread(fourier: WindowedFourierBasis, period: int) -> NDArray[np.float32]:
+def _spread(fourier: WindowedFourierBasis, period: int) -> FloatArray:
     """Return how much of the power at each of a torus' frequencies a window sees at each of its.
 
     ndarray, float32 [N, period].

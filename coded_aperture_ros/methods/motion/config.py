@@ -15,16 +15,14 @@ class MotionConfig:
     motion_directions: int = option(
         8,
         "Directions of motion that are told apart, from 0 to 180 degrees.",
-        minimum=1,
-        maximum=64,
+        within=(1, 64),
         read_only=True,
         parameter="motion.directions",
     )
     motion_lengths: int = option(
         8,
         "Lengths of motion that are told apart in each direction.",
-        minimum=1,
-        maximum=64,
+        within=(1, 64),
         read_only=True,
         parameter="motion.lengths",
     )
@@ -32,16 +30,14 @@ class MotionConfig:
         12.0,
         "Longest motion during the exposure.",
         unit="px",
-        minimum=0.5,
-        maximum=64.0,
+        within=(0.5, 64.0),
         read_only=True,
         parameter="motion.longest_px",
     )
     motion_rank: int = option(
         128,
         "Vectors in the common basis of the filters of all motions.",
-        minimum=1,
-        maximum=4096,
+        within=(1, 4096),
         read_only=True,
         parameter="motion.rank",
     )
@@ -49,16 +45,14 @@ class MotionConfig:
         5,
         "Motions, the likeliest of each patch, that are compared under several textures, without "
         "the common basis; 0: it decides.",
-        minimum=0,
-        maximum=4096,
+        within=(0, 4096),
         read_only=True,
         parameter="motion.finalists",
     )
     motion_smoothness: float = option(
         1.0,
         "Strength of the spatial regularisation of motion, relative to its default.",
-        minimum=0.0,
-        maximum=100.0,
+        within=(0.0, 100.0),
         parameter="motion.smoothness",
     )
     refinement_px: float = option(
@@ -66,24 +60,21 @@ class MotionConfig:
         "Motions that occur are searched for to this accuracy, half a second or more for each; 0: "
         "they lie where a parabola through the costs of those that are told apart is least.",
         unit="px",
-        minimum=0.0,
-        maximum=1.0,
+        within=(0.0, 1.0),
         parameter="motion.refinement_px",
     )
     motion_threshold: float = option(
         0.5,
         "How much less (natural logarithm) any motion must cost than none, for a patch to count as "
         "moving.",
-        minimum=0.0,
-        maximum=100.0,
+        within=(0.0, 100.0),
         parameter="motion.threshold",
         formerly="stillness",
     )
     prior_motions: int = option(
         3,
         "With a known angular velocity: motions nearest to the expected one that are tried.",
-        minimum=1,
-        maximum=64,
+        within=(1, 64),
         parameter="motion.prior_motions",
     )
 

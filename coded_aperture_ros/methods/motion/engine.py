@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.likelihood import NumpyEngine, Plan, take_logarithm
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE
 from coded_aperture_ros.methods.motion.bank import MotionBank
@@ -17,7 +17,7 @@ _PATCHES = 256
 # Every so many motions are enough to find the texture of a patch.
 _EVERY_MOTION = 4
 # Motions, and the patches that they are tried on.
-_Task = tuple[Sequence[int], NDArray[np.intp]]
+_Task = tuple[Sequence[int], IndexArray]
 
 
 class MotionEngine(NumpyEngine):
@@ -67,16 +67,16 @@ class MotionEngine(NumpyEngine):
         """How many numbers a patch is known by: the vectors of the basis, and a constant."""
         return int(self.plan.hypotheses.shape[1])
 
-    def energies(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
+    def energies(self, noise: float | FloatArray) -> FloatArray:
         """Return the least energy of every level under any motion [rows, columns, L]."""
         return np.moveaxis(self.of_all(noise).min(axis=0), 0, -1)
 
-    def of_static(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
+    def of_static(self, noise: float | FloatArray) -> FloatArray:
         """Return the energies of all levels if nothing moves [L, rows, columns]; see `of_all`."""
         self._alone.take_products(self._products[:, :-1])
         return np.moveaxis(self._alone.energies(noise), -1, 0)
 
-    def of_all(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
+    def of_all(self, noise: float | FloatArray) -> FloatArray:
         """Return the energies of all motions and levels [M, L, rows, columns].
 
         Of the frame that `project` took last; overwritten by the next. For a standard deviation of
@@ -95,9 +95,7 @@ class MotionEngine(NumpyEngine):
             self._exact.compare_best(self._of_all, index, static, self._finalists)
         return self._of_all.reshape(*self._of_all.shape[:2], *self._precision.shape)
 
-    def of_some(
-        self, noise: float | NDArray[np.float32], candidates: NDArray[np.intp]
-    ) -> NDArray[np.float32]:
+    def of_some(self, noise: float | FloatArray, candidates: IndexArray) -> FloatArray:
         """Return the energies of some motions for each patch [k, L, rows, columns].
 
         Under one texture each: there are no finalists. The fewer different sets there are among the
@@ -128,9 +126,7 @@ class MotionEngine(NumpyEngine):
         products = self._products[row * columns : (row + 1) * columns, :-1]
         products[:] = self._scratch[thread].power.reshape(-1, columns).T
 
-    def _compete(
-        self, noise: float | NDArray[np.float32], energies: NDArray[np.float32], tasks: list[_Task]
-    ) -> None:
+    def _compete(self, noise: float | FloatArray, energies: FloatArray, tasks: list[_Task]) -> None:
         """Find the energies of some patches under some motions; see `FilterBank`."""
         measured, tried = self._measured(noise), self.plan.tried(noise)
 
@@ -145,7 +141,7 @@ class MotionEngine(NumpyEngine):
         self._workers.each(compete, tasks)
 
     def _take_textures(
-        self, exact: ExactEnergies, noise: float | NDArray[np.float32], tasks: list[_Task]
+        self, exact: ExactEnergies, noise: float | FloatArray, tasks: list[_Task]
     ) -> None:
         """Find which texture suits each patch under some motions, and go on with it."""
         measured, tried = self._measured(noise), self.plan.tried(noise)
@@ -160,7 +156,7 @@ class MotionEngine(NumpyEngine):
         self._workers.each(find, tasks)
         exact.take(self._spectra(), texture, tried)
 
-    def _spectra(self) -> NDArray[np.float32]:
+    def _spectra(self) -> FloatArray:
         """Return the products of the transforms in units of the noise, and 1 [patches, F + 1]."""
         spectra = self._products * self._precision.reshape(-1, 1)
         spectra[:, -1] = 1
@@ -168,11 +164,11 @@ class MotionEngine(NumpyEngine):
 
     def refined(
         self,
-        noise: float | NDArray[np.float32],
-        patches: NDArray[np.bool_],
-        start_px: NDArray[np.float64],
+        noise: float | FloatArray,
+        patches: BoolArray,
+        start_px: DoubleArray,
         tolerance_px: float,
-    ) -> NDArray[np.float64]:
+    ) -> DoubleArray:
         """Return the likeliest motion of some patches [rows, columns]; see `most_likely_motion`.
 
         Of the frame, and with the noise, that `of_all` took last.
@@ -183,9 +179,7 @@ class MotionEngine(NumpyEngine):
             self._motion_bank, self.plan, spectra, tried, start_px, tolerance_px
         )
 
-    def _excess_of(
-        self, motion: int, tried: slice, seen: NDArray[np.float32], thread: int
-    ) -> NDArray[np.float32]:
+    def _excess_of(self, motion: int, tried: slice, seen: FloatArray, thread: int) -> FloatArray:
         """Return what each hypothesis leaves of some patches [textures, L, n]; a buffer."""
         hypotheses = self._by_motion[motion, tried].reshape(-1, self.size)
         count = seen.shape[1]
@@ -193,7 +187,7 @@ class MotionEngine(NumpyEngine):
         np.matmul(hypotheses, seen, out=excess)
         return excess.reshape(-1, self._levels, count)
 
-    def _measured(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
+    def _measured(self, noise: float | FloatArray) -> FloatArray:
         """Return what all patches are known by, in units of the noise, and what noise explains.
 
         ndarray, float32 [R + 2, patches]: a constant is the last but one.

@@ -7,8 +7,8 @@ under other textures.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.likelihood import take_logarithm
 from coded_aperture_ros.likelihood.plan import Plan
@@ -32,7 +32,7 @@ class ExactEnergies:
 
     def __init__(self, bank: MotionBank, plan: Plan, workers: Workers) -> None:
         self._bank, self._plan, self._workers = bank, plan, workers
-        self._weights: dict[int, NDArray[np.float32]] = {}
+        self._weights: dict[int, FloatArray] = {}
         self._spectra = np.empty((0, 0), np.float32)
         self._textureless = np.empty(0, np.float32)
         self._texture = np.empty((2, 0), np.intp)
@@ -43,7 +43,7 @@ class ExactEnergies:
         self._seen = np.empty((workers.threads, _PATCHES, size), np.float32)
         self._excess = np.empty((workers.threads, excess), np.float32)
 
-    def take(self, spectra: NDArray[np.float32], texture: NDArray[np.intp], tried: slice) -> None:
+    def take(self, spectra: FloatArray, texture: IndexArray, tried: slice) -> None:
         """Take the patches of a frame.
 
         Their `spectra` [patches, F + 1] are the plan's products of transforms in units of the
@@ -56,24 +56,24 @@ class ExactEnergies:
         self._tried = tried
         self._make_weights()
 
-    def of_all(self, energies: NDArray[np.float32]) -> None:
+    def of_all(self, energies: FloatArray) -> None:
         """Compute the energies of all motions under each patch's texture [M, L, patches]."""
         pairs = energies.reshape(-1, energies.shape[2])
 
-        def compute(patches: NDArray[np.intp], thread: int) -> None:
+        def compute(patches: IndexArray, thread: int) -> None:
             ratio, slope = self._texture[:, patches[0]]
             block = self._weights[int(ratio)][slope].reshape(len(pairs), -1)
             pairs[:, patches] = self._least([block], patches, len(pairs), thread)
 
         self._workers.each(compute, _alike(self._texture))
 
-    def of_some(self, motions: NDArray[np.intp]) -> NDArray[np.float32]:
+    def of_some(self, motions: IndexArray) -> FloatArray:
         """Return the energies of some motions [k, patches] likewise, [k, L, patches]."""
         count, levels = len(motions), self._bank.levels
         energies = np.empty((count * levels, motions.shape[1]), np.float32)
         keys = np.vstack([motions, self._texture])
 
-        def compute(patches: NDArray[np.intp], thread: int) -> None:
+        def compute(patches: IndexArray, thread: int) -> None:
             ratio, slope = self._texture[:, patches[0]]
             block = self._weights[int(ratio)][slope, motions[:, patches[0]]]
             block = block.reshape(len(energies), -1)
@@ -83,11 +83,7 @@ class ExactEnergies:
         return energies.reshape(count, levels, -1)
 
     def compare_best(
-        self,
-        energies: NDArray[np.float32],
-        motions: NDArray[np.intp],
-        seeded: NDArray[np.bool_],
-        count: int,
+        self, energies: FloatArray, motions: IndexArray, seeded: BoolArray, count: int
     ) -> None:
         """Lower the energies of the best few motions to the least under several textures.
 
@@ -105,7 +101,7 @@ class ExactEnergies:
         keys = np.array([motions[rows, patches], first])
         found = np.empty((len(patches), self._bank.levels), np.float32)
 
-        def compute(members: NDArray[np.intp], thread: int) -> None:
+        def compute(members: IndexArray, thread: int) -> None:
             motion, first = keys[:, members[0]].tolist()
             blocks = [
                 of_slope[motion]
@@ -118,12 +114,8 @@ class ExactEnergies:
         energies[rows, :, patches] = found
 
     def _least(
-        self,
-        blocks: list[NDArray[np.float32]],
-        patches: NDArray[np.intp],
-        count: int,
-        thread: int,
-    ) -> NDArray[np.float32]:
+        self, blocks: list[FloatArray], patches: IndexArray, count: int, thread: int
+    ) -> FloatArray:
         """Return the energies [count, n] of patches: the least of all blocks' [count, F + 1]."""
         seen = self._seen[thread, : len(patches)]
         np.take(self._spectra, patches, axis=0, out=seen)
@@ -143,7 +135,7 @@ class ExactEnergies:
                     del self._weights[unneeded[0]]
                 self._weights[ratio] = self._weights_of(ratio)
 
-    def _weights_of(self, ratio: int) -> NDArray[np.float32]:
+    def _weights_of(self, ratio: int) -> FloatArray:
         """Return the weights of all hypotheses of a ratio [slopes, M, L, F + 1].
 
         As `Plan.hypotheses`, but of the products of transforms.
@@ -163,7 +155,7 @@ class ExactEnergies:
         return weights
 
 
-def _alike(keys: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+def _alike(keys: IndexArray) -> list[IndexArray]:
     """Return where the keys [.., n] are equal, in parts that can be worked on at a time."""
     order = np.lexsort(keys[::-1])
     ends = np.flatnonzero(np.diff(keys[:, order]).any(axis=0)) + 1

@@ -3,8 +3,8 @@
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.methods.motion.config import MotionConfig
 from coded_aperture_ros.methods.motion.kernels import Motions
 from coded_aperture_ros.methods.motion.occurring import occurring_motions, refined_motion
@@ -31,16 +31,14 @@ class Separated:
     are beside the neighbours'; `vectors_px` [M, 2] what the motions exactly are, where they occur.
     """
 
-    motion: NDArray[np.intp]
-    candidates: NDArray[np.intp]
-    probability: NDArray[np.float32]
-    level_cost: NDArray[np.float32]
-    vectors_px: NDArray[np.float64]
+    motion: IndexArray
+    candidates: IndexArray
+    probability: FloatArray
+    level_cost: FloatArray
+    vectors_px: DoubleArray
 
 
-def separate(
-    cost: NDArray[np.float32], motions: Motions, config: MotionConfig, overlap: float
-) -> Separated:
+def separate(cost: FloatArray, motions: Motions, config: MotionConfig, overlap: float) -> Separated:
     """Choose the motions of all patches together, and take them out of the cost of levels.
 
     Thesis eq. 7.4 has total variation of depth and of motion beside the data. Here the few motions
@@ -86,9 +84,7 @@ def separate(
     return Separated(motion, candidates, probability, np.moveaxis(level, 0, -1), vectors)
 
 
-def separate_expected(
-    cost: NDArray[np.float32], candidates: NDArray[np.intp], motions: Motions
-) -> Separated:
+def separate_expected(cost: FloatArray, candidates: IndexArray, motions: Motions) -> Separated:
     """Choose among a few motions that were expected; neighbours are as good already.
 
     Takes the cost of every pair of candidate and level [k, L, rows, columns], and which motions the
@@ -105,13 +101,13 @@ def separate_expected(
     return Separated(motion, tried, probability, level, motions.vectors_px)
 
 
-def _neighbours(motions: Motions) -> NDArray[np.intp]:
+def _neighbours(motions: Motions) -> IndexArray:
     """Return the nearest of each motion [M, n]."""
     order = np.argsort(motions.distances_px(motions.vectors_px), axis=1)
     return np.asarray(order[:, 1 : 1 + min(_NEIGHBOURS, len(motions) - 1)])
 
 
-def _within(neighbours: NDArray[np.intp], some: NDArray[np.intp]) -> NDArray[np.intp]:
+def _within(neighbours: IndexArray, some: IndexArray) -> IndexArray:
     """Return which of some motions are neighbours [m, n], as numbers of these; else its own."""
     number = np.full(len(neighbours), -1)
     number[some] = np.arange(len(some))
@@ -119,9 +115,7 @@ def _within(neighbours: NDArray[np.intp], some: NDArray[np.intp]) -> NDArray[np.
     return np.where(of_some < 0, np.arange(len(some))[:, None], of_some)
 
 
-def _semi_global(
-    known: NDArray[np.float32], neighbours: NDArray[np.intp], smoothness: float
-) -> NDArray[np.float32]:
+def _semi_global(known: FloatArray, neighbours: IndexArray, smoothness: float) -> FloatArray:
     """Minimise along rows and columns, both ways, and add up, as `depth` does with levels.
 
     Takes and gives [m, rows, columns].
@@ -134,9 +128,7 @@ def _semi_global(
     return total - 3 * known  # every path counts the cost of its patch
 
 
-def _both_ways(
-    cost: NDArray[np.float32], neighbours: NDArray[np.intp], smoothness: float
-) -> NDArray[np.float32]:
+def _both_ways(cost: FloatArray, neighbours: IndexArray, smoothness: float) -> FloatArray:
     """Add up the costs of the best paths that reach each patch along the first axis."""
     p1, p2 = np.float32(_P1 * smoothness), np.float32(_P2 * smoothness)
     costs = np.stack([cost, cost[::-1]], axis=1)  # [n, 2, M, m]

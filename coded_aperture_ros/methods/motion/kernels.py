@@ -5,14 +5,13 @@ import math
 
 import numpy as np
 import scipy.signal
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 
 
-def motion_kernel(
-    motion_px: tuple[float, float], width_px: int | None = None
-) -> NDArray[np.float32]:
+def motion_kernel(motion_px: tuple[float, float], width_px: int | None = None) -> FloatArray:
     """Render the trace of a point that moves during the exposure: ``h_m`` of thesis eq. 7.2.
 
     A pixel's value is the share of the exposure that the point spends near it, counted by linear
@@ -67,8 +66,8 @@ def motion_kernel(
 
 
 def blurred_psf(
-    psf: NDArray[np.float32], motion_px: tuple[float, float], width_px: int | None = None
-) -> NDArray[np.float32]:
+    psf: FloatArray, motion_px: tuple[float, float], width_px: int | None = None
+) -> FloatArray:
     """Return the PSF of defocus and motion together, ``h_d * h_m`` (thesis eq. 7.2).
 
     From a PSF [k, k], float32, odd, to one [n, n] of the same sum, of odd width `width_px`: at
@@ -90,7 +89,7 @@ class Motions:
         its line a point has gone, so no two of them are opposite. A vector of zeros is no motion.
     """
 
-    vectors_px: NDArray[np.float64]
+    vectors_px: DoubleArray
 
     def __post_init__(self) -> None:
         vectors = np.array(self.vectors_px, np.float64)
@@ -133,7 +132,7 @@ class Motions:
         """Length of the longest motion."""
         return float(np.hypot(*self.vectors_px.T).max())
 
-    def distances_px(self, to_px: ArrayLike) -> NDArray[np.float64]:
+    def distances_px(self, to_px: ArrayLike) -> DoubleArray:
         """Return how far motions are from each of these, px, whichever way each is gone.
 
         Takes [..., 2], gives [..., M].

@@ -3,8 +3,8 @@
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.likelihood import Cost, MotionField, relative_cost
 from coded_aperture_ros.methods.motion.bank import MotionBank
@@ -77,8 +77,8 @@ class MotionModel:
 class _Expectation:
     """Which motions to try: few, near a field that is expected, or all."""
 
-    candidates: NDArray[np.intp] | None = None
-    field_px: NDArray[np.float64] | None = None
+    candidates: IndexArray | None = None
+    field_px: DoubleArray | None = None
     searched: str = ""
 
 
@@ -95,9 +95,9 @@ class MotionLikelihood:
 
     def cost(
         self,
-        grey: NDArray[np.float32],
-        noise: float | NDArray[np.float32],
-        usable: NDArray[np.bool_] | None = None,
+        grey: FloatArray,
+        noise: float | FloatArray,
+        usable: BoolArray | None = None,
         prior: ExpectedMotion | None = None,
     ) -> Cost:
         """Return the cost volume of a frame and its motion; see `Likelihood.cost`.
@@ -130,9 +130,7 @@ class MotionLikelihood:
         """End the engine's threads."""
         self._engine.close()
 
-    def _of_all_motions(
-        self, noise: float | NDArray[np.float32], usable: NDArray[np.bool_]
-    ) -> NDArray[np.float32]:
+    def _of_all_motions(self, noise: float | FloatArray, usable: BoolArray) -> FloatArray:
         """Return the cost of every pair of motion and level [M, L, rows, columns]."""
         pairs = self._relative(self._engine.of_all(noise), usable)
         static = np.flatnonzero(np.hypot(*self._motions.vectors_px.T) == 0)
@@ -141,9 +139,7 @@ class MotionLikelihood:
             pairs[static] = alone + pairs[static].min(axis=1, keepdims=True)
         return pairs
 
-    def _relative(
-        self, energies: NDArray[np.float32], usable: NDArray[np.bool_]
-    ) -> NDArray[np.float32]:
+    def _relative(self, energies: FloatArray, usable: BoolArray) -> FloatArray:
         """Return the cost of pairs of motion and level, of the shape of their energies."""
         pairs = energies.reshape(-1, *energies.shape[2:])
         cost = relative_cost(np.moveaxis(pairs, 0, -1), self._window_correlation, usable)
@@ -168,10 +164,7 @@ class MotionLikelihood:
         return _Expectation(np.asarray(self._nearest_motions[:, :count][nearest]), field)
 
     def _refined(
-        self,
-        separated: Separated,
-        noise: float | NDArray[np.float32],
-        usable: NDArray[np.bool_],
+        self, separated: Separated, noise: float | FloatArray, usable: BoolArray
     ) -> Separated:
         """Search for what exactly the motions are that occur."""
         vectors = separated.vectors_px.copy()
@@ -183,7 +176,7 @@ class MotionLikelihood:
         return dataclasses.replace(separated, vectors_px=vectors)
 
     def _field(
-        self, separated: Separated, expected: _Expectation, usable: NDArray[np.bool_]
+        self, separated: Separated, expected: _Expectation, usable: BoolArray
     ) -> MotionField:
         vectors = separated.vectors_px[separated.motion]
         if expected.field_px is not None:

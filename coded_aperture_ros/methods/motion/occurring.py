@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.methods.motion.kernels import Motions
 
 # The cost of a motion counts up to here (natural logarithm); beyond, its model is wrong.
@@ -17,9 +18,7 @@ _ENOUGH = 40.0
 _MOST_MOTIONS = 12
 
 
-def occurring_motions(
-    of_motion: NDArray[np.float32], motions: Motions, overlap: float
-) -> NDArray[np.intp]:
+def occurring_motions(of_motion: FloatArray, motions: Motions, overlap: float) -> IndexArray:
     """Choose the few motions that explain all patches, thesis eq. 7.4 with a price for each motion.
 
     One after the other those are added that the patches gain most by, windows' neighbourhoods
@@ -47,9 +46,7 @@ def occurring_motions(
     return np.array(chosen)
 
 
-def refined_motion(
-    total: NDArray[np.floating], motions: Motions, index: int
-) -> NDArray[np.float64]:
+def refined_motion(total: NDArray[np.floating], motions: Motions, index: int) -> DoubleArray:
     """Refine a motion by parabolas along its length and across its direction; returns [2].
 
     By the cost of every motion [M], in `total` of all patches that have this one, which has a
@@ -66,9 +63,7 @@ def refined_motion(
     return np.asarray(length * np.array([np.cos(angle), np.sin(angle)]))
 
 
-def _vertex(
-    offsets: NDArray[np.float64], total: NDArray[np.floating], usable: NDArray[np.bool_]
-) -> float:
+def _vertex(offsets: DoubleArray, total: NDArray[np.floating], usable: BoolArray) -> float:
     """Return where a parabola through 0 and the next offsets on both sides is least."""
     here = float(total[usable & (np.abs(offsets) < 1e-6)].min())
     sides = []

@@ -1,9 +1,9 @@
 """A motion refined by the likelihood of all patches that have it, beyond those of the bank."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import FilterBank
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.likelihood.plan import Plan
 from coded_aperture_ros.likelihood.scoring import LEAST_EXCESS, OWN_NOISE
 from coded_aperture_ros.methods.motion.bank import MotionBank, expected_powers
@@ -18,11 +18,11 @@ _MOST_PATCHES = 100
 def most_likely_motion(
     bank: MotionBank,
     plan: Plan,
-    spectra: NDArray[np.float32],
+    spectra: FloatArray,
     tried: slice,
-    start_px: NDArray[np.float64],
+    start_px: DoubleArray,
     tolerance_px: float,
-) -> NDArray[np.float64]:
+) -> DoubleArray:
     """Search around a motion for the likeliest one of some patches, along it and across.
 
     From `start_px`, not zeros, in steps that get smaller, down to `tolerance_px`; at most the
@@ -32,7 +32,7 @@ def most_likely_motion(
     some = spectra[:: -(-len(spectra) // _MOST_PATCHES)]
     ratios = bank.product.ratios[tried]
 
-    def energy(motion: NDArray[np.float64]) -> float:
+    def energy(motion: DoubleArray) -> float:
         if np.hypot(*motion) > bank.motions.longest_px + 1e-6:
             return np.inf
         return _energy(bank.defocus, plan, some, ratios, motion)
@@ -53,11 +53,7 @@ def most_likely_motion(
 
 
 def _energy(
-    defocus: FilterBank,
-    plan: Plan,
-    spectra: NDArray[np.float32],
-    ratios: NDArray[np.float64],
-    motion: NDArray[np.float64],
+    defocus: FilterBank, plan: Plan, spectra: FloatArray, ratios: DoubleArray, motion: DoubleArray
 ) -> float:
     """Return the energy of all patches, each at its likeliest level and texture."""
     multiplicity = defocus.fourier.multiplicity

@@ -2,14 +2,12 @@
 
 from coded_aperture_ros.methods.two_pixel.config import SimpleConfig
 from coded_aperture_ros.methods.two_pixel.holes import Holes, find_holes
-from coded_aperture_ros.methods.two_pixel.likelihood import NeighbourEngine, NeighbourModel
-from coded_aperture_ros.methods.two_pixel.lines import NeighbourLine, neighbour_lines
+from coded_aperture_ros.methods.two_pixel.likelihood import NeighbourModel
+from coded_aperture_ros.methods.two_pixel.lines import neighbour_lines
 from coded_aperture_ros.methods.two_pixel.model import neighbour_model, neighbour_model_for_camera
 
 __all__ = [
     "Holes",
-    "NeighbourEngine",
-    "NeighbourLine",
     "NeighbourModel",
     "SimpleConfig",
     "find_holes",

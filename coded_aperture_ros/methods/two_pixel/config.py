@@ -14,15 +14,13 @@ class SimpleConfig:
         "Side of the square that local statistics are taken from; a multiple of 8. Larger is more "
         "accurate on planes, smaller is sharper at edges, none is faster.",
         unit="px",
-        minimum=16,
-        maximum=256,
+        within=(16, 256),
     )
     derivatives: int = option(
         2,
         "Derivatives of the frame that are compared: 2 are the horizontal and the vertical one, 4 "
         "the two diagonal ones as well.",
-        minimum=1,
-        maximum=4,
+        within=(1, 4),
     )
 
     def __post_init__(self) -> None:

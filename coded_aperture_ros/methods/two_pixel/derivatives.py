@@ -4,6 +4,8 @@ import numpy as np
 import scipy.ndimage
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+
 # Differences to the right, downward, and along the two diagonals; P = 2 in the thesis.
 _DIFFERENCES = (
     np.array([[-1.0, 1.0]]),
@@ -17,7 +19,7 @@ _NEARLY_AXIS = np.tan(np.pi / 8)
 
 def channel_kernel(
     channel: int, direction: NDArray[np.floating] | None = None, smoothing: int = 0
-) -> NDArray[np.float32]:
+) -> FloatArray:
     """Return the kernel [k, k], odd k, of a derivative that is smoothed across a direction.
 
     Smoothing across a line leaves what is on it as it is, but for the noise: the texture that the
@@ -54,7 +56,7 @@ def channel_kernel(
     return odd
 
 
-def passed_power(kernel: NDArray[np.float32], period: int) -> NDArray[np.float64]:
+def passed_power(kernel: FloatArray, period: int) -> DoubleArray:
     """Return the power that a kernel passes [period, period // 2 + 1], as of `rfft2`."""
-    passed: NDArray[np.float64] = np.abs(np.fft.rfft2(kernel, (period, period))) ** 2
+    passed: DoubleArray = np.abs(np.fft.rfft2(kernel, (period, period))) ** 2
     return passed

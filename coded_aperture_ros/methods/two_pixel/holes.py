@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 import scipy.ndimage
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask
 
@@ -30,7 +30,7 @@ class Holes:
         Side of an opening's bounding square, in the same units.
     """
 
-    centres: NDArray[np.float64]
+    centres: DoubleArray
     side: float
 
     @property
@@ -39,7 +39,7 @@ class Holes:
         return len(self.centres)
 
     @property
-    def offsets(self) -> NDArray[np.float64]:
+    def offsets(self) -> DoubleArray:
         """``delta_ij = Delta_i - Delta_j`` of all ordered pairs [N (N - 1), 2] (eq. 5.18, 5.19)."""
         first, second = np.nonzero(~np.eye(self.count, dtype=bool))
         return self.centres[first] - self.centres[second]

@@ -6,9 +6,9 @@ from functools import partial
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import DEFAULT_STRIDE_PX
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.likelihood import EngineLikelihood, plausible_ratios, take_logarithm
@@ -89,13 +89,13 @@ class NeighbourModel:
     lines: tuple[NeighbourLine, ...]
     window_px: int
     derivatives: int
-    lags: NDArray[np.intp]
-    kernels: tuple[tuple[NDArray[np.float32], ...], ...]
+    lags: IndexArray
+    kernels: tuple[tuple[FloatArray, ...], ...]
     contrasts: tuple[float, ...]
-    ratios: NDArray[np.float64]
-    weights: NDArray[np.float32]
-    log_determinants: NDArray[np.float32]
-    noise_weights: NDArray[np.float32]
+    ratios: DoubleArray
+    weights: FloatArray
+    log_determinants: FloatArray
+    noise_weights: FloatArray
     mask_digest: str
     learned_from: str
     noise: float = 0.0
@@ -107,7 +107,7 @@ class NeighbourModel:
         return _FATTENING
 
     @property
-    def blur_sizes_px(self) -> NDArray[np.float64]:
+    def blur_sizes_px(self) -> DoubleArray:
         """Signed blur size of every level [L], px."""
         return self.stack.blur_sizes_px
 
@@ -128,8 +128,8 @@ class NeighbourModel:
 class _Scratch:
     """What one thread needs for its part of a frame."""
 
-    columns: NDArray[np.float32]
-    hypotheses: NDArray[np.float32]
+    columns: FloatArray
+    hypotheses: FloatArray
 
 
 class NeighbourEngine:
@@ -189,7 +189,7 @@ class NeighbourEngine:
         """How many products of a frame with itself are taken: lags times channels."""
         return len(self._covariances) - 1
 
-    def project(self, grey: NDArray[np.float32]) -> None:
+    def project(self, grey: FloatArray) -> None:
         """Take a frame: measure its local covariances."""
         grid, margin, (rows, columns) = self.grid, self._margin, self._seen
         covered = grey[grid.top :, grid.left :]
@@ -205,7 +205,7 @@ class NeighbourEngine:
         self._workers.each(filter_frame, range(self._channels.shape[0] * self._channels.shape[1]))
         self._workers.each(self._measure, range(self.products))
 
-    def energies(self, noise: float | NDArray[np.float32]) -> NDArray[np.float32]:
+    def energies(self, noise: float | FloatArray) -> FloatArray:
         """Return the energies of the frame taken last [rows, columns, L]."""
         grid = self.grid
         model = self._model
@@ -256,11 +256,7 @@ class NeighbourEngine:
         out *= across
 
     def _try_hypotheses(
-        self,
-        hypotheses: NDArray[np.float32],
-        precision: NDArray[np.float32],
-        start: int,
-        thread: int,
+        self, hypotheses: FloatArray, precision: FloatArray, start: int, thread: int
     ) -> None:
         """Find the energies of some windows; see `NeighbourModel` for what they are."""
         some = slice(start, min(start + _PATCHES, len(precision)))
@@ -275,9 +271,7 @@ class NeighbourEngine:
         textureless = self._model.noise_weights @ measured[:-1] + OWN_NOISE
         take_logarithm(energies, textureless, self._model.window_px**2)
 
-    def _inverse_counts(
-        self, lag: NDArray[np.intp]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _inverse_counts(self, lag: IndexArray) -> tuple[FloatArray, FloatArray]:
         """Return what turns the sums of windows into means: a factor by row and one by column."""
         grid = self.grid
         down, across = (
@@ -288,7 +282,7 @@ class NeighbourEngine:
         scale = np.float32(self._block)
         return (1 / down)[:, None].astype(np.float32), (scale / across).astype(np.float32)
 
-    def _counts(self, shift: int, axis: int, windows: int) -> NDArray[np.float64]:
+    def _counts(self, shift: int, axis: int, windows: int) -> DoubleArray:
         """Count the products of each window along an axis, for a shift between their pixels."""
         length, seen = self._blocks[axis] * self._block, self._seen[axis]
         first = np.arange(length) - _before(shift) - self._reach

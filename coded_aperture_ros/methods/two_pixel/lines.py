@@ -3,8 +3,8 @@
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
+from coded_aperture_ros.core.arrays import DoubleArray, IndexArray
 from coded_aperture_ros.methods.two_pixel.holes import Holes
 
 # Pairs of holes whose lines part by less than this, in px, at their far ends share a line.
@@ -32,16 +32,14 @@ class NeighbourLine:
         Index of every pair's lag.
     """
 
-    direction: NDArray[np.float64]
+    direction: DoubleArray
     pairs: int
-    positions: NDArray[np.intp]
-    lags: NDArray[np.intp]
-    lag_of_pair: NDArray[np.intp]
+    positions: IndexArray
+    lags: IndexArray
+    lag_of_pair: IndexArray
 
     @classmethod
-    def along(
-        cls, direction: NDArray[np.float64], length_px: int, pairs: int = 1
-    ) -> "NeighbourLine":
+    def along(cls, direction: DoubleArray, length_px: int, pairs: int = 1) -> "NeighbourLine":
         """Draw the line from a pixel in a direction (row, column) that `length_px` is far along."""
         steps = np.arange(length_px + 1)[:, None]
         direction = direction / np.abs(direction).max()
@@ -67,7 +65,7 @@ def neighbour_lines(holes: Holes, largest_blur_px: float) -> list[NeighbourLine]
     first, second = np.triu_indices(holes.count, 1)
     offsets = (holes.centres[first] - holes.centres[second]) * abs(largest_blur_px)
     lengths = np.abs(offsets).max(axis=1)
-    found: list[tuple[NDArray[np.float64], float]] = []
+    found: list[tuple[DoubleArray, float]] = []
     pairs: list[list[int]] = []
     for place in np.argsort(-lengths, kind="stable"):
         direction, length = offsets[place] / lengths[place], lengths[place]
@@ -89,6 +87,6 @@ def neighbour_lines(holes: Holes, largest_blur_px: float) -> list[NeighbourLine]
     ]
 
 
-def _apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+def _apart(one: DoubleArray, other: DoubleArray) -> float:
     """Return how far two directions of unit reach part, per pixel along them; signless."""
     return float(min(np.abs(one - other).max(), np.abs(one + other).max()))

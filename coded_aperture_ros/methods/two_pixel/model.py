@@ -2,10 +2,10 @@
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import NaturalImagePrior, power_spectrum
 from coded_aperture_ros.bank.learning import RATIOS, check_levels, psf_stack_for_camera
+from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.methods.two_pixel.config import SimpleConfig
 from coded_aperture_ros.methods.two_pixel.derivatives import channel_kernel, passed_power
@@ -31,11 +31,7 @@ _SMOOTHING = 2
 
 
 def neighbour_model_for_camera(
-    camera: Camera,
-    near_m: float,
-    far_m: float,
-    levels: int,
-    config: SimpleConfig | None = None,
+    camera: Camera, near_m: float, far_m: float, levels: int, config: SimpleConfig | None = None
 ) -> NeighbourModel:
     """Make the model of a camera's mask for a range of depths on its side of the focal plane.
 
@@ -132,18 +128,16 @@ def neighbour_model(
 class _Whitener:
     """Inverts ``r S + N`` for a noise covariance N and all ratios r at once."""
 
-    def __init__(self, noise: NDArray[np.float64]) -> None:
+    def __init__(self, noise: DoubleArray) -> None:
         count = len(noise)
         factor = np.linalg.cholesky(noise + _JITTER * np.trace(noise) / count * np.eye(count))
         self._inverse = np.linalg.inv(factor)
 
-    def precision_of_noise(self) -> NDArray[np.float64]:
+    def precision_of_noise(self) -> DoubleArray:
         """Return the inverse of N."""
         return np.asarray(self._inverse.T @ self._inverse)
 
-    def precisions(
-        self, texture: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def precisions(self, texture: DoubleArray) -> tuple[DoubleArray, DoubleArray]:
         """Return the inverses [S, n, n], and the logarithms of ``det(r S N^-1 + 1)`` [S]."""
         white = self._inverse @ texture @ self._inverse.T
         values, vectors = np.linalg.eigh((white + white.T) / 2)
@@ -152,7 +146,7 @@ class _Whitener:
         return (back / spread[:, None, :]) @ back.T, np.log(spread).sum(axis=1)
 
 
-def _sums_of_lags(precision: NDArray[np.float64], line: NeighbourLine) -> NDArray[np.float64]:
+def _sums_of_lags(precision: DoubleArray, line: NeighbourLine) -> DoubleArray:
     """Add up the pairs of one lag: ``tr(precision C)`` is linear in the covariances at the lags."""
     sums = np.zeros(len(line.lags))
     np.add.at(sums, line.lag_of_pair, precision)
