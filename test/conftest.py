@@ -1,6 +1,7 @@
 """What the tests share: the data folder, and a ROS network of their own."""
 
 import os
+import signal
 import tempfile
 from functools import cache
 from importlib.util import find_spec
@@ -32,6 +33,10 @@ _PROFILES.write_text(
 os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(_PROFILES)
 for name in ("ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", "ROS_NAMESPACE", "ROS_DISCOVERY_SERVER"):
     os.environ.pop(name, None)
+
+# A shell that runs the tests in the background lets them ignore Ctrl-C, and so would the programs that
+# they start: some tests interrupt those.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Before anything imports NumPy: on a busy machine BLAS is much slower with threads than without.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

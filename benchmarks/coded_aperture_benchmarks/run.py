@@ -131,9 +131,9 @@ def measure_cells(
     # A forked process would inherit the locks of libraries' threads, but not the threads.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, context, initializer=_use_one_thread) as pool:
-        with _no_interrupts():
-            futures = [pool.submit(measure, cell) for cell in cells]
         try:
+            with _interrupts_wait():
+                futures = [pool.submit(measure, cell) for cell in cells]
             for future in progress(as_completed(futures), len(futures), "cell"):
                 future.result()  # the first error ends the run
         except BrokenProcessPool as error:
@@ -151,13 +151,16 @@ def measure_cells(
 
 
 @contextmanager
-def _no_interrupts() -> Iterator[None]:
-    """Start processes that ignore Ctrl-C, which a terminal sends to all: we answer it for them."""
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _interrupts_wait() -> Iterator[None]:
+    """Start processes that take no Ctrl-C, which a terminal sends to all: we answer it for them.
+
+    They inherit what is blocked. One that comes meanwhile is not lost: it is answered right after.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _use_one_thread() -> None:
