@@ -34,8 +34,8 @@ os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(_PROFILES)
 for name in ("ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", "ROS_NAMESPACE", "ROS_DISCOVERY_SERVER"):
     os.environ.pop(name, None)
 
-# A shell that runs the tests in the background lets them ignore Ctrl-C, and so would the programs that
-# they start: some tests interrupt those.
+# A shell that runs the tests in the background lets them ignore Ctrl-C, and so would the programs
+# that they start: some tests interrupt those.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Before anything imports NumPy: on a busy machine BLAS is much slower with threads than without.
