@@ -97,11 +97,11 @@ def test_its_threads_end_with_it(ros, model, monkeypatch):
     close = Deblurrer.close
     monkeypatch.setattr(Deblurrer, "close", lambda self: (closed.append(self), close(self)))
     node = DeblurChain(ros, model).node
-    node.trigger_deactivate()
+    ros.call(node.trigger_deactivate)
     assert closed == []
-    node.trigger_cleanup()
+    ros.call(node.trigger_cleanup)
     assert len(closed) == 1
-    node.trigger_configure()
+    ros.call(node.trigger_configure)
     node.close()
     assert len(closed) == 2
 

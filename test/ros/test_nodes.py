@@ -210,7 +210,7 @@ def test_depth_out_of_the_range_is_infinite_and_the_rest_stays(ros, model, coded
     free = Chain(ros, {**model, "near_m": 0.0, "far_m": 0.0}, subscribe=("depth/image",))
     frame = mono8(coded)
     depth = array_from_image(free.result(frame))
-    free.node.trigger_deactivate()
+    ros.call(free.node.trigger_deactivate)
     limited = array_from_image(Chain(ros, {**model, **limits}, ("depth/image",)).result(frame))
     expected = np.where(depth < near_m, -np.inf, np.where(depth > far_m, np.inf, depth))
     np.testing.assert_array_equal(limited, expected.astype(np.float32))

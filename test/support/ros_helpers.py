@@ -63,6 +63,16 @@ class Ros:
     def publisher(self, topic, message_type, qos=None):
         return self.probe.create_publisher(message_type, topic, qos or QoSProfile(depth=10))
 
+    def call(self, function):
+        """Call a function in the thread that spins, as services do, and return what it returns.
+
+        A transition takes publishers away, which the executor must not be waiting for meanwhile.
+        """
+        task = self.executor.create_task(function)
+        self.executor.wake()
+        assert wait_until(task.done, 30)
+        return task.result()
+
     def close(self):
         for node in self.nodes:
             if hasattr(node, "close"):
