@@ -3,7 +3,7 @@
 from collections import Counter
 
 PACKAGE = "coded_aperture_ros"
-MOST_LINES = 29_000
+MOST_LINES = 34_000
 LARGEST_ROOM = 0.15
 
 
