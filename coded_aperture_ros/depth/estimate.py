@@ -15,6 +15,8 @@ MAP_SIZES = ("auto", "full", "half", "quarter")
 # Best-effort messages larger than such float images are lost with default DDS settings.
 _LARGEST_AUTO = (240, 320)
 _DIVISORS = {"full": 1, "half": 2, "quarter": 4}
+# Maps that are unknown together.
+_OF_LEVELS = ("level", "blur_size_px", "depth_m", "std_dev_m")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -39,6 +41,9 @@ class DepthEstimate:
     side_confidence : ndarray or None
         Probability, in [0, 1], that the level is on the right side of the focal plane; it is part
         of `confidence`. None if the model has levels of one side only.
+    std_dev_m : ndarray or None
+        Standard deviation of `depth_m` in metres; NaN where that is, +inf where that is. None if
+        there are no depths.
     motion : MotionField or None
         Motion during the exposure, in maps of the same size; from methods that find it.
     seconds : mapping of str to float
@@ -51,6 +56,7 @@ class DepthEstimate:
     confidence: FloatArray
     noise: float
     side_confidence: FloatArray | None = None
+    std_dev_m: FloatArray | None = None
     motion: MotionField | None = None
     seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
@@ -66,7 +72,7 @@ class DepthEstimate:
             np.putmask(values, unknown, np.float32(np.nan))
             return values
 
-        return self._mapped(known, "level", "blur_size_px", "depth_m")
+        return self._mapped(known, *_OF_LEVELS)
 
     def enlarged(self, size: tuple[int, int]) -> "DepthEstimate":
         """Return the estimate with maps of `size` (rows, columns), by the nearest pixels."""
@@ -77,8 +83,7 @@ class DepthEstimate:
             # Not linearly: that would make up depths in the air beside every edge.
             return np.asarray(cv2.resize(values, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT))
 
-        maps = ("level", "blur_size_px", "depth_m", "confidence", "side_confidence")
-        return self._mapped(large, *maps)
+        return self._mapped(large, *_OF_LEVELS, "confidence", "side_confidence")
 
     def _mapped(self, change: Callable[[FloatArray], FloatArray], *names: str) -> "DepthEstimate":
         values = {name: getattr(self, name) for name in names}

@@ -16,6 +16,7 @@ from coded_aperture_ros.depth.posterior import (
     confidence_of,
     is_uninformative,
     is_unsure,
+    level_deviation,
     level_probability,
     nearest_plausible_level,
 )
@@ -201,8 +202,9 @@ class DepthEstimator:
             nearest = at.nearest(nearest_plausible_level(probability, levels.nearest_first))
             level = np.where(unsure, levels.nearer(level, nearest.astype(np.float32)), level)
         blur_size_px, depth_m = levels.meaning(level)
+        std_dev_m = levels.std_dev_m(level, self._deviation(level, volume, at))
         estimate = DepthEstimate(
-            level, blur_size_px, depth_m, confidence, seen.channel_noise, of_side
+            level, blur_size_px, depth_m, confidence, seen.channel_noise, of_side, std_dev_m
         )
         if config.unknown == "nothing":
             estimate = estimate.without(unsure)
@@ -232,6 +234,13 @@ class DepthEstimator:
         # Where both sides' depths are about the same, either is right.
         confidence *= np.where(sides.agree(level), 1, of_side)
         return confidence, of_side
+
+    def _deviation(self, level: FloatArray, volume: FloatArray, at: MapGrid) -> FloatArray:
+        """Return the standard deviation of each pixel's level, if its side is the right one."""
+        sides = self._plan_for(at.frame_shape).sides
+        if sides is None:
+            return level_deviation(level, volume, at.patches)
+        return sides.deviation(level, volume, at.patches)
 
     def _left_open(self, probability: FloatArray) -> BoolArray:
         """Return which patches are uninformative; others have the level of their neighbours."""

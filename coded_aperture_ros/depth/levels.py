@@ -31,6 +31,7 @@ class Levels:
     agreement: IndexArray
     _size_table: FloatArray
     _depth_table: FloatArray | None
+    _metres_per_level: FloatArray | None
 
     @classmethod
     def of(cls, model: LikelihoodModel, camera: Camera | None = None) -> "Levels":
@@ -51,6 +52,7 @@ class Levels:
             depth = stack.depth_at(level)
         else:
             depth = by_camera.depth_m(size).astype(np.float32)
+        per_level = None if depth is None else _metres_per_level(depth)
         return cls(
             stack.blur_sizes_px,
             depths,
@@ -58,6 +60,7 @@ class Levels:
             _agreement(count, depths),
             size.astype(np.float32),
             depth,
+            per_level,
         )
 
     def __len__(self) -> int:
@@ -78,14 +81,39 @@ class Levels:
 
     def meaning(self, level: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """Return blur sizes, px, and depths, m, of fractional levels of any shape, without NaN."""
-        index = (level * _STEPS + np.float32(0.5)).astype(np.int32)
+        index = _index(level)
         depth = None if self._depth_table is None else self._depth_table[index]
         return self._size_table[index], depth
+
+    def std_dev_m(self, level: FloatArray, deviation: FloatArray) -> FloatArray | None:
+        """Return the standard deviation of depth, m, from that of fractional levels, above 0.
+
+        The inverse depth is linear in the blur size, and `std(z) = z^2 std(1 / z)`; +inf where the
+        depth is. None if depths are not known. Levels are of any shape, without NaN.
+        """
+        if self._metres_per_level is None:
+            return None
+        return np.asarray(self._metres_per_level[_index(level)] * deviation)
 
 
 def depths_are_measured(model: BlurLevels) -> bool:
     """Return whether a model knows its depths from measurement, better than by a camera file."""
     return not model.mask_digest and model.stack.depths_m is not None
+
+
+def _index(level: FloatArray) -> IndexArray:
+    """Return where fractional levels are in the tables."""
+    return (level * _STEPS + np.float32(0.5)).astype(np.int32)
+
+
+def _metres_per_level(depth_m: FloatArray) -> FloatArray:
+    """Return by how much the depth changes in a level, from a table of depths; +inf at +inf."""
+    per_level = np.where(np.isnan(depth_m), np.nan, np.inf)
+    known = np.isfinite(depth_m)
+    depth = depth_m[known].astype(np.float64)
+    if len(depth) > 1:
+        per_level[known] = depth**2 * np.abs(np.gradient(1 / depth, 1 / _STEPS))
+    return per_level.astype(np.float32)
 
 
 def _agreement(count: int, depths_m: DoubleArray | None) -> IndexArray:

@@ -15,7 +15,7 @@ from coded_aperture_ros.bank import image_prior
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
-from coded_aperture_ros.depth.posterior import is_uninformative, level_probability
+from coded_aperture_ros.depth.posterior import is_uninformative, level_deviation, level_probability
 from coded_aperture_ros.depth.regularize import Regularizer
 from coded_aperture_ros.imaging import PatchGrid, periodic, periodic_shape, transfer_function
 from coded_aperture_ros.imaging.patches import mean_at
@@ -105,6 +105,16 @@ class FocalSides:
     def confidence(self, level: FloatArray, volume: FloatArray, grid: PatchGrid) -> FloatArray:
         """Return how likely each patch is on the side of its level; see `side_confidence`."""
         return side_confidence(level, far_log_odds(volume, self._sizes_px), grid, self._sizes_px)
+
+    def deviation(
+        self, level: FloatArray, volume: FloatArray, patches: tuple[IndexArray, IndexArray]
+    ) -> FloatArray:
+        """Return the deviation of levels if their sides are right; see `level_deviation`."""
+        far = self._sizes_px > 0
+        beyond, before = (
+            level_deviation(level, volume, patches, np.flatnonzero(side)) for side in (far, ~far)
+        )
+        return np.where(far[np.rint(level).astype(np.intp)], beyond, before)
 
     def agree(self, level: FloatArray) -> BoolArray:
         """Return where the level of the other side with the same blur is as good."""

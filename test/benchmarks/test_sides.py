@@ -178,6 +178,11 @@ def test_a_scene_across_the_focal_plane(bank, camera, picture):
     inside = np.abs(np.arange(COLUMNS) - COLUMNS // 2) > 32
     near = np.sign(estimate.blur_size_px) == np.sign(camera.blur_size_px(depth))
     assert near[:, inside].mean() > 0.9
+    # The levels of the other side, which may be as likely, do not count.
+    error = np.abs(estimate.depth_m - depth)[:, inside]
+    deviation = estimate.std_dev_m[:, inside]
+    assert np.median(deviation) < 0.2
+    assert np.mean(error < 3 * deviation) > 0.8
 
 
 def test_video_keeps_the_side(bank, camera, picture):

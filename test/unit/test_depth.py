@@ -1,12 +1,14 @@
 """Depth from simulated frames whose truth is known, and from frames that cannot be used."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy import ndimage
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator, Levels
 from coded_aperture_ros.depth.edges import slimmed_foreground
 from coded_aperture_ros.depth.posterior import refine_level
 from coded_aperture_ros.depth.regularize import regularizer
@@ -15,7 +17,7 @@ from coded_aperture_ros.imaging import PatchGrid, estimate_noise
 from coded_aperture_ros.imaging.frame import grey_image
 from coded_aperture_ros.imaging.noise import high_power
 from coded_aperture_ros.imaging.patches import usable_windows
-from coded_aperture_ros.optics import Camera, Mask
+from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation import render_coded_frame
 
 NEAR_M, FAR_M = 1.0, 2.2
@@ -189,6 +191,54 @@ def test_confidence_tells_right_from_wrong(bank, camera):
     assert np.array_equal(np.isnan(thresholded.depth_m), np.isnan(thresholded.level))
 
 
+def test_deviation_is_about_that_of_the_levels(bank, camera, stairs):
+    frame, depth = stairs
+    estimate = DepthEstimator(bank, DepthConfig(confidence_threshold=0)).estimate(frame)
+    deviation = estimate.std_dev_m
+    assert deviation.shape == depth.shape and deviation.dtype == np.float32
+    assert (deviation > 0).all()
+    away = np.abs(np.arange(256) - 127.5) > 24
+    error = np.abs(estimate.depth_m - depth)
+    assert np.mean((error < deviation)[:, away]) > 0.6
+    assert np.mean((error < 3 * deviation)[:, away]) > 0.9
+    # Inverse depth is linear in the blur size: what is 5/3 as far is known (3/5)^2 as well.
+    ratio = np.median(deviation[:, 160:]) / np.median(deviation[:, :96])
+    assert ratio > (2 / 1.2) ** 2
+    noisy = DepthEstimator(bank, DepthConfig(confidence_threshold=0)).estimate(
+        with_noise(frame, 0.01)
+    )
+    assert np.median(noisy.std_dev_m[:, :96]) > 1.2 * np.median(deviation[:, :96])
+
+
+def test_deviation_is_known_where_depth_is(bank, stairs):
+    estimate = DepthEstimator(bank, DepthConfig(confidence_threshold=0)).estimate(stairs[0])
+    some = estimate.where_confident(float(np.median(estimate.confidence)))
+    unknown = np.isnan(some.depth_m)
+    assert 0.2 < unknown.mean() < 0.8
+    assert np.array_equal(np.isnan(some.std_dev_m), unknown)
+    assert estimate.enlarged((320, 512)).std_dev_m.shape == (320, 512)
+    careful = DepthEstimator(bank, DepthConfig(confidence_threshold=0.7, unknown="nearest"))
+    assert np.isfinite(careful.estimate(stairs[0]).std_dev_m).all()
+
+
+def test_deviation_in_metres_follows_the_camera(bank, camera):
+    """`z^2 |d(1 / z) / d level|` times the deviation, and +inf at and beyond infinity."""
+    level = np.linspace(1, bank.levels - 2, 50).astype(np.float32)
+    sizes = np.interp(level, np.arange(bank.levels), bank.blur_sizes_px)
+    step = 0.1 * (bank.blur_sizes_px[1] - bank.blur_sizes_px[0])
+    changed = np.abs(camera.depth_m(sizes + step) - camera.depth_m(sizes - step)) / 2
+    for levels in (Levels.of(bank, camera), Levels.of(bank)):
+        found = levels.std_dev_m(level, np.full_like(level, 0.1))
+        assert found.dtype == np.float32
+        assert found == pytest.approx(changed, rel=0.02)
+    infinity = camera.blur_at_infinity_px
+    sizes = np.linspace(0.5, 1.2, 8) * infinity
+    beyond = dataclasses.replace(bank, stack=render_psf_stack(camera.mask, sizes))
+    found = Levels.of(beyond, camera).std_dev_m(np.arange(8, dtype=np.float32), np.ones(8, "f4"))
+    assert np.array_equal(np.isinf(found), sizes >= infinity)
+    assert np.all(np.diff(found[:5]) > 0)
+
+
 @pytest.mark.parametrize(("true", "at_most"), [(0.0, 0.0024), (0.003, 0.0048), (0.01, 0.013)])
 def test_noise_is_estimated_and_errs_upward(bank, camera, true, at_most):
     """The more noise, the less of it can be texture; without any, some texture counts as noise."""
@@ -211,16 +261,12 @@ def test_noise_is_that_of_one_channel(bank, plane):
 
 
 def test_bank_of_another_mask_is_refused(bank, camera):
-    import dataclasses
-
     other = dataclasses.replace(camera, mask=Mask.named("zhou"))
     with pytest.raises(InputError, match=r"mask zhou is not the one .*mask levin"):
         DepthEstimator(bank, camera=other)
 
 
 def test_bank_of_the_other_side_is_refused(bank, camera):
-    import dataclasses
-
     other = dataclasses.replace(camera, focus_distance_m=3.0, side="near")
     with pytest.raises(InputError, match="side is near, but the bank"):
         DepthEstimator(bank, camera=other)
@@ -228,8 +274,6 @@ def test_bank_of_the_other_side_is_refused(bank, camera):
 
 def test_measured_psfs_say_their_depths_themselves(bank, camera, plane):
     """A camera file knows nothing of PSFs without sizes, and less than measured depths."""
-    import dataclasses
-
     indices = dataclasses.replace(
         bank.stack, blur_sizes_px=np.arange(20.0), depths_m=None, in_pixels=False
     )
@@ -237,7 +281,8 @@ def test_measured_psfs_say_their_depths_themselves(bank, camera, plane):
     with pytest.raises(InputError, match=r"without their sizes.*--depths"):
         DepthEstimator(unknown, camera=camera)
     everything = DepthConfig(confidence_threshold=0)
-    assert DepthEstimator(unknown, everything).estimate(plane[0]).depth_m is None
+    estimate = DepthEstimator(unknown, everything).estimate(plane[0])
+    assert estimate.depth_m is None and estimate.std_dev_m is None
     depths = 2 * bank.stack.depths_m
     measured = dataclasses.replace(unknown, stack=dataclasses.replace(indices, depths_m=depths))
     estimate = DepthEstimator(measured, everything, camera).estimate(plane[0])
@@ -246,8 +291,6 @@ def test_measured_psfs_say_their_depths_themselves(bank, camera, plane):
 
 def test_given_noise_is_used(bank, plane):
     assert DepthEstimator(bank, DepthConfig(noise=0.02)).estimate(plane[0]).noise == 0.02
-    import dataclasses
-
     of_bank = dataclasses.replace(bank, noise=0.03)
     assert DepthEstimator(of_bank).estimate(plane[0]).noise == 0.03
 

@@ -51,7 +51,7 @@ class FrameWork:
         horizontal = floats * plan.pixel_rows * len(plan.horizontal) * plan.grid.columns
         functions = floats * patches * len(plan.features)
         costs = floats * patches * bank.levels
-        maps = 4 * floats * size[0] * size[1]  # level, blur size, depth, confidence
+        maps = 5 * floats * size[0] * size[1]  # level, blur size, depth, confidence, deviation
         stages = {
             "prepare": frame,
             "average": 3 * frame,  # with the mean, before and after
