@@ -22,6 +22,7 @@ class DepthMaps:
 
     depth_m: FloatArray
     confidence: FloatArray
+    std_dev_m: FloatArray
     noise: float
     motion_px: FloatArray | None = None
 
@@ -77,13 +78,15 @@ class FrameProcessor:
         except InputError as error:
             return ProcessedFrame(*_fault(error, "frame"))
         depth = result.depth
-        if depth.depth_m is None:
+        if depth.depth_m is None or depth.std_dev_m is None:
             return ProcessedFrame("frame", "the bank and the camera file give no depth")
         motion_px = None if depth.motion is None else depth.motion.vectors_px
         processed = ProcessedFrame(
             header=picture.header,
             encoding=picture.encoding,
-            maps=DepthMaps(depth.depth_m, depth.confidence, depth.noise, motion_px),
+            maps=DepthMaps(
+                depth.depth_m, depth.confidence, depth.std_dev_m, depth.noise, motion_px
+            ),
             seconds=stages.seconds,
         )
         if not self.pipeline.deblurs:

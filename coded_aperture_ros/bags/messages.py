@@ -73,7 +73,8 @@ def _usable_info(data: bytes, camera: Camera) -> Any:
 
 def result_topics(outputs: Outputs, deblurs: bool) -> list[Topic]:
     """Return the topics of the results."""
-    kinds = {outputs.depth: IMAGE, outputs.confidence: IMAGE, outputs.depth_info: CAMERA_INFO}
+    kinds = dict.fromkeys((outputs.depth, outputs.confidence, outputs.std_dev), IMAGE)
+    kinds[outputs.depth_info] = CAMERA_INFO
     if outputs.motion is not None:
         kinds[outputs.motion] = IMAGE
     if deblurs:
@@ -89,6 +90,7 @@ def result_messages(
     if (maps := result.maps) is not None:
         yield outputs.depth, image_data(maps.depth_m, "32FC1", header)
         yield outputs.confidence, image_data(maps.confidence, "32FC1", header)
+        yield outputs.std_dev, image_data(maps.std_dev_m, "32FC1", header)
         rows, columns = maps.depth_m.shape
         yield outputs.depth_info, camera_info_data(info, (rows, columns), header)
         if outputs.motion is not None and maps.motion_px is not None:

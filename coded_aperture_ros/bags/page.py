@@ -82,13 +82,13 @@ def _warnings(results: Mapping[str, Any]) -> Iterable[str]:
 
 def _facts(results: Mapping[str, Any]) -> dict[str, str]:
     depth, reference = results["depth"], results["reference"]
-    median_m = depth["median_depth_m"]
     facts = {
         "frames": f"{results['frames']} of {results['topic']}, "
         f"{results['used']} with depth of {_size(results['depth_size'])}",
         "size of the frames": _size(results["size"]),
         "pixels with depth": _share(depth["coverage"]),
-        "median depth": "-" if median_m is None else f"{median_m:.2f} m",
+        "median depth": _metres(depth["median_depth_m"], 2),
+        "median standard deviation": _metres(depth["median_std_dev_m"], 3),
         "noise": f"{depth['noise']:.4f}",
     }
     if reference is not None:
@@ -139,6 +139,10 @@ def _image(data: bytes, alt: str = "") -> str:
 def _size(size: Iterable[int]) -> str:
     rows, columns = size
     return f"{columns}x{rows}"
+
+
+def _metres(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f} m"
 
 
 def _share(value: float | None) -> str:

@@ -75,11 +75,13 @@ class Record:
             self.reasons.setdefault(result.fault, result.reason)
         if (maps := result.maps) is None:
             return
-        depths = maps.depth_m[np.isfinite(maps.depth_m)]
+        known = np.isfinite(maps.depth_m)
+        depths = maps.depth_m[known]
         self._rows[index] = {
             "stamp_ns": stamp_ns_of(result.header) or recorded.time_ns,
             "coverage": depths.size / maps.depth_m.size,
             "median_depth_m": median(depths) if depths.size else None,
+            "median_std_dev_m": median(maps.std_dev_m[known]) if depths.size else None,
             "mean_confidence": float(maps.confidence.mean()),
             "noise": maps.noise,
             **{f"{stage}_s": seconds for stage, seconds in result.seconds.items()},
@@ -111,11 +113,16 @@ class Record:
     def depth(self) -> dict[str, Any]:
         """Sum up what needs no reference, ready for JSON."""
         rows = list(self._rows.values())
-        medians = [row["median_depth_m"] for row in rows if row["median_depth_m"] is not None]
+        known = [row for row in rows if row["median_depth_m"] is not None]
+
+        def over_frames(name: str) -> float | None:
+            return float(np.median([row[name] for row in known])) if known else None
+
         return {
             "coverage": float(np.mean([row["coverage"] for row in rows])),
             "mean_confidence": float(np.mean([row["mean_confidence"] for row in rows])),
-            "median_depth_m": float(np.median(medians)) if medians else None,
+            "median_depth_m": over_frames("median_depth_m"),
+            "median_std_dev_m": over_frames("median_std_dev_m"),
             "noise": float(np.median([row["noise"] for row in rows])),
         }
 

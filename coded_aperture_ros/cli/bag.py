@@ -36,9 +36,10 @@ def add_parser(subparsers: Any) -> None:
         help="estimate depth of a recorded bag, and score it",
         description="Work on every frame of a ROS 2 bag (MCAP or SQLite, also one that was cut "
         "off), without ROS. Into the new bag, of the same storage, all messages are copied, and "
-        "beside the frames come depth/image, depth/confidence, depth/camera_info, "
-        "deblurred/image and deblurred/camera_info, in the camera's namespace and with its "
-        "stamps. The bag's folder also gets report/report.html and report/report.json.",
+        "beside the frames come depth/image, depth/confidence, depth/std_dev, "
+        "depth/camera_info, deblurred/image and deblurred/camera_info, in the camera's namespace "
+        "and with its stamps. The bag's folder also gets report/report.html and "
+        "report/report.json.",
         epilog=_EPILOG,
     )
     parser.add_argument("input", metavar="IN", help="bag: its folder, or a .mcap or .db3 file")

@@ -47,7 +47,8 @@ def add_parser(subparsers: Any) -> None:
         help="estimate depth from coded frames",
         description="Estimate the depth of every pixel of coded frames. Beside each depth "
         "map x.npy its confidence, 0 to 1, is written to x.confidence.npy; where that is low, the "
-        "depth is unknown (NaN, or 0 in a 16-bit PNG). With levels on both sides of the focal "
+        "depth is unknown (NaN, or 0 in a 16-bit PNG). The standard deviation of the depth, in m, "
+        "goes to x.std_dev.npy (not with --as-levels). With levels on both sides of the focal "
         "plane (side: both), x.side.npy has the probability that the side is right.",
         epilog=_EPILOG,
     )
@@ -165,9 +166,12 @@ def _summary(
         "unit": "level" if args.as_levels else "m",
         "known": round(float(known.mean()), 4),
         "median": round(float(np.median(values[known])), 4) if known.any() else None,
+        "median_std_dev_m": None,
         "noise": round(estimate.noise, 6),
         "seconds": round(seconds, 3),
     }
+    if not args.as_levels and known.any():
+        summary["median_std_dev_m"] = round(float(np.median(estimate.std_dev_m[known])), 4)
     if args.motion:
         moving = np.linalg.norm(estimate.motion.vectors_px, axis=-1) >= _MOVING_PX
         summary["moving"] = round(float(moving.mean()), 4)
@@ -181,6 +185,8 @@ def _in_words(summary: dict[str, Any]) -> str:
     else:
         median = f"{summary['median']:.4g} {summary['unit']}"
         found = f"depth at {100 * summary['known']:.0f} % of the pixels, median {median}"
+        if summary["median_std_dev_m"] is not None:
+            found += f", standard deviation {summary['median_std_dev_m']:.2g} m"
     if "moving" in summary:
         found += f", {100 * summary['moving']:.0f} % moving"
         if summary["searched"] not in ("", _NOT_ASKED):
@@ -193,6 +199,8 @@ def _files(path: Path, args: argparse.Namespace, both_sides: bool) -> dict[str, 
     # A PNG cannot hold floating values.
     suffix = ".tiff" if path.suffix.lower() == ".png" else path.suffix
     ends = {"confidence": f".confidence{suffix}"}
+    if not args.as_levels:
+        ends["std_dev"] = f".std_dev{suffix}"
     if args.pictures:
         ends |= {"picture": ".picture.png", "confidence picture": ".confidence.picture.png"}
     if args.motion:
@@ -206,7 +214,7 @@ def _write(files: dict[str, Path], values: Any, estimate: Any, args: argparse.Na
     from coded_aperture_ros.io import confidence_picture, depth_picture, write_depth, write_image
 
     results = {"depth": values, "confidence": estimate.confidence}
-    results["side"] = estimate.side_confidence
+    results |= {"std_dev": estimate.std_dev_m, "side": estimate.side_confidence}
     if args.motion:
         results["motion"] = estimate.motion.vectors_px
         results["motion confidence"] = estimate.motion.confidence

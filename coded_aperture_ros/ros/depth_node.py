@@ -6,6 +6,7 @@ import math
 import threading
 from typing import Any, ClassVar
 
+import numpy as np
 from sensor_msgs.msg import CameraInfo, Image, Imu, PointCloud2
 
 from coded_aperture_ros.bank import LearnConfig
@@ -81,12 +82,13 @@ class DepthNodeConfig:
 
 
 class DepthNode(FrameNode[Image]):
-    """Subscribes to coded frames and publishes depth, confidence and the matching camera model."""
+    """Publishes depth of coded frames, how sure it is, and the matching camera model."""
 
     outputs: ClassVar = {
         "depth/image": Image,
         "depth/image_raw": Image,
         "depth/confidence": Image,
+        "depth/std_dev": Image,
         "depth/camera_info": CameraInfo,
         "depth/points": PointCloud2,
         "depth/motion": Image,  # only with method: motion
@@ -187,6 +189,9 @@ class DepthNode(FrameNode[Image]):
         if self.wants("depth/confidence"):
             confidence = image_from_array(estimate.confidence, "32FC1", header)
             self.send("depth/confidence", confidence)
+        if estimate.std_dev_m is not None and self.wants("depth/std_dev"):
+            std_dev_m = np.where(np.isinf(depth_m), np.float32(np.inf), estimate.std_dev_m)
+            self.send("depth/std_dev", image_from_array(std_dev_m, "32FC1", header))
         if complaint := self._info.complaint(frame_size):
             self.reject("camera_info", complaint)
         if self.wants("depth/camera_info") or self.wants("depth/points"):

@@ -31,7 +31,7 @@ from rosbags.rosbag2 import CompressionMode
 
 from coded_aperture_ros.io.messages import array_from_image
 
-RESULTS = ("depth/image", "depth/confidence", "depth/camera_info")
+RESULTS = ("depth/image", "depth/confidence", "depth/std_dev", "depth/camera_info")
 DEBLURRED = ("deblurred/image", "deblurred/camera_info")
 STORAGES = ("mcap", "sqlite3")
 FEW_MOTIONS = ("--motion-directions", 2, "--motion-lengths", 2, "--motion-rank", 32)
@@ -78,13 +78,12 @@ def test_every_frame_has_results_with_its_stamps(processed, storage, name):
 def test_depth_is_right_and_deblurring_helps(processed, scene):
     messages = read(processed["mcap"][1])
     inside = scene.away_from_the_edge()
-    for (_, depth), (_, confidence) in zip(
-        decoded(messages, "/eye/depth/image"),
-        decoded(messages, "/eye/depth/confidence"),
-        strict=True,
+    for (_, depth), (_, confidence), (_, deviation) in zip(
+        *(decoded(messages, f"/eye/{name}") for name in RESULTS[:3]), strict=True
     ):
-        depth_m, sure = floats(depth), floats(confidence)
-        assert depth_m.shape == sure.shape == scene.depth_m.shape
+        depth_m, sure, std_dev_m = floats(depth), floats(confidence), floats(deviation)
+        assert depth_m.shape == sure.shape == std_dev_m.shape == scene.depth_m.shape
+        assert np.array_equal(np.isnan(std_dev_m), np.isnan(depth_m))
         assert np.isfinite(depth_m[inside]).mean() > 0.7
         error = np.abs(depth_m - scene.depth_m)[inside] / scene.depth_m[inside]
         assert np.nanmedian(error) < 0.05
@@ -121,6 +120,7 @@ def test_the_report_says_what_the_bag_says(processed, storage):
     messages = read(target)
     truths = {stamp_of(message): message for _, message in decoded(messages, "/truth/depth")}
     sures = [floats(message) for _, message in decoded(messages, "/eye/depth/confidence")]
+    deviations = [message for _, message in decoded(messages, "/eye/depth/std_dev")]
     medians, errors, known, covered, promised, kept = [], [], 0, 0, [], []
     for index, (_, message) in enumerate(decoded(messages, "/eye/depth/image")):
         depth_m, truth = floats(message), floats(truths[stamp_of(message)])
@@ -137,6 +137,8 @@ def test_the_report_says_what_the_bag_says(processed, storage):
         assert row["median_relative_error"] == pytest.approx(medians[-1], rel=1e-4)
         assert row["coverage"] == pytest.approx(np.isfinite(depth_m).mean())
         assert row["stamp_ns"] == stamp_of(message)
+        deviation_m = floats(deviations[index])[np.isfinite(depth_m)]
+        assert row["median_std_dev_m"] == pytest.approx(float(np.median(deviation_m)), rel=1e-4)
     every = np.concatenate(errors)
     reference = report["reference"]
     assert reference["frames"] == len(medians) == FRAMES

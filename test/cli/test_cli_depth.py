@@ -43,8 +43,11 @@ def test_depth_of_the_simulated_planes(scene, tmp_path, capsys, suffix):
     result = call(capsys, "depth", "--bank", scene.bank, scene.coded_png, "-o", output)
     assert (result.status, result.err) == (0, "")
     assert result.out.startswith(f"{output}: depth at ")
-    confidence_file = tmp_path / f"depth.confidence{'.npy' if suffix == '.npy' else '.tiff'}"
-    assert names(tmp_path) == sorted([output.name, confidence_file.name])
+    confidence_file, deviation_file = (
+        tmp_path / f"depth.{name}{'.npy' if suffix == '.npy' else '.tiff'}"
+        for name in ("confidence", "std_dev")
+    )
+    assert names(tmp_path) == sorted([output.name, confidence_file.name, deviation_file.name])
     depth_m = read_depth(output)
     assert depth_m.shape == (HEIGHT, WIDTH)
     median, known = relative_error(depth_m, scene)
@@ -54,6 +57,11 @@ def test_depth_of_the_simulated_planes(scene, tmp_path, capsys, suffix):
     assert confidence.shape == (HEIGHT, WIDTH)
     assert (confidence.min() >= 0, confidence.max() <= 1) == (True, True)
     assert (confidence[np.isnan(depth_m)] < DepthConfig().confidence_threshold).all()
+    std_dev_m = read_depth(deviation_file)
+    assert np.array_equal(np.isnan(std_dev_m), np.isnan(depth_m))
+    assert f"standard deviation {np.nanmedian(std_dev_m):.2g} m; noise" in result.out
+    within = np.abs(depth_m - scene.depth_m)[scene.away_from_the_edge()]
+    assert np.mean(within < 2 * std_dev_m[scene.away_from_the_edge()]) > 0.7
     if suffix == ".png":
         assert cv2.imread(str(output), cv2.IMREAD_UNCHANGED).dtype == np.uint16
 
@@ -80,6 +88,7 @@ def test_levels_and_a_summary_as_json(scene, tmp_path, capsys):
     level = np.load(output)
     assert 0 <= np.nanmin(level) < np.nanmax(level) < 15 + 1e-3
     assert summary["median"] == pytest.approx(np.nanmedian(level), abs=1e-4)
+    assert summary["median_std_dev_m"] is None
 
 
 def test_a_bank_without_depths_gives_levels_or_takes_a_camera(scene, tmp_path, capsys):
@@ -105,7 +114,8 @@ def test_pictures(scene, tmp_path, capsys, unit):
     arguments = ("--bank", scene.bank, scene.coded_npy, "-o", tmp_path / "d.npy", "--pictures")
     assert call(capsys, "depth", *arguments, *levels).status == 0
     assert names(tmp_path) == [
-        *("d.confidence.npy", "d.confidence.picture.png", "d.npy", "d.picture.png")
+        *("d.confidence.npy", "d.confidence.picture.png", "d.npy", "d.picture.png"),
+        *(("d.std_dev.npy",) if unit == "m" else ()),
     ]
     picture = read_image(tmp_path / "d.picture.png")
     assert picture.shape[0] > HEIGHT
@@ -148,8 +158,11 @@ def test_a_folder_of_frames(scene, tmp_path, capsys):
     assert (result.status, result.err) == (0, "")
     expected = [output / "wall.001.npy", output / "wall.002.npy"]
     assert [entry["output"] for entry in json.loads(result.out)] == [str(p) for p in expected]
-    confidences = ["wall.001.confidence.npy", "wall.002.confidence.npy"]
-    assert names(output) == sorted([path.name for path in expected] + confidences)
+    others = [f"wall.00{n}.{name}.npy" for n in (1, 2) for name in ("confidence", "std_dev")]
+    assert names(output) == sorted([path.name for path in expected] + others)
+    for path, entry in zip(expected, json.loads(result.out), strict=True):
+        median = np.nanmedian(np.load(path.with_name(f"{path.stem}.std_dev.npy")))
+        assert entry["median_std_dev_m"] == pytest.approx(median, abs=1e-4)
     assert relative_error(np.load(expected[1]), scene)[0] < 0.03
 
 
@@ -163,7 +176,7 @@ def test_a_video(scene, tmp_path, capsys):
     result = call(capsys, "depth", "--bank", scene.bank, video, "-o", tmp_path / "depth")
     assert result.status == 0
     depths = ["pan_000000.npy", "pan_000001.npy"]
-    assert [n for n in names(tmp_path / "depth") if "confidence" not in n] == depths
+    assert [n for n in names(tmp_path / "depth") if n.count(".") == 1] == depths
     assert relative_error(np.load(tmp_path / "depth" / depths[0]), scene)[0] < 0.15  # JPEG blocks
 
 
@@ -239,6 +252,7 @@ def test_inputs_are_not_overwritten(scene, tmp_path, capsys):
         ("file", (), "is not a folder"),
         ("/proc/depth.npy", (), "cannot write /proc/depth.npy"),
         ("second.npy", (), "second.confidence.npy: it is a folder"),
+        ("fourth.npy", (), "fourth.std_dev.npy: it is a folder"),
         ("third.npy", ("--pictures",), "third.confidence.picture.png: it is a folder"),
     ],
 )
@@ -251,6 +265,7 @@ def test_impossible_outputs_are_refused_before_estimating(
     monkeypatch.setattr("coded_aperture_ros.depth.DepthEstimator.estimate", estimate)
     (tmp_path / "file").write_text("")
     (tmp_path / "second.confidence.npy").mkdir()
+    (tmp_path / "fourth.std_dev.npy").mkdir()
     (tmp_path / "third.confidence.picture.png").mkdir()
     before = everything(tmp_path)
     arguments = ("--bank", scene.bank, scene.coded_npy, "-o", tmp_path / output, *options)
@@ -318,7 +333,7 @@ def test_a_bad_frame_in_a_folder_is_named(scene, tmp_path, capsys):
     assert result.status == 1
     assert f"{tmp_path}, frame b: " in result.err
     # What was finished before stays, whole.
-    assert names(tmp_path / "depth") == ["a.confidence.npy", "a.npy"]
+    assert names(tmp_path / "depth") == ["a.confidence.npy", "a.npy", "a.std_dev.npy"]
 
 
 def write_banks(folder, good):
@@ -475,6 +490,9 @@ def test_look_ahead_estimates_with_frames_before_and_after(scene, tmp_path, caps
         np.testing.assert_array_equal(
             np.load(written.with_suffix(".confidence.npy")), estimate.confidence
         )
+        np.testing.assert_array_equal(
+            np.load(written.with_suffix(".std_dev.npy")), estimate.std_dev_m
+        )
         if motion:
             np.testing.assert_array_equal(
                 np.load(written.with_suffix(".motion.npy")), estimate.motion.vectors_px
@@ -529,7 +547,7 @@ def test_look_ahead_names_a_bad_frame_and_finishes_those_before_it(scene, tmp_pa
     result = call(capsys, "depth", *arguments, tmp_path / "depth", folder)
     assert result.status == 1
     assert f"{folder}/b.npy: truncated, or not a .npy array" in result.err
-    assert names(tmp_path / "depth") == ["a.confidence.npy", "a.npy"]
+    assert names(tmp_path / "depth") == ["a.confidence.npy", "a.npy", "a.std_dev.npy"]
     np.save(folder / "b.npy", np.ones((90, 90), np.float32))
     result = call(capsys, "depth", *arguments, tmp_path / "depth", folder)
     assert result.status == 1

@@ -40,11 +40,13 @@ def test_a_frame_in_gives_depth_out(ros, model, coded):
     frame = mono8(coded)
     chain.send(frame)
     assert wait_until(lambda: all(chain.received.values()))
-    depth, raw, confidence, info = (chain.received[topic][0] for topic in DEPTH_OUTPUTS)
-    for message in (depth, raw, confidence, info):
+    messages = [chain.received[topic][0] for topic in DEPTH_OUTPUTS]
+    depth, raw, confidence, deviation, info = messages
+    for message in messages:
         assert message.header == frame.header
         assert (message.width, message.height) == (WIDTH // 2, HEIGHT // 2)
-    assert (depth.encoding, raw.encoding, confidence.encoding) == ("32FC1", "16UC1", "32FC1")
+    encodings = [message.encoding for message in (depth, raw, confidence, deviation)]
+    assert encodings == ["32FC1", "16UC1", "32FC1", "32FC1"]
     metres, millimetres = array_from_image(depth), array_from_image(raw)
     known = np.isfinite(metres)
     assert known.mean() > 0.5
@@ -53,6 +55,9 @@ def test_a_frame_in_gives_depth_out(ros, model, coded):
     assert not millimetres[np.isnan(metres)].any()
     certain = array_from_image(confidence)
     assert certain.min() >= 0 and certain.max() <= 1
+    std_dev_m = array_from_image(deviation)
+    assert np.array_equal(np.isfinite(std_dev_m), known)
+    assert 0.002 < np.median(std_dev_m[known]) < 0.1 * DEPTH_M
     assert info.k[0] == pytest.approx(CAMERA["focal_length_px"] / 2)
     assert info.k[2] == pytest.approx((WIDTH // 2 - 1) / 2)
 
@@ -211,11 +216,16 @@ def test_depth_out_of_the_range_is_infinite_and_the_rest_stays(ros, model, coded
     frame = mono8(coded)
     depth = array_from_image(free.result(frame))
     ros.call(free.node.trigger_deactivate)
-    limited = array_from_image(Chain(ros, {**model, **limits}, ("depth/image",)).result(frame))
+    chain = Chain(ros, {**model, **limits}, ("depth/image", "depth/std_dev"))
+    limited = array_from_image(chain.result(frame))
     expected = np.where(depth < near_m, -np.inf, np.where(depth > far_m, np.inf, depth))
     np.testing.assert_array_equal(limited, expected.astype(np.float32))
     assert np.isfinite(depth).mean() > 0.4
     assert np.isinf(limited).sum() > 50
+    assert wait_until(lambda: chain.received["depth/std_dev"])
+    std_dev_m = array_from_image(chain.received["depth/std_dev"][0])
+    assert np.array_equal(std_dev_m == np.inf, np.isinf(limited))
+    assert np.array_equal(np.isnan(std_dev_m), np.isnan(limited))
 
 
 def test_no_work_without_a_subscriber(ros, model, coded):

@@ -16,6 +16,7 @@ DEPTH_OUTPUTS = {
     "depth/image": Image,
     "depth/image_raw": Image,
     "depth/confidence": Image,
+    "depth/std_dev": Image,
     "depth/camera_info": CameraInfo,
 }
 STAMPS = itertools.count(1000)

@@ -17,6 +17,7 @@ class Outputs:
 
     depth: str
     confidence: str
+    std_dev: str
     depth_info: str
     deblurred: str
     deblurred_info: str
@@ -26,7 +27,7 @@ class Outputs:
     def within(cls, namespace: str, motion: bool = False) -> "Outputs":
         """Return the names in a namespace, such as `/camera`; empty for the topmost."""
         names = (
-            *("depth/image", "depth/confidence", "depth/camera_info"),
+            *("depth/image", "depth/confidence", "depth/std_dev", "depth/camera_info"),
             *("deblurred/image", "deblurred/camera_info"),
             *(("depth/motion",) if motion else ()),
         )
