@@ -31,7 +31,8 @@ class FrameResult:
     Attributes
     ----------
     depth : DepthEstimate
-        Level, blur size, depth in metres, confidence and, where the method finds it, motion.
+        Level, blur size, depth in metres with its standard deviation, confidence and, where the
+        method finds it, motion.
     stamp : int or None
         Of the frame.
     """

@@ -1,4 +1,4 @@
-"""From costs to probabilities: of every level, and that the estimated one is right."""
+"""From costs to probabilities: of every level, that the estimated one is right, and how nearly."""
 
 import numpy as np
 
