@@ -3,6 +3,8 @@
 from importlib.util import find_spec
 from typing import Protocol
 
+import numpy as np
+
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stages import Stages
@@ -58,8 +60,10 @@ class EngineLikelihood:
         stages.lap("spectra")
         energies = self._engine.energies(noise)
         volume = relative_cost(energies, self._window_correlation, usable)
+        # A window has about as many numbers as pixels.
+        misfit = energies.min(axis=-1) / np.float32(self.grid.window_px**2)
         stages.lap("energies")
-        return Cost(volume, seconds=stages.seconds)
+        return Cost(volume, misfit, seconds=stages.seconds)
 
     def close(self) -> None:
         """End the engine's threads, and let go of its memory."""

@@ -44,6 +44,9 @@ class Cost:
     volume : ndarray, float32 [rows, columns, L]
         Negative natural logarithm of the likelihood, 0 for the likeliest level; all 0 where
         nothing is known. Never overwritten by the next frame.
+    misfit : ndarray, float32 [rows, columns], or None
+        Natural logarithm of what the likeliest level leaves unexplained of a patch, relative to the
+        expected noise, for methods that find it: more than usual where a patch shows two surfaces.
     motion : MotionField or None
         From methods that tell motion from defocus.
     seconds : mapping of str to float
@@ -51,6 +54,7 @@ class Cost:
     """
 
     volume: FloatArray
+    misfit: FloatArray | None = None
     motion: MotionField | None = None
     seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
 

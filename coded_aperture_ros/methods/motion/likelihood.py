@@ -124,7 +124,7 @@ class MotionLikelihood:
                 separated = self._refined(separated, noise, usable)
         motion = self._field(separated, expected, usable)
         stages.lap("motion")
-        return Cost(separated.level_cost, motion, stages.seconds)
+        return Cost(separated.level_cost, motion=motion, seconds=stages.seconds)
 
     def close(self) -> None:
         """End the engine's threads."""

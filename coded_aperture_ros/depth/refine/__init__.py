@@ -1,0 +1,1 @@
+"""Refinement of the cost volume by a small learned network."""

@@ -1,0 +1,108 @@
+"""The cells of a frame that depth is refined on: those of the patches, and more up to its edges."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+
+from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.imaging import PatchGrid
+
+# Distance between cells, px; patches at other distances are interpolated.
+CELL_PX = 8
+# The network halves the cells' rows and columns so often.
+HALVINGS = 2
+
+
+@dataclasses.dataclass(frozen=True)
+class Cells:
+    """Square cells that cover a frame, one around every patch's centre where there are patches.
+
+    Attributes
+    ----------
+    top, left : int
+        First pixel row and column of the first cell; negative, as the cells cover a little more.
+    rows, columns : int
+        Number of cells, a multiple of ``2**HALVINGS``.
+    frame_shape : (int, int)
+        Rows and columns of the frame.
+    grid : PatchGrid
+        Where the patches lie.
+    """
+
+    top: int
+    left: int
+    rows: int
+    columns: int
+    frame_shape: tuple[int, int]
+    grid: PatchGrid
+
+    @classmethod
+    def covering(cls, frame_shape: tuple[int, ...], grid: PatchGrid) -> "Cells":
+        """Return the cells of a frame whose patches lie on `grid`."""
+        height, width = frame_shape[:2]
+        top, rows = _axis(int(grid.row_centres[0]), height)
+        left, columns = _axis(int(grid.column_centres[0]), width)
+        return cls(top, left, rows, columns, (height, width), grid)
+
+    def of_patches(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return patches' values at the cells, and where there are any.
+
+        Parameters
+        ----------
+        values : ndarray, float32 [grid rows, grid columns, n]
+
+        Returns
+        -------
+        at_cells : ndarray, float32 [n, rows, columns]
+            0 where there is no patch.
+        known : ndarray, float32 [rows, columns]
+            1 or 0.
+        """
+        rows, columns = self._inside()
+        grid = self.grid
+        if grid.stride_px != CELL_PX:
+            across = _interpolation(grid.column_centres, self.left, columns)
+            down = _interpolation(grid.row_centres, self.top, rows)
+            values = np.tensordot(down, np.tensordot(values, across, (1, 1)), (1, 0))
+            values = values.swapaxes(1, 2)
+        at_cells = np.zeros((values.shape[2], self.rows, self.columns), np.float32)
+        at_cells[:, rows, columns] = np.moveaxis(values, -1, 0)
+        known = np.zeros((self.rows, self.columns), np.float32)
+        known[rows, columns] = 1
+        return at_cells, known
+
+    def of_frame(self, picture: FloatArray) -> FloatArray:
+        """Return a picture [height, width] cut and mirrored to the cells' outline."""
+        height, width = self.frame_shape
+        bottom = self.top + self.rows * CELL_PX - height
+        right = self.left + self.columns * CELL_PX - width
+        return np.asarray(
+            cv2.copyMakeBorder(picture, -self.top, bottom, -self.left, right, cv2.BORDER_REFLECT)
+        )
+
+    def _inside(self) -> tuple[slice, slice]:
+        """Return the rows and columns of cells that have patches."""
+        grid = self.grid
+        inside = []
+        for centres, first in ((grid.row_centres, self.top), (grid.column_centres, self.left)):
+            start = (int(centres[0]) - CELL_PX // 2 - first) // CELL_PX
+            inside.append(slice(start, start + (int(centres[-1] - centres[0])) // CELL_PX + 1))
+        return inside[0], inside[1]
+
+
+def _axis(centre: int, length: int) -> tuple[int, int]:
+    """Return where the first cell of an axis begins, and how many cover the frame."""
+    start = centre - CELL_PX // 2
+    before = -(-start // CELL_PX)
+    top = start - before * CELL_PX
+    count = -(-(length - top) // CELL_PX)
+    multiple = 2**HALVINGS
+    return top, -(-count // multiple) * multiple
+
+
+def _interpolation(centres: FloatArray, first: int, cells: slice) -> FloatArray:
+    """Return the linear weight of every patch for every cell [cells, patches]."""
+    at = first + CELL_PX * np.arange(cells.start, cells.stop) + CELL_PX // 2
+    place = np.interp(at, centres, np.arange(len(centres)))
+    return np.maximum(1 - np.abs(place[:, None] - np.arange(len(centres))), 0).astype(np.float32)

@@ -1,0 +1,5 @@
+"""Random scenes of layers, for learning and for tests: exact occlusion and exact depth."""
+
+from coded_aperture_ros.simulation.layered.scene import SIDES, LayeredScene, random_scene
+
+__all__ = ["SIDES", "LayeredScene", "random_scene"]

@@ -1,0 +1,188 @@
+"""Fit the refinement network; goes on where it was stopped.
+
+    python training/fit.py --scenes DIR --costs DIR --output DIR --minutes 60
+"""
+
+import argparse
+import copy
+import json
+import math
+import time
+from pathlib import Path
+
+import torch
+from batches import Batch, batches, load
+from network import BINS, NEIGHBOURS, Refinement
+from torch.nn import functional
+
+from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, BLUR_STEP_PX, LARGEST_PX
+
+_BATCH = 8
+_RATE = 2e-3
+_AVERAGE = 0.998
+_UNTRIED = -1e4
+# Bins on either side of the likeliest that the blur size is the mean of.
+REACH = 2
+_RIGHT_PX = 1.5
+
+
+def blur_sizes(logits: torch.Tensor) -> torch.Tensor:
+    """Return the mean blur size around the likeliest [batch, rows, columns]."""
+    sizes = torch.from_numpy(BLUR_SIZES_PX).float()
+    best = logits.argmax(1, keepdim=True)
+    around = (best + torch.arange(-REACH, REACH + 1).view(1, -1, 1, 1)).clamp(0, BINS - 1)
+    near = torch.gather(logits, 1, around).float()
+    return (functional.softmax(near, 1) * sizes[around]).sum(1)
+
+
+def losses(size: torch.Tensor, choice: torch.Tensor, batch: Batch) -> dict[str, torch.Tensor]:
+    """Return what the network got wrong: blur sizes, their spread, and the choice of half-cells."""
+    logits = size[:, :BINS].float().masked_fill(~batch.tried[:, :, None, None], _UNTRIED)
+    log_width = size[:, BINS].float().clamp(-5, 2)
+    known = torch.isfinite(batch.blur_px)
+    truth = torch.nan_to_num(batch.blur_px).clamp(-LARGEST_PX, LARGEST_PX - 1e-3)
+    quarters = functional.pixel_unshuffle(truth[:, None], 2)  # [batch, 4, rows, columns]
+    counted = functional.pixel_unshuffle(known[:, None].float(), 2)
+    place = (quarters + LARGEST_PX) / BLUR_STEP_PX
+    below = place.floor()
+    share = place - below
+    log_p = functional.log_softmax(logits, 1)
+    low = torch.gather(log_p, 1, below.long())
+    high = torch.gather(log_p, 1, below.long() + 1)
+    # Two-hot: a truth between two bins belongs to both; a bin that was not tried gives its share.
+    low, high = (torch.where(part < _UNTRIED / 2, other, part) for part, other in ((low, high), (high, low)))
+    crossed = -((1 - share) * low + share * high).clamp(min=-30)
+    count = counted.sum().clamp(min=1)
+    entropy = (crossed * counted).sum() / count
+
+    found = blur_sizes(logits)
+    error = (found[:, None] - quarters).abs()
+    right = (error < _RIGHT_PX) * counted
+    spread = (log_width[:, None] + error / log_width[:, None].exp()) * right
+    spread = spread.sum() / count
+
+    around = functional.unfold(functional.pad(found.detach()[:, None], (1, 1, 1, 1), "replicate"), 3)
+    around = around.view(len(found), NEIGHBOURS, *found.shape[1:])
+    weights = functional.log_softmax(choice.float().view(len(found), 4, NEIGHBOURS, *found.shape[1:]), 2)
+    fit = -(around[:, None] - quarters[:, :, None]).abs().clamp(max=6) / 0.7
+    chosen = -torch.logsumexp(weights + fit, 2)
+    best = fit.amax(2)
+    chosen = ((chosen + best) * counted).sum() / count
+    within = ((error < 1.0) * counted).sum() / count
+    return {"entropy": entropy, "spread": spread, "choice": chosen, "within_1px": within}
+
+
+def total(parts: dict[str, torch.Tensor]) -> torch.Tensor:
+    """Return the weighted sum of the losses."""
+    return parts["entropy"] + 0.2 * parts["spread"] + 0.3 * parts["choice"]
+
+
+def main() -> None:
+    """Fit, and keep what was reached every few minutes."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", type=Path, required=True)
+    parser.add_argument("--costs", type=Path, required=True)
+    parser.add_argument("--output", type=Path, required=True)
+    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--shards", type=int, nargs=2, default=(4, 400))
+    parser.add_argument("--validate", type=int, nargs=2, default=(0, 4))
+    parser.add_argument("--start", type=Path, help="weights to start from")
+    parser.add_argument("--rate", type=float, default=_RATE)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--bfloat16", action="store_true")
+    args = parser.parse_args()
+    torch.set_num_threads(args.threads)
+    torch.manual_seed(0)
+    args.output.mkdir(parents=True, exist_ok=True)
+    frames = load(args.scenes, args.costs, list(range(*args.shards)))
+    held = load(args.scenes, args.costs, list(range(*args.validate)))
+    print(f"{len(frames)} frames to learn from, {len(held)} to look at", flush=True)
+    network = Refinement().to(memory_format=torch.channels_last)
+    average = copy.deepcopy(network)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=args.rate, weight_decay=1e-2)
+    spent, step = 0.0, 0
+    state_path = args.output / "state.pt"
+    if args.start:
+        network.load_state_dict(torch.load(args.start)["average"])
+        average.load_state_dict(network.state_dict())
+    if state_path.exists():
+        state = torch.load(state_path)
+        network.load_state_dict(state["network"])
+        average.load_state_dict(state["average"])
+        optimizer.load_state_dict(state["optimizer"])
+        spent, step = state["spent"], state["step"]
+    started = time.perf_counter() - spent
+    saved = reported = time.perf_counter()
+    sums: dict[str, float] = {}
+    since = 0
+    for batch in batches(frames, _BATCH, step + 1):
+        spent = time.perf_counter() - started
+        progress = spent / (60 * args.minutes)
+        if progress >= 1:
+            break
+        warm = min(1.0, (step + 1) / 100)
+        for group in optimizer.param_groups:
+            group["lr"] = args.rate * warm * (0.5 + 0.5 * math.cos(math.pi * progress)) + 1e-6
+        network.train()
+        with torch.autocast("cpu", torch.bfloat16, enabled=args.bfloat16):
+            size, choice = network(
+                batch.costs.contiguous(memory_format=torch.channels_last),
+                batch.frame.contiguous(memory_format=torch.channels_last),
+            )
+        parts = losses(size, choice, batch)
+        optimizer.zero_grad(set_to_none=True)
+        total(parts).backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 2.0)
+        optimizer.step()
+        step += 1
+        keep = min(_AVERAGE, (step + 1) / (step + 20))
+        with torch.no_grad():
+            for mean, value in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
+                if mean.is_floating_point():
+                    mean.lerp_(value, 1 - keep)
+        for name, value in parts.items():
+            sums[name] = sums.get(name, 0.0) + float(value.detach())
+        since += 1
+        now = time.perf_counter()
+        if now - reported > 60:
+            means = " ".join(f"{name} {value / since:.4f}" for name, value in sums.items())
+            print(f"{spent / 60:.1f} min, step {step}: {means}", flush=True)
+            sums, since, reported = {}, 0, now
+        if now - saved > 300:
+            _save(state_path, network, average, optimizer, spent, step)
+            print("held out:", json.dumps(validated(average, held)), flush=True)
+            saved = time.perf_counter()
+    _save(state_path, network, average, optimizer, spent, step)
+    print("held out:", json.dumps(validated(average, held)), flush=True)
+
+
+def validated(network: Refinement, frames: list) -> dict[str, float]:
+    """Return the mean losses on frames that are not learned from."""
+    network.eval()
+    sums: dict[str, float] = {}
+    count = 0
+    with torch.no_grad():
+        for batch in batches(frames, _BATCH, 0, augment=False):
+            for name, value in losses(*network(batch.costs, batch.frame), batch).items():
+                sums[name] = sums.get(name, 0.0) + float(value)
+            count += 1
+    return {name: round(value / max(count, 1), 4) for name, value in sums.items()}
+
+
+def _save(path: Path, network, average, optimizer, spent: float, step: int) -> None:
+    part = path.with_suffix(".part")
+    torch.save(
+        {
+            "network": network.state_dict(),
+            "average": average.state_dict(),
+            "optimizer": optimizer.state_dict(),
+            "spent": spent,
+            "step": step,
+        },
+        part,
+    )
+    part.rename(path)
+
+
+if __name__ == "__main__":
+    main()

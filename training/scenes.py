@@ -1,0 +1,119 @@
+"""Frames to learn from: random scenes through many masks, rendered once, kept in shards on disk.
+
+    python training/scenes.py --output DIR --shards 0 40
+"""
+
+import argparse
+import dataclasses
+import itertools
+import time
+from pathlib import Path
+
+import numpy as np
+
+from coded_aperture_ros.optics import Mask
+from coded_aperture_ros.simulation.layered import random_scene
+
+FRAMES_PER_SHARD = 50
+FRAME_PX = 288
+# Frames and blur sizes are kept as whole numbers of these.
+LIGHT_STEP = 1 / 65535
+BLUR_STEP = 1 / 1500
+
+# How often each mask is drawn; the random ones share the last number.
+_MASKS = {
+    "levin": 34,
+    "zhou": 15,
+    "four_hole": 13,
+    "three_wide": 5,
+    "four_wide": 4,
+    "three_hole": 3,
+    "veeraraghavan": 3,
+    "mura": 3,
+    "annulus": 2,
+    "disc": 2,
+}
+_RANDOM_MASKS, _RANDOM_SHARE = 12, 16
+_ASYMMETRIC = 0.05
+
+
+def mask_of(name: str) -> Mask:
+    """Return a mask by its name: the package's, or `random_N`."""
+    if not name.startswith("random_"):
+        return Mask.named(name)
+    random = np.random.default_rng([11, int(name.removeprefix("random_"))])
+    side = int(random.integers(7, 14))
+    grid = random.random((side, side)) < random.uniform(0.3, 0.6)
+    return Mask(name, grid.astype(np.float32))
+
+
+def mask_names() -> tuple[str, ...]:
+    """Return the names of all masks that are learned from."""
+    return (*_MASKS, *(f"random_{number}" for number in range(_RANDOM_MASKS)))
+
+
+@dataclasses.dataclass(frozen=True)
+class Drawn:
+    """Which scene a frame shows, and through what."""
+
+    seed: int
+    mask: str
+    side: str
+
+
+def drawn(number: int) -> Drawn:
+    """Return what frame `number` shows; the same for the same number."""
+    random = np.random.default_rng([5, number])
+    weights = np.array([*_MASKS.values(), *[_RANDOM_SHARE / _RANDOM_MASKS] * _RANDOM_MASKS])
+    mask = str(random.choice(mask_names(), p=weights / weights.sum()))
+    side = str(random.choice(["far", "near", "both"], p=[0.72, 0.1, 0.18]))
+    if side == "both" and mask_of(mask).asymmetry < _ASYMMETRIC:
+        side = "far"
+    return Drawn(number, mask, side)
+
+
+def render(number: int) -> dict[str, np.ndarray]:
+    """Return frame `number` without noise, and its truth."""
+    what = drawn(number)
+    random = np.random.default_rng([6, number])
+    mask = mask_of(what.mask)
+    scene = random_scene(what.seed, mask, what.side, (FRAME_PX, FRAME_PX))
+    # Cut and printed masks differ a little from what the bank believes.
+    uneven = 1 + random.uniform(0, 0.08) * random.standard_normal(mask.transmission.shape)
+    cells = np.clip(mask.transmission * uneven, 0, 1).astype(np.float32)
+    light = scene.coded(Mask(mask.name, cells))
+    return {
+        "light": np.rint(np.clip(light, 0, 1) / LIGHT_STEP).astype(np.uint16),
+        "blur": np.rint(scene.blur_size_px() / BLUR_STEP).astype(np.int16),
+        "infinity": np.float32(scene.camera.blur_at_infinity_px),
+    }
+
+
+def render_shard(shard: int) -> dict[str, np.ndarray]:
+    """Return all frames of a shard, stacked."""
+    numbers = range(shard * FRAMES_PER_SHARD, (shard + 1) * FRAMES_PER_SHARD)
+    frames = [render(number) for number in numbers]
+    return {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
+
+
+def main() -> None:
+    """Render the shards that are not there yet."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--output", type=Path, required=True)
+    parser.add_argument("--shards", type=int, nargs="+", required=True, help="FIRST END [STEP]")
+    args = parser.parse_args()
+    args.output.mkdir(parents=True, exist_ok=True)
+    for shard in itertools.chain(range(*args.shards)):
+        path = args.output / f"scenes_{shard:04d}.npz"
+        if path.exists():
+            continue
+        start = time.perf_counter()
+        frames = render_shard(shard)
+        part = path.with_suffix(".part.npz")
+        np.savez(part, **frames)
+        part.rename(path)
+        print(f"{path.name}: {time.perf_counter() - start:.1f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()
