@@ -26,7 +26,7 @@ setup(
     maintainer_email="maintainers@example.org",
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={f"{NAME}.design": ["page.html"]},
+    package_data={f"{NAME}.depth.refine": ["*.onnx.gz"], f"{NAME}.design": ["page.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -65,6 +65,8 @@ setup(
             "tqdm>=4.66",
         ],
         "gpu": ["torch>=2.2"],
+        # Random scenes, and training of the refinement.
+        "train": ["numba>=0.59", "torch>=2.2", "scikit-image>=0.22", "scikit-learn>=1.4"],
         "graphcut": [GRAPH_CUTS],
         "cluster": ["distributed>=2024.1"],
         # `make docs`.

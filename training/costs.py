@@ -1,6 +1,6 @@
 """Cost volumes of rendered frames: noise is added, and the package's own likelihood looks at them.
 
-    python training/costs.py --scenes DIR --output DIR --shards 0 40
+python training/costs.py --scenes DIR --output DIR --shards 0 40
 """
 
 import argparse
@@ -96,7 +96,7 @@ def costs(number: int, light: np.ndarray, folder: Path) -> dict[str, np.ndarray]
     frame = recorded(light, how, number)
     bank = bank_of(what.mask, what.side, how.bank, folder)
     noise = max(np.hypot(how.noise, 0.0011 * how.eight_bits), 2e-4) if how.known else 0.0
-    estimator = DepthEstimator(bank, DepthConfig(noise=float(noise)))
+    estimator = DepthEstimator(bank, DepthConfig(noise=float(noise), regularize="semiglobal"))
     observed = estimator.observe(frame)
     cost = estimator.cost(observed, observed.grey)
     estimator.close()
@@ -133,7 +133,9 @@ def main() -> None:
         arrays = {}
         for index, light in enumerate(np.load(source)["light"]):
             number = shard * FRAMES_PER_SHARD + index
-            found = costs(number, light.astype(np.float32) * np.float32(LIGHT_STEP), args.output / "banks")
+            found = costs(
+                number, light.astype(np.float32) * np.float32(LIGHT_STEP), args.output / "banks"
+            )
             arrays.update({f"{name}_{index}": value for name, value in found.items()})
         part = path.with_suffix(".part.npz")
         np.savez(part, **arrays)

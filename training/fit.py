@@ -1,6 +1,6 @@
 """Fit the refinement network; goes on where it was stopped.
 
-    python training/fit.py --scenes DIR --costs DIR --output DIR --minutes 60
+python training/fit.py --scenes DIR --costs DIR --output DIR --minutes 60
 """
 
 import argparse
@@ -50,7 +50,9 @@ def losses(size: torch.Tensor, choice: torch.Tensor, batch: Batch) -> dict[str, 
     low = torch.gather(log_p, 1, below.long())
     high = torch.gather(log_p, 1, below.long() + 1)
     # Two-hot: a truth between two bins belongs to both; a bin that was not tried gives its share.
-    low, high = (torch.where(part < _UNTRIED / 2, other, part) for part, other in ((low, high), (high, low)))
+    low, high = (
+        torch.where(part < _UNTRIED / 2, other, part) for part, other in ((low, high), (high, low))
+    )
     crossed = -((1 - share) * low + share * high).clamp(min=-30)
     count = counted.sum().clamp(min=1)
     entropy = (crossed * counted).sum() / count
@@ -61,9 +63,13 @@ def losses(size: torch.Tensor, choice: torch.Tensor, batch: Batch) -> dict[str, 
     spread = (log_width[:, None] + error / log_width[:, None].exp()) * right
     spread = spread.sum() / count
 
-    around = functional.unfold(functional.pad(found.detach()[:, None], (1, 1, 1, 1), "replicate"), 3)
+    around = functional.unfold(
+        functional.pad(found.detach()[:, None], (1, 1, 1, 1), "replicate"), 3
+    )
     around = around.view(len(found), NEIGHBOURS, *found.shape[1:])
-    weights = functional.log_softmax(choice.float().view(len(found), 4, NEIGHBOURS, *found.shape[1:]), 2)
+    weights = functional.log_softmax(
+        choice.float().view(len(found), 4, NEIGHBOURS, *found.shape[1:]), 2
+    )
     fit = -(around[:, None] - quarters[:, :, None]).abs().clamp(max=6) / 0.7
     chosen = -torch.logsumexp(weights + fit, 2)
     best = fit.amax(2)
@@ -137,7 +143,9 @@ def main() -> None:
         step += 1
         keep = min(_AVERAGE, (step + 1) / (step + 20))
         with torch.no_grad():
-            for mean, value in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
+            for mean, value in zip(
+                average.state_dict().values(), network.state_dict().values(), strict=True
+            ):
                 if mean.is_floating_point():
                     mean.lerp_(value, 1 - keep)
         for name, value in parts.items():

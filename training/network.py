@@ -59,8 +59,7 @@ class Refinement(nn.Module):
         self.at_half = nn.Sequential(Residual(w["half"], 2, True), Residual(w["half"]))
         self.down2 = convolution(w["half"], w["quarter"], 3, 2)
         self.at_quarter = nn.Sequential(
-            Residual(w["quarter"], 1, True),
-            Residual(w["quarter"], 2, True),
+            Residual(w["quarter"], 1, True), Residual(w["quarter"], 2, True)
         )
         self.up2 = nn.ConvTranspose2d(w["quarter"], w["half"], 2, 2)
         self.at_half_again = nn.Sequential(
@@ -77,7 +76,9 @@ class Refinement(nn.Module):
         self.head = nn.Conv2d(w["fine"], BINS + 1, 1)
         self.choice = nn.Conv2d(w["fine"], 4 * NEIGHBOURS, 1)
 
-    def forward(self, costs: torch.Tensor, frame: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def forward(
+        self, costs: torch.Tensor, frame: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         of_frame = self.frame(frame)
         cell = self.join(torch.cat([self.stem(costs), self.frame_down(of_frame)], 1))
         cell = self.at_cell(cell)

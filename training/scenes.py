@@ -1,6 +1,6 @@
 """Frames to learn from: random scenes through many masks, rendered once, kept in shards on disk.
 
-    python training/scenes.py --output DIR --shards 0 40
+python training/scenes.py --output DIR --shards 0 40
 """
 
 import argparse

@@ -4,7 +4,7 @@ import dataclasses
 
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.core.workers import check_threads
-from coded_aperture_ros.depth.regularize import REGULARIZERS
+from coded_aperture_ros.depth.regularize import LEARNED, REGULARIZERS
 from coded_aperture_ros.likelihood import BACKENDS, check_backend
 
 # What nodes and bags take instead of a bank's own stride, to keep up with a camera.
@@ -25,8 +25,10 @@ class DepthConfig:
     )
     regularize: str = option(
         "semiglobal",
-        "Spatial regularisation of the blur levels: graphcut is the slow reference.",
-        choices=tuple(REGULARIZERS),
+        "Spatial regularisation of the blur levels: learned is sharpest at edges, semiglobal needs "
+        "nothing learned and stands in where the network was not trained, graphcut is the slow "
+        "reference.",
+        choices=(LEARNED, *REGULARIZERS),
         parameter="regularize.method",
     )
     smoothness: float = option(

@@ -1,26 +1,21 @@
-"""Depth from coded frames: cost -> temporal -> regularise -> level -> confidence -> map."""
+"""Depth from coded frames: cost -> temporal -> refine -> level and confidence -> map."""
 
 import dataclasses
 from typing import Any
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.depth.config import DepthConfig
+from coded_aperture_ros.depth.decision import Decide, Regularized
 from coded_aperture_ros.depth.edges import edge_correction
 from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
-from coded_aperture_ros.depth.posterior import (
-    confidence_of,
-    is_uninformative,
-    is_unsure,
-    level_deviation,
-    level_probability,
-    nearest_plausible_level,
-)
-from coded_aperture_ros.depth.regularize import Regularizer, regularizer
+from coded_aperture_ros.depth.posterior import is_unsure
+from coded_aperture_ros.depth.refine import Refined, untrained
+from coded_aperture_ros.depth.regularize import LEARNED, Regularizer, regularizer
 from coded_aperture_ros.depth.sides import FocalSides
 from coded_aperture_ros.depth.temporal import TemporalFilter
 from coded_aperture_ros.depth.upsample import MapGrid
@@ -37,6 +32,7 @@ class _Planned:
     shape: tuple[int, ...]
     likelihood: Likelihood
     sides: FocalSides | None
+    decide: Decide
 
 
 class DepthEstimator:
@@ -73,9 +69,11 @@ class DepthEstimator:
         self.model, self.camera = model, camera
         self.known_noise = KnownNoise.of(config, camera, model)
         self._levels = Levels.of(model, camera)
-        self._regularize = regularize or regularizer(config.regularize, config.smoothness)
-        self._neighbours_decide = regularize is not None or config.regularize != "none"
-        self._correct_edges = edge_correction(model, config.edge_correction)
+        self._learned = regularize is None and config.regularize == LEARNED
+        # What is not learned, or was not trained for, is regularised by classical means.
+        classical = "semiglobal" if self._learned else config.regularize
+        self._regularize = regularize or regularizer(classical, config.smoothness)
+        self._neighbours_decide = regularize is not None or classical != "none"
         frames = config.temporal_frames
         self._average = StaticAverage(2 * frames) if frames else None
         self._temporal = TemporalFilter(frames) if frames else None
@@ -181,30 +179,27 @@ class DepthEstimator:
         size: tuple[int, int] | None = None,
         stages: Stages | None = None,
     ) -> DepthEstimate:
-        """Choose the levels of all patches and draw the maps; the last step of `estimate`.
+        """Decide the level of every pixel and draw the maps; the last step of `estimate`.
 
         By the cost of all frames; `own`, of this frame, says where between two levels.
         """
         stages = stages or Stages()
         levels, shape, config = self._levels, seen.grey.shape, self.config
         size = size or (shape[0], shape[1])
-        of_patches = self._regularize(volume, own.volume, seen.brightness, seen.grid.stride_px)
-        stages.lap("regularise")
-        at = MapGrid.worthwhile(seen.grid, shape, size)
-        level = self._correct_edges(at.interpolated(of_patches), at.scale)
-        probability = level_probability(volume)
-        confidence, of_side = self._confidence(level, of_patches, volume, probability, at)
-        uninformative = ~seen.usable | self._left_open(probability)
-        if uninformative.any():
-            confidence[at.nearest(uninformative)] = 0
+        decided = self._plan_for(shape).decide(seen, volume, own, size, stages)
+        level, confidence = decided.level, decided.confidence
         unsure = is_unsure(confidence, config.confidence_threshold)
         if config.unknown == "nearest":  # so that nothing is run into
-            nearest = at.nearest(nearest_plausible_level(probability, levels.nearest_first))
-            level = np.where(unsure, levels.nearer(level, nearest.astype(np.float32)), level)
+            level = np.where(unsure, levels.nearer(level, decided.nearest_plausible()), level)
         blur_size_px, depth_m = levels.meaning(level)
-        std_dev_m = levels.std_dev_m(level, self._deviation(level, volume, at))
         estimate = DepthEstimate(
-            level, blur_size_px, depth_m, confidence, seen.channel_noise, of_side, std_dev_m
+            level,
+            blur_size_px,
+            depth_m,
+            confidence,
+            seen.channel_noise,
+            decided.side_confidence,
+            levels.std_dev_m(level, decided.deviation),
         )
         if config.unknown == "nothing":
             estimate = estimate.without(unsure)
@@ -215,39 +210,6 @@ class DepthEstimator:
             )
         stages.lap("map")
         return dataclasses.replace(estimate, seconds=stages.seconds)
-
-    def _confidence(
-        self,
-        level: FloatArray,
-        of_patches: FloatArray,
-        volume: FloatArray,
-        probability: FloatArray,
-        at: MapGrid,
-    ) -> tuple[FloatArray, FloatArray | None]:
-        """Return how likely each pixel's level is right, and how likely its side is."""
-        agreement = self._levels.agreement
-        sides = self._plan_for(at.frame_shape).sides
-        if sides is None:
-            return confidence_of(level, probability, at.patches, agreement), None
-        of_side = at.nearest(sides.confidence(of_patches, volume, at.grid))
-        confidence = confidence_of(level, sides.given(probability), at.patches, agreement)
-        # Where both sides' depths are about the same, either is right.
-        confidence *= np.where(sides.agree(level), 1, of_side)
-        return confidence, of_side
-
-    def _deviation(self, level: FloatArray, volume: FloatArray, at: MapGrid) -> FloatArray:
-        """Return the standard deviation of each pixel's level, if its side is the right one."""
-        sides = self._plan_for(at.frame_shape).sides
-        if sides is None:
-            return level_deviation(level, volume, at.patches)
-        return sides.deviation(level, volume, at.patches)
-
-    def _left_open(self, probability: FloatArray) -> BoolArray:
-        """Return which patches are uninformative; others have the level of their neighbours."""
-        alone = is_uninformative(probability)
-        if self._neighbours_decide and not alone.all():
-            return np.zeros_like(alone)
-        return alone
 
     def _plan_for(self, shape: tuple[int, ...]) -> _Planned:
         """Return the plan for frames of a size; another size starts another video."""
@@ -261,7 +223,16 @@ class DepthEstimator:
             sides = None
             if model.stack.has_both_sides:
                 sides = FocalSides(model.stack, self._levels, shape, self._regularize)
-            self._planned = _Planned(shape, likelihood, sides)
+            decide: Decide = Regularized(
+                self._levels,
+                self._regularize,
+                edge_correction(model, config.edge_correction),
+                sides,
+                self._neighbours_decide,
+            )
+            if self._learned and not untrained(model, stride_px):
+                decide = Refined(model, self._levels)
+            self._planned = _Planned(shape, likelihood, sides, decide)
         return self._planned
 
 

@@ -10,6 +10,8 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.posterior import refine_level
 from coded_aperture_ros.depth.surface import on_surfaces
 
+# The choice beside `REGULARIZERS` that a network makes; see `coded_aperture_ros.depth.refine`.
+LEARNED = "learned"
 # The cost of a level counts up to here; beyond, it is an outlier (natural logarithm).
 _MOST_COST = 7.0
 # A step of more levels than this is a depth edge: how large it is no longer matters.

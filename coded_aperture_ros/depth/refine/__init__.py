@@ -1,1 +1,5 @@
-"""Refinement of the cost volume by a small learned network."""
+"""Refinement of the cost volume by a small network that was trained on random scenes."""
+
+from coded_aperture_ros.depth.refine.refine import Refined, untrained
+
+__all__ = ["Refined", "untrained"]

@@ -5,7 +5,7 @@ import dataclasses
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.imaging import PatchGrid
 
 # Distance between cells, px; patches at other distances are interpolated.
@@ -101,7 +101,7 @@ def _axis(centre: int, length: int) -> tuple[int, int]:
     return top, -(-count // multiple) * multiple
 
 
-def _interpolation(centres: FloatArray, first: int, cells: slice) -> FloatArray:
+def _interpolation(centres: IndexArray, first: int, cells: slice) -> FloatArray:
     """Return the linear weight of every patch for every cell [cells, patches]."""
     at = first + CELL_PX * np.arange(cells.start, cells.stop) + CELL_PX // 2
     place = np.interp(at, centres, np.arange(len(centres)))

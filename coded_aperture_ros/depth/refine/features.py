@@ -23,7 +23,7 @@ _SMOOTH_PX = 9
 def tried_sizes(sizes_px: DoubleArray) -> BoolArray:
     """Return which of `BLUR_SIZES_PX` lie among a model's blur sizes [L]."""
     margin = BLUR_STEP_PX / 2
-    return (BLUR_SIZES_PX >= sizes_px.min() - margin) & (BLUR_SIZES_PX <= sizes_px.max() + margin)
+    return (sizes_px.min() - margin <= BLUR_SIZES_PX) & (sizes_px.max() + margin >= BLUR_SIZES_PX)
 
 
 def resampling(sizes_px: DoubleArray) -> FloatArray:

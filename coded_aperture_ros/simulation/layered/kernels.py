@@ -23,7 +23,7 @@ def _within(first, step, low, high, start, stop):  # type: ignore[no-untyped-def
     one, two = (low - first) / step, (high - first) / step
     if one > two:
         one, two = two, one
-    return max(start, int(math.ceil(one + 1e-3))), min(stop, int(math.floor(two - 1e-3)) + 1)
+    return max(start, math.ceil(one + 1e-3)), min(stop, math.floor(two - 1e-3) + 1)
 
 
 @njit(cache=True, fastmath=True)
@@ -62,12 +62,10 @@ def trace(table, sizes, light, cover, relief, samples, height, width):  # type: 
                     at = offset + i * columns + j
                     below = at + columns
                     w0, w1, w2, w3 = (one - b) * (one - d), (one - b) * d, b * (one - d), b * d
-                    hides = (
-                        w0 * cover[at] + w1 * cover[at + 1] + w2 * cover[below] + w3 * cover[below + 1]
-                    )
-                    shines = (
-                        w0 * light[at] + w1 * light[at + 1] + w2 * light[below] + w3 * light[below + 1]
-                    )
+                    hides = w0 * cover[at] + w1 * cover[at + 1]
+                    hides += w2 * cover[below] + w3 * cover[below + 1]
+                    shines = w0 * light[at] + w1 * light[at + 1]
+                    shines += w2 * light[below] + w3 * light[below + 1]
                     found[x] += open_[x] * shines
                     open_[x] *= one - hides
             for x in range(width):
@@ -96,8 +94,8 @@ def front(table, sizes, light, cover, relief, height, width):  # type: ignore[no
             for layer in range(len(table)):
                 top, left, base, down, right = table[layer]
                 offset, rows, columns, bumps = sizes[layer]
-                i = int(math.floor((y - top) * _FINENESS + 0.5))
-                j = int(math.floor((x - left) * _FINENESS + 0.5))
+                i = math.floor((y - top) * _FINENESS + 0.5)
+                j = math.floor((x - left) * _FINENESS + 0.5)
                 at = i * columns + j
                 if 0 <= i < rows and 0 <= j < columns and cover[offset + at] > 0.49:
                     size = base + down * y + right * x

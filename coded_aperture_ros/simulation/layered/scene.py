@@ -133,7 +133,7 @@ class _Drawing:
     def things(self) -> tuple[Layer, ...]:
         """Return what stands, hangs and grows before the room, nearest first."""
         random = self.random
-        found = []
+        found: list[tuple[float, FloatArray | None]] = []
         names = list(THINGS)
         for _ in range(int(random.integers(1, 11))):
             name = names[random.integers(len(names))]
@@ -239,9 +239,7 @@ class _Drawing:
         cover = prefiltered(np.ascontiguousarray(matte))
         # Means over pixels begin at canvas pixels, half of one before the pixel's middle.
         at = [value / FINENESS - self.margin for value in (top, left)]
-        return Layer(
-            at[0], at[1], prefiltered(light * matte), cover, (base, down, right), relief
-        )
+        return Layer(at[0], at[1], prefiltered(light * matte), cover, (base, down, right), relief)
 
     def _light(self, shape: tuple[int, ...]) -> FloatArray:
         """Return a textured surface's light: tone, contrast, shading."""

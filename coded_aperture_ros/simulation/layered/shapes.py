@@ -4,18 +4,19 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.simulation.layered.tracing import FINENESS
 
 _SHIFT = 4  # OpenCV's fixed-point coordinates: sixteenths of a canvas pixel
 
 
-def _fill(canvas: FloatArray, points: FloatArray) -> None:
+def _fill(canvas: FloatArray, points: NDArray[np.floating]) -> None:
     cv2.fillPoly(canvas, [np.rint(points * 2**_SHIFT).astype(np.int32)], 1.0, cv2.LINE_AA, _SHIFT)
 
 
-def _stroke(canvas: FloatArray, points: FloatArray, width: float) -> None:
+def _stroke(canvas: FloatArray, points: NDArray[np.floating], width: float) -> None:
     """Draw a line of constant width along points [n, 2] (x, y)."""
     along = np.gradient(points, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
@@ -28,12 +29,12 @@ def width_px(random: np.random.Generator) -> float:
     return FINENESS * float(np.exp(random.uniform(np.log(2), np.log(24))))
 
 
-def _end(random: np.random.Generator, side: int) -> FloatArray:
+def _end(random: np.random.Generator, side: int) -> DoubleArray:
     return random.uniform(-0.2, 1.2, 2) * side
 
 
 def rods(random: np.random.Generator, side: int) -> FloatArray:
-    """A few straight rods that cross the picture."""
+    """Draw a few straight rods that cross the picture."""
     canvas = np.zeros((side, side), np.float32)
     for _ in range(random.integers(1, 4)):
         middle, angle = random.uniform(0, side, 2), random.choice([0, 1]) * np.pi / 2
@@ -45,7 +46,7 @@ def rods(random: np.random.Generator, side: int) -> FloatArray:
 
 
 def cables(random: np.random.Generator, side: int) -> FloatArray:
-    """Sagging or winding cables."""
+    """Draw sagging or winding cables."""
     canvas = np.zeros((side, side), np.float32)
     for _ in range(random.integers(1, 4)):
         t = np.linspace(0, 1, 40)[:, None]
@@ -56,7 +57,7 @@ def cables(random: np.random.Generator, side: int) -> FloatArray:
 
 
 def net(random: np.random.Generator, side: int) -> FloatArray:
-    """A net, a fence or a grating."""
+    """Draw a net, a fence or a grating."""
     canvas = np.zeros((side, side), np.float32)
     spacing = FINENESS * random.uniform(14, 60)
     width = FINENESS * random.uniform(1.5, min(spacing / 6, 6))
@@ -73,7 +74,7 @@ def net(random: np.random.Generator, side: int) -> FloatArray:
 
 
 def card(random: np.random.Generator, side: int) -> FloatArray:
-    """A polygon with three to six corners; mostly a rectangle."""
+    """Draw a polygon with three to six corners; mostly a rectangle."""
     canvas = np.zeros((side, side), np.float32)
     centre, size = random.uniform(0, side, 2), random.uniform(0.06, 0.5, 2) * side
     corners = 4 if random.random() < 0.7 else int(random.integers(3, 7))
@@ -86,7 +87,7 @@ def card(random: np.random.Generator, side: int) -> FloatArray:
 
 
 def ellipse(random: np.random.Generator, side: int) -> FloatArray:
-    """An ellipse of any size."""
+    """Draw an ellipse of any size."""
     canvas = np.zeros((side, side), np.float32)
     turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     size, angle = random.uniform(0.02, 0.3, 2) * side, random.uniform(0, np.pi)
@@ -97,7 +98,7 @@ def ellipse(random: np.random.Generator, side: int) -> FloatArray:
 
 
 def frame(random: np.random.Generator, side: int) -> FloatArray:
-    """A window frame, or a ring: a shape with a hole like it."""
+    """Draw a window frame, or a ring: a shape with a hole like it."""
     shape = card if random.random() < 0.7 else ellipse
     outline = shape(random, side)
     thick = max(3, int(width_px(random)))
@@ -105,7 +106,7 @@ def frame(random: np.random.Generator, side: int) -> FloatArray:
 
 
 def furniture(random: np.random.Generator, side: int) -> FloatArray:
-    """Something with a seat, a back and thin legs, or a ladder."""
+    """Draw something with a seat, a back and thin legs, or a ladder."""
     canvas = np.zeros((side, side), np.float32)
     left, top = random.uniform(-0.1, 0.7, 2) * side
     wide, high = random.uniform(0.15, 0.45), random.uniform(0.25, 0.7)
@@ -132,7 +133,7 @@ def furniture(random: np.random.Generator, side: int) -> FloatArray:
 
 
 def person(random: np.random.Generator, side: int) -> FloatArray:
-    """Somebody who stands there: head, trunk, arms and legs."""
+    """Draw somebody who stands there: head, trunk, arms and legs."""
     canvas = np.zeros((side, side), np.float32)
     scale = random.uniform(0.25, 0.8) * side
     left, top = random.uniform(0, 0.9, 2) * side - [0, 0.2 * side]
@@ -141,7 +142,9 @@ def person(random: np.random.Generator, side: int) -> FloatArray:
         points = np.array([[x0, y0], [x1, y1]]) * scale + [left, top]
         _stroke(canvas, points, thick * scale)
 
-    cv2.circle(canvas, (int(left), int(top + 0.09 * scale)), int(0.075 * scale), 1.0, -1, cv2.LINE_AA)
+    cv2.circle(
+        canvas, (int(left), int(top + 0.09 * scale)), int(0.075 * scale), 1.0, -1, cv2.LINE_AA
+    )
     limb(0, 0.12, 0, 0.22, 0.06)
     limb(0, 0.2, random.normal(0, 0.02), 0.56, random.uniform(0.18, 0.26))
     for sign in (-1, 1):
@@ -153,7 +156,7 @@ def person(random: np.random.Generator, side: int) -> FloatArray:
 
 
 def blob(random: np.random.Generator, side: int) -> FloatArray:
-    """A patch with a rough outline, as of bushes and cloth."""
+    """Draw a patch with a rough outline, as of bushes and cloth."""
     small = random.standard_normal((side // 4, side // 4)).astype(np.float32)
     coarse = cv2.GaussianBlur(small, (0, 0), random.uniform(2, 12))
     y, x = np.mgrid[: side // 4, : side // 4] * 4 / side
@@ -178,7 +181,7 @@ THINGS: dict[str, Callable[[np.random.Generator, int], FloatArray]] = {
 
 
 def leaf(random: np.random.Generator, side: int) -> FloatArray:
-    """A single pointed leaf, in the middle."""
+    """Draw a single pointed leaf, in the middle."""
     canvas = np.zeros((side, side), np.float32)
     length, width = side * 0.46, side * random.uniform(0.1, 0.3)
     t = np.linspace(-1, 1, 24)

@@ -79,7 +79,7 @@ def _photograph(random: np.random.Generator) -> FloatArray:
     picture = pictures[random.integers(len(pictures))]
     side = int(min(picture.shape) * random.uniform(0.5, 1.0))
     top, left = (random.integers(length - side + 1) for length in picture.shape)
-    cut = np.rot90(picture[top : top + side, left : left + side], random.integers(4))
+    cut = np.rot90(picture[top : top + side, left : left + side], int(random.integers(4)))
     if random.random() < 0.5:
         cut = cut[:, ::-1]
     # At the resolution of the picture or less, and mirrored to fill the rest.
@@ -91,7 +91,7 @@ def _photograph(random: np.random.Generator) -> FloatArray:
 
 
 def _noise(random: np.random.Generator) -> FloatArray:
-    """Noise with a power-law spectrum, sometimes stretched."""
+    """Draw noise with a power-law spectrum, sometimes stretched."""
     slope = random.uniform(1.0, 3.4)
     shape = (TEXTURE_PX, TEXTURE_PX)
     stretch, angle = np.exp(random.uniform(0, 1.5) * (random.random() < 0.4)), random.uniform(0, 3)
@@ -135,7 +135,10 @@ def _bricks(random: np.random.Generator) -> FloatArray:
     canvas = np.full((TEXTURE_PX, TEXTURE_PX), random.uniform(-2, 2), np.float32)
     for row, top in enumerate(range(0, TEXTURE_PX, height)):
         for left in range(-width - shift * (row % 2), TEXTURE_PX, width):
-            area = slice(top, top + height - joint), slice(max(left, 0), max(left + width - joint, 0))
+            area = (
+                slice(top, top + height - joint),
+                slice(max(left, 0), max(left + width - joint, 0)),
+            )
             canvas[area] = random.normal()
     return canvas + random.uniform(0.05, 0.8) * _standard(_noise(random))
 
@@ -172,7 +175,7 @@ def _cells(random: np.random.Generator) -> FloatArray:
 
 
 def _strokes(random: np.random.Generator) -> FloatArray:
-    """Writing and scribbles on paper."""
+    """Draw writing or scribbles on paper."""
     canvas = np.zeros((TEXTURE_PX, TEXTURE_PX), np.float32)
     letters = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789 "
     scale = random.uniform(0.5, 2.5)

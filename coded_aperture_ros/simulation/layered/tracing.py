@@ -5,6 +5,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
@@ -50,7 +51,7 @@ def lens_samples(mask: Mask, widest_px: float) -> FloatArray:
     """
     cells = max(mask.transmission.shape)
     wanted = max(int(np.ceil(widest_px / _SAMPLE_PX)), 3)
-    grid = mask.transmission.astype(np.float64)
+    grid: NDArray[np.floating] = mask.transmission.astype(np.float64)
     if cells > wanted:  # finer than the sensor sees
         pad = [(0, cells - length) for length in grid.shape]
         shares = cell_shares(wanted, cells, wanted / cells)

@@ -1,0 +1,148 @@
+"""From the cost volume to the level of every pixel, and how sure it is, by classical means."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray
+from coded_aperture_ros.core.stages import Stages
+from coded_aperture_ros.depth.edges import EdgeCorrection
+from coded_aperture_ros.depth.levels import Levels
+from coded_aperture_ros.depth.observation import Observation
+from coded_aperture_ros.depth.posterior import (
+    confidence_of,
+    is_uninformative,
+    level_deviation,
+    level_probability,
+    nearest_plausible_level,
+)
+from coded_aperture_ros.depth.regularize import Regularizer
+from coded_aperture_ros.depth.sides import FocalSides
+from coded_aperture_ros.depth.upsample import MapGrid
+from coded_aperture_ros.likelihood import Cost
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Decision:
+    """What was decided of every pixel of a map; all maps are float32 of one shape.
+
+    Attributes
+    ----------
+    level : ndarray
+        Fractional index into the model's levels.
+    deviation : ndarray
+        Its standard deviation, in levels.
+    confidence : ndarray
+        Probability, in [0, 1], that the level is right; see `DepthEstimate`.
+    side_confidence : ndarray or None
+        See `DepthEstimate`.
+    nearest_plausible : callable
+        Returns the level that the true one is hardly nearer than.
+    """
+
+    level: FloatArray
+    deviation: FloatArray
+    confidence: FloatArray
+    side_confidence: FloatArray | None
+    nearest_plausible: Callable[[], FloatArray]
+
+
+class Decide(Protocol):
+    """Decides the level of every pixel of frames of one size."""
+
+    def __call__(
+        self,
+        seen: Observation,
+        volume: FloatArray,
+        own: Cost,
+        size: tuple[int, int],
+        stages: Stages,
+    ) -> Decision:
+        """Return the maps, at most of `size` (rows, columns).
+
+        Parameters
+        ----------
+        seen : Observation
+            The frame.
+        volume : ndarray, float32 [rows, columns, L]
+            Cost of every level, of all frames.
+        own : Cost
+            Of this frame alone, or of a mean of frames.
+        stages : Stages
+            Takes down how long the parts of the work took.
+        """
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Regularized:
+    """Decides by a regulariser, corrects foreground fattening, and lets each patch say how sure.
+
+    `neighbours_decide` says whether a patch that is uninformative by itself has the level of its
+    neighbours, and is not left open.
+    """
+
+    levels: Levels
+    regularize: Regularizer
+    correct_edges: EdgeCorrection
+    sides: FocalSides | None
+    neighbours_decide: bool
+
+    def __call__(
+        self,
+        seen: Observation,
+        volume: FloatArray,
+        own: Cost,
+        size: tuple[int, int],
+        stages: Stages,
+    ) -> Decision:
+        """See `Decide`."""
+        of_patches = self.regularize(volume, own.volume, seen.brightness, seen.grid.stride_px)
+        stages.lap("regularise")
+        at = MapGrid.worthwhile(seen.grid, seen.grey.shape, size)
+        level = self.correct_edges(at.interpolated(of_patches), at.scale)
+        probability = level_probability(volume)
+        confidence, of_side = self._confidence(level, of_patches, volume, probability, at)
+        uninformative = ~seen.usable | self._left_open(probability)
+        if uninformative.any():
+            confidence[at.nearest(uninformative)] = 0
+
+        def nearest_plausible() -> FloatArray:
+            nearest = nearest_plausible_level(probability, self.levels.nearest_first)
+            return np.asarray(at.nearest(nearest.astype(np.float32)))
+
+        deviation = self._deviation(level, volume, at)
+        return Decision(level, deviation, confidence, of_side, nearest_plausible)
+
+    def _confidence(
+        self,
+        level: FloatArray,
+        of_patches: FloatArray,
+        volume: FloatArray,
+        probability: FloatArray,
+        at: MapGrid,
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """Return how likely each pixel's level is right, and how likely its side is."""
+        agreement = self.levels.agreement
+        if self.sides is None:
+            return confidence_of(level, probability, at.patches, agreement), None
+        of_side = at.nearest(self.sides.confidence(of_patches, volume, at.grid))
+        given_side = self.sides.given(probability)
+        confidence = confidence_of(level, given_side, at.patches, agreement)
+        # Where both sides' depths are about the same, either is right.
+        confidence *= np.where(self.sides.agree(level), 1, of_side)
+        return confidence, of_side
+
+    def _deviation(self, level: FloatArray, volume: FloatArray, at: MapGrid) -> FloatArray:
+        """Return the standard deviation of each pixel's level, if its side is the right one."""
+        if self.sides is None:
+            return level_deviation(level, volume, at.patches)
+        return self.sides.deviation(level, volume, at.patches)
+
+    def _left_open(self, probability: FloatArray) -> BoolArray:
+        """Return which patches are uninformative; others have the level of their neighbours."""
+        alone = is_uninformative(probability)
+        if self.neighbours_decide and not alone.all():
+            return np.zeros_like(alone)
+        return alone

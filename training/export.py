@@ -1,0 +1,75 @@
+"""Write the fitted network in the form that the package runs.
+
+python training/export.py --state DIR/state.pt -o coded_aperture_ros/depth/refine/refinement.onnx.gz
+"""
+
+import argparse
+import gzip
+import hashlib
+import io
+from pathlib import Path
+
+import torch
+from network import BINS, Refinement
+
+from coded_aperture_ros.depth.refine.features import FRAME_CELL_PX, SCALARS
+
+# Of a single-precision number; what is left out is below what half precision keeps.
+_DROPPED_BITS = 12
+# OpenCV takes other sizes, too.
+_ROWS, _COLUMNS = 64, 84
+
+
+def rounded(weights: torch.Tensor) -> torch.Tensor:
+    """Return weights with 11 significant bits, so that the file packs well."""
+    bits = weights.contiguous().view(torch.int32)
+    half = 1 << (_DROPPED_BITS - 1)
+    return ((bits + half) >> _DROPPED_BITS << _DROPPED_BITS).view(torch.float32)
+
+
+def main() -> None:
+    """Write the network, and print its size and checksum."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--state", type=Path, required=True)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    args = parser.parse_args()
+    network = Refinement()
+    network.load_state_dict(torch.load(args.state)["average"])
+    network.eval()
+    for module in list(network.modules()):
+        _fold(module)
+    for parameter in network.parameters():
+        parameter.data = rounded(parameter.data)
+    written = io.BytesIO()
+    torch.onnx.export(
+        network,
+        (
+            torch.zeros(1, BINS + SCALARS, _ROWS, _COLUMNS),
+            torch.zeros(1, FRAME_CELL_PX**2, 2 * _ROWS, 2 * _COLUMNS),
+        ),
+        written,
+        input_names=["costs", "frame"],
+        output_names=["size", "choice"],
+        dynamo=False,
+        opset_version=11,
+    )
+    packed = gzip.compress(written.getvalue(), 9, mtime=0)
+    args.output.write_bytes(packed)
+    count = sum(parameter.numel() for parameter in network.parameters())
+    print(f"{count} weights, {len(packed)} bytes, sha256 {hashlib.sha256(packed).hexdigest()}")
+
+
+def _fold(module: torch.nn.Module) -> None:
+    """Fold a batch normalisation into the convolution before it."""
+    names = dict(module.named_children())
+    pairs = [("0", "1"), ("spatial", "norm")]
+    for first, second in pairs:
+        convolution, norm = names.get(first), names.get(second)
+        if isinstance(convolution, torch.nn.Conv2d) and isinstance(norm, torch.nn.BatchNorm2d):
+            fused = torch.nn.utils.fusion.fuse_conv_bn_eval(convolution, norm)
+            setattr(module, first, fused)
+            setattr(module, second, torch.nn.Identity())
+
+
+if __name__ == "__main__":
+    main()
