@@ -178,11 +178,16 @@ def test_depth_of_a_scene_is_scored(capsys, folder):
     assert everywhere["all"]["coverage"] > 0.99
     assert 0.3 < confident["all"]["coverage"] < everywhere["all"]["coverage"]
     assert confident["all"]["within_10_percent"] > everywhere["all"]["within_10_percent"]
+    dense = cell["dense"]
+    assert dense["published"]["within_10_percent"] < dense["within_10_percent"] < 1
+    assert dense["confident"]["coverage"] == confident["all"]["coverage"]
+    assert 0 < dense["boundary"]["1"]["f_score"] <= dense["boundary"]["4"]["f_score"] <= 1
     pixels = sum(entry["count"] for entry in cell["reliability"])
     assert pixels == pytest.approx(HEIGHT * WIDTH, rel=0.01)
     table = call(capsys, "bench", "accuracy", "scenes", folder, "--levels", 12)
     assert (table.status, table.err) == (0, "")
     assert "near edges" in table.out
+    assert "worst first" in table.out
 
 
 def test_a_folder_that_is_no_scene_is_named(capsys, tmp_path, folder):

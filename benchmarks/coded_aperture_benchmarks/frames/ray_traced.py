@@ -7,19 +7,20 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import SRGB
 from coded_aperture_ros.io import read_depth, read_image
+from coded_aperture_ros.metrics.edges import edge_distance_px
 from coded_aperture_ros.optics import Camera, Mask
 
 _META = "meta.json"
 # The stills' pictures store 65520 for 1.0, depth is in tenths of a millimetre.
 _FULL_SCALE = np.float32(65535 / 65520)
 _DEPTH_UNIT_M = 1e-4
-_EDGE_JUMP_PX = 1.0
+# Where it is less than this, the depth is not reliable.
+_VALID = 1.0
 # Banks are learned for a little more than what there is to see.
 RANGE_MARGIN = 0.02
 
@@ -33,6 +34,7 @@ class RayTracedScene:
     coded, sharp : ndarray, float32 [rows, columns, 3]
         Linear light: as the coded camera sees it, and all in focus. Without sensor noise.
     depth_m : ndarray, float32 [rows, columns]
+        NaN where unknown.
     """
 
     coded: NDArray[np.float32]
@@ -76,14 +78,10 @@ class RayTracedScene:
     def edge_distance_px(self) -> NDArray[np.float64]:
         """Return every pixel's distance from the nearest depth edge; infinite without one.
 
-        A depth edge is a jump of more than one pixel in blur size between neighbours.
+        A depth edge is a jump of more than one pixel in blur size between neighbours. Borders of
+        unknown depth are none.
         """
-        size = self.camera.blur_size_px(self.depth_m)
-        jump = ndimage.maximum_filter(size, 3) - ndimage.minimum_filter(size, 3) > _EDGE_JUMP_PX
-        if not jump.any():  # the transform would measure to a point outside of the picture
-            return np.full(jump.shape, np.inf)
-        distance: NDArray[np.float64] = ndimage.distance_transform_edt(~jump)
-        return distance
+        return edge_distance_px(self.camera.blur_size_px(self.depth_m))
 
 
 def bank_for(
@@ -103,11 +101,13 @@ def load_sharp(folder: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     sharp : ndarray, float32 [rows, columns, 3]
         Linear light.
     depth_m : ndarray, float32 [rows, columns]
+        NaN where unknown or, says `valid.png` if there is one, not reliable.
     """
-    return (
-        read_image(folder / "aif_linear.png") * _FULL_SCALE,
-        read_depth(folder / "depth_0.1mm.png", _DEPTH_UNIT_M),
-    )
+    depth_m = read_depth(folder / "depth_0.1mm.png", _DEPTH_UNIT_M)
+    valid = folder / "valid.png"
+    if valid.exists():
+        depth_m[read_image(valid) < _VALID] = np.nan
+    return read_image(folder / "aif_linear.png") * _FULL_SCALE, depth_m
 
 
 def scene_camera(folder: Path, mask_name: str) -> Camera:

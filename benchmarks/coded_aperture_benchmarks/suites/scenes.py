@@ -2,13 +2,24 @@
 
 import dataclasses
 import itertools
+import math
 import time
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.dense import (
+    DELTAS,
+    NEAR_EDGE_PX,
+    RIGHT_WITHIN,
+    SHARE_WITHIN,
+    TOLERANCES,
+    WIDTHS,
+    score,
+)
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, bank_for, scene_camera
 from coded_aperture_benchmarks.identification import regularizations
 from coded_aperture_benchmarks.rows import columns, mean_of
@@ -21,12 +32,37 @@ from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.metrics import Reliability
 from coded_aperture_ros.metrics.figures import reliability_diagram
 
-_NEAR_EDGE_PX = 16
-_RIGHT_WITHIN, _SHARE_WITHIN = 0.05, 0.10
 _PLANES = "calib"
 # Spread over a video; the frames between are much like them.
 _VIDEO_FRAMES = 4
 _NAMES = ("scene", "mask", "learned_from", "regularize")
+
+
+class Scene(Protocol):
+    """Where the views of a scene come from; goes to other processes, so it holds no pictures."""
+
+    @property
+    def name(self) -> str:
+        """What the tables call it."""
+
+    def views(self, mask: str) -> list[RayTracedScene]:
+        """Return the frames with their truth, of one size and from one camera."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FolderScene:
+    """A scene on disk."""
+
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        """The folder's."""
+        return self.folder.resolve().name
+
+    def views(self, mask: str) -> list[RayTracedScene]:
+        """Read the still, or some frames of the video."""
+        return RayTracedScene.load_views(self.folder, mask, _VIDEO_FRAMES)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +72,7 @@ class Cell:
     `planes` is a folder of calibration planes, or None to learn from the camera.
     """
 
-    folder: Path
+    scene: Scene
     planes: Path | None
     mask: str
     config: DepthConfig
@@ -58,7 +94,16 @@ def _cells(args: options.Args) -> list[Cell]:
     options.check_known(args, "regularize", filter(None, args.regularize), regularizations())
     configs = [DepthConfig(regularize=how) if how else DepthConfig() for how in args.regularize]
     return [
-        Cell(folder, planes, mask, config, args.noise, args.levels, args.window, args.seed)
+        Cell(
+            FolderScene(folder),
+            planes,
+            mask,
+            config,
+            args.noise,
+            args.levels,
+            args.window,
+            args.seed,
+        )
         for folder, mask in itertools.product(args.folders, args.masks)
         for planes in (None, *planes_of(folder, mask))
         for config in configs
@@ -82,7 +127,7 @@ def planes_of(folder: Path, mask: str) -> list[Path]:
 
 def measure(cell: Cell) -> Measured:
     """Measure one scene through one mask."""
-    views = RayTracedScene.load_views(cell.folder, cell.mask, _VIDEO_FRAMES)
+    views = cell.scene.views(cell.mask)
     truth = np.concatenate([view.depth_m for view in views])
     threshold = cell.config.confidence_threshold
     estimator = DepthEstimator(
@@ -104,13 +149,14 @@ def measure(cell: Cell) -> Measured:
         [np.asarray(each.where_confident(threshold).depth_m) for each in estimates]
     )
     confidence = np.concatenate([each.confidence for each in estimates])
-    near_edge = np.concatenate([view.edge_distance_px() for view in views]) <= _NEAR_EDGE_PX
+    near_edge = np.concatenate([view.edge_distance_px() for view in views]) <= NEAR_EDGE_PX
 
     known = np.isfinite(depth) & np.isfinite(truth)
-    right = np.abs(depth[known] - truth[known]) <= _RIGHT_WITHIN * truth[known]
+    right = np.abs(depth[known] - truth[known]) <= RIGHT_WITHIN * truth[known]
     reliability = Reliability.of(confidence[known], right)
+    frames = (len(views), -1, truth.shape[1])
     row = {
-        "scene": cell.folder.resolve().name,
+        "scene": cell.scene.name,
         "mask": cell.mask,
         "learned_from": "planes" if cell.planes else "camera",
         "regularize": cell.config.regularize,
@@ -120,6 +166,14 @@ def measure(cell: Cell) -> Measured:
         "confidence_threshold": threshold,
         "expected_calibration_error": round(reliability.expected_calibration_error, 4),
         "reliability": reliability.rows(),
+        "dense": score(
+            depth.reshape(frames),
+            None,
+            confidence.reshape(frames),
+            truth.reshape(frames),
+            views[0].camera,
+            threshold,
+        ),
         "noise_estimated": mean_of((each.noise for each in estimates), 6),
         "seconds": mean_of(seconds, 3),
     }
@@ -145,7 +199,7 @@ def _score(
     for name, part in (("all", has_truth), ("near_edges", near_edge), ("away", ~near_edge)):
         part = part & has_truth
         errors = relative[part & np.isfinite(relative)]
-        within = errors <= _SHARE_WITHIN
+        within = errors <= SHARE_WITHIN
         score[name] = {
             "median_error": round(float(np.median(errors)), 4) if errors.size else None,
             "within_10_percent": round(float(np.mean(within)), 4) if errors.size else None,
@@ -168,7 +222,7 @@ def _text(results: Row) -> str:
     names = {name: f"{{{name}}}" for name in _NAMES}
     parts = [
         "median relative error of depth / share of pixels within 10 % / coverage, in per cent; "
-        f"edges: within {_NEAR_EDGE_PX} px"
+        f"edges: within {NEAR_EDGE_PX} px"
     ]
     for key, title in (
         ("confident", f"confidence at least {rows[0]['confidence_threshold']:g}"),
@@ -189,8 +243,90 @@ def _text(results: Row) -> str:
             f"{bin_['confidence']:.2f}:{bin_['share_right']:.2f}" for bin_ in row["reliability"]
         ),
     }
-    title = f"confidence against share of pixels right to {100 * _RIGHT_WITHIN:g} %"
-    return "\n\n".join([*parts, f"{title}\n{columns(rows, reliability)}"])
+    title = f"confidence against share of pixels right to {100 * RIGHT_WITHIN:g} %"
+    parts.append(f"{title}\n{columns(rows, reliability)}")
+    return "\n\n".join([*parts, *_dense_text(rows, names), _summary(rows, names)])
+
+
+def _dense_text(rows: list[Row], names: dict[str, str]) -> list[str]:
+    errors = {
+        **names,
+        **{
+            f"{title} {part}": lambda row, key=key, form=form, of=of: _number(of(row)[key], form)
+            for part, of in (("all", _dense), ("published", _published))
+            for title, key, form in (
+                ("AbsRel", "abs_rel", "{:.3f}"),
+                *((name.replace("delta_", "d<"), name, "{:.3f}") for name in DELTAS),
+            )
+        },
+        "AUSE": lambda row: _number(_dense(row)["sparsification"]["ause"], "{:.4f}"),
+    }
+    edges = {
+        **names,
+        **{
+            f"F {px} px": lambda row, px=px: _per_cent(_dense(row)["boundary"][px]["f_score"])
+            for px in TOLERANCES
+        },
+        **{
+            f"{what} {width}": lambda row, what=what, width=width: _found(_dense(row)[what][width])
+            for what in ("thin", "gaps")
+            for width in WIDTHS
+        },
+    }
+    return [
+        "mean relative error (of pixels with depth), share of pixels off by less than a factor "
+        "(no depth is wrong), area between sparsification curve and oracle's (relative error)\n"
+        f"{columns(rows, errors)}",
+        "F-score of depth edges in per cent, by tolerance; thin structures and gaps by width in "
+        f"px: found / pieces\n{columns(rows, edges)}",
+    ]
+
+
+def _summary(rows: list[Row], names: dict[str, str]) -> str:
+    described = {
+        **names,
+        "every pixel": lambda row: _per_cent(_dense(row)["within_10_percent"]),
+        "published": lambda row: _per_cent(_published(row)["within_10_percent"]),
+        "near edges": lambda row: _per_cent(_dense(row)["within_10_percent_near_edges"]),
+        "away": lambda row: _per_cent(_dense(row)["within_10_percent_away"]),
+        "median away": lambda row: _per_cent(_dense(row)["median_error_away"], 1),
+        "confident": lambda row: _per_cent(_dense(row)["confident"]["within_10_percent"]),
+        "coverage": lambda row: _per_cent(_dense(row)["confident"]["coverage"]),
+        "calibration error": "{expected_calibration_error:.3f}",
+    }
+    worst_first = sorted(rows, key=lambda row: _order(_dense(row)["within_10_percent"]))
+    return (
+        f"in short, worst first: per cent of all pixels within {100 * SHARE_WITHIN:g} % (no depth "
+        "is wrong), median error; confident pixels within "
+        f"{100 * SHARE_WITHIN:g} %, their coverage\n{columns(worst_first, described)}"
+    )
+
+
+def _dense(row: Row) -> Row:
+    dense: Row = row["dense"]
+    return dense
+
+
+def _published(row: Row) -> Row:
+    published: Row = row["dense"]["published"]
+    return published
+
+
+def _order(share: float) -> float:
+    """Return what puts a scene with nothing to score first."""
+    return share if math.isfinite(share) else -1.0
+
+
+def _per_cent(share: float, digits: int = 0) -> str:
+    return f"{100 * share:.{digits}f}" if math.isfinite(share) else "-"
+
+
+def _number(value: float, form: str) -> str:
+    return form.format(value) if math.isfinite(value) else "-"
+
+
+def _found(pieces: Row) -> str:
+    return f"{pieces['found']}/{pieces['pieces']}"
 
 
 def _score_text(score: Row) -> str:
@@ -203,14 +339,14 @@ def _score_text(score: Row) -> str:
 
 def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
     curves = {", ".join(cell.row[name] for name in _NAMES): cell.reliability for cell in measured}
-    title = f"depth right to {100 * _RIGHT_WITHIN:g} %"
+    title = f"depth right to {100 * RIGHT_WITHIN:g} %"
     reliability_diagram(curves, folder / "reliability.png", title)
 
 
 SUITE = Suite(
-    description="Median relative error of the depth of ray-traced scenes, coverage, and how "
-    "often the depth is right to 5 % where the confidence says so. The bank is learned from the "
-    "camera, for the scene's range of depths.",
+    description="Median relative error of the depth of ray-traced scenes, coverage, the field's "
+    "dense errors, depth edges, thin structures, and how often the depth is right to 5 % where the "
+    "confidence says so. The bank is learned from the camera, for the scene's range of depths.",
     examples="""examples:
   two scenes, with and without graph cuts, and whether the confidence can be trusted:
     coded_aperture bench accuracy scenes desk/ corridor/ --regularize none graphcut
@@ -218,6 +354,7 @@ SUITE = Suite(
     coded_aperture bench accuracy scenes desk/ --masks levin four_hole disk --output results/
 a scene's folder has:
   meta.json (camera and masks), depth_0.1mm.png, aif_linear.png, coded_MASK_linear.png
+  and, where not every depth is reliable, valid.png (255: it is);
   or, for a video, depth_NNN.png, aif_NNN.png, coded_MASK_NNN.png
 where a folder calib/ in it or beside it has pictures of planes from the same camera, a bank that is
 learned from these is measured too

@@ -1,0 +1,149 @@
+"""Depth edges: where they are, and how well those of an estimate follow the true ones."""
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
+from coded_aperture_ros.core.errors import InputError
+
+EDGE_JUMP_PX = 1.0
+TOLERANCES_PX = (1, 2, 4)
+
+
+def edge_distance_px(
+    blur_size_px: NDArray[np.floating], jump_px: float = EDGE_JUMP_PX
+) -> DoubleArray:
+    """Return every pixel's distance from the nearest depth edge; infinite without one.
+
+    Parameters
+    ----------
+    blur_size_px : ndarray of float, shape [h, w]
+        Signed blur size, NaN where unknown. Borders of what is unknown are no edges.
+    jump_px : float
+        A depth edge is a larger jump between neighbours; the pixels of both its sides are 0 away.
+    """
+    lowest, highest = _around(blur_size_px)
+    edges = highest - lowest > jump_px
+    return _distance_to(edges & np.isfinite(blur_size_px))
+
+
+def occluding_contour(
+    blur_size_px: NDArray[np.floating], jump_px: float = EDGE_JUMP_PX
+) -> BoolArray:
+    """Return the outermost pixels of nearer surfaces, one pixel wide at a sharp step.
+
+    Parameters
+    ----------
+    blur_size_px : ndarray of float, shape [h, w]
+        Signed blur size, which grows with depth; NaN where unknown.
+    jump_px : float
+        One of the eight neighbours is farther by more than this.
+    """
+    _, highest = _around(blur_size_px)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(highest - blur_size_px > jump_px)
+
+
+@dataclasses.dataclass(frozen=True)
+class BoundaryMatch:
+    """Contour pixels of an estimate and of the truth that lie near each other.
+
+    Those of several frames add up.
+
+    Attributes
+    ----------
+    estimated, estimated_near_true : int
+        Contour pixels of the estimate, and how many lie near one of the truth.
+    true, true_near_estimated : int
+        The other way round.
+    """
+
+    estimated: int
+    estimated_near_true: int
+    true: int
+    true_near_estimated: int
+
+    @classmethod
+    def of(
+        cls,
+        estimated_px: NDArray[np.floating],
+        true_px: NDArray[np.floating],
+        tolerances_px: tuple[int, ...] = TOLERANCES_PX,
+    ) -> "dict[int, BoundaryMatch]":
+        """Match the contours of two maps of signed blur sizes, for several tolerances.
+
+        Contours of the estimate count only where the truth is known as far around as the largest
+        tolerance: beside what is unknown the true contour may be hidden.
+
+        Parameters
+        ----------
+        estimated_px, true_px : ndarray of float, shape [h, w]
+            NaN where unknown.
+        tolerances_px : tuple of int
+            How far a contour pixel may be from the nearest one of the other map.
+
+        Raises
+        ------
+        InputError
+            If the shapes differ.
+        """
+        if estimated_px.shape != true_px.shape:
+            raise InputError(
+                f"expected maps of one shape, got {list(estimated_px.shape)} and "
+                f"{list(true_px.shape)}"
+            )
+        unknown = ~np.isfinite(true_px)
+        judged = _distance_to(unknown) > max(tolerances_px)
+        estimated, true = occluding_contour(estimated_px), occluding_contour(true_px)
+        to_true = _distance_to(true)[estimated & judged]
+        to_estimated = _distance_to(estimated)[true]
+        return {
+            tolerance: cls(
+                to_true.size,
+                int(np.count_nonzero(to_true <= tolerance)),
+                to_estimated.size,
+                int(np.count_nonzero(to_estimated <= tolerance)),
+            )
+            for tolerance in tolerances_px
+        }
+
+    def __add__(self, other: "BoundaryMatch") -> "BoundaryMatch":
+        mine, others = dataclasses.astuple(self), dataclasses.astuple(other)
+        return BoundaryMatch(*(a + b for a, b in zip(mine, others, strict=True)))
+
+    @property
+    def precision(self) -> float:
+        """Share of the estimate's contour that is near the true one; NaN without any."""
+        return self.estimated_near_true / self.estimated if self.estimated else float("nan")
+
+    @property
+    def recall(self) -> float:
+        """Share of the true contour that is near the estimate's; NaN without any."""
+        return self.true_near_estimated / self.true if self.true else float("nan")
+
+    @property
+    def f_score(self) -> float:
+        """Harmonic mean of both; NaN without a true contour, 0 where nothing matches."""
+        if not self.true:
+            return float("nan")
+        if not self.estimated_near_true or not self.true_near_estimated:
+            return 0.0
+        return 2 / (1 / self.precision + 1 / self.recall)
+
+
+def _around(blur_size_px: NDArray[np.floating]) -> tuple[DoubleArray, DoubleArray]:
+    """Return the least and the greatest known value of every pixel's 3 x 3 neighbours."""
+    known = np.isfinite(blur_size_px)
+    lowest = ndimage.minimum_filter(np.where(known, blur_size_px, np.inf), 3)
+    highest = ndimage.maximum_filter(np.where(known, blur_size_px, -np.inf), 3)
+    return lowest, highest
+
+
+def _distance_to(pixels: BoolArray) -> DoubleArray:
+    if not pixels.any():  # the transform would measure to a point outside of the picture
+        return np.full(pixels.shape, np.inf)
+    distance: DoubleArray = ndimage.distance_transform_edt(~pixels)
+    return distance
