@@ -182,6 +182,7 @@ def test_depth_of_a_scene_is_scored(capsys, folder):
     assert dense["published"]["within_10_percent"] < dense["within_10_percent"] < 1
     assert dense["confident"]["coverage"] == confident["all"]["coverage"]
     assert 0 < dense["boundary"]["1"]["f_score"] <= dense["boundary"]["4"]["f_score"] <= 1
+    assert 0 < dense["std_dev"]["within_one"] < dense["std_dev"]["within_two"] <= 1
     pixels = sum(entry["count"] for entry in cell["reliability"])
     assert pixels == pytest.approx(HEIGHT * WIDTH, rel=0.01)
     table = call(capsys, "bench", "accuracy", "scenes", folder, "--levels", 12)

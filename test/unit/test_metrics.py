@@ -1,8 +1,9 @@
 """Figures of merit, against hand-computed values."""
 
+import cv2
 import numpy as np
 import pytest
-from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene
+from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, load_sharp
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.metrics.errors import depth_error, psnr_db
@@ -60,3 +61,15 @@ def test_shapes_must_agree():
         psnr_db(np.zeros((2, 2)), np.zeros((2, 3)))
     with pytest.raises(InputError, match="one shape"):
         depth_error(np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((4, 4)))
+
+
+def test_depth_that_is_not_reliable_is_unknown(tmp_path):
+    depth = np.full((2, 3), 20000, np.uint16)
+    depth[0, 1] = 0
+    valid = np.full((2, 3), 255, np.uint8)
+    valid[1, 2] = 0
+    pictures = {"depth_0.1mm": depth, "valid": valid, "aif_linear": np.zeros((2, 3, 3), np.uint16)}
+    for name, picture in pictures.items():
+        assert cv2.imwrite(str(tmp_path / f"{name}.png"), picture)
+    _, depth_m = load_sharp(tmp_path)
+    assert np.isnan(depth_m).tolist() == [[False, True, False], [False, False, True]]

@@ -148,6 +148,7 @@ def measure(cell: Cell) -> Measured:
     confident = np.concatenate(
         [np.asarray(each.where_confident(threshold).depth_m) for each in estimates]
     )
+    std_dev = np.concatenate([np.asarray(each.std_dev_m) for each in estimates])
     confidence = np.concatenate([each.confidence for each in estimates])
     near_edge = np.concatenate([view.edge_distance_px() for view in views]) <= NEAR_EDGE_PX
 
@@ -168,7 +169,7 @@ def measure(cell: Cell) -> Measured:
         "reliability": reliability.rows(),
         "dense": score(
             depth.reshape(frames),
-            None,
+            std_dev.reshape(frames),
             confidence.reshape(frames),
             truth.reshape(frames),
             views[0].camera,
@@ -293,12 +294,14 @@ def _summary(rows: list[Row], names: dict[str, str]) -> str:
         "confident": lambda row: _per_cent(_dense(row)["confident"]["within_10_percent"]),
         "coverage": lambda row: _per_cent(_dense(row)["confident"]["coverage"]),
         "calibration error": "{expected_calibration_error:.3f}",
+        "within one std dev": lambda row: _per_cent(_dense(row)["std_dev"]["within_one"]),
     }
     worst_first = sorted(rows, key=lambda row: _order(_dense(row)["within_10_percent"]))
     return (
         f"in short, worst first: per cent of all pixels within {100 * SHARE_WITHIN:g} % (no depth "
         "is wrong), median error; confident pixels within "
-        f"{100 * SHARE_WITHIN:g} %, their coverage\n{columns(worst_first, described)}"
+        f"{100 * SHARE_WITHIN:g} %, their coverage; published pixels within the stated standard "
+        f"deviation\n{columns(worst_first, described)}"
     )
 
 
