@@ -82,6 +82,7 @@ setup(
             "mypy>=1.11",
             "pre-commit>=3.5",
             "types-PyYAML",
+            "numba>=0.59",
             "distributed>=2024.1",
             "colcon-core>=0.17",
             "colcon-ros>=0.5",

@@ -73,7 +73,16 @@ def test_manifest_names_every_package_that_the_code_imports(checkout, manifest):
         "cv2": "python3-opencv",
         "yaml": "python3-yaml",
     }
-    optional = {"maxflow", "skimage", "matplotlib", "tqdm", "rosbags", "torch", "distributed"}
+    optional = {
+        "maxflow",
+        "skimage",
+        "matplotlib",
+        "tqdm",
+        "rosbags",
+        "torch",
+        "distributed",
+        "numba",
+    }
     declared = {element.text for element in manifest.iter("exec_depend")}
     assert {"rclpy", "sensor_msgs", "diagnostic_msgs", *apt_names.values()} <= declared
     imported = set()

@@ -22,6 +22,7 @@ SIDES = ("far", "near", "both")
 _LARGEST_PX = 19.5
 _FOCAL_LENGTH_PX = 600.0
 _FOCUS_M = 1.0
+_AROUND = (1, 1, 1, 1, cv2.BORDER_CONSTANT)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -236,10 +237,13 @@ class _Drawing:
         relief: FloatArray | None = None,
     ) -> Layer:
         base, down, right = map(float, plane)
-        cover = prefiltered(np.ascontiguousarray(matte))
+        # Half a pixel of nothing around it, as a pixel on the outline is covered in part.
+        shining, hiding = (cv2.copyMakeBorder(part, *_AROUND) for part in (light * matte, matte))
+        if relief is not None:
+            relief = cv2.copyMakeBorder(relief, *_AROUND[:4], cv2.BORDER_REPLICATE)
         # Means over pixels begin at canvas pixels, half of one before the pixel's middle.
-        at = [value / FINENESS - self.margin for value in (top, left)]
-        return Layer(at[0], at[1], prefiltered(light * matte), cover, (base, down, right), relief)
+        y, x = ((value - 1) / FINENESS - self.margin for value in (top, left))
+        return Layer(y, x, prefiltered(shining), prefiltered(hiding), (base, down, right), relief)
 
     def _light(self, shape: tuple[int, ...]) -> FloatArray:
         """Return a textured surface's light: tone, contrast, shading."""

@@ -180,10 +180,12 @@ def _strokes(random: np.random.Generator) -> FloatArray:
     letters = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789 "
     scale = random.uniform(0.5, 2.5)
     if random.random() < 0.6:
+        page = np.zeros(canvas.shape, np.uint8)  # OpenCV 5 writes on bytes only
         for row in range(0, TEXTURE_PX + 30, int(34 * scale)):
             line = "".join(random.choice(list(letters), 60))
-            at, face = (-random.integers(50), row), int(random.integers(0, 8))
-            cv2.putText(canvas, line, at, face, scale, 1.0, max(1, int(2 * scale)), cv2.LINE_AA)
+            at, face = (-int(random.integers(50)), row), int(random.integers(0, 8))
+            cv2.putText(page, line, at, face, scale, 1, max(1, int(2 * scale)), cv2.LINE_8)
+        canvas[:] = page
     else:
         for _ in range(random.integers(100, 700)):
             start = random.integers(0, TEXTURE_PX, 2)

@@ -16,6 +16,8 @@ from coded_aperture_ros.optics.psf import cell_shares
 FINENESS = 2
 # An opening of the mask is sampled where its image is at most as wide, in pixels of the frame.
 _SAMPLE_PX = 0.9
+# Averaging a mask over coarser cells blurs its image: narrow ones would look wider than they are.
+_FEWEST_CELLS = 13
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -50,14 +52,14 @@ def lens_samples(mask: Mask, widest_px: float) -> FloatArray:
     In units of the mask's extent, from its middle; so many that blur of a width has no gaps.
     """
     cells = max(mask.transmission.shape)
-    wanted = max(int(np.ceil(widest_px / _SAMPLE_PX)), 3)
+    wanted = int(np.ceil(widest_px / _SAMPLE_PX))
     grid: NDArray[np.floating] = mask.transmission.astype(np.float64)
-    if cells > wanted:  # finer than the sensor sees
-        pad = [(0, cells - length) for length in grid.shape]
-        shares = cell_shares(wanted, cells, wanted / cells)
-        grid = shares @ np.pad(grid, pad) @ shares.T
+    if cells > max(wanted, _FEWEST_CELLS):  # finer than the sensor sees
+        wanted = max(wanted, _FEWEST_CELLS)
+        down, across = (cell_shares(wanted, length, wanted / cells) for length in grid.shape)
+        grid = down @ grid @ across.T
     else:
-        grid = np.kron(grid, np.ones((-(-wanted // cells),) * 2))
+        grid = np.kron(grid, np.ones((max(-(-wanted // cells), 1),) * 2))
     rows, columns = np.nonzero(grid > 1e-6)
     side = max(grid.shape)
     down = (rows + 0.5 - grid.shape[0] / 2) / side
