@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_benchmarks.frames.ray_traced import Rods
 from coded_aperture_benchmarks.run import Row
 from coded_aperture_ros.metrics import Reliability, Sparsification, delta_shares
 from coded_aperture_ros.metrics.edges import TOLERANCES_PX, BoundaryMatch, edge_distance_px
@@ -30,7 +31,7 @@ def score(
     std_dev_m: NDArray[np.floating] | None,
     confidence: NDArray[np.floating],
     truth_m: NDArray[np.floating],
-    camera: Camera,
+    camera: Camera | Sequence[Camera],
     threshold: float = CONFIDENT,
 ) -> dict[str, Any]:
     """Compare depth maps with the truth; frames are pooled.
@@ -49,8 +50,9 @@ def score(
         In [0, 1].
     truth_m : ndarray, of the same shape
         Metres, NaN where unknown.
-    camera : Camera
-        What turns depths into blur sizes: a depth edge is a jump of more than one pixel.
+    camera : Camera, or sequence of Camera
+        What turns depths into blur sizes: a depth edge is a jump of more than one pixel. The same
+        for all frames, or one for each.
     threshold : float
         Depth is published from this confidence on.
 
@@ -78,7 +80,8 @@ def score(
     """
     depth, truth = _frames(depth_m), _frames(truth_m)
     confidence = np.nan_to_num(_frames(confidence))
-    sizes = [camera.blur_size_px(frame) for frame in truth]
+    cameras = [camera] * len(truth) if isinstance(camera, Camera) else camera
+    sizes = [each.blur_size_px(frame) for each, frame in zip(cameras, truth, strict=True)]
     near_edge = np.stack([edge_distance_px(size) for size in sizes]) <= NEAR_EDGE_PX
     with_truth = np.isfinite(truth)
     with np.errstate(invalid="ignore"):
@@ -110,7 +113,9 @@ def score(
         },
         "expected_calibration_error": reliability.expected_calibration_error,
         "sparsification": _sparsified(relative[known], confidence[known]),
-        "boundary": _boundary([camera.blur_size_px(frame) for frame in depth], sizes),
+        "boundary": _boundary(
+            [each.blur_size_px(frame) for each, frame in zip(cameras, depth, strict=True)], sizes
+        ),
         "thin": _thin(sizes, right),
         "gaps": _thin([-size for size in sizes], right, elongation=_GAP_ELONGATION),
         "std_dev": None,
@@ -119,6 +124,47 @@ def score(
         std_dev = _frames(std_dev_m)
         result["std_dev"] = _std_dev(relative, std_dev / truth, std_dev / depth, published)
     return _rounded(result)
+
+
+def score_rods(relative: Sequence[NDArray[np.floating]], rods: Sequence[Rods]) -> dict[str, Any]:
+    """Count the rods of known widths that were found: right to 10 % on half of their pixels.
+
+    Parameters
+    ----------
+    relative : sequence of ndarray of float
+        Every frame's relative error; NaN where there is no depth.
+    rods : sequence of Rods
+        Of every frame.
+
+    Returns
+    -------
+    dict
+        By width in px (the upper bound excluded but for the last), rods that are seen, found,
+        recall, and the share of their pixels that is right.
+    """
+    widths: list[float] = []
+    pixels: list[NDArray[Any]] = []
+    good: list[NDArray[Any]] = []
+    for errors, frame in zip(relative, rods, strict=True):
+        count = len(frame.widths_px)
+        labels, right = frame.labels.ravel(), (errors <= SHARE_WITHIN).ravel()
+        widths.extend(frame.widths_px)
+        pixels.append(np.bincount(labels, minlength=count + 1)[1:])
+        good.append(np.bincount(labels, right, minlength=count + 1)[1:])
+    width, total, rightly = np.array(widths), np.concatenate(pixels), np.concatenate(good)
+    row: Row = {}
+    for (low, high), name in zip(WIDTHS_PX, WIDTHS, strict=True):
+        last = (low, high) == WIDTHS_PX[-1]
+        chosen = (width >= low) & ((width < high) | last) & (total > 0)
+        found = rightly[chosen] >= total[chosen] / 2
+        row[name] = {
+            "pieces": int(np.count_nonzero(chosen)),
+            "found": int(np.count_nonzero(found)),
+            "recall": _mean(found),
+            "pixels_right": float(rightly[chosen].sum() / max(total[chosen].sum(), 1)),
+        }
+    result: Row = _rounded(row)
+    return result
 
 
 def _errors(

@@ -57,9 +57,9 @@ def number(
     return option(name, what, default, type=at_least(least), metavar=metavar, **described)
 
 
-def folders(what: str) -> Add:
-    """Return the folders that a benchmark reads."""
-    return option("folders", what, nargs="+", type=Path, metavar="FOLDER")
+def folders(what: str, least: str = "+") -> Add:
+    """Return the folders that a benchmark reads; `least` as `nargs` of `add_argument`."""
+    return option("folders", what, nargs=least, type=Path, metavar="FOLDER")
 
 
 JSON = option("--json", "print the results as JSON", action="store_true")
@@ -141,9 +141,9 @@ def rank(count: int) -> Add:
     return number("--rank", 1, count, "vectors in the bank's common basis", "R")
 
 
-def frame_size(rows: int, columns: int) -> Add:
+def frame_size(rows: int, columns: int, what: str = "the frames") -> Add:
     """Return the size of frames; parsed to rows and columns."""
-    text = "of the frames, px"
+    text = f"of {what}, px"
     default = (rows, columns)
     return option(
         "--size", text, default, said=f"{columns}x{rows}", nargs=None, type=_size, metavar="WxH"

@@ -191,6 +191,68 @@ def test_depth_of_a_scene_is_scored(capsys, folder):
     assert "worst first" in table.out
 
 
+RANDOM = ("bench", "accuracy", "scenes", "--size", "160x120", "--levels", 8)
+
+
+def test_random_scenes_are_scored_one_by_one_and_together(capsys):
+    pytest.importorskip("numba", reason="random scenes need numba")
+    words = (*RANDOM, "--random", 12, "--masks", "levin", "zhou", "--regularize", "none")
+    results = json_of(capsys, *words)
+    cells, shown = results["cells"], results["shown"]
+    assert len(cells) == 24
+    assert cells[0]["scene"] == "far 1000000" and cells[-1]["scene"] == "far 1000011"
+    together = [row for row in shown if row["frames"] == 12]
+    assert [(row["scene"], row["mask"]) for row in together] == [
+        ("12 far", "levin"),
+        ("12 far", "zhou"),
+    ]
+    assert len(shown) == 2 + 20
+    for row in together:
+        parts = [cell["dense"] for cell in cells if cell["mask"] == row["mask"]]
+        for name in ("within_10_percent", "delta_1.05"):
+            mean = np.mean([part[name] for part in parts])
+            assert row["dense"][name] == pytest.approx(mean, abs=1e-3)
+        assert row["dense"]["pixels"] == 12 * 160 * 120
+        assert 0 < row["dense"]["std_dev"]["within_one"] < 1
+        edges = sum(part["boundary"]["1"]["recall"] is not None for part in parts)
+        assert edges > 6
+        # The best two of the twelve are not shown.
+        worst = [each["dense"]["within_10_percent"] for each in shown if each["frames"] == 1]
+        assert max(part["within_10_percent"] for part in parts) >= max(worst[:10])
+    other = json_of(capsys, *RANDOM, "--random", 1, "--first-seed", 1000005)["cells"]
+    assert other[0]["scene"] == "far 1000005"
+
+
+def test_rods_of_random_scenes_are_counted(capsys):
+    pytest.importorskip("numba", reason="random scenes need numba")
+    results = json_of(capsys, *RANDOM, "--random", 2, "--rods", "--side", "both", "--masks", "zhou")
+    counted = results["cells"][0]["rods"]
+    assert sum(width["pieces"] for width in counted.values()) == 8
+    assert counted["2-4"]["pieces"] in (2, 3)
+    for name, width in results["shown"][0]["rods"].items():
+        parts = [cell["rods"][name] for cell in results["cells"]]
+        assert width["pieces"] == sum(part["pieces"] for part in parts)
+        assert width["found"] == sum(part["found"] for part in parts)
+    table = call(capsys, *RANDOM, "--random", 2, "--rods").out
+    assert "rods 2-4" in table and "2 rods far" in table
+
+
+def test_known_rods_are_found_if_half_of_their_pixels_are_right():
+    from coded_aperture_benchmarks.dense import score_rods
+    from coded_aperture_benchmarks.frames.ray_traced import Rods
+
+    labels = np.repeat(np.int32([[1, 2, 3, 0]]), 4, axis=0)
+    errors = np.full((4, 4), 0.5)
+    errors[:2, 0] = 0.05  # half of it
+    errors[:1, 1] = 0.05  # a quarter
+    errors[:, 2] = np.nan  # no depth
+    # The last one is hidden.
+    row = score_rods([errors], [Rods(labels, (2.0, 3.9, 20.0, 8.0))])
+    assert row["2-4"] == {"pieces": 2, "found": 1, "recall": 0.5, "pixels_right": 0.375}
+    assert row["4-8"]["pieces"] == 0 and row["8-20"]["pieces"] == 1
+    assert row["8-20"]["found"] == 0
+
+
 def test_a_folder_that_is_no_scene_is_named(capsys, tmp_path, folder):
     missing = call(capsys, "bench", "accuracy", "scenes", tmp_path)
     assert (missing.status, missing.out) == (1, "")
@@ -212,6 +274,8 @@ def test_a_folder_that_is_no_scene_is_named(capsys, tmp_path, folder):
         (("two-plane", "--blurs", "10-14"), "10-14"),
         (("two-plane", "--methods", "magic"), "bank-graphcut"),
         (("scenes",), "FOLDER"),
+        (("scenes", "--random", "2", "--side", "left"), "far"),
+        (("scenes", "--random", "2", "--size", "big"), "640x480"),
         (("scenes", "desk", "--regularize", "much"), "graphcut"),
         (("hall",), "two-plane"),
         ((), "FRAMES"),

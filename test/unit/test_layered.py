@@ -12,7 +12,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask, render_psf
 from coded_aperture_ros.optics.mask import MASK_NAMES
 from coded_aperture_ros.simulation import layered
-from coded_aperture_ros.simulation.layered import SIDES, random_scene
+from coded_aperture_ros.simulation.layered import SIDES, random_scene, rod_scene
 from coded_aperture_ros.simulation.layered.tracing import (
     FINENESS,
     Layer,
@@ -295,6 +295,26 @@ def test_the_seed_decides():
     levin = made(7, mask="levin")
     np.testing.assert_array_equal(levin[1], made(7)[1])
     assert rms(levin[0] - made(7)[0]) > 0.001
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_rods_are_as_wide_as_they_should_be(side):
+    widths = (2.0, 3.5, 6.0, 9.5, 20.0)
+    scene, labels = rod_scene(5, Mask.named("zhou"), widths, side, (150, 241))
+    assert set(np.unique(labels)) == set(range(len(widths) + 1))
+    blur, sharp = scene.blur_size_px(), scene.all_in_focus()
+    room = seen_from_centre(list(scene.layers[len(widths) :]), scene.shape)
+    lying = (labels == 5).any(axis=0).all()
+    for label, width in enumerate(widths, 1):
+        here = labels == label
+        length = np.count_nonzero(here.any(axis=0 if lying else 1))
+        # Rods lean a little, and then they are wider along a row.
+        assert here.sum() / length == pytest.approx(width, rel=0.1, abs=0.1)
+        assert (blur[here] <= room[here]).mean() > 0.7
+        assert sharp[here].std() > 0
+    np.testing.assert_array_equal(blur[labels == 0], room[labels == 0])
+    again, _ = rod_scene(5, Mask.named("zhou"), widths, side, (150, 241))
+    np.testing.assert_array_equal(again.coded(), scene.coded())
 
 
 def test_another_mask_can_be_held_before_a_scene():

@@ -26,6 +26,21 @@ RANGE_MARGIN = 0.02
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class Rods:
+    """Rods of known widths.
+
+    Attributes
+    ----------
+    labels : ndarray, int32 [rows, columns]
+        1 where the first is seen, and so on; 0 where none is.
+    widths_px : tuple of float
+    """
+
+    labels: NDArray[np.int32]
+    widths_px: tuple[float, ...]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class RayTracedScene:
     """A scene with its truth.
 
@@ -35,12 +50,15 @@ class RayTracedScene:
         Linear light: as the coded camera sees it, and all in focus. Without sensor noise.
     depth_m : ndarray, float32 [rows, columns]
         NaN where unknown.
+    rods : Rods or None
+        Where it is known which there are.
     """
 
     coded: NDArray[np.float32]
     sharp: NDArray[np.float32]
     depth_m: NDArray[np.float32]
     camera: Camera
+    rods: Rods | None = None
 
     @classmethod
     def load(cls, folder: Path, mask_name: str) -> "RayTracedScene":

@@ -4,8 +4,9 @@ import dataclasses
 import itertools
 import math
 import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,10 @@ from coded_aperture_benchmarks.dense import (
     TOLERANCES,
     WIDTHS,
     score,
+    score_rods,
 )
-from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, bank_for, scene_camera
+from coded_aperture_benchmarks.frames.random_scenes import FIRST_SEED, RandomScene
+from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, Rods, bank_for, scene_camera
 from coded_aperture_benchmarks.identification import regularizations
 from coded_aperture_benchmarks.rows import columns, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
@@ -31,10 +34,14 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.metrics import Reliability
 from coded_aperture_ros.metrics.figures import reliability_diagram
+from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.simulation.layered import SIDES
 
 _PLANES = "calib"
 # Spread over a video; the frames between are much like them.
 _VIDEO_FRAMES = 4
+# Of the random scenes of a kind, so many have rows of their own in the tables.
+_WORST = 10
 _NAMES = ("scene", "mask", "learned_from", "regularize")
 
 
@@ -83,29 +90,84 @@ class Cell:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Measured:
-    """The numbers of a cell, for JSON, and the reliability of its confidence."""
+class Maps:
+    """What was estimated of some frames, one above the other, and the truth.
 
+    Attributes
+    ----------
+    depth_m, published_m, std_dev_m, confidence, truth_m : ndarray, float32 [frames, rows, columns]
+        Published is what is confident.
+    near_edge : ndarray of bool, of the same shape
+    cameras : list of Camera
+        Of each frame.
+    rods : list of Rods
+        Of each frame, or empty.
+    noise, seconds : list of float
+        Estimated noise of each frame, and how long it took.
+    """
+
+    depth_m: NDArray[np.float32]
+    published_m: NDArray[np.float32]
+    std_dev_m: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    truth_m: NDArray[np.float32]
+    near_edge: NDArray[np.bool_]
+    cameras: list[Camera]
+    rods: list[Rods]
+    noise: list[float]
+    seconds: list[float]
+
+    @staticmethod
+    def together(parts: "Sequence[Maps]") -> "Maps":
+        """Return the frames of all parts."""
+        joined: dict[str, Any] = {}
+        for field in dataclasses.fields(Maps):
+            values = [getattr(part, field.name) for part in parts]
+            lists = isinstance(values[0], list)
+            join = itertools.chain.from_iterable if lists else np.concatenate
+            joined[field.name] = list(join(values)) if lists else join(values)
+        return Maps(**joined)
+
+    def reliability(self) -> Reliability:
+        """Return how often the confidence was right."""
+        known = np.isfinite(self.depth_m) & np.isfinite(self.truth_m)
+        truth = self.truth_m[known]
+        right = np.abs(self.depth_m[known] - truth) <= RIGHT_WITHIN * truth
+        return Reliability.of(self.confidence[known], right)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Measured:
+    """The numbers of a cell, for JSON, and the reliability of its confidence.
+
+    `maps` is None unless the cell's scene is pooled with others.
+    """
+
+    cell: Cell
     row: Row
     reliability: Reliability
+    maps: Maps | None = None
 
 
 def _cells(args: options.Args) -> list[Cell]:
     options.check_known(args, "regularize", filter(None, args.regularize), regularizations())
+    if not args.folders and not args.random:
+        args.usage_error("expected at least one FOLDER, or --random N")
+    if args.random:
+        options.check_masks(args)
     configs = [DepthConfig(regularize=how) if how else DepthConfig() for how in args.regularize]
+    scenes: list[Scene] = [FolderScene(folder) for folder in args.folders]
+    scenes += [
+        RandomScene(args.first_seed + number, args.side, args.size, args.rods)
+        for number in range(args.random)
+    ]
     return [
-        Cell(
-            FolderScene(folder),
-            planes,
-            mask,
-            config,
-            args.noise,
-            args.levels,
-            args.window,
-            args.seed,
+        Cell(scene, planes, mask, config, args.noise, args.levels, args.window, args.seed)
+        for scene, mask in itertools.product(scenes, args.masks)
+        for planes in (
+            None,
+            *(planes_of(scene.folder, mask) if isinstance(scene, FolderScene) else ()),
         )
-        for folder, mask in itertools.product(args.folders, args.masks)
-        for planes in (None, *planes_of(folder, mask))
         for config in configs
     ]
 
@@ -127,9 +189,15 @@ def planes_of(folder: Path, mask: str) -> list[Path]:
 
 def measure(cell: Cell) -> Measured:
     """Measure one scene through one mask."""
+    maps = _estimated(cell)
+    row = _row(cell, cell.scene.name, maps)
+    kept = maps if isinstance(cell.scene, RandomScene) else None
+    return Measured(cell, row, maps.reliability(), kept)
+
+
+def _estimated(cell: Cell) -> Maps:
     views = cell.scene.views(cell.mask)
-    truth = np.concatenate([view.depth_m for view in views])
-    threshold = cell.config.confidence_threshold
+    truth = np.stack([view.depth_m for view in views])
     estimator = DepthEstimator(
         _bank(cell, views[0], truth),
         dataclasses.replace(cell.config, confidence_threshold=0.0),
@@ -143,42 +211,66 @@ def measure(cell: Cell) -> Measured:
         start = time.perf_counter()
         estimates.append(estimator.estimate((view.coded + noise).astype(np.float32)))
         seconds.append(time.perf_counter() - start)
-    # One above the other, to be scored as one picture; with a camera or planes there are depths.
-    depth = np.concatenate([np.asarray(each.depth_m) for each in estimates])
-    confident = np.concatenate(
-        [np.asarray(each.where_confident(threshold).depth_m) for each in estimates]
+    threshold = cell.config.confidence_threshold
+    # With a camera or planes there are depths.
+    return Maps(
+        np.stack([np.asarray(each.depth_m) for each in estimates]),
+        np.stack([np.asarray(each.where_confident(threshold).depth_m) for each in estimates]),
+        np.stack([np.asarray(each.std_dev_m) for each in estimates]),
+        np.stack([each.confidence for each in estimates]),
+        truth,
+        np.stack([view.edge_distance_px() for view in views]) <= NEAR_EDGE_PX,
+        [view.camera for view in views],
+        [view.rods for view in views if view.rods is not None],
+        [each.noise for each in estimates],
+        seconds,
     )
-    std_dev = np.concatenate([np.asarray(each.std_dev_m) for each in estimates])
-    confidence = np.concatenate([each.confidence for each in estimates])
-    near_edge = np.concatenate([view.edge_distance_px() for view in views]) <= NEAR_EDGE_PX
 
-    known = np.isfinite(depth) & np.isfinite(truth)
-    right = np.abs(depth[known] - truth[known]) <= RIGHT_WITHIN * truth[known]
-    reliability = Reliability.of(confidence[known], right)
-    frames = (len(views), -1, truth.shape[1])
+
+def _row(cell: Cell, name: str, maps: Maps) -> Row:
+    depth, truth = maps.depth_m, maps.truth_m
+    threshold = cell.config.confidence_threshold
+    reliability = maps.reliability()
     row = {
-        "scene": cell.scene.name,
+        "scene": name,
         "mask": cell.mask,
         "learned_from": "planes" if cell.planes else "camera",
         "regularize": cell.config.regularize,
-        "frames": len(views),
-        "confident": _score(confident, truth, near_edge),
-        "everywhere": _score(depth, truth, near_edge),
+        "frames": len(depth),
+        "confident": _score(maps.published_m, truth, maps.near_edge),
+        "everywhere": _score(depth, truth, maps.near_edge),
         "confidence_threshold": threshold,
         "expected_calibration_error": round(reliability.expected_calibration_error, 4),
         "reliability": reliability.rows(),
-        "dense": score(
-            depth.reshape(frames),
-            std_dev.reshape(frames),
-            confidence.reshape(frames),
-            truth.reshape(frames),
-            views[0].camera,
-            threshold,
-        ),
-        "noise_estimated": mean_of((each.noise for each in estimates), 6),
-        "seconds": mean_of(seconds, 3),
+        "dense": score(depth, maps.std_dev_m, maps.confidence, truth, maps.cameras, threshold),
+        "noise_estimated": mean_of(maps.noise, 6),
+        "seconds": mean_of(maps.seconds, 3),
     }
-    return Measured(row, reliability)
+    if maps.rods:
+        row["rods"] = score_rods(list(np.abs(depth - truth) / truth), maps.rods)
+    return row
+
+
+def _pools(measured: list[Measured]) -> dict[tuple[str, ...], list[Measured]]:
+    """Return the random scenes that go together: of one kind, mask and regularisation."""
+    pools: dict[tuple[str, ...], list[Measured]] = {}
+    for each in measured:
+        if isinstance(each.cell.scene, RandomScene):
+            row = each.row
+            kind = each.cell.scene.kind, row["mask"], row["regularize"]
+            pools.setdefault(kind, []).append(each)
+    return pools
+
+
+def _pooled(measured: list[Measured]) -> list[Row]:
+    """Return a row for all frames of each pool together, then those of its worst scenes."""
+    rows = []
+    for (kind, *_), pool in _pools(measured).items():
+        maps = Maps.together([each.maps for each in pool if each.maps is not None])
+        rows.append(_row(pool[0].cell, f"{len(pool)} {kind}", maps))
+        ranked = sorted(pool, key=lambda each: _order(_dense(each.row)["within_10_percent"]))
+        rows += [each.row for each in ranked[:_WORST]]
+    return rows
 
 
 def _bank(cell: Cell, view: RayTracedScene, depth_m: NDArray[np.float32]) -> FilterBank:
@@ -210,16 +302,19 @@ def _score(
 
 
 def _results(args: options.Args, measured: list[Measured], seconds: float) -> Row:
+    shown = [each.row for each in measured if isinstance(each.cell.scene, FolderScene)]
     return {
         "benchmark": "scenes",
         **options.header(args, "noise", "levels", "seed"),
         "seconds": seconds,
         "cells": [cell.row for cell in measured],
+        # Not every random scene: those of a kind together, and the worst of them.
+        "shown": shown + _pooled(measured),
     }
 
 
 def _text(results: Row) -> str:
-    rows = results["cells"]
+    rows = results["shown"]
     names = {name: f"{{{name}}}" for name in _NAMES}
     parts = [
         "median relative error of depth / share of pixels within 10 % / coverage, in per cent; "
@@ -274,12 +369,27 @@ def _dense_text(rows: list[Row], names: dict[str, str]) -> list[str]:
             for width in WIDTHS
         },
     }
+    with_rods = [row for row in rows if "rods" in row]
+    if with_rods:
+        rods = {
+            **names,
+            **{f"rods {w}": lambda row, w=w: _found(row["rods"][w]) for w in WIDTHS},
+            **{
+                f"right {w}": lambda row, w=w: _per_cent(row["rods"][w]["pixels_right"])
+                for w in WIDTHS
+            },
+        }
+        heading = "rods by width in px: found / rods; per cent of their pixels that are right"
+        known_rods = [f"{heading}\n{columns(with_rods, rods)}"]
+    else:
+        known_rods = []
     return [
         "mean relative error (of pixels with depth), share of pixels off by less than a factor "
         "(no depth is wrong), area between sparsification curve and oracle's (relative error)\n"
         f"{columns(rows, errors)}",
         "F-score of depth edges in per cent, by tolerance; thin structures and gaps by width in "
         f"px: found / pieces\n{columns(rows, edges)}",
+        *known_rods,
     ]
 
 
@@ -341,20 +451,31 @@ def _score_text(score: Row) -> str:
 
 
 def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
-    curves = {", ".join(cell.row[name] for name in _NAMES): cell.reliability for cell in measured}
+    curves = {
+        ", ".join(each.row[name] for name in _NAMES): each.reliability
+        for each in measured
+        if each.maps is None
+    }
+    for kind, pool in _pools(measured).items():
+        maps = Maps.together([each.maps for each in pool if each.maps is not None])
+        curves[f"{len(pool)} {', '.join(kind)}"] = maps.reliability()
     title = f"depth right to {100 * RIGHT_WITHIN:g} %"
     reliability_diagram(curves, folder / "reliability.png", title)
 
 
 SUITE = Suite(
-    description="Median relative error of the depth of ray-traced scenes, coverage, the field's "
-    "dense errors, depth edges, thin structures, and how often the depth is right to 5 % where the "
-    "confidence says so. The bank is learned from the camera, for the scene's range of depths.",
+    description="Median relative error of the depth of ray-traced or random scenes, coverage, the "
+    "field's dense errors, depth edges, thin structures, and how often the depth is right to 5 % "
+    "where the confidence says so. The bank is learned from the camera, for the scene's range of "
+    "depths.",
     examples="""examples:
   two scenes, with and without graph cuts, and whether the confidence can be trusted:
     coded_aperture bench accuracy scenes desk/ corridor/ --regularize none graphcut
   all masks that the scene was rendered with, results and figures into a folder:
     coded_aperture bench accuracy scenes desk/ --masks levin four_hole disk --output results/
+  50 random scenes, all pixels together and the ten worst; 25 more with rods of known widths:
+    coded_aperture bench accuracy scenes --random 50 --jobs 2
+    coded_aperture bench accuracy scenes --random 25 --rods
 a scene's folder has:
   meta.json (camera and masks), depth_0.1mm.png, aif_linear.png, coded_MASK_linear.png
   and, where not every depth is reliable, valid.png (255: it is);
@@ -363,7 +484,12 @@ where a folder calib/ in it or beside it has pictures of planes from the same ca
 learned from these is measured too
 """,
     options=(
-        options.folders("a scene"),
+        options.folders("a scene", "*"),
+        options.number("--random", 0, 0, "random scenes instead of folders, or beside them"),
+        options.option("--side", "of the focal plane, of random scenes", "far", choices=SIDES),
+        options.number("--first-seed", 0, FIRST_SEED, "of the random scenes", "S"),
+        options.option("--rods", "rods of known widths in random scenes", action="store_true"),
+        options.frame_size(360, 480, "random scenes"),
         options.SCENE_MASKS,
         options.added_noise(0.002),
         options.number("--levels", 2, 30, "blur levels of the bank"),

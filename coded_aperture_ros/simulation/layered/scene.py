@@ -1,11 +1,14 @@
 """A random scene: planes of a room, and things before them, each a layer of its own."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera, Mask
 from coded_aperture_ros.simulation.layered.shapes import THINGS, leaf
 from coded_aperture_ros.simulation.layered.textures import TEXTURE_COUNT, TEXTURE_PX, texture
@@ -82,7 +85,53 @@ def random_scene(
     shape : (int, int)
         Rows and columns of the frame.
     """
-    random = np.random.default_rng([seed, SIDES.index(side)])
+    draw, camera = _drawing(np.random.default_rng([seed, SIDES.index(side)]), mask, side, shape)
+    things = draw.things()
+    return LayeredScene((*things, *draw.room(things)), camera)
+
+
+def rod_scene(
+    seed: int,
+    mask: Mask,
+    widths_px: Sequence[float],
+    side: str = "far",
+    shape: tuple[int, int] = (288, 288),
+) -> tuple[LayeredScene, NDArray[np.int32]]:
+    """Return a scene of rods of known widths before a room, and which of them each pixel shows.
+
+    Parameters
+    ----------
+    seed, mask, side, shape
+        As of `random_scene`.
+    widths_px : sequence of float
+        Of the rods, in pixels of the frame. The rods stand or lie side by side in random order.
+
+    Returns
+    -------
+    scene : LayeredScene
+    labels : ndarray, int32 [rows, columns]
+        1 for the first width's rod, and so on; 0 where none is seen.
+    """
+    random = np.random.default_rng([seed, SIDES.index(side), len(widths_px)])
+    draw, camera = _drawing(random, mask, side, shape)
+    room = draw.room(())
+    rods = draw.rods(widths_px, seen_from_centre(list(room), shape))
+    order = sorted(range(len(rods)), key=lambda index: rods[index][0])
+    layers = (*(rods[index][1] for index in order), *room)
+    # The same scene once more, with numbers for blur sizes.
+    numbers = [float(index + 1) for index in order] + [0.0] * len(room)
+    numbered = [
+        dataclasses.replace(layer, blur_px=(number, 0.0, 0.0), relief_px=None)
+        for layer, number in zip(layers, numbers, strict=True)
+    ]
+    labels = np.rint(seen_from_centre(numbered, shape)).astype(np.int32)
+    return LayeredScene(layers, camera), labels
+
+
+def _drawing(
+    random: np.random.Generator, mask: Mask, side: str, shape: tuple[int, int]
+) -> "tuple[_Drawing, Camera]":
+    """Return what draws a scene of random blur sizes, and its camera."""
     nearest, farthest = _blur_range(random, side)
     # What is farther away than all of the scene: blur sizes end at that of infinity.
     infinity = max(farthest, 1.0) * random.uniform(1.04, 1.7)
@@ -98,10 +147,8 @@ def random_scene(
         side=side,
     )
     widest = max(abs(nearest), abs(farthest))
-    draw = _Drawing(random, shape, int(np.ceil(widest / 2)) + 2, (nearest, farthest))
-    things = draw.things()
-    layers = (*things, *draw.room(things))
-    return LayeredScene(layers, camera)
+    margin = int(np.ceil(widest / 2)) + 2
+    return _Drawing(random, shape, margin, (nearest, farthest)), camera
 
 
 def _blur_range(random: np.random.Generator, side: str) -> tuple[float, float]:
@@ -149,6 +196,32 @@ class _Drawing:
             if layer is not None:
                 layers.append(layer)
         return tuple(layers)
+
+    def rods(self, widths_px: Sequence[float], behind_px: FloatArray) -> list[tuple[float, Layer]]:
+        """Return rods side by side before what is behind: how far away each is, and its layer."""
+        random, rows, columns = self.random, *self.canvas
+        y, x = np.mgrid[:rows, :columns].astype(np.float32)
+        standing = random.random() < 0.6
+        across, along = (x, y) if standing else (y, x)
+        spacing = FINENESS * self.shape[int(standing)] / len(widths_px)
+        places = random.permutation(len(widths_px)) + random.uniform(0.4, 0.6, len(widths_px))
+        found = []
+        for place, width in zip(places * spacing, widths_px, strict=True):
+            lean = random.uniform(-0.3, 0.3) * spacing / along.max()
+            middle = place + FINENESS * self.margin + lean * (along - along.max() / 2)
+            away = np.abs(across - middle) / np.hypot(1, lean)
+            # Exact to a fraction of a pixel: the width matters.
+            matte = np.clip(FINENESS * width / 2 - away + 0.5, 0, 1)
+            inside = slice(FINENESS * self.margin, -FINENESS * self.margin or None, FINENESS)
+            covered = behind_px[matte[inside, inside] > 0.5]
+            limit = float(covered.min()) if covered.size else self.farthest
+            limit -= 0.15 * (self.farthest - self.nearest)
+            blur = random.uniform(self.nearest, max(limit, self.nearest))
+            layer = self._layer(matte, blur)
+            if layer is None:
+                raise InputError(f"no rod of {width:g} px can be drawn: use 1 px or more")
+            found.append((blur, layer))
+        return found
 
     def room(self, things: tuple[Layer, ...]) -> tuple[Layer, ...]:
         """Return the planes behind all things: the nearest of them is seen at every pixel."""
