@@ -510,3 +510,55 @@ def test_simulate_refuses_impossible_outputs_before_rendering(
 def test_wrong_usage_of_simulate(scene, tmp_path, capsys, options, phrase):
     wrong_usage(simulate(capsys, scene, tmp_path / "coded.png", *options), "simulate", phrase)
     assert everything(tmp_path) == {}
+
+
+def test_a_random_scene_is_simulated_with_its_truth_beside_it(tmp_path, capsys):
+    pytest.importorskip("numba", reason="random scenes need numba")
+    from coded_aperture_ros.simulation.layered import random_scene
+
+    output = tmp_path / "out" / "coded.npy"
+    cells = np.float32([[1, 1, 0], [0, 1, 0], [0, 1, 1]])
+    np.save(tmp_path / "mask.npy", cells)
+    options = ("--random", 7, "--mask", tmp_path / "mask.npy", "--side", "both", "--size", 90, 70)
+    result = call(capsys, "simulate", *options, "-o", output, "--json")
+    assert (result.status, result.err) == (0, "")
+    camera = load_camera(output.with_suffix(".camera.yaml"))
+    assert (camera.image_width, camera.image_height, camera.side) == (90, 70, "both")
+    expected = random_scene(7, camera.mask, "both", (70, 90))
+    np.testing.assert_array_equal(np.load(output), expected.coded())
+    np.testing.assert_array_equal(
+        np.load(tmp_path / "out" / "coded.all_in_focus.npy"), expected.all_in_focus()
+    )
+    depth = np.load(tmp_path / "out" / "coded.depth.npy")
+    np.testing.assert_allclose(camera.blur_size_px(depth), expected.blur_size_px(), atol=2e-3)
+    summary = json.loads(result.out)
+    assert (summary["width"], summary["height"]) == (90, 70)
+    assert summary["blur_size_min_px"] < 0 < summary["blur_size_max_px"]
+    assert summary["depth_near_m"] == pytest.approx(depth.min(), abs=1e-3)
+    again = call(capsys, "simulate", *options, "-o", tmp_path / "b.png", "--noise", 0.01)
+    assert "blur sizes" in again.out
+    noisy = read_image(tmp_path / "b.png") - expected.coded()
+    assert noisy.std() == pytest.approx(0.01, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("options", "phrase"),
+    [
+        ((), "required: --camera, --image, --depth; or --random SEED"),
+        (("--image", "x.png", "--mask", "zhou"), "required: --camera, --depth"),
+        (("--random", 3, "--image", "x.png"), "--random makes a scene of its own"),
+        (("--random", -1), "--random: expected 0 or more"),
+        (("--random", "x"), "argument --random: invalid int value"),
+        (("--random", 3, "--size", 5, 5), "--size: expected at least 16"),
+        (("--random", 3, "--side", "left"), "--side: invalid choice"),
+    ],
+)
+def test_wrong_usage_of_random_scenes(tmp_path, capsys, options, phrase):
+    result = call(capsys, "simulate", *options, "-o", tmp_path / "coded.png")
+    wrong_usage(result, "simulate", phrase)
+    assert everything(tmp_path) == {}
+
+
+def test_a_mask_is_for_random_scenes_only(scene, tmp_path, capsys):
+    result = simulate(capsys, scene, tmp_path / "coded.png", "--mask", "zhou")
+    wrong_usage(result, "simulate", "--mask: only with --random")

@@ -1,6 +1,7 @@
 """The examples that the commands' `--help` shows, typed as they stand."""
 
 import shutil
+from importlib.util import find_spec
 
 import cv2
 import numpy as np
@@ -57,8 +58,10 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
     type_in(short)
     assert (tmp_path / "cardboard.png").is_file()
 
-    (simulate,) = examples(capsys, "simulate")
+    simulate, simulate_random = examples(capsys, "simulate")
     type_in(simulate)
+    if find_spec("numba"):
+        type_in(simulate_random)
     (tmp_path / "frames").mkdir()
     shutil.copy("coded.png", "frames/first.png")
 

@@ -65,10 +65,19 @@ def _photographs() -> tuple[FloatArray, ...]:
         if spec is None or spec.origin is None:
             continue
         for name in names:
-            picture = cv2.imread(str(Path(spec.origin).parent / folder / name), 0)
-            if picture is not None:
+            path = Path(spec.origin).parent / folder / name
+            if path.is_file():
+                picture = cv2.imdecode(np.frombuffer(_unprofiled(path.read_bytes()), np.uint8), 0)
                 found.append((picture.astype(np.float32) / 255) ** np.float32(2.2))
     return tuple(found)
+
+
+def _unprofiled(png: bytes) -> bytes:
+    """Leave out the colour profile, of which libpng would complain on the terminal."""
+    start = png.find(b"iCCP") - 4
+    if start < 0:
+        return png
+    return png[:start] + png[start + 12 + int.from_bytes(png[start : start + 4], "big") :]
 
 
 def _photograph(random: np.random.Generator) -> FloatArray:
