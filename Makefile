@@ -27,7 +27,7 @@ READY_OLDEST := $(VENV_OLDEST)/finished-with-3.12
 SETUP := setup.py setup.cfg pyproject.toml scripts/create_environment.sh
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-installed test-oldest fuzz soak lint docs environment clean
+.PHONY: help demo test test-all test-installed test-oldest fuzz soak lint docs train environment clean
 
 help: ## Show this list
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | \
@@ -80,6 +80,21 @@ endif
 endif
 test-oldest: ## Run every test with the oldest supported versions (those of Ubuntu 24.04)
 
+# 4,000 frames, 200 of them to look at; two processes at a time. It goes on where it stood.
+TRAIN ?= build/training
+SHARDS ?= 80
+MINUTES ?= 75
+WEIGHTS = $(notdir $(wildcard coded_aperture_ros/depth/refine/refinement.*))
+TRAINING = OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python training
+IN_TWO_PROCESSES = trap 'kill 0' INT; part() { $(TRAINING)/$(1) --shards $$1 $(SHARDS) 2; }; \
+	part 0 & first=$$!; part 1; second=$$?; wait $$first && exit $$second
+train: $(VENV)/finished-train ## Learn the refinement anew: scenes, costs, weights (build/training)
+	@$(call IN_TWO_PROCESSES,scenes.py --output $(TRAIN)/scenes)
+	@$(call IN_TWO_PROCESSES,costs.py --scenes $(TRAIN)/scenes --output $(TRAIN)/costs)
+	@$(VENV)/bin/python training/fit.py --scenes $(TRAIN)/scenes --costs $(TRAIN)/costs \
+		--output $(TRAIN)/fit --minutes $(MINUTES) --shards 4 $(SHARDS) --validate 0 4
+	@$(VENV)/bin/python training/export.py --state $(TRAIN)/fit/state.pt -o $(TRAIN)/$(WEIGHTS)
+
 environment: $(READY) ## Only make the virtual environment (.venv)
 
 $(VENV)/finished-with-%: $(SETUP)
@@ -87,6 +102,10 @@ $(VENV)/finished-with-%: $(SETUP)
 
 $(VENV)/finished-docs: $(READY)
 	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	@touch $@
+
+$(VENV)/finished-train: $(READY)
+	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[train]'
 	@touch $@
 
 $(READY_OLDEST): $(SETUP) test/constraints-oldest.txt

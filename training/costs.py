@@ -5,13 +5,14 @@ python training/costs.py --scenes DIR --output DIR --shards 0 40
 
 import argparse
 import dataclasses
-import time
-from functools import lru_cache
+import tempfile
+from functools import lru_cache, partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 from scenes import FRAMES_PER_SHARD, LIGHT_STEP, drawn, mask_of
+from shards import add_shard_options, compute
 
 from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank
 from coded_aperture_ros.bank.file import load_bank, save_bank
@@ -114,34 +115,39 @@ def costs(number: int, light: np.ndarray, folder: Path) -> dict[str, np.ndarray]
     }
 
 
+def cost_shard(shard: int, light: np.ndarray, folder: Path | None) -> dict[str, np.ndarray]:
+    """Return what the likelihood says of all frames of a shard; names end in their index."""
+    folder = folder or Path(tempfile.gettempdir()) / "coded_aperture_training_banks"
+    arrays = {}
+    for index, frame in enumerate(light):
+        number = shard * FRAMES_PER_SHARD + index
+        found = costs(number, frame.astype(np.float32) * np.float32(LIGHT_STEP), folder)
+        arrays.update({f"{name}_{index}": value for name, value in found.items()})
+    return arrays
+
+
 def main() -> None:
-    """Compute the shards that are not there yet."""
+    """Compute the shards that are not there yet, of the scenes that are."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=Path, required=True)
-    parser.add_argument("--output", type=Path, required=True)
-    parser.add_argument("--shards", type=int, nargs="+", required=True, help="FIRST END [STEP]")
+    add_shard_options(parser)
     args = parser.parse_args()
-    args.output.mkdir(parents=True, exist_ok=True)
-    for shard in range(*args.shards):
-        source, path = (
-            folder / f"{name}_{shard:04d}.npz"
-            for folder, name in ((args.scenes, "scenes"), (args.output, "costs"))
-        )
-        if path.exists() or not source.exists():
-            continue
-        start = time.perf_counter()
-        arrays = {}
-        for index, light in enumerate(np.load(source)["light"]):
-            number = shard * FRAMES_PER_SHARD + index
-            found = costs(
-                number, light.astype(np.float32) * np.float32(LIGHT_STEP), args.output / "banks"
-            )
-            arrays.update({f"{name}_{index}": value for name, value in found.items()})
-        part = path.with_suffix(".part.npz")
-        np.savez(part, **arrays)
-        part.rename(path)
-        print(f"{path.name}: {time.perf_counter() - start:.1f} s", flush=True)
+    # Other machines keep the banks that they learn to themselves.
+    folder = None if args.scheduler else args.output / "banks"
+
+    def read(shard: int, source: Path) -> tuple[int, np.ndarray, Path | None]:
+        return shard, np.load(source)["light"], folder
+
+    tasks = [
+        (args.output / f"costs_{shard:04d}.npz", partial(read, shard, source))
+        for shard in range(*args.shards)
+        if (source := args.scenes / f"scenes_{shard:04d}.npz").exists()
+    ]
+    compute(cost_shard, tasks, ("shards.py", "scenes.py", "costs.py"), args.scheduler)
 
 
 if __name__ == "__main__":
+    # Workers know the functions of modules, not those of this program.
+    from costs import main
+
     main()

@@ -5,11 +5,9 @@ python training/scenes.py --output DIR --shards 0 40
 
 import argparse
 import dataclasses
-import itertools
-import time
-from pathlib import Path
 
 import numpy as np
+from shards import add_shard_options, compute
 
 from coded_aperture_ros.optics import Mask
 from coded_aperture_ros.simulation.layered import random_scene
@@ -99,21 +97,17 @@ def render_shard(shard: int) -> dict[str, np.ndarray]:
 def main() -> None:
     """Render the shards that are not there yet."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--output", type=Path, required=True)
-    parser.add_argument("--shards", type=int, nargs="+", required=True, help="FIRST END [STEP]")
+    add_shard_options(parser)
     args = parser.parse_args()
-    args.output.mkdir(parents=True, exist_ok=True)
-    for shard in itertools.chain(range(*args.shards)):
-        path = args.output / f"scenes_{shard:04d}.npz"
-        if path.exists():
-            continue
-        start = time.perf_counter()
-        frames = render_shard(shard)
-        part = path.with_suffix(".part.npz")
-        np.savez(part, **frames)
-        part.rename(path)
-        print(f"{path.name}: {time.perf_counter() - start:.1f} s", flush=True)
+    tasks = [
+        (args.output / f"scenes_{shard:04d}.npz", lambda shard=shard: (shard,))
+        for shard in range(*args.shards)
+    ]
+    compute(render_shard, tasks, ("shards.py", "scenes.py"), args.scheduler)
 
 
 if __name__ == "__main__":
+    # Workers know the functions of modules, not those of this program.
+    from scenes import main
+
     main()

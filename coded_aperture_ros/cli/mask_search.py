@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.cluster import dask_client
 from coded_aperture_ros.cli.options import (
     add_config_options,
     add_jobs_option,
@@ -122,23 +123,8 @@ def _dask_workers(address: str) -> Iterator[RunAll]:
     A worker that dies loses nothing: an epoch depends only on its arguments, which this process
     keeps, and the scheduler gives it to another worker.
     """
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise InputError(
-            "--scheduler needs Dask: pip install 'coded_aperture_ros[cluster]'"
-        ) from error
-    try:
-        client = Client(address, timeout="10s")
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"--scheduler {address}: no Dask scheduler answers there: start one with "
-            "'dask scheduler', and workers with 'dask worker ADDRESS'"
-        ) from error
-    try:
+    with dask_client(address) as client:
         yield lambda tasks: client.gather(client.map(_run, tasks, pure=False, retries=2))
-    finally:
-        client.close()
 
 
 def _run(task: tuple[Any, ...]) -> Any:

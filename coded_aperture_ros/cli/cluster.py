@@ -1,0 +1,35 @@
+"""The workers of a Dask scheduler, for what takes long."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from coded_aperture_ros.core.errors import InputError
+
+
+@contextmanager
+def dask_client(address: str) -> Iterator[Any]:
+    """Yield a client of a Dask scheduler, as `--scheduler` names it.
+
+    Raises
+    ------
+    InputError
+        If Dask is not installed, or no scheduler answers.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise InputError(
+            "--scheduler needs Dask: pip install 'coded_aperture_ros[cluster]'"
+        ) from error
+    try:
+        client = Client(address, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"--scheduler {address}: no Dask scheduler answers there: start one with "
+            "'dask scheduler', and workers with 'dask worker ADDRESS'"
+        ) from error
+    try:
+        yield client
+    finally:
+        client.close()
