@@ -6,13 +6,15 @@ import numpy as np
 
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, Rods
 from coded_aperture_ros.cli.options import mask_of
-from coded_aperture_ros.simulation.layered import random_scene, rod_scene
+from coded_aperture_ros.simulation.layered import LayeredScene, random_scene, rod_scene
 
 # Training has smaller ones.
 FIRST_SEED = 1_000_000
 # From the thinnest to the widest, each of a share of the range.
 _RODS = 8
 _THINNEST_PX, _WIDEST_PX = 2.0, 20.0
+# A rod counts where what is behind it is farther by this factor: else whoever misses it finds it.
+_APART = 1.25
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +51,9 @@ class RandomScene:
         if self.rods:
             widths = _rod_widths(self.seed)
             scene, labels = rod_scene(self.seed, mask_of(mask), widths, self.side, self.size)
-            rods = Rods(labels, widths)
+            behind = LayeredScene(scene.layers[len(widths) :], scene.camera)
+            apart = behind.depth_m() >= _APART * scene.depth_m()
+            rods = Rods(np.where(apart, labels, 0), widths)
         else:
             scene = random_scene(self.seed, mask_of(mask), self.side, self.size)
         coded, sharp = (
