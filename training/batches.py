@@ -26,6 +26,7 @@ class Frame:
     noise: float
     sizes_px: np.ndarray
     window_px: int
+    infinity_px: float
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -56,6 +57,7 @@ def load(scenes: Path, costs: Path, shards: list[int]) -> list[Frame]:
                     float(seen[f"noise_{index}"]),
                     seen[f"sizes_{index}"].astype(np.float64),
                     int(seen[f"grid_{index}"][2]),
+                    float(truth["infinity"][index]),
                 )
             )
     return frames
@@ -81,14 +83,9 @@ def _sample(
     volume, sizes = frame.volume.astype(np.float32), frame.sizes_px
     if augment:
         volume, sizes = _fewer_levels(volume, sizes, blur, random)
-    grey = frame.light.astype(np.float32) * np.float32(LIGHT_STEP)
-    grid = PatchGrid.covering(grey.shape, frame.window_px, STRIDE_PX)
-    cells = Cells.covering(grey.shape, grid)
-    misfit = frame.misfit.astype(np.float32)
-    costs = cost_features(volume, misfit, grey, frame.noise, cells, sizes)
-    texture = frame_features(grey, frame.noise, cells)
+    costs, texture, cells = looked_at(frame, volume, sizes)
     truth = np.full((cells.rows * CELL_PX, cells.columns * CELL_PX), np.nan, np.float32)
-    truth[-cells.top :, -cells.left :][: len(grey), : grey.shape[1]] = blur
+    truth[-cells.top :, -cells.left :][: blur.shape[0], : blur.shape[1]] = blur
     # One pixel of each quarter of a half-cell.
     down, right = random.integers(2, size=2)
     if augment and random.random() < 0.75:
@@ -96,6 +93,17 @@ def _sample(
     truth = truth[down::2, right::2]
     costs, texture = (_padded(values, n * _CELLS) for values, n in ((costs, 1), (texture, 2)))
     return costs, texture, tried_sizes(sizes), _padded(truth, 4 * _CELLS, np.nan)
+
+
+def looked_at(
+    frame: Frame, volume: np.ndarray, sizes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, Cells]:
+    """Return the features of a frame's costs and of the frame, and the cells."""
+    grey = frame.light.astype(np.float32) * np.float32(LIGHT_STEP)
+    cells = Cells.covering(grey.shape, PatchGrid.covering(grey.shape, frame.window_px, STRIDE_PX))
+    misfit = frame.misfit.astype(np.float32)
+    costs = cost_features(volume, misfit, grey, frame.noise, cells, sizes)
+    return costs, frame_features(grey, frame.noise, cells), cells
 
 
 def _padded(values: np.ndarray, side: int, value: float | None = None) -> np.ndarray:

@@ -1,18 +1,21 @@
 """Write the fitted network in the form that the package runs.
 
-python training/export.py --state DIR/state.pt -o coded_aperture_ros/depth/refine/refinement.onnx.gz
+python training/export.py --state DIR/state.pt -o coded_aperture_ros/depth/refine/refinement.npz
 """
 
 import argparse
-import gzip
 import hashlib
 import io
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
 from network import BINS, Refinement
 
+from coded_aperture_ros.core.archive import write_archive
 from coded_aperture_ros.depth.refine.features import FRAME_CELL_PX, SCALARS
+from coded_aperture_ros.depth.refine.network import SCHEMA, SCHEMA_VERSION
 
 # Of a single-precision number; what is left out is below what half precision keeps.
 _DROPPED_BITS = 12
@@ -42,21 +45,36 @@ def main() -> None:
         parameter.data = rounded(parameter.data)
     written = io.BytesIO()
     torch.onnx.export(
-        network,
+        _Trunk(network),
         (
             torch.zeros(1, BINS + SCALARS, _ROWS, _COLUMNS),
             torch.zeros(1, FRAME_CELL_PX**2, 2 * _ROWS, 2 * _COLUMNS),
         ),
         written,
         input_names=["costs", "frame"],
-        output_names=["size", "choice"],
+        output_names=["fine"],
         dynamo=False,
         opset_version=11,
     )
-    packed = gzip.compress(written.getvalue(), 9, mtime=0)
-    args.output.write_bytes(packed)
+    arrays: dict[str, Any] = {"onnx": np.frombuffer(written.getvalue(), np.uint8)}
+    for name, layer in (("size", network.size), ("choice", network.choice)):
+        arrays[f"{name}_weights"] = layer.weight.detach().numpy()[:, :, 0, 0]
+        arrays[f"{name}_bias"] = layer.bias.detach().numpy()
+    write_archive(args.output, SCHEMA, SCHEMA_VERSION, arrays)
+    packed = args.output.read_bytes()
     count = sum(parameter.numel() for parameter in network.parameters())
     print(f"{count} weights, {len(packed)} bytes, sha256 {hashlib.sha256(packed).hexdigest()}")
+
+
+class _Trunk(torch.nn.Module):
+    """All but the last layer."""
+
+    def __init__(self, network: Refinement) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, costs: torch.Tensor, frame: torch.Tensor) -> torch.Tensor:
+        return self.network.trunk(costs, frame)
 
 
 def _fold(module: torch.nn.Module) -> None:

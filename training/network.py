@@ -6,85 +6,82 @@ from torch import nn
 from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, FRAME_CELL_PX, SCALARS
 
 BINS = len(BLUR_SIZES_PX)
-# Cells of 8 px, half as many, a quarter; half-cells of 4 px.
-WIDTHS = {"cell": 56, "half": 80, "quarter": 96, "fine": 32, "frame": 16}
+# Channels: of cells of 8 px, half as many a side, a quarter; of half-cells of 4 px; of the frame.
+_CELL, _HALF, _QUARTER, _FINE, _FRAME = 48, 64, 80, 32, 16
 NEIGHBOURS = 9
+CHOICES = 4 * NEIGHBOURS
 
 
-def convolution(inputs: int, outputs: int, side: int = 3, stride: int = 1, dilation: int = 1):
+def convolution(inputs: int, outputs: int, side: int = 1, stride: int = 1) -> nn.Sequential:
     """Return a convolution with batch normalisation, which is folded into it in the end."""
-    padding = dilation * (side // 2)
     return nn.Sequential(
-        nn.Conv2d(inputs, outputs, side, stride, padding, dilation, bias=False),
+        nn.Conv2d(inputs, outputs, side, stride, side // 2, bias=False),
         nn.BatchNorm2d(outputs),
         nn.ReLU(inplace=True),
     )
 
 
 class Residual(nn.Module):
-    """Adds what two convolutions find: of the neighbours in each channel, then of all channels."""
+    """Adds what convolutions find around each place, in fewer channels if `inner` is less."""
 
-    def __init__(self, width: int, dilation: int = 1, dense: bool = False) -> None:
+    def __init__(self, width: int, inner: int, dilation: int = 1) -> None:
         super().__init__()
-        padding = dilation * (1 if dense else 2)
-        side, groups = (3, 1) if dense else (5, width)
-        self.spatial = nn.Conv2d(width, width, side, 1, padding, dilation, groups, bias=False)
-        self.norm = nn.BatchNorm2d(width)
-        self.mix = nn.Conv2d(width, width, 1)
+        self.reduce = convolution(width, inner) if inner < width else nn.Identity()
+        self.spatial = nn.Conv2d(inner, inner, 3, 1, dilation, dilation, bias=False)
+        self.norm = nn.BatchNorm2d(inner)
+        self.mix = nn.Conv2d(inner, width, 1)
         nn.init.zeros_(self.mix.weight)
         nn.init.zeros_(self.mix.bias)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        return x + self.mix(torch.relu(self.norm(self.spatial(x))))
+        return x + self.mix(torch.relu(self.norm(self.spatial(self.reduce(x)))))
 
 
 class Refinement(nn.Module):
     """An encoder and decoder over cells of 8 px, with skips, and a decoder to half-cells.
 
     Takes `cost_features` [batch, channels, rows, columns] and `frame_features` [batch, channels, 2
-    rows, 2 columns]. Returns, at half-cells of 4 px, the logits of `BLUR_SIZES_PX`, the logarithm
-    of the mean error in px, and for each quarter of a half-cell the logits of the half-cell around
-    it whose blur size it has.
+    rows, 2 columns]. Returns, at half-cells of 4 px, the logits of `BLUR_SIZES_PX` and the
+    logarithm of the mean error in px, and for each quarter of a half-cell the logits of the
+    half-cell around it whose blur size it has.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        w = WIDTHS
-        self.frame = convolution(FRAME_CELL_PX**2, w["frame"])
-        self.frame_down = convolution(w["frame"], 24, 3, 2)
-        self.stem = convolution(BINS + SCALARS, w["cell"], 1)
-        self.join = convolution(w["cell"] + 24, w["cell"], 1)
-        self.at_cell = nn.Sequential(Residual(w["cell"]), Residual(w["cell"]), Residual(w["cell"]))
-        self.down = convolution(w["cell"], w["half"], 3, 2)
-        self.at_half = nn.Sequential(Residual(w["half"], 2, True), Residual(w["half"]))
-        self.down2 = convolution(w["half"], w["quarter"], 3, 2)
+        self.frame = convolution(FRAME_CELL_PX**2, _FRAME)
+        self.frame_down = convolution(_FRAME, 20, 3, 2)
+        self.stem = convolution(BINS + SCALARS, 44)
+        self.skip = convolution(44 + 20, 40)
+        self.down = convolution(44 + 20, _HALF, 3, 2)
+        self.at_half = nn.Sequential(
+            Residual(_HALF, 32), Residual(_HALF, 32, 2), Residual(_HALF, 32)
+        )
+        self.down2 = convolution(_HALF, _QUARTER, 3, 2)
         self.at_quarter = nn.Sequential(
-            Residual(w["quarter"], 1, True), Residual(w["quarter"], 2, True)
+            Residual(_QUARTER, _QUARTER), Residual(_QUARTER, _QUARTER, 2)
         )
-        self.up2 = nn.ConvTranspose2d(w["quarter"], w["half"], 2, 2)
-        self.at_half_again = nn.Sequential(
-            convolution(2 * w["half"], w["half"], 1), Residual(w["half"])
-        )
-        self.up = nn.ConvTranspose2d(w["half"], w["cell"], 2, 2)
-        self.at_cell_again = nn.Sequential(
-            convolution(2 * w["cell"], w["cell"], 1), Residual(w["cell"]), Residual(w["cell"])
-        )
-        self.to_fine = nn.ConvTranspose2d(w["cell"], w["fine"], 2, 2)
-        self.fine = nn.Sequential(
-            convolution(w["fine"] + w["frame"], w["fine"], 1), Residual(w["fine"])
-        )
-        self.head = nn.Conv2d(w["fine"], BINS + 1, 1)
-        self.choice = nn.Conv2d(w["fine"], 4 * NEIGHBOURS, 1)
+        self.up2 = nn.ConvTranspose2d(_QUARTER, _HALF, 2, 2)
+        self.at_half_again = nn.Sequential(convolution(2 * _HALF, _HALF), Residual(_HALF, 32))
+        self.up = nn.ConvTranspose2d(_HALF, 40, 2, 2)
+        self.at_cell = nn.Sequential(convolution(80, _CELL), Residual(_CELL, 24))
+        self.to_fine = nn.ConvTranspose2d(_CELL, 28, 2, 2)
+        self.fine = convolution(28 + _FRAME, _FINE)
+        self.size = nn.Conv2d(_FINE, BINS + 1, 1)
+        self.choice = nn.Conv2d(_FINE, CHOICES, 1)
+
+    def trunk(self, costs: torch.Tensor, frame: torch.Tensor) -> torch.Tensor:
+        """Return what the last two convolutions act on."""
+        of_frame = self.frame(frame)
+        cell = torch.cat([self.stem(costs), self.frame_down(of_frame)], 1)
+        half = self.at_half(self.down(cell))
+        quarter = self.at_quarter(self.down2(half))
+        half = self.at_half_again(torch.cat([half, self.up2(quarter)], 1))
+        cell = self.at_cell(torch.cat([self.skip(cell), self.up(half)], 1))
+        fine: torch.Tensor = self.fine(torch.cat([torch.relu(self.to_fine(cell)), of_frame], 1))
+        return fine
 
     def forward(
         self, costs: torch.Tensor, frame: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        of_frame = self.frame(frame)
-        cell = self.join(torch.cat([self.stem(costs), self.frame_down(of_frame)], 1))
-        cell = self.at_cell(cell)
-        half = self.at_half(self.down(cell))
-        quarter = self.at_quarter(self.down2(half))
-        half = self.at_half_again(torch.cat([half, self.up2(quarter)], 1))
-        cell = self.at_cell_again(torch.cat([cell, self.up(half)], 1))
-        fine = self.fine(torch.cat([torch.relu(self.to_fine(cell)), of_frame], 1))
-        return self.head(fine), self.choice(fine)
+        fine = self.trunk(costs, frame)
+        return self.size(fine), self.choice(fine)

@@ -1,38 +1,84 @@
 """Runs the network that ships with the package."""
 
-import gzip
+import dataclasses
 from functools import lru_cache
-from importlib.resources import files
+from importlib.resources import as_file, files
 
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.archive import read_archive
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 
-WEIGHTS = "refinement.onnx.gz"
+WEIGHTS = "refinement.npz"
+SCHEMA, SCHEMA_VERSION = "coded-aperture refinement network", 1
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Logits:
+    """What the network says of every half-cell; float32.
+
+    Attributes
+    ----------
+    size : ndarray [tried, rows, columns]
+        Logits of the blur sizes that were tried.
+    log_width : ndarray [rows, columns]
+        Logarithm of the mean error in px, if the likeliest blur size is about right.
+    choice : ndarray [4 * 9, rows, columns]
+        For each quarter of a half-cell, logits of the half-cells around whose blur size it has.
+    """
+
+    size: FloatArray
+    log_width: FloatArray
+    choice: FloatArray
 
 
 class Network:
-    """Costs and frame in, logits of blur sizes and of neighbours out; see `training/network.py`."""
+    """Costs and frame in, logits out; see `training/network.py` for its layers.
 
-    def __init__(self) -> None:
+    OpenCV runs all but the last layer, of which only the rows are computed that are needed.
+
+    Parameters
+    ----------
+    tried : ndarray, bool [blur sizes]
+        Which of `BLUR_SIZES_PX` there are costs of.
+
+    Raises
+    ------
+    InputError
+        If OpenCV cannot run the network.
+    """
+
+    def __init__(self, tried: BoolArray) -> None:
+        arrays = _arrays()
         try:
-            self._net = cv2.dnn.readNetFromONNX(np.frombuffer(_weights(), np.uint8))
+            self._net = cv2.dnn.readNetFromONNX(arrays["onnx"])
         except cv2.error as error:
             raise InputError(
-                f"regularize: OpenCV {cv2.__version__} does not read the network of learned: "
+                f"regularize: OpenCV {cv2.__version__} cannot run the network of learned: "
                 "use semiglobal, or OpenCV 4.6 or newer"
             ) from error
+        # The last row of the blur sizes' is the width.
+        rows = np.append(tried, True)
+        self._weights, self._bias = (
+            np.concatenate([arrays[f"size_{name}"][rows], arrays[f"choice_{name}"]])
+            for name in ("weights", "bias")
+        )
+        self._tried = int(np.count_nonzero(tried))
 
-    def __call__(self, costs: FloatArray, frame: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the logits [bins + 1, rows, columns] and [choices, rows, columns]."""
+    def __call__(self, costs: FloatArray, frame: FloatArray) -> Logits:
+        """Return the logits of half-cells, from `cost_features` and `frame_features`."""
         self._net.setInput(costs[None], "costs")
         self._net.setInput(frame[None], "frame")
-        size, choice = self._net.forward(["size", "choice"])
-        return size[0], choice[0]
+        fine = self._net.forward("fine")[0]
+        found = self._weights @ fine.reshape(len(fine), -1)
+        found += self._bias[:, None]
+        found = found.reshape(-1, *fine.shape[1:])
+        return Logits(found[: self._tried], found[self._tried], found[self._tried + 1 :])
 
 
 @lru_cache(maxsize=1)
-def _weights() -> bytes:
-    return gzip.decompress((files(__package__) / WEIGHTS).read_bytes())
+def _arrays() -> dict[str, FloatArray]:
+    with as_file(files(__package__) / WEIGHTS) as path:
+        return read_archive(path, SCHEMA, SCHEMA_VERSION)

@@ -5,16 +5,16 @@ import dataclasses
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
-from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, BLUR_STEP_PX
+from coded_aperture_ros.core.arrays import FloatArray, IndexArray
+from coded_aperture_ros.depth.refine.network import Logits
 
 # The blur size is the mean over so many bins on either side of the likeliest.
 REACH = 2
 # Neighbours around a half-cell that a quarter of it may belong to.
 _NEIGHBOURS = 9
-# Share of errors within one standard deviation.
-_WITHIN_ONE = 0.68
-_LEAST_WIDTH_PX = 0.02
+# Share of errors within one standard deviation, and the surest that this is taken from.
+_WITHIN_ONE, _SUREST = 0.68, 0.98
+_LOG_WIDTHS = (-4.0, 2.0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -24,78 +24,73 @@ class HalfCells:
     Attributes
     ----------
     size_px : ndarray
-        Signed blur size.
+        Signed blur size: the mean around the likeliest.
     width_px : ndarray
         Mean error of it, if it is about right.
+    about : ndarray
+        Probability that it is about right: that of the bins that it is the mean of.
     probability : ndarray [tried, rows, columns]
-        Of every blur size that was tried.
+        Of every blur size that was tried, but for a factor `scale` [rows, columns].
+    scale : ndarray
+        See `probability`.
     tried_px : ndarray [tried]
-        These.
+        The blur sizes that were tried.
     """
 
     size_px: FloatArray
     width_px: FloatArray
+    about: FloatArray
     probability: FloatArray
+    scale: FloatArray
     tried_px: FloatArray
 
     @classmethod
-    def of(cls, logits: FloatArray, tried: BoolArray) -> "HalfCells":
-        """Interpret logits [bins + 1, rows, columns]."""
-        tried_px = BLUR_SIZES_PX[tried].astype(np.float32)
-        first = int(np.flatnonzero(tried)[0])
-        probability = logits[first : first + len(tried_px)]
-        best = probability.argmax(axis=0)
-        probability = probability - probability.max(axis=0)
-        np.exp(probability, out=probability)
-        total = np.zeros_like(probability[0])
-        mean = np.zeros_like(total)
+    def of(cls, logits: Logits, tried_px: FloatArray) -> "HalfCells":
+        """Interpret logits."""
+        shape, count = logits.log_width.shape, len(tried_px)
+        flat = logits.size.reshape(count, -1)
+        best = flat.argmax(axis=0)
+        probability = np.exp(flat - flat.max(axis=0))
+        places = np.arange(flat.shape[1])
+        total, mean = (np.zeros(flat.shape[1], np.float32) for _ in range(2))
         for step in range(-REACH, REACH + 1):
             at = best + step
-            there = (at >= 0) & (at < len(tried_px))
-            index = np.clip(at, 0, len(tried_px) - 1)
-            weight = np.take_along_axis(probability, index[None], axis=0)[0] * there
+            weight = probability[np.clip(at, 0, count - 1), places]
+            weight *= (at >= 0) & (at < count)
             total += weight
-            mean += weight * tried_px[index]
-        probability /= probability.sum(axis=0)
-        width = np.exp(np.clip(logits[-1], -5, 2))
-        return cls(mean / total, np.maximum(width, _LEAST_WIDTH_PX), probability, tried_px)
-
-    def mass_within(self, distance_px: FloatArray) -> FloatArray:
-        """Return how probable blur sizes at most so far from the chosen one are."""
-        up_to = np.zeros((len(self.tried_px) + 1, *self.size_px.shape), np.float32)
-        np.cumsum(self.probability, axis=0, out=up_to[1:])
-        first, step = self.tried_px[0], np.float32(BLUR_STEP_PX)
-
-        def below(size_px: FloatArray) -> FloatArray:
-            place = np.clip((size_px - first) / step + 0.5, 0, len(self.tried_px))
-            index = np.minimum(place.astype(np.intp), len(self.tried_px) - 1)
-            low, high = (
-                np.take_along_axis(up_to, (index + more)[None], axis=0)[0] for more in (0, 1)
-            )
-            return low + (place - index) * (high - low)
-
-        return below(self.size_px + distance_px) - below(self.size_px - distance_px)
+            mean += weight * np.float32(step)
+        step_px = tried_px[1] - tried_px[0]
+        size = tried_px[best] + mean / total * step_px
+        scale = 1 / probability.sum(axis=0)
+        return cls(
+            size.reshape(shape),
+            np.exp(np.clip(logits.log_width, *_LOG_WIDTHS)),
+            (total * scale).reshape(shape),
+            probability.reshape(count, *shape),
+            scale.reshape(shape),
+            tried_px,
+        )
 
     def right_within(self, tolerance_px: FloatArray) -> FloatArray:
-        """Return how likely the blur size is right to a tolerance.
-
-        The bins tell whether it is about right, the width how exact it is then.
-        """
-        about = self.mass_within(np.maximum(tolerance_px, (REACH + 0.5) * BLUR_STEP_PX))
-        return np.asarray(about * (1 - np.exp(-tolerance_px / self.width_px)), np.float32)
+        """Return how likely the blur size is right to a tolerance [rows, columns]."""
+        return np.asarray(self.about * (1 - np.exp(-tolerance_px / self.width_px)), np.float32)
 
     def deviation_px(self) -> FloatArray:
         """Return the distance that errors are within as often as within a standard deviation."""
-        about = self.mass_within(np.full_like(self.size_px, (REACH + 0.5) * BLUR_STEP_PX))
-        share = np.minimum(_WITHIN_ONE / np.maximum(about, 1e-3), 0.98)
-        near = -self.width_px * np.log1p(-share)
-        offsets = self.tried_px[:, None, None] - self.size_px
-        far = np.sqrt((self.probability * offsets * offsets).sum(axis=0))
-        return np.where(about > _WITHIN_ONE, np.minimum(near, np.maximum(far, near * 0)), far)
+        share = np.minimum(_WITHIN_ONE / self.about, _SUREST)
+        deviation = -self.width_px * np.log1p(-share)
+        count = len(self.tried_px)
+        powers = np.stack([self.tried_px, self.tried_px**2])
+        moments = powers @ self.probability.reshape(count, -1)
+        first, second = moments.reshape(2, *self.scale.shape) * self.scale
+        spread = second - 2 * first * self.size_px + self.size_px**2
+        # Where the likeliest is not likely, errors are as large as the others are far.
+        unlikely = self.about < _WITHIN_ONE
+        return np.where(unlikely, np.maximum(deviation, np.sqrt(np.maximum(spread, 0))), deviation)
 
     def quantile_px(self, share: float) -> FloatArray:
-        """Return the blur size that the true one is nearer than with a probability."""
-        rank = (np.cumsum(self.probability, axis=0) < share).sum(axis=0)
+        """Return the blur size that the true one is below with a probability [rows, columns]."""
+        rank = (np.cumsum(self.probability * self.scale, axis=0) < share).sum(axis=0)
         return self.tried_px[np.minimum(rank, len(self.tried_px) - 1)]
 
 

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 
+from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.depth.decision import Decision
@@ -10,6 +11,7 @@ from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.refine.cells import Cells
 from coded_aperture_ros.depth.refine.features import (
+    BLUR_SIZES_PX,
     LARGEST_PX,
     cost_features,
     frame_features,
@@ -35,6 +37,8 @@ _SURE = 1e-3
 def untrained(model: LikelihoodModel, stride_px: int) -> str:
     """Return why a model is not one that the network was trained for; empty if it is."""
     stack = model.stack
+    if not isinstance(model, FilterBank):
+        return "it is not a filter bank"
     if not stack.in_pixels:
         return "the blur sizes of its PSFs are not known in pixels"
     largest = float(np.abs(stack.blur_sizes_px).max())
@@ -55,8 +59,9 @@ class Refined:
     def __init__(self, model: LikelihoodModel, levels: Levels) -> None:
         self._sizes = model.stack.blur_sizes_px
         self._levels = levels
-        self._tried = tried_sizes(self._sizes)
-        self._network = Network()
+        tried = tried_sizes(self._sizes)
+        self._tried_px = BLUR_SIZES_PX[tried].astype(np.float32)
+        self._network = Network(tried)
         self._tolerance = _tolerance_px(levels)
 
     def __call__(
@@ -72,10 +77,12 @@ class Refined:
         cells = Cells.covering(grey.shape, seen.grid)
         misfit = np.zeros(volume.shape[:2], np.float32) if own.misfit is None else own.misfit
         costs = cost_features(volume, misfit, grey, noise, cells, self._sizes)
-        logits, choice = self._network(costs, frame_features(grey, noise, cells))
-        found = HalfCells.of(logits, self._tried)
+        logits = self._network(costs, frame_features(grey, noise, cells))
+        found = HalfCells.of(logits, self._tried_px)
+        right = _calibrated(found.right_within(self._tolerance_at(found.size_px)))
+        deviation_px = found.deviation_px()
+        quarters = chosen_neighbours(logits.choice)
         stages.lap("refine")
-        quarters = chosen_neighbours(choice)
 
         def map_of(values: FloatArray, one_surface: float) -> FloatArray:
             whole = drawn(values, quarters, one_surface)[-cells.top :, -cells.left :]
@@ -86,17 +93,16 @@ class Refined:
             return np.ascontiguousarray(whole)
 
         level = self._level(map_of(found.size_px, _ONE_SURFACE_PX))
-        right = _calibrated(found.right_within(self._tolerance_at(found.size_px)))
         confidence = map_of(right, 0.1)
         per_px = np.float32(abs((len(self._sizes) - 1) / np.ptp(self._sizes)))
-        deviation = map_of(found.deviation_px() * (per_px * np.float32(_DEVIATION)), 0.5)
+        deviation = map_of(deviation_px * (per_px * np.float32(_DEVIATION)), 0.5)
         if not seen.usable.all():
             at = MapGrid.of(seen.grid, grey.shape, size)
             confidence[at.nearest(~seen.usable)] = 0
         of_side = None
         if self._sizes.min() < 0 < self._sizes.max():
-            same = found.tried_px[:, None, None] * found.size_px > 0
-            of_side = map_of((found.probability * same).sum(axis=0), 0.1)
+            far = found.probability[found.tried_px > 0].sum(axis=0) * found.scale
+            of_side = map_of(np.where(found.size_px > 0, far, 1 - far), 0.1)
 
         def nearest_plausible() -> FloatArray:
             return self._level(map_of(found.quantile_px(_PLAUSIBLE), _ONE_SURFACE_PX))

@@ -1,0 +1,85 @@
+"""Fit how sure the refinement may be, on frames that it has not learned from.
+
+    python training/calibrate.py --scenes DIR --costs DIR --shards 0 4
+
+Prints the constants of `coded_aperture_ros/depth/refine/refine.py`, and how well they hold.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from batches import Frame, load, looked_at
+from scenes import BLUR_STEP
+from scipy.optimize import minimize
+
+from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, tried_sizes
+from coded_aperture_ros.depth.refine.network import Network
+from coded_aperture_ros.depth.refine.probabilities import HalfCells
+
+_PUBLISHED = 0.55
+_SURE = 1e-3
+
+
+def measured(frame: Frame) -> dict[str, np.ndarray]:
+    """Return for every half-cell in the frame what was found and how wrong it is."""
+    costs, texture, cells = looked_at(frame, frame.volume.astype(np.float32), frame.sizes_px)
+    tried = tried_sizes(frame.sizes_px)
+    logits = Network(tried)(costs, texture)
+    found = HalfCells.of(logits, BLUR_SIZES_PX[tried].astype(np.float32))
+    rows, columns = frame.blur.shape
+    down, right = (np.arange(2, length, 4) for length in (rows, columns))
+    at = np.ix_((down - cells.top) // 4, (right - cells.left) // 4)
+    truth = frame.blur[np.ix_(down, right)] * BLUR_STEP
+    tolerance = 0.05 * np.abs(frame.infinity_px - found.size_px)
+    probability = found.right_within(tolerance.astype(np.float32))[at]
+    known = frame.blur[np.ix_(down, right)] != 0
+    return {
+        "probability": probability[known],
+        "error": np.abs(found.size_px[at] - truth)[known],
+        "tolerance": tolerance[at][known],
+        "deviation": found.deviation_px()[at][known],
+    }
+
+
+def log_odds(probability: np.ndarray) -> np.ndarray:
+    """Return the logarithm of the odds, cut off where nothing is that sure."""
+    probability = np.clip(probability, _SURE, 1 - _SURE)
+    return np.log(probability / (1 - probability))
+
+
+def main() -> None:
+    """Fit and report."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", type=Path, required=True)
+    parser.add_argument("--costs", type=Path, required=True)
+    parser.add_argument("--shards", type=int, nargs=2, default=(0, 4))
+    args = parser.parse_args()
+    frames = load(args.scenes, args.costs, [*range(*args.shards)])
+    each = [measured(frame) for frame in frames]
+    found = {name: np.concatenate([one[name] for one in each]) for name in each[0]}
+    right = found["error"] <= found["tolerance"]
+    odds = log_odds(found["probability"])
+
+    def unlikelihood(parameters: np.ndarray) -> float:
+        values = parameters[0] + parameters[1] * odds
+        return float(np.mean(np.logaddexp(0, values) - right * values))
+
+    offset, slope = minimize(unlikelihood, [0.0, 1.0], method="Nelder-Mead").x
+    confidence = 1 / (1 + np.exp(-(offset + slope * odds)))
+    published = confidence >= _PUBLISHED
+    factor = np.quantile((found["error"] / found["deviation"])[published], 0.68)
+    print(f"_CALIBRATION = ({offset:.3f}, {slope:.3f})\n_DEVIATION = {factor:.3f}")
+    twice = found["error"] <= 2 * found["tolerance"]
+    print(f"right to 5 %: {right.mean():.3f}, to 10 %: {twice.mean():.3f}")
+    print(f"published {published.mean():.3f}, of these to 10 %: {twice[published].mean():.3f}")
+    for low in np.arange(0, 1, 0.1):
+        part = (confidence >= low) & (confidence < low + 0.1)
+        if part.any():
+            print(
+                f"{low:.1f}: {confidence[part].mean():.3f} {right[part].mean():.3f} {part.mean():.3f}"
+            )
+
+
+if __name__ == "__main__":
+    main()
