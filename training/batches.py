@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from scenes import BLUR_STEP, FRAMES_PER_SHARD, LIGHT_STEP
+from scenes import BLUR_STEP, FRAMES_PER_SHARD, LIGHT_STEP, drawn
 
 from coded_aperture_ros.depth.refine.cells import CELL_PX, Cells
 from coded_aperture_ros.depth.refine.features import cost_features, frame_features, tried_sizes
@@ -48,6 +48,8 @@ def load(scenes: Path, costs: Path, shards: list[int]) -> list[Frame]:
             continue
         truth, seen = (dict(np.load(path)) for path in paths)
         for index in range(FRAMES_PER_SHARD):
+            if drawn(shard * FRAMES_PER_SHARD + index).side == "both":
+                continue
             frames.append(
                 Frame(
                     seen[f"volume_{index}"],
@@ -92,6 +94,7 @@ def _sample(
         costs, texture, truth, (down, right) = _turned(costs, texture, truth, random)
     truth = truth[down::2, right::2]
     costs, texture = (_padded(values, n * _CELLS) for values, n in ((costs, 1), (texture, 2)))
+    truth = np.abs(truth)
     return costs, texture, tried_sizes(sizes), _padded(truth, 4 * _CELLS, np.nan)
 
 

@@ -30,8 +30,8 @@ def measured(frame: Frame) -> dict[str, np.ndarray]:
     rows, columns = frame.blur.shape
     down, right = (np.arange(2, length, 4) for length in (rows, columns))
     at = np.ix_((down - cells.top) // 4, (right - cells.left) // 4)
-    truth = frame.blur[np.ix_(down, right)] * BLUR_STEP
-    tolerance = 0.05 * np.abs(frame.infinity_px - found.size_px)
+    truth = np.abs(frame.blur[np.ix_(down, right)] * BLUR_STEP)
+    tolerance = 0.05 * np.abs(frame.infinity_px - np.sign(frame.sizes_px.mean()) * found.size_px)
     probability = found.right_within(tolerance.astype(np.float32))[at]
     known = frame.blur[np.ix_(down, right)] != 0
     return {

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from network import BINS, Refinement
+from network import Refinement
 
 from coded_aperture_ros.core.archive import write_archive
-from coded_aperture_ros.depth.refine.features import FRAME_CELL_PX, SCALARS
+from coded_aperture_ros.depth.refine.features import COST_CHANNELS, FRAME_CELL_PX, SCALARS
 from coded_aperture_ros.depth.refine.network import SCHEMA, SCHEMA_VERSION
 
 # Of a single-precision number; what is left out is below what half precision keeps.
@@ -47,7 +47,7 @@ def main() -> None:
     torch.onnx.export(
         _Trunk(network),
         (
-            torch.zeros(1, BINS + SCALARS, _ROWS, _COLUMNS),
+            torch.zeros(1, COST_CHANNELS + SCALARS, _ROWS, _COLUMNS),
             torch.zeros(1, FRAME_CELL_PX**2, 2 * _ROWS, 2 * _COLUMNS),
         ),
         written,
@@ -60,6 +60,7 @@ def main() -> None:
     for name, layer in (("size", network.size), ("choice", network.choice)):
         arrays[f"{name}_weights"] = layer.weight.detach().numpy()[:, :, 0, 0]
         arrays[f"{name}_bias"] = layer.bias.detach().numpy()
+    arrays["trust"] = np.float32(network.trust.item())
     write_archive(args.output, SCHEMA, SCHEMA_VERSION, arrays)
     packed = args.output.read_bytes()
     count = sum(parameter.numel() for parameter in network.parameters())

@@ -40,10 +40,10 @@ def losses(size: torch.Tensor, choice: torch.Tensor, batch: Batch) -> dict[str, 
     logits = size[:, :BINS].float().masked_fill(~batch.tried[:, :, None, None], _UNTRIED)
     log_width = size[:, BINS].float().clamp(-5, 2)
     known = torch.isfinite(batch.blur_px)
-    truth = torch.nan_to_num(batch.blur_px).clamp(-LARGEST_PX, LARGEST_PX - 1e-3)
+    truth = torch.nan_to_num(batch.blur_px).clamp(0, LARGEST_PX - 1e-3)
     quarters = functional.pixel_unshuffle(truth[:, None], 2)  # [batch, 4, rows, columns]
     counted = functional.pixel_unshuffle(known[:, None].float(), 2)
-    place = (quarters + LARGEST_PX) / BLUR_STEP_PX
+    place = quarters / BLUR_STEP_PX
     below = place.floor()
     share = place - below
     log_p = functional.log_softmax(logits, 1)

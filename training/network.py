@@ -2,8 +2,14 @@
 
 import torch
 from torch import nn
+from torch.nn import functional
 
-from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, FRAME_CELL_PX, SCALARS
+from coded_aperture_ros.depth.refine.features import (
+    BLUR_SIZES_PX,
+    COST_CHANNELS,
+    FRAME_CELL_PX,
+    SCALARS,
+)
 
 BINS = len(BLUR_SIZES_PX)
 # Channels: of cells of 8 px, half as many a side, a quarter; of half-cells of 4 px; of the frame.
@@ -49,34 +55,36 @@ class Refinement(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.frame = convolution(FRAME_CELL_PX**2, _FRAME)
-        self.frame_down = convolution(_FRAME, 20, 3, 2)
-        self.stem = convolution(BINS + SCALARS, 44)
-        self.skip = convolution(44 + 20, 40)
-        self.down = convolution(44 + 20, _HALF, 3, 2)
-        self.at_half = nn.Sequential(
-            Residual(_HALF, 32), Residual(_HALF, 32, 2), Residual(_HALF, 32)
+        self.frame_down = convolution(_FRAME, 16, 3, 2)
+        self.stem = convolution(COST_CHANNELS + SCALARS, _CELL)
+        self.at_cell = nn.Sequential(
+            convolution(_CELL + 16, _CELL), Residual(_CELL, 24), Residual(_CELL, 24, 2)
         )
+        self.down = convolution(_CELL, _HALF, 3, 2)
+        self.at_half = nn.Sequential(Residual(_HALF, 32), Residual(_HALF, 32, 2))
         self.down2 = convolution(_HALF, _QUARTER, 3, 2)
-        self.at_quarter = nn.Sequential(
-            Residual(_QUARTER, _QUARTER), Residual(_QUARTER, _QUARTER, 2)
-        )
+        self.at_quarter = nn.Sequential(Residual(_QUARTER, 40), Residual(_QUARTER, 40, 2))
         self.up2 = nn.ConvTranspose2d(_QUARTER, _HALF, 2, 2)
         self.at_half_again = nn.Sequential(convolution(2 * _HALF, _HALF), Residual(_HALF, 32))
-        self.up = nn.ConvTranspose2d(_HALF, 40, 2, 2)
-        self.at_cell = nn.Sequential(convolution(80, _CELL), Residual(_CELL, 24))
+        self.up = nn.ConvTranspose2d(_HALF, _CELL, 2, 2)
+        self.at_cell_again = nn.Sequential(
+            convolution(2 * _CELL, _CELL), Residual(_CELL, 24), Residual(_CELL, 24, 3)
+        )
         self.to_fine = nn.ConvTranspose2d(_CELL, 28, 2, 2)
         self.fine = convolution(28 + _FRAME, _FINE)
         self.size = nn.Conv2d(_FINE, BINS + 1, 1)
         self.choice = nn.Conv2d(_FINE, CHOICES, 1)
+        # What the costs say by themselves: the network only adds to it.
+        self.trust = nn.Parameter(torch.tensor(1.0))
 
     def trunk(self, costs: torch.Tensor, frame: torch.Tensor) -> torch.Tensor:
         """Return what the last two convolutions act on."""
         of_frame = self.frame(frame)
-        cell = torch.cat([self.stem(costs), self.frame_down(of_frame)], 1)
+        cell = self.at_cell(torch.cat([self.stem(costs), self.frame_down(of_frame)], 1))
         half = self.at_half(self.down(cell))
         quarter = self.at_quarter(self.down2(half))
         half = self.at_half_again(torch.cat([half, self.up2(quarter)], 1))
-        cell = self.at_cell(torch.cat([self.skip(cell), self.up(half)], 1))
+        cell = self.at_cell_again(torch.cat([cell, self.up(half)], 1))
         fine: torch.Tensor = self.fine(torch.cat([torch.relu(self.to_fine(cell)), of_frame], 1))
         return fine
 
@@ -84,4 +92,6 @@ class Refinement(nn.Module):
         self, costs: torch.Tensor, frame: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         fine = self.trunk(costs, frame)
-        return self.size(fine), self.choice(fine)
+        size = self.size(fine)
+        own = functional.interpolate(costs[:, :BINS], scale_factor=2.0, mode="bilinear")
+        return torch.cat([size[:, :BINS] - self.trust * own, size[:, BINS:]], 1), self.choice(fine)

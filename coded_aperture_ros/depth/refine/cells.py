@@ -55,7 +55,7 @@ class Cells:
         Returns
         -------
         at_cells : ndarray, float32 [n, rows, columns]
-            0 where there is no patch.
+            Where there is no patch, those of the nearest.
         known : ndarray, float32 [rows, columns]
             1 or 0.
         """
@@ -66,8 +66,12 @@ class Cells:
             down = _interpolation(grid.row_centres, self.top, rows)
             values = np.tensordot(down, np.tensordot(values, across, (1, 1)), (1, 0))
             values = values.swapaxes(1, 2)
-        at_cells = np.zeros((values.shape[2], self.rows, self.columns), np.float32)
-        at_cells[:, rows, columns] = np.moveaxis(values, -1, 0)
+        # Beyond the outermost patches their values go on.
+        before_after = [
+            (rows.start, self.rows - rows.stop),
+            (columns.start, self.columns - columns.stop),
+        ]
+        at_cells = np.pad(np.moveaxis(values, -1, 0), [(0, 0), *before_after], mode="edge")
         known = np.zeros((self.rows, self.columns), np.float32)
         known[rows, columns] = 1
         return at_cells, known

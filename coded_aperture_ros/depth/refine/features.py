@@ -6,31 +6,36 @@ import numpy as np
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.depth.refine.cells import CELL_PX, Cells
 
-# The refinement's own grid of blur sizes, of both sides of the focal plane.
+# The refinement's own grid of blur sizes, on one side of the focal plane.
 BLUR_STEP_PX = 0.5
 LARGEST_PX = 22.0
-BLUR_SIZES_PX = np.arange(-LARGEST_PX, LARGEST_PX + BLUR_STEP_PX / 2, BLUR_STEP_PX)
+BLUR_SIZES_PX = np.arange(0, LARGEST_PX + BLUR_STEP_PX / 2, BLUR_STEP_PX)
 # What stands for the logarithm of the cost of blur sizes that were not tried.
-_UNTRIED = 5.0
+_UNTRIED, _UNTRIED_FINE = 5.0, 2.8
 _MOST_COST = 140.0
-# Beside the costs: the misfit, where there are patches, texture over noise, and brightness.
-SCALARS = 4
+# Where there is little texture costs differ little, but those of many patches tell something.
+_FINE_SCALE = 30.0
+# Every blur size has two channels: the logarithm of the cost, and that of its small differences.
+COST_CHANNELS = 2 * len(BLUR_SIZES_PX)
+# Beside them: the misfit, where there are patches, texture over noise, brightness, and the side.
+SCALARS = 5
 # The frame's texture is looked at in squares of so many pixels: its channels.
 FRAME_CELL_PX = 4
 _SMOOTH_PX = 9
 
 
 def tried_sizes(sizes_px: DoubleArray) -> BoolArray:
-    """Return which of `BLUR_SIZES_PX` lie among a model's blur sizes [L]."""
-    margin = BLUR_STEP_PX / 2
-    return (sizes_px.min() - margin <= BLUR_SIZES_PX) & (sizes_px.max() + margin >= BLUR_SIZES_PX)
+    """Return which of `BLUR_SIZES_PX` lie among a model's blur sizes [L], of one side."""
+    sizes, margin = np.abs(sizes_px), BLUR_STEP_PX / 2
+    return (sizes.min() - margin <= BLUR_SIZES_PX) & (sizes.max() + margin >= BLUR_SIZES_PX)
 
 
 def resampling(sizes_px: DoubleArray) -> FloatArray:
     """Return the linear weights of a model's levels for every tried blur size [L, tried]."""
-    order = np.argsort(sizes_px)
-    index = np.arange(len(sizes_px))
-    place = np.interp(BLUR_SIZES_PX[tried_sizes(sizes_px)], sizes_px[order], index)
+    sizes = np.abs(sizes_px)
+    order = np.argsort(sizes)
+    index = np.arange(len(sizes))
+    place = np.interp(BLUR_SIZES_PX[tried_sizes(sizes)], sizes[order], index)
     weights = np.maximum(1 - np.abs(place - index[:, None]), 0)
     return np.asarray(weights[np.argsort(order)], np.float32)
 
@@ -60,22 +65,25 @@ def cost_features(
 
     Returns
     -------
-    ndarray, float32 [blur sizes + SCALARS, rows, columns]
+    ndarray, float32 [COST_CHANNELS + SCALARS, rows, columns]
     """
-    tried = tried_sizes(sizes_px)
-    logarithm = np.log1p(np.minimum(volume, np.float32(_MOST_COST))) @ resampling(sizes_px)
-    values = np.concatenate([logarithm, misfit[..., None]], axis=-1)
-    at_cells, known = cells.of_patches(values)
-    features = np.full(
-        (len(BLUR_SIZES_PX) + SCALARS, cells.rows, cells.columns), _UNTRIED, np.float32
-    )
+    tried = np.flatnonzero(tried_sizes(sizes_px))
+    levels = np.minimum(volume, np.float32(_MOST_COST))
+    weights = resampling(sizes_px)
+    fine = np.log1p(levels * np.float32(_FINE_SCALE)) * np.float32(1 / 3)
+    values = [np.log1p(levels) @ weights, fine @ weights, misfit[..., None]]
+    at_cells, known = cells.of_patches(np.concatenate(values, axis=-1))
+    features = np.zeros((COST_CHANNELS + SCALARS, cells.rows, cells.columns), np.float32)
     count = len(BLUR_SIZES_PX)
-    features[:count][tried] = at_cells[:-1]
-    features[count] = at_cells[-1]
-    features[count + 1] = known
-    mean, deviation = (_of_cells(cells.of_frame(picture)) for picture in _statistics(grey))
-    features[count + 2] = np.log(deviation / np.float32(noise**2) + 1) / 2
-    features[count + 3] = np.log(np.maximum(mean, np.float32(1e-3)))
+    features[:count], features[count:COST_CHANNELS] = _UNTRIED, _UNTRIED_FINE
+    features[tried] = at_cells[: len(tried)]
+    features[count + tried] = at_cells[len(tried) : -1]
+    mean, variance = (_of_cells(cells.of_frame(picture)) for picture in _statistics(grey))
+    features[COST_CHANNELS] = at_cells[-1]
+    features[COST_CHANNELS + 1] = known
+    features[COST_CHANNELS + 2] = np.log(variance / np.float32(noise**2) + 1) / 2
+    features[COST_CHANNELS + 3] = np.log(np.maximum(mean, np.float32(1e-3)))
+    features[COST_CHANNELS + 4] = sizes_px.mean() < 0
     return features
 
 

@@ -65,7 +65,8 @@ class Network:
             np.concatenate([arrays[f"size_{name}"][rows], arrays[f"choice_{name}"]])
             for name in ("weights", "bias")
         )
-        self._tried = int(np.count_nonzero(tried))
+        self._tried = np.flatnonzero(tried)
+        self._trust = arrays["trust"]
 
     def __call__(self, costs: FloatArray, frame: FloatArray) -> Logits:
         """Return the logits of half-cells, from `cost_features` and `frame_features`."""
@@ -75,7 +76,13 @@ class Network:
         found = self._weights @ fine.reshape(len(fine), -1)
         found += self._bias[:, None]
         found = found.reshape(-1, *fine.shape[1:])
-        return Logits(found[: self._tried], found[self._tried], found[self._tried + 1 :])
+        count = len(self._tried)
+        size = found[:count]
+        # What the costs say by themselves, to which the network adds.
+        shape = size.shape[2], size.shape[1]
+        for of_size, cost in zip(size, costs[self._tried] * self._trust, strict=True):
+            of_size -= cv2.resize(cost, shape, interpolation=cv2.INTER_LINEAR)
+        return Logits(size, found[count], found[count + 1 :])
 
 
 @lru_cache(maxsize=1)

@@ -39,6 +39,8 @@ def untrained(model: LikelihoodModel, stride_px: int) -> str:
     stack = model.stack
     if not isinstance(model, FilterBank):
         return "it is not a filter bank"
+    if stack.has_both_sides:
+        return "it has levels on both sides of the focal plane"
     if not stack.in_pixels:
         return "the blur sizes of its PSFs are not known in pixels"
     largest = float(np.abs(stack.blur_sizes_px).max())
@@ -63,6 +65,8 @@ class Refined:
         self._tried_px = BLUR_SIZES_PX[tried].astype(np.float32)
         self._network = Network(tried)
         self._tolerance = _tolerance_px(levels)
+        # In front of the focal plane the nearer surface is the more blurred one.
+        self._nearer_share = 1 - _PLAUSIBLE if self._sizes.mean() < 0 else _PLAUSIBLE
 
     def __call__(
         self,
@@ -99,19 +103,15 @@ class Refined:
         if not seen.usable.all():
             at = MapGrid.of(seen.grid, grey.shape, size)
             confidence[at.nearest(~seen.usable)] = 0
-        of_side = None
-        if self._sizes.min() < 0 < self._sizes.max():
-            far = found.probability[found.tried_px > 0].sum(axis=0) * found.scale
-            of_side = map_of(np.where(found.size_px > 0, far, 1 - far), 0.1)
 
         def nearest_plausible() -> FloatArray:
-            return self._level(map_of(found.quantile_px(_PLAUSIBLE), _ONE_SURFACE_PX))
+            return self._level(map_of(found.quantile_px(self._nearer_share), _ONE_SURFACE_PX))
 
-        return Decision(level, deviation, confidence, of_side, nearest_plausible)
+        return Decision(level, deviation, confidence, None, nearest_plausible)
 
     def _level(self, size_px: FloatArray) -> FloatArray:
-        """Return the fractional level of blur sizes."""
-        first, last = self._sizes[0], self._sizes[-1]
+        """Return the fractional level of blur sizes without their sign."""
+        first, last = np.abs(self._sizes[[0, -1]])
         scale = np.float32((len(self._sizes) - 1) / (last - first))
         return np.clip((size_px - np.float32(first)) * scale, 0, len(self._sizes) - 1)
 

@@ -1,0 +1,238 @@
+"""The learned decision: cells, features, probabilities, maps, and when it stands back."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from coded_aperture_ros.bank import LearnConfig, learn_bank, learn_bank_for_camera
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth.refine import untrained
+from coded_aperture_ros.depth.refine.cells import CELL_PX, HALVINGS, Cells
+from coded_aperture_ros.depth.refine.features import (
+    BLUR_SIZES_PX,
+    COST_CHANNELS,
+    cost_features,
+    frame_features,
+    tried_sizes,
+)
+from coded_aperture_ros.depth.refine.network import Logits, Network
+from coded_aperture_ros.depth.refine.probabilities import HalfCells, chosen_neighbours, drawn
+from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
+from coded_aperture_ros.simulation import render_coded_frame
+
+SHAPES = [(96, 128), (97, 131), (240, 333), (121, 200)]
+
+
+@pytest.fixture(scope="module")
+def camera():
+    return Camera(600.0, 1.0, 192, 160, Mask.named("levin"), 30.0)
+
+
+@pytest.fixture(scope="module")
+def bank(camera):
+    return learn_bank_for_camera(camera, 1.1, 3.0, 24, LearnConfig(window_px=48))
+
+
+@pytest.fixture(scope="module")
+def scene(camera):
+    """A near card before a far wall, both with the texture of noise."""
+    random = np.random.default_rng(4)
+    depth = np.full((160, 192), 2.4, np.float32)
+    depth[40:120, 70:110] = 1.3
+    spectrum = np.fft.rfft2(random.standard_normal(depth.shape))
+    fall = np.hypot(np.fft.fftfreq(160)[:, None], np.fft.rfftfreq(192))
+    texture = np.fft.irfft2(spectrum / np.maximum(fall, 0.01) ** 0.9, depth.shape)
+    sharp = 0.2 * np.exp(0.5 * texture / texture.std())
+    frame = render_coded_frame(sharp.astype(np.float32), depth, camera, aperture_blocks=6)
+    return frame + 0.001 * random.standard_normal(frame.shape, dtype=np.float32), depth
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("window", [32, 48, 64])
+def test_cells_cover_the_frame_and_lie_around_the_patches(shape, window):
+    grid = PatchGrid.covering(shape, window, CELL_PX)
+    cells = Cells.covering(shape, grid)
+    assert cells.top <= 0 and cells.left <= 0
+    assert cells.top + cells.rows * CELL_PX >= shape[0]
+    assert cells.left + cells.columns * CELL_PX >= shape[1]
+    assert cells.rows % 2**HALVINGS == 0 and cells.columns % 2**HALVINGS == 0
+    rows, columns = np.meshgrid(grid.row_centres, grid.column_centres, indexing="ij")
+    at_cells, known = cells.of_patches(np.stack([rows, columns], -1).astype(np.float32))
+    assert known.sum() == rows.size
+    i, j = np.nonzero(known)
+    middle = CELL_PX // 2
+    assert np.array_equal(at_cells[0, i, j], cells.top + CELL_PX * i + middle)
+    assert np.array_equal(at_cells[1, i, j], cells.left + CELL_PX * j + middle)
+    assert cells.of_frame(np.zeros(shape, np.float32)).shape == (
+        cells.rows * CELL_PX,
+        cells.columns * CELL_PX,
+    )
+
+
+@pytest.mark.parametrize("stride", [4, 6, 12])
+def test_other_strides_are_interpolated(stride):
+    shape = (200, 230)
+    grid = PatchGrid.covering(shape, 48, stride)
+    cells = Cells.covering(shape, grid)
+    rows, columns = np.meshgrid(grid.row_centres, grid.column_centres, indexing="ij")
+    at_cells, known = cells.of_patches(np.stack([rows, columns], -1).astype(np.float32))
+    i, j = np.nonzero(known)
+    assert at_cells[0, i, j] == pytest.approx(cells.top + CELL_PX * i + 4, abs=1e-3)
+    assert at_cells[1, i, j] == pytest.approx(cells.left + CELL_PX * j + 4, abs=1e-3)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("order", [1, -1])
+def test_costs_are_put_on_the_grid_of_blur_sizes(sign, order):
+    sizes = (sign * np.linspace(3.0, 9.0, 13))[::order]
+    shape = (96, 96)
+    grid = PatchGrid.covering(shape, 48, CELL_PX)
+    cells = Cells.covering(shape, grid)
+    volume = np.broadcast_to(np.abs(sizes) - 3, (grid.rows, grid.columns, 13)).astype(np.float32)
+    misfit = np.full((grid.rows, grid.columns), 0.25, np.float32)
+    grey = np.full(shape, 0.2, np.float32)
+    features = cost_features(volume, misfit, grey, 0.001, cells, sizes)
+    row, column = cells.rows // 2, cells.columns // 2
+    tried = tried_sizes(sizes)
+    assert BLUR_SIZES_PX[tried] == pytest.approx(np.arange(3, 9.1, 0.5))
+    of_cell = features[: len(BLUR_SIZES_PX), row, column]
+    assert of_cell[tried] == pytest.approx(np.log1p(BLUR_SIZES_PX[tried] - 3), abs=1e-5)
+    assert (of_cell[~tried] == 5).all()
+    fine = features[len(BLUR_SIZES_PX) : COST_CHANNELS, row, column]
+    assert fine[tried] == pytest.approx(np.log1p(30 * (BLUR_SIZES_PX[tried] - 3)) / 3, abs=1e-5)
+    assert (fine[~tried] == np.float32(2.8)).all()
+    assert features[COST_CHANNELS, row, column] == 0.25
+    assert (features[COST_CHANNELS + 4] == (sign < 0)).all()
+    assert not features[COST_CHANNELS + 1, 0].any()  # no patches at the edge of the frame
+
+
+def _logits(sizes, probability, log_width=-2.0):
+    probability = np.asarray(probability, np.float32)
+    size = np.log(np.maximum(probability, 1e-9))[:, None, None]
+    return Logits(size, np.full((1, 1), log_width, np.float32), np.zeros((36, 1, 1), np.float32))
+
+
+def test_blur_size_is_the_mean_around_the_likeliest():
+    sizes = np.arange(2, 12, 0.5, dtype=np.float32)
+    probability = np.zeros(len(sizes))
+    probability[[4, 5, 15]] = 0.3, 0.4, 0.3
+    found = HalfCells.of(_logits(sizes, probability), sizes)
+    assert found.size_px == pytest.approx((0.3 * 4.0 + 0.4 * 4.5) / 0.7, abs=1e-4)
+    assert found.about == pytest.approx(0.7, abs=1e-4)
+    width = float(found.width_px[0, 0])
+    right = found.right_within(np.float32([[0.3]]))
+    assert right == pytest.approx(0.7 * (1 - np.exp(-0.3 / width)), abs=1e-3)
+    assert found.quantile_px(0.05) == pytest.approx(4.0)
+    assert found.quantile_px(0.95) == pytest.approx(9.5)
+
+
+def test_deviation_holds_two_thirds_of_the_errors():
+    sizes = np.arange(2, 12, 0.5, dtype=np.float32)
+    sure = HalfCells.of(_logits(sizes, np.eye(20)[6]), sizes)
+    random = np.random.default_rng(0)
+    errors = random.laplace(0, float(sure.width_px[0, 0]), 20_000)
+    assert np.mean(np.abs(errors) <= sure.deviation_px()) == pytest.approx(0.68, abs=0.02)
+    torn = HalfCells.of(_logits(sizes, 0.5 * np.eye(20)[2] + 0.5 * np.eye(20)[18]), sizes)
+    assert torn.deviation_px() > 5  # the other is 8 px away
+
+
+def test_maps_are_linear_within_surfaces_and_cut_at_edges():
+    slope = np.add.outer(np.arange(6) * 0.1, np.arange(8) * 0.05).astype(np.float32)
+    nowhere = np.arange(48).reshape(6, 8).repeat(2, 0).repeat(2, 1)
+    level = drawn(slope, nowhere, 0.8)
+    rows = (np.arange(24) + 0.5) / 4 - 0.5
+    assert level[4:-4, 14] == pytest.approx((rows * 0.1 + (14.5 / 4 - 0.5) * 0.05)[4:-4], abs=1e-5)
+    step = np.zeros((6, 8), np.float32)
+    step[:, 4:] = 9
+    choice = np.zeros((36, 6, 8), np.float32)
+    choice[4::9] = 1  # its own
+    for quarter in (1, 3):  # the right quarters of the last column before the step: the right one's
+        choice[9 * quarter + 5, :, 3] = 2
+    edge = drawn(step, chosen_neighbours(choice), 0.8)
+    assert set(np.unique(edge)) == {0, 9}
+    assert (edge[:, :14] == 0).all() and (edge[:, 14:] == 9).all()
+
+
+def test_where_it_was_not_trained_it_stands_back(bank, camera, scene):
+    frame, _ = scene
+    assert untrained(bank, 8) == ""
+    assert "stride of 24 px" in untrained(bank, 24)
+    both = learn_bank(render_psf_stack(camera.mask, np.linspace(-6, 6, 9)))
+    assert "both sides" in untrained(both, 8)
+    wide = learn_bank(render_psf_stack(camera.mask, np.linspace(4, 30, 9)))
+    assert "blur of 30 px" in untrained(wide, 8)
+    indices = dataclasses.replace(bank, stack=dataclasses.replace(bank.stack, in_pixels=False))
+    assert "not known in pixels" in untrained(indices, 8)
+    learned, classical = (
+        DepthEstimator(bank, DepthConfig(regularize=how, stride_px=24), camera).estimate(frame)
+        for how in ("learned", "semiglobal")
+    )
+    assert np.array_equal(learned.level, classical.level, equal_nan=True)
+
+
+def test_edges_are_sharper_than_by_classical_means(bank, camera, scene):
+    frame, depth = scene
+    near = np.zeros(depth.shape, bool)
+    near[28:132, 58:122] = True
+    near[52:108, 82:98] = False
+    right = {}
+    for how in ("learned", "semiglobal"):
+        config = DepthConfig(regularize=how, confidence_threshold=0.0)
+        found = DepthEstimator(bank, config, camera).estimate(frame)
+        assert found.level.dtype == found.confidence.dtype == np.float32
+        assert np.isfinite(found.depth_m).all() and (found.std_dev_m > 0).all()
+        assert (found.confidence >= 0).all() and (found.confidence <= 1).all()
+        right[how] = np.mean(np.abs(found.depth_m - depth)[near] <= 0.1 * depth[near])
+    assert right["learned"] > right["semiglobal"] + 0.03
+
+
+def test_saturated_and_missing_pixels_give_no_depth(bank, camera, scene):
+    frame = scene[0].copy()
+    frame[60:110, 20:70] = np.nan
+    found = DepthEstimator(bank, DepthConfig(regularize="learned"), camera).estimate(frame)
+    assert np.isnan(found.depth_m[75:95, 35:55]).all()
+    assert np.isfinite(found.depth_m[:, 120:]).mean() > 0.5
+
+
+def test_maps_of_other_sizes_show_the_same(bank, camera, scene):
+    estimator = DepthEstimator(
+        bank, DepthConfig(regularize="learned", confidence_threshold=0.0), camera
+    )
+    whole = estimator.estimate(scene[0])
+    half = estimator.estimate(scene[0], (80, 96))
+    assert half.level.shape == half.std_dev_m.shape == (80, 96)
+    assert np.median(np.abs(half.level - whole.level[::2, ::2])) < 0.2
+
+
+def test_nearest_plausible_is_never_farther(bank, camera, scene):
+    levels = {}
+    for unknown in ("nothing", "nearest"):
+        config = DepthConfig(regularize="learned", unknown=unknown, confidence_threshold=0.8)
+        levels[unknown] = DepthEstimator(bank, config, camera).estimate(scene[0]).depth_m
+    known = np.isfinite(levels["nothing"])
+    assert np.isfinite(levels["nearest"]).all() and not known.all()
+    assert np.array_equal(levels["nearest"][known], levels["nothing"][known])
+
+
+def test_network_runs_frames_of_any_size():
+    tried = tried_sizes(np.linspace(2, 8, 9))
+    network = Network(tried)
+    random = np.random.default_rng(0)
+    for shape in SHAPES:
+        grid = PatchGrid.covering(shape, 48, CELL_PX)
+        cells = Cells.covering(shape, grid)
+        volume = random.random((grid.rows, grid.columns, 9), dtype=np.float32)
+        grey = random.random(shape, dtype=np.float32)
+        costs = cost_features(volume, volume[..., 0], grey, 0.01, cells, np.linspace(2, 8, 9))
+        logits = network(costs, frame_features(grey, 0.01, cells))
+        assert logits.size.shape == (tried.sum(), 2 * cells.rows, 2 * cells.columns)
+        assert logits.choice.shape == (36, 2 * cells.rows, 2 * cells.columns)
+        assert np.isfinite(logits.size).all()
+
+
+def test_unknown_regularisation_is_refused():
+    with pytest.raises(InputError, match="learned"):
+        DepthConfig(regularize="magic")
