@@ -87,7 +87,7 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
     `camera` is that of `--camera`, if any; `deblur` a `DeblurConfig`, None to deblur nothing.
     """
     from coded_aperture_ros.bank import load_bank
-    from coded_aperture_ros.depth import DepthConfig, side_warning
+    from coded_aperture_ros.depth import DepthConfig, refinement_note, side_warning
     from coded_aperture_ros.methods.choose import new_model
     from coded_aperture_ros.methods.motion import MotionConfig
     from coded_aperture_ros.methods.two_pixel import SimpleConfig
@@ -111,7 +111,10 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
             motion=config_from(args, MotionConfig),
             progress=lambda vectors: progress(vectors, unit="motion"),
         )
-        pipeline = FramePipeline(model, camera, config_from(args, DepthConfig), deblur)
+        config = config_from(args, DepthConfig)
+        pipeline = FramePipeline(model, camera, config, deblur)
+    if note := refinement_note(model, config):
+        logging.info(note)
     if warning := side_warning(model):
         logging.warning(warning)
     return pipeline

@@ -6,6 +6,7 @@ from coded_aperture_ros.depth.estimate import MAP_SIZES, DepthEstimate, map_size
 from coded_aperture_ros.depth.estimator import DepthEstimator
 from coded_aperture_ros.depth.levels import Levels, depths_are_measured
 from coded_aperture_ros.depth.points import nearest_obstacle_m, points_of_depth
+from coded_aperture_ros.depth.refine import refinement_note
 from coded_aperture_ros.depth.regularize import REGULARIZERS, Regularizer
 from coded_aperture_ros.depth.sides import side_warning
 from coded_aperture_ros.depth.video import estimate_video
@@ -24,5 +25,6 @@ __all__ = [
     "map_size",
     "nearest_obstacle_m",
     "points_of_depth",
+    "refinement_note",
     "side_warning",
 ]

@@ -24,7 +24,7 @@ class DepthConfig:
         parameter="compute.stride_px",
     )
     regularize: str = option(
-        "semiglobal",
+        LEARNED,
         "Spatial regularisation of the blur levels: learned is sharpest at edges, semiglobal needs "
         "nothing learned and stands in where the network was not trained, graphcut is the slow "
         "reference.",

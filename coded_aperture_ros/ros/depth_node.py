@@ -19,6 +19,7 @@ from coded_aperture_ros.depth import (
     map_size,
     nearest_obstacle_m,
     points_of_depth,
+    refinement_note,
     side_warning,
 )
 from coded_aperture_ros.depth.config import REAL_TIME_STRIDE_PX
@@ -141,6 +142,8 @@ class DepthNode(FrameNode[Image]):
         )
         self._model: FrameModel[LikelihoodModel] = FrameModel(self, configs, make)
         model, camera = self._model.model, self._model.camera
+        if note := refinement_note(model, configs[DepthConfig]):
+            self.get_logger().info(note)
         if warning := side_warning(model):
             self.get_logger().warning(warning)
         self._pipeline = FramePipeline(model, camera, configs[DepthConfig], deblur=None)

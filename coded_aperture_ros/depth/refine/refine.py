@@ -6,6 +6,7 @@ import numpy as np
 from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.stages import Stages
+from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.decision import Decision
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
@@ -19,6 +20,7 @@ from coded_aperture_ros.depth.refine.features import (
 )
 from coded_aperture_ros.depth.refine.network import Network
 from coded_aperture_ros.depth.refine.probabilities import HalfCells, chosen_neighbours, drawn
+from coded_aperture_ros.depth.regularize import LEARNED
 from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.likelihood import Cost, LikelihoodModel
 
@@ -53,6 +55,18 @@ def untrained(model: LikelihoodModel, stride_px: int) -> str:
         if not low <= value <= high:
             return f"its {name} of {value} px is not within {low} to {high} px"
     return ""
+
+
+def refinement_note(model: LikelihoodModel, config: DepthConfig) -> str | None:
+    """Return one line if the configuration asks for the network and another stands in for it."""
+    if config.regularize != LEARNED:
+        return None
+    why = untrained(model, config.stride_px or model.stride_px)
+    if not why:
+        return None
+    return (
+        f"regularize: semiglobal in place of learned, which was not trained for this model: {why}"
+    )
 
 
 class Refined:
