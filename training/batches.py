@@ -1,6 +1,8 @@
 """Batches for learning: features as the package makes them, and the truth at half-cells."""
 
 import dataclasses
+import queue
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -39,8 +41,8 @@ class Batch:
     blur_px: torch.Tensor
 
 
-def load(scenes: Path, costs: Path, shards: list[int]) -> list[Frame]:
-    """Read the shards that are there."""
+def load(scenes: Path, costs: Path, shards: list[int], least_told: float = 0.0) -> list[Frame]:
+    """Read the shards that are there; frames of which at least a share is told by the costs."""
     frames = []
     for shard in shards:
         paths = scenes / f"scenes_{shard:04d}.npz", costs / f"costs_{shard:04d}.npz"
@@ -62,7 +64,14 @@ def load(scenes: Path, costs: Path, shards: list[int]) -> list[Frame]:
                     float(truth["infinity"][index]),
                 )
             )
-    return frames
+    return [frame for frame in frames if _told(frame) >= least_told]
+
+
+def _told(frame: Frame) -> float:
+    """Return in which share of the patches the least cost is that of about the right level."""
+    grid = PatchGrid.covering(frame.blur.shape, frame.window_px, STRIDE_PX)
+    truth = frame.blur[np.ix_(grid.row_centres, grid.column_centres)] * BLUR_STEP
+    return float(np.mean(np.abs(frame.sizes_px[frame.volume.argmin(-1)] - truth) < 1))
 
 
 def batches(frames: list[Frame], size: int, seed: int, augment: bool = True) -> Iterator[Batch]:
@@ -75,6 +84,20 @@ def batches(frames: list[Frame], size: int, seed: int, augment: bool = True) -> 
             yield Batch(*(torch.from_numpy(np.stack(parts)) for parts in zip(*some, strict=True)))
         if not augment:
             return
+
+
+def ahead(source: Iterator[Batch], count: int = 3) -> Iterator[Batch]:
+    """Prepare batches in a thread, so that none has to be waited for."""
+    waiting: queue.Queue[Batch | None] = queue.Queue(count)
+
+    def prepare() -> None:
+        for batch in source:
+            waiting.put(batch)
+        waiting.put(None)
+
+    threading.Thread(target=prepare, daemon=True).start()
+    while (batch := waiting.get()) is not None:
+        yield batch
 
 
 def _sample(

@@ -76,9 +76,8 @@ def main() -> None:
     for low in np.arange(0, 1, 0.1):
         part = (confidence >= low) & (confidence < low + 0.1)
         if part.any():
-            print(
-                f"{low:.1f}: {confidence[part].mean():.3f} {right[part].mean():.3f} {part.mean():.3f}"
-            )
+            means = (confidence[part].mean(), right[part].mean(), part.mean())
+            print(f"{low:.1f}: " + " ".join(f"{mean:.3f}" for mean in means))
 
 
 if __name__ == "__main__":

@@ -21,9 +21,9 @@ from coded_aperture_ros.optics import render_psf_stack
 
 _LARGEST_PX = 20.6
 # Window, and distance between levels; the first are what is used most.
-_BANKS = ((48, 0.5), (48, 0.44), (48, 0.58), (64, 0.5), (40, 0.5))
-_BANK_SHARES = (0.3, 0.2, 0.25, 0.15, 0.1)
-_BOTH_SIDES = ((48, 0.6), (48, 0.72))
+_BANKS = ((32, 0.5), (32, 0.44), (32, 0.58), (40, 0.5), (48, 0.5))
+_BANK_SHARES = (0.3, 0.2, 0.2, 0.15, 0.15)
+_BOTH_SIDES = ((32, 0.6), (32, 0.72))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import torch
-from batches import Batch, batches, load
+from batches import Batch, ahead, batches, load
 from network import BINS, NEIGHBOURS, Refinement
 from torch.nn import functional
 
@@ -95,12 +95,13 @@ def main() -> None:
     parser.add_argument("--start", type=Path, help="weights to start from")
     parser.add_argument("--rate", type=float, default=_RATE)
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--least-told", type=float, default=0.0)
     parser.add_argument("--bfloat16", action="store_true")
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     torch.manual_seed(0)
     args.output.mkdir(parents=True, exist_ok=True)
-    frames = load(args.scenes, args.costs, list(range(*args.shards)))
+    frames = load(args.scenes, args.costs, list(range(*args.shards)), args.least_told)
     held = load(args.scenes, args.costs, list(range(*args.validate)))
     print(f"{len(frames)} frames to learn from, {len(held)} to look at", flush=True)
     network = Refinement().to(memory_format=torch.channels_last)
@@ -121,7 +122,7 @@ def main() -> None:
     saved = reported = time.perf_counter()
     sums: dict[str, float] = {}
     since = 0
-    for batch in batches(frames, _BATCH, step + 1):
+    for batch in ahead(batches(frames, _BATCH, step + 1)):
         spent = time.perf_counter() - started
         progress = spent / (60 * args.minutes)
         if progress >= 1:

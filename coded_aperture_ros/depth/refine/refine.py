@@ -25,7 +25,7 @@ from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.likelihood import Cost, LikelihoodModel
 
 # What the network was trained for.
-_WINDOWS_PX = (32, 72)
+_WINDOWS_PX = (24, 72)
 _STRIDES_PX = (4, 12)
 # Neighbouring half-cells whose blur sizes differ by at most this are one surface.
 _ONE_SURFACE_PX = 0.8
