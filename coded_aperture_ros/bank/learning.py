@@ -64,6 +64,11 @@ class LearnConfig:
                 f"got {self.window_px}"
             )
 
+    @property
+    def window_for_any_blur(self) -> int:
+        """Side of the patches while the blur is not known."""
+        return self.window_px or _LARGE_WINDOW_PX
+
     def window_for(self, stack: PsfStack) -> int:
         """Return the side of the patches for some PSFs."""
         narrow = stack.psfs.shape[-1] <= _NARROW_PX and not stack.has_both_sides
@@ -255,6 +260,17 @@ def learn_bank(
         mask_digest=mask.digest if mask else "",
         learned_from=learned_from,
         highest_frequency=config.highest_frequency,
+    )
+
+
+def with_window(bank: FilterBank, window_px: int) -> FilterBank:
+    """Return a bank with windows of another size, learned anew from its PSFs and prior."""
+    config = LearnConfig(window_px, bank.basis_vectors, bank.highest_frequency, bank.noise)
+    pattern = bank.pattern
+    components = None if pattern is None else pattern.components(bank.blur_sizes_px)
+    learned = learn_bank(bank.stack, config, bank.prior, bank.learned_from, components=components)
+    return dataclasses.replace(
+        learned, mask_digest=bank.mask_digest, stride_px=bank.stride_px, pattern=pattern
     )
 
 

@@ -30,6 +30,8 @@ _STRIDES_PX = (4, 12)
 # Neighbouring half-cells whose blur sizes differ by at most this are one surface.
 _ONE_SURFACE_PX = 0.8
 _PLAUSIBLE = 0.05
+# Costs that differ by less are those of a frame without any texture.
+_ALIKE = 1e-3
 # Logistic calibration of how likely a depth is right, fitted on random scenes kept apart.
 _CALIBRATION = (0.0, 1.0)
 _DEVIATION = 1.0
@@ -114,6 +116,8 @@ class Refined:
         confidence = map_of(right, 0.1)
         per_px = np.float32(abs((len(self._sizes) - 1) / np.ptp(self._sizes)))
         deviation = map_of(deviation_px * (per_px * np.float32(_DEVIATION)), 0.5)
+        if volume.max() <= _ALIKE:  # nothing to go by anywhere
+            confidence[:] = 0
         if not seen.usable.all():
             at = MapGrid.of(seen.grid, grey.shape, size)
             confidence[at.nearest(~seen.usable)] = 0
