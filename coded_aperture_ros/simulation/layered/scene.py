@@ -134,7 +134,7 @@ def _drawing(
     """Return what draws a scene of random blur sizes, and its camera."""
     nearest, farthest = _blur_range(random, side)
     # What is farther away than all of the scene: blur sizes end at that of infinity.
-    infinity = max(farthest, 1.0) * random.uniform(1.04, 1.7)
+    infinity = max(farthest, 1.0) * random.uniform(1.2, 1.8)
     if side == "near":
         infinity = -nearest * random.uniform(0.3, 1.0)
     camera = Camera(
