@@ -11,7 +11,6 @@ from coded_aperture_ros.bank.learning import (
     learn_bank_for_pattern,
     psf_stack_for_camera,
     textures_of,
-    with_window,
 )
 from coded_aperture_ros.bank.model import DEFAULT_STRIDE_PX, FilterBank
 from coded_aperture_ros.bank.pattern import LearnedPattern, ThinLens
@@ -36,5 +35,4 @@ __all__ = [
     "psf_stack_for_camera",
     "save_bank",
     "textures_of",
-    "with_window",
 ]

@@ -19,10 +19,6 @@ from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
 
 # Blur levels that a depth range is divided into, unless something else is asked for.
 DEFAULT_LEVEL_COUNT = 30
-# With what neighbours tell, small windows are the better ones, as long as the blur fits well; the
-# phase of the spectrum, which tells the sides, needs more.
-_SMALL_WINDOW_PX, _LARGE_WINDOW_PX, _LEAST_WINDOW_PX = 32, 48, 16
-_NARROW_PX = 23
 # Contrast over noise variance: contrasts of 1e-5 to 0.1 under noise of 0.0002 to 0.01.
 RATIOS = 10.0 ** (np.arange(-2, 14) / 2)
 
@@ -32,11 +28,10 @@ class LearnConfig:
     """Size and rank of a filter bank, and what is known of the camera's noise."""
 
     window_px: int = option(
-        0,
-        "Side of the patches. Larger is more accurate on planes, smaller is sharper at edges. 0: 32"
-        " for one side of the focal plane and blur up to 22 px, else 48.",
+        48,
+        "Side of the patches. Larger is more accurate on planes, smaller is sharper at edges.",
         unit="px",
-        within=(0, 256),
+        within=(16, 256),
     )
     rank: int = option(
         128,
@@ -58,21 +53,8 @@ class LearnConfig:
 
     def __post_init__(self) -> None:
         check_options(self)
-        if self.window_px % 2 or 0 < self.window_px < _LEAST_WINDOW_PX:
-            raise InputError(
-                f"window_px: expected an even number of at least {_LEAST_WINDOW_PX} px, or 0, "
-                f"got {self.window_px}"
-            )
-
-    @property
-    def window_for_any_blur(self) -> int:
-        """Side of the patches while the blur is not known."""
-        return self.window_px or _LARGE_WINDOW_PX
-
-    def window_for(self, stack: PsfStack) -> int:
-        """Return the side of the patches for some PSFs."""
-        narrow = stack.psfs.shape[-1] <= _NARROW_PX and not stack.has_both_sides
-        return self.window_px or (_SMALL_WINDOW_PX if narrow else _LARGE_WINDOW_PX)
+        if self.window_px % 2:
+            raise InputError(f"window_px: expected an even number, got {self.window_px}")
 
 
 def learn_bank_for_camera(
@@ -220,13 +202,12 @@ def learn_bank(
                 f"{name}: levels must be in order, all increasing or all decreasing: sort the PSFs"
             )
     widest = stack.psfs.shape[-1]
-    window_px = config.window_for(stack)
-    if widest > window_px:
+    if widest > config.window_px:
         raise InputError(
-            f"a PSF of {widest} px does not fit the {window_px} px window: "
+            f"a PSF of {widest} px does not fit the {config.window_px} px window: "
             "use a larger window, or fewer or smaller blur sizes"
         )
-    fourier = WindowedFourierBasis(window_px, config.highest_frequency)
+    fourier = WindowedFourierBasis(config.window_px, config.highest_frequency)
     of_levels = stack.psfs[:, None] if components is None else components.swapaxes(0, 1)
     expected = np.array(
         [
@@ -249,7 +230,7 @@ def learn_bank(
     factored = (coefficients.transpose(1, 2, 0) @ basis.T) * scales[:, None]
     return FilterBank(
         stack=stack,
-        window_px=window_px,
+        window_px=config.window_px,
         prior=prior,
         ratios=RATIOS,
         basis=basis,
@@ -260,17 +241,6 @@ def learn_bank(
         mask_digest=mask.digest if mask else "",
         learned_from=learned_from,
         highest_frequency=config.highest_frequency,
-    )
-
-
-def with_window(bank: FilterBank, window_px: int) -> FilterBank:
-    """Return a bank with windows of another size, learned anew from its PSFs and prior."""
-    config = LearnConfig(window_px, bank.basis_vectors, bank.highest_frequency, bank.noise)
-    pattern = bank.pattern
-    components = None if pattern is None else pattern.components(bank.blur_sizes_px)
-    learned = learn_bank(bank.stack, config, bank.prior, bank.learned_from, components=components)
-    return dataclasses.replace(
-        learned, mask_digest=bank.mask_digest, stride_px=bank.stride_px, pattern=pattern
     )
 
 

@@ -78,10 +78,10 @@ def run(args: argparse.Namespace) -> int:
     if args.bank is not None:
         check_suffix(args.bank, [".npz"])
         check_output(args.bank)
-        if filters.window_for_any_blur < config.largest_blur_px:
+        if filters.window_px < config.largest_blur_px:
             args.usage_error(
                 f"--window-px: blur of --largest-blur-px {config.largest_blur_px} does not fit "
-                f"patches of {filters.window_for_any_blur} px"
+                f"patches of {filters.window_px} px"
             )
     if args.output is not None:
         check_output(Path(args.output) / _REPORT)

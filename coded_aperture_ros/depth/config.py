@@ -24,10 +24,9 @@ class DepthConfig:
         parameter="compute.stride_px",
     )
     regularize: str = option(
-        LEARNED,
-        "Spatial regularisation of the blur levels: learned is sharpest at edges, semiglobal needs "
-        "nothing learned and stands in where the network was not trained, graphcut is the slow "
-        "reference.",
+        "semiglobal",
+        "Spatial regularisation of the blur levels: semiglobal needs nothing learned, learned is a "
+        "small network, sharper at edges, graphcut is the slow reference.",
         choices=(LEARNED, *REGULARIZERS),
         parameter="regularize.method",
     )

@@ -9,7 +9,6 @@ from coded_aperture_ros.bank import (
     FilterBank,
     LearnConfig,
     learn_bank_for_camera,
-    with_window,
 )
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood import LikelihoodModel
@@ -17,8 +16,6 @@ from coded_aperture_ros.methods.motion import MotionConfig, MotionModel, learn_m
 from coded_aperture_ros.methods.two_pixel import SimpleConfig, neighbour_model_for_camera
 from coded_aperture_ros.optics import Camera
 
-# A smaller window does not tell motion from defocus.
-_MOTION_WINDOW_PX = 48
 METHODS = ("bank", "simple", "motion")
 
 
@@ -73,8 +70,6 @@ def new_model(
     if method == "bank":
         return bank
     settings = motion or MotionConfig()
-    if bank.window_px < _MOTION_WINDOW_PX:
-        bank = with_window(bank, _MOTION_WINDOW_PX)
     motions = learn_motion_bank(bank, settings.motions, settings.motion_rank, progress)
     return MotionModel(motions, settings)
 

@@ -36,7 +36,7 @@ INTRINSICS = Intrinsics.pinhole(200.0, WIDTH, HEIGHT)
 
 @pytest.fixture(scope="module")
 def bank():
-    still = learn_bank(render_psf_stack(MASK, SIZES), LearnConfig(48, rank=64), mask=MASK)
+    still = learn_bank(render_psf_stack(MASK, SIZES), LearnConfig(rank=64), mask=MASK)
     return learn_motion_bank(still, MOTION.motions, 400)
 
 
@@ -143,7 +143,7 @@ def test_depth_of_what_moves_in_front_of_a_scene():
     pytest.importorskip("skimage")
     (scene,) = scenes.make_moving_scenes(MASK, 0.001, which=[1])
     camera = scenes.scene_camera(MASK)
-    still = learn_bank_for_camera(camera, scenes.NEAR_M, scenes.FAR_M, 14, LearnConfig(48))
+    still = learn_bank_for_camera(camera, scenes.NEAR_M, scenes.FAR_M, 14)
     together = learn_motion_bank(still, MotionConfig().motions, MotionConfig().motion_rank)
     config = DepthConfig(confidence_threshold=0.0, saturation=2.0)
     alone = scenes.depth_error(DepthEstimator(still, config, camera).estimate(scene.coded), scene)

@@ -38,7 +38,7 @@ def bank(camera):
 
 @pytest.fixture(scope="module")
 def scene(camera):
-    """A near card before a far wall, both with the texture of noise."""
+    """Return a near card before a far wall, both with the texture of noise."""
     random = np.random.default_rng(4)
     depth = np.full((160, 192), 2.4, np.float32)
     depth[40:120, 70:110] = 1.3

@@ -106,10 +106,8 @@ def calibrate_planes(
         focus, a depth range far beyond the planes.
     """
     config = config or LearnConfig()
-    checks = check_pictures(
-        planes.images, planes.names, config.window_for_any_blur, planes.depths_m
-    )
-    search = MaskSearch(planes, config.window_for_any_blur, progress)
+    checks = check_pictures(planes.images, planes.names, config.window_px, planes.depths_m)
+    search = MaskSearch(planes, config.window_px, progress)
     mixture = search.mixture()
     width = planes.images[0].shape[1]
     # The mixture's own grid serves to measure; what the mask is comes after the depths are right.
@@ -171,8 +169,8 @@ def learn_bank_from_planes(
     """
     check_levels(level_count)
     config = config or LearnConfig()
-    check_pictures(planes.images, planes.names, config.window_for_any_blur)
-    search = MaskSearch(planes, config.window_for_any_blur, progress)
+    check_pictures(planes.images, planes.names, config.window_px)
+    search = MaskSearch(planes, config.window_px, progress)
     mixture = search.mixture()
     pattern = pattern_of(mixture, *search.single(mixture), planes.images[0].shape[1])
     wanted, learned_from = _depth_range(planes), _learned_from(planes, pattern)

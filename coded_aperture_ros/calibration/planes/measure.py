@@ -75,7 +75,7 @@ def measured_planes(
     Of the pattern only its mask is used, and how large it gets at most.
     """
     largest = _BEYOND * float(np.abs(pattern.blur_size_px(planes.depths_m)).max())
-    largest = min(largest, config.window_for_any_blur - 1)
+    largest = min(largest, config.window_px - 1)
     sizes_px = np.linspace(_SMALLEST_PX, largest, _SIZES)
     stack = render_psf_stack(pattern.mask, sizes_px)
     # All windows of a plane together tell its blur; one that softness may share is less exact.
@@ -84,8 +84,8 @@ def measured_planes(
     measured = []
     for image in planes.images:
         grey = channel_mean(image)
-        stride_px = config.window_for_any_blur // 4
-        grid = PatchGrid.covering(grey.shape, config.window_for_any_blur, stride_px)
+        stride_px = config.window_px // 4
+        grid = PatchGrid.covering(grey.shape, config.window_px, stride_px)
         energies = bank.energies(grey, stride_px, estimate_noise(high_power(grey, grid)))
         whole = energies.mean(axis=(0, 1), keepdims=True)
 
