@@ -12,7 +12,7 @@ from scenes import BLUR_STEP, FRAMES_PER_SHARD, LIGHT_STEP, drawn
 
 from coded_aperture_ros.depth.refine.cells import CELL_PX, Cells
 from coded_aperture_ros.depth.refine.features import cost_features, frame_features, tried_sizes
-from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.imaging import PatchGrid, brightness_at
 
 STRIDE_PX = 8
 
@@ -128,7 +128,8 @@ def looked_at(
     grey = frame.light.astype(np.float32) * np.float32(LIGHT_STEP)
     cells = Cells.covering(grey.shape, PatchGrid.covering(grey.shape, frame.window_px, STRIDE_PX))
     misfit = frame.misfit.astype(np.float32)
-    costs = cost_features(volume, misfit, grey, frame.noise, cells, sizes)
+    brightness = brightness_at(grey, cells.grid)
+    costs = cost_features(volume, misfit, brightness, grey, frame.noise, cells, sizes)
     return costs, frame_features(grey, frame.noise, cells), cells
 
 

@@ -60,7 +60,7 @@ def main() -> None:
     for name, layer in (("size", network.size), ("choice", network.choice)):
         arrays[f"{name}_weights"] = layer.weight.detach().numpy()[:, :, 0, 0]
         arrays[f"{name}_bias"] = layer.bias.detach().numpy()
-    arrays["trust"] = np.float32(network.trust.item())
+    arrays["trust"] = network.trust.detach().numpy()
     write_archive(args.output, SCHEMA, SCHEMA_VERSION, arrays)
     packed = args.output.read_bytes()
     count = sum(parameter.numel() for parameter in network.parameters())

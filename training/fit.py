@@ -15,7 +15,12 @@ from batches import Batch, ahead, batches, load
 from network import BINS, NEIGHBOURS, Refinement
 from torch.nn import functional
 
-from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, BLUR_STEP_PX, LARGEST_PX
+from coded_aperture_ros.depth.refine.features import (
+    BLUR_SIZES_PX,
+    BLUR_STEP_PX,
+    LARGEST_PX,
+    SCALARS,
+)
 
 _BATCH = 8
 _RATE = 2e-3
@@ -110,7 +115,7 @@ def main() -> None:
     spent, step = 0.0, 0
     state_path = args.output / "state.pt"
     if args.start:
-        network.load_state_dict(torch.load(args.start)["average"])
+        network.load_state_dict(_grown(torch.load(args.start)["average"], network.state_dict()))
         average.load_state_dict(network.state_dict())
     if state_path.exists():
         state = torch.load(state_path)
@@ -176,6 +181,20 @@ def validated(network: Refinement, frames: list) -> dict[str, float]:
                 sums[name] = sums.get(name, 0.0) + float(value)
             count += 1
     return {name: round(value / max(count, 1), 4) for name, value in sums.items()}
+
+
+def _grown(state: dict, wanted: dict) -> dict:
+    """Fit weights of a network with fewer inputs: what is new begins at zero."""
+    grown = {}
+    for name, values in wanted.items():
+        old = state[name]
+        if old.shape != values.shape and old.dim() == 4:
+            new = torch.zeros_like(values)
+            new[:, : 2 * BINS] = old[:, : 2 * BINS]
+            new[:, -SCALARS:] = old[:, -SCALARS:]
+            old = new
+        grown[name] = old if old.shape == values.shape else values
+    return grown
 
 
 def _save(path: Path, network, average, optimizer, spent: float, step: int) -> None:

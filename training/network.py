@@ -75,7 +75,7 @@ class Refinement(nn.Module):
         self.size = nn.Conv2d(_FINE, BINS + 1, 1)
         self.choice = nn.Conv2d(_FINE, CHOICES, 1)
         # What the costs say by themselves: the network only adds to it.
-        self.trust = nn.Parameter(torch.tensor(1.0))
+        self.trust = nn.Parameter(torch.tensor([1.0, 0.5]))
 
     def trunk(self, costs: torch.Tensor, frame: torch.Tensor) -> torch.Tensor:
         """Return what the last two convolutions act on."""
@@ -93,5 +93,7 @@ class Refinement(nn.Module):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         fine = self.trunk(costs, frame)
         size = self.size(fine)
-        own = functional.interpolate(costs[:, :BINS], scale_factor=2.0, mode="bilinear")
-        return torch.cat([size[:, :BINS] - self.trust * own, size[:, BINS:]], 1), self.choice(fine)
+        added_up = costs[:, 2 * BINS : COST_CHANNELS]
+        own = self.trust[0] * costs[:, :BINS] + self.trust[1] * added_up
+        own = functional.interpolate(own, scale_factor=2.0, mode="bilinear")
+        return torch.cat([size[:, :BINS] - own, size[:, BINS:]], 1), self.choice(fine)

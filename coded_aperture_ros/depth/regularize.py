@@ -82,7 +82,7 @@ def _by_semi_global_matching(smoothness: float) -> Regularizer:
     def regularize(
         volume: FloatArray, own: FloatArray, brightness: FloatArray | None, stride_px: int
     ) -> FloatArray:
-        chosen = _semi_global(volume, smoothness, brightness)
+        chosen = semi_global_cost(volume, smoothness, brightness).argmin(axis=-1)
         return on_surfaces(own, chosen, smoothness, stride_px)
 
     return regularize
@@ -106,13 +106,13 @@ REGULARIZERS: dict[str, Callable[[float], Regularizer]] = {
 }
 
 
-def _semi_global(
+def semi_global_cost(
     volume: FloatArray, smoothness: float, brightness: FloatArray | None
-) -> IndexArray:
+) -> FloatArray:
     """Minimise along rows and columns, both ways, and add up (Hirschmueller, 2008).
 
     Each of the four paths through a patch is minimised exactly, with a small cost for steps of
-    one level, as of slants, and a larger one for jumps.
+    one level, as of slants, and a larger one for jumps. Takes and gives [rows, columns, L].
     """
     known = _bounded(volume)
     rows, columns = known.shape[:2]
@@ -131,7 +131,7 @@ def _semi_global(
     # Every path counts the cost of its patch.
     total = _both_ways(known, down) - 3 * known
     total += _both_ways(known.swapaxes(0, 1), across).swapaxes(0, 1)
-    return np.asarray(total.argmin(axis=-1))
+    return total
 
 
 def _both_ways(volume: FloatArray, weights: FloatArray) -> FloatArray:

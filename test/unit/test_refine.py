@@ -33,7 +33,7 @@ def camera():
 
 @pytest.fixture(scope="module")
 def bank(camera):
-    return learn_bank_for_camera(camera, 1.1, 3.0, 24, LearnConfig(window_px=48))
+    return learn_bank_for_camera(camera, 1.1, 3.0, 24, LearnConfig(window_px=32))
 
 
 @pytest.fixture(scope="module")
@@ -94,14 +94,14 @@ def test_costs_are_put_on_the_grid_of_blur_sizes(sign, order):
     volume = np.broadcast_to(np.abs(sizes) - 3, (grid.rows, grid.columns, 13)).astype(np.float32)
     misfit = np.full((grid.rows, grid.columns), 0.25, np.float32)
     grey = np.full(shape, 0.2, np.float32)
-    features = cost_features(volume, misfit, grey, 0.001, cells, sizes)
+    features = cost_features(volume, misfit, misfit, grey, 0.001, cells, sizes)
     row, column = cells.rows // 2, cells.columns // 2
     tried = tried_sizes(sizes)
     assert BLUR_SIZES_PX[tried] == pytest.approx(np.arange(3, 9.1, 0.5))
     of_cell = features[: len(BLUR_SIZES_PX), row, column]
     assert of_cell[tried] == pytest.approx(np.log1p(BLUR_SIZES_PX[tried] - 3), abs=1e-5)
     assert (of_cell[~tried] == 5).all()
-    fine = features[len(BLUR_SIZES_PX) : COST_CHANNELS, row, column]
+    fine = features[len(BLUR_SIZES_PX) : 2 * len(BLUR_SIZES_PX), row, column]
     assert fine[tried] == pytest.approx(np.log1p(30 * (BLUR_SIZES_PX[tried] - 3)) / 3, abs=1e-5)
     assert (fine[~tried] == np.float32(2.8)).all()
     assert features[COST_CHANNELS, row, column] == 0.25
@@ -226,7 +226,8 @@ def test_network_runs_frames_of_any_size():
         cells = Cells.covering(shape, grid)
         volume = random.random((grid.rows, grid.columns, 9), dtype=np.float32)
         grey = random.random(shape, dtype=np.float32)
-        costs = cost_features(volume, volume[..., 0], grey, 0.01, cells, np.linspace(2, 8, 9))
+        flat = volume[..., 0]
+        costs = cost_features(volume, flat, flat, grey, 0.01, cells, np.linspace(2, 8, 9))
         logits = network(costs, frame_features(grey, 0.01, cells))
         assert logits.size.shape == (tried.sum(), 2 * cells.rows, 2 * cells.columns)
         assert logits.choice.shape == (36, 2 * cells.rows, 2 * cells.columns)

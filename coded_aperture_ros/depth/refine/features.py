@@ -5,18 +5,20 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.depth.refine.cells import CELL_PX, Cells
+from coded_aperture_ros.depth.regularize import semi_global_cost
 
 # The refinement's own grid of blur sizes, on one side of the focal plane.
 BLUR_STEP_PX = 0.5
 LARGEST_PX = 22.0
 BLUR_SIZES_PX = np.arange(0, LARGEST_PX + BLUR_STEP_PX / 2, BLUR_STEP_PX)
-# What stands for the logarithm of the cost of blur sizes that were not tried.
-_UNTRIED, _UNTRIED_FINE = 5.0, 2.8
+# What stands in the three kinds of channels for blur sizes that were not tried.
+_UNTRIED = (5.0, 2.8, 5.0)
 _MOST_COST = 140.0
 # Where there is little texture costs differ little, but those of many patches tell something.
 _FINE_SCALE = 30.0
-# Every blur size has two channels: the logarithm of the cost, and that of its small differences.
-COST_CHANNELS = 2 * len(BLUR_SIZES_PX)
+# Every blur size has three channels: the logarithm of the cost, of its small differences, and of
+# the cost that semi-global matching adds up.
+COST_CHANNELS = 3 * len(BLUR_SIZES_PX)
 # Beside them: the misfit, where there are patches, texture over noise, brightness, and the side.
 SCALARS = 5
 # The frame's texture is looked at in squares of so many pixels: its channels.
@@ -43,6 +45,7 @@ def resampling(sizes_px: DoubleArray) -> FloatArray:
 def cost_features(
     volume: FloatArray,
     misfit: FloatArray,
+    brightness: FloatArray,
     grey: FloatArray,
     noise: float,
     cells: Cells,
@@ -56,6 +59,8 @@ def cost_features(
         Cost of every level; see `Cost`.
     misfit : ndarray, float32 [grid rows, grid columns]
         See `Cost`.
+    brightness : ndarray, float32 [grid rows, grid columns]
+        Around every patch.
     grey : ndarray, float32 [height, width]
         The frame, linear light.
     noise : float
@@ -71,13 +76,16 @@ def cost_features(
     levels = np.minimum(volume, np.float32(_MOST_COST))
     weights = resampling(sizes_px)
     fine = np.log1p(levels * np.float32(_FINE_SCALE)) * np.float32(1 / 3)
-    values = [np.log1p(levels) @ weights, fine @ weights, misfit[..., None]]
+    added_up = semi_global_cost(volume, 1.0, brightness)
+    added_up -= added_up.min(axis=-1, keepdims=True)
+    logarithms = (np.log1p(levels), fine, np.log1p(added_up))
+    values = [*(logarithm @ weights for logarithm in logarithms), misfit[..., None]]
     at_cells, known = cells.of_patches(np.concatenate(values, axis=-1))
     features = np.zeros((COST_CHANNELS + SCALARS, cells.rows, cells.columns), np.float32)
     count = len(BLUR_SIZES_PX)
-    features[:count], features[count:COST_CHANNELS] = _UNTRIED, _UNTRIED_FINE
-    features[tried] = at_cells[: len(tried)]
-    features[count + tried] = at_cells[len(tried) : -1]
+    for kind, untried in enumerate(_UNTRIED):
+        features[kind * count : (kind + 1) * count] = untried
+        features[kind * count + tried] = at_cells[kind * len(tried) :][: len(tried)]
     mean, variance = (_of_cells(cells.of_frame(picture)) for picture in _statistics(grey))
     features[COST_CHANNELS] = at_cells[-1]
     features[COST_CHANNELS + 1] = known

@@ -33,8 +33,8 @@ _PLAUSIBLE = 0.05
 # Costs that differ by less are those of a frame without any texture.
 _ALIKE = 1e-3
 # Logistic calibration of how likely a depth is right, fitted on random scenes kept apart.
-_CALIBRATION = (0.10, 1.08)
-_DEVIATION = 0.85
+_CALIBRATION = (0.02, 1.02)
+_DEVIATION = 0.845
 _SURE = 1e-3
 
 
@@ -96,7 +96,7 @@ class Refined:
         noise, grey = seen.noise.typical, seen.grey
         cells = Cells.covering(grey.shape, seen.grid)
         misfit = np.zeros(volume.shape[:2], np.float32) if own.misfit is None else own.misfit
-        costs = cost_features(volume, misfit, grey, noise, cells, self._sizes)
+        costs = cost_features(volume, misfit, seen.brightness, grey, noise, cells, self._sizes)
         logits = self._network(costs, frame_features(grey, noise, cells))
         found = HalfCells.of(logits, self._tried_px)
         right = _calibrated(found.right_within(self._tolerance_at(found.size_px)))
