@@ -192,7 +192,8 @@ def test_edges_are_sharper_than_by_classical_means(bank, camera, scene):
 def test_saturated_and_missing_pixels_give_no_depth(bank, camera, scene):
     frame = scene[0].copy()
     frame[60:110, 20:70] = np.nan
-    found = DepthEstimator(bank, DepthConfig(regularize="learned"), camera).estimate(frame)
+    config = DepthConfig(regularize="learned", confidence_threshold=0.2)
+    found = DepthEstimator(bank, config, camera).estimate(frame)
     assert np.isnan(found.depth_m[75:95, 35:55]).all()
     assert np.isfinite(found.depth_m[:, 120:]).mean() > 0.5
 
