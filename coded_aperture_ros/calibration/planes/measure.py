@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import LearnConfig, LearnedPattern, NaturalImagePrior, learn_bank
+from coded_aperture_ros.bank import LearnConfig, LearnedPattern, learn_bank
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.depth.posterior import refine_level
@@ -77,10 +77,9 @@ def measured_planes(
     largest = _BEYOND * float(np.abs(pattern.blur_size_px(planes.depths_m)).max())
     largest = min(largest, config.window_px - 1)
     sizes_px = np.linspace(_SMALLEST_PX, largest, _SIZES)
-    stack = render_psf_stack(pattern.mask, sizes_px)
-    # All windows of a plane together tell its blur; one that softness may share is less exact.
-    prior = NaturalImagePrior().sharp()
-    bank = learn_bank(stack, config, prior, components=pattern.components(sizes_px))
+    bank = learn_bank(
+        render_psf_stack(pattern.mask, sizes_px), config, components=pattern.components(sizes_px)
+    )
     measured = []
     for image in planes.images:
         grey = channel_mean(image)
