@@ -33,8 +33,6 @@ class EmpiricalPrior(NaturalImagePrior):
         frequencies from 0.04 to 0.5 cycles per pixel in equal ratios.
     """
 
-    slopes: tuple[float, ...] = (1.6, 2.4, 3.2)
-    softness: tuple[float, ...] = ()  # the deviations have it
     deviations: tuple[tuple[float, ...], ...] = ((0.0,) * len(_FREQUENCIES),) * 3
 
     def __post_init__(self) -> None:

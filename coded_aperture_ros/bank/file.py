@@ -37,7 +37,7 @@ _OF_PATTERN: dict[str, Callable[[Any], Any]] = {
     **dict.fromkeys(("parts_extent", "slope_px_m", "inverse_focus"), float),
     "image_width": int,
 }
-_OF_PRIOR = ("slopes", "contrasts", "model_error", "softness")
+_OF_PRIOR = ("slopes", "contrasts", "model_error")
 
 
 def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
@@ -105,14 +105,11 @@ def _pattern(arrays: dict[str, NDArray[Any]]) -> LearnedPattern | None:
 
 
 def _prior(arrays: dict[str, NDArray[Any]]) -> NaturalImagePrior:
-    sharp = {"prior_softness": np.empty(0)}  # all textures were, in older banks
-    kept = (({**sharp, **arrays})[f"prior_{name}"].tolist() for name in _OF_PRIOR)
-    slopes, contrasts, model_error, softness = kept
-    common = tuple(slopes), tuple(contrasts), model_error, tuple(softness)
+    slopes, contrasts, model_error = (arrays[f"prior_{name}"].tolist() for name in _OF_PRIOR)
     if "prior_deviations" not in arrays:
-        return NaturalImagePrior(*common)
+        return NaturalImagePrior(tuple(slopes), tuple(contrasts), model_error)
     deviations = tuple(tuple(row) for row in arrays["prior_deviations"].tolist())
-    return EmpiricalPrior(*common, deviations)
+    return EmpiricalPrior(tuple(slopes), tuple(contrasts), model_error, deviations)
 
 
 def _check_shapes(bank: FilterBank) -> None:

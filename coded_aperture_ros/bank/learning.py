@@ -209,9 +209,10 @@ def learn_bank(
         )
     fourier = WindowedFourierBasis(config.window_px, config.highest_frequency)
     of_levels = stack.psfs[:, None] if components is None else components.swapaxes(0, 1)
+    textures = prior.spectra if isinstance(prior, EmpiricalPrior) else prior.slopes
     expected = np.array(
         [
-            [sum(fourier.expected_power(psf, texture) for psf in psfs) for texture in prior.spectra]
+            [sum(fourier.expected_power(psf, texture) for psf in psfs) for texture in textures]
             for psfs in progress(of_levels)
         ]
     )  # [L, slopes, K]

@@ -23,9 +23,9 @@ class FilterBank:
 
     For a patch with power spectrum ``P`` the energy of blur level ``d`` is twice the negative
     log-likelihood of a Gaussian texture seen through that level's PSF, minimised over the
-    texture's contrast ``a`` and kind, and over the patch's own noise ``s``::
+    texture's contrast ``a`` and slope, and over the patch's own noise ``s``::
 
-        E_d = min over a, kind, s of  sum_k m_k [ P_k / (s^2 V_k) + log(s^2 V_k) ]
+        E_d = min over a, slope, s of  sum_k m_k [ P_k / (s^2 V_k) + log(s^2 V_k) ]
         V_k = (a / s^2) (C_k + e^2) + 1
 
     with the expected power ``C_k`` of unit-contrast texture at level ``d``, the multiplicity

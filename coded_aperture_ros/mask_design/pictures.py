@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.learning import RATIOS
-from coded_aperture_ros.bank.prior import NaturalImagePrior
+from coded_aperture_ros.bank.prior import NaturalImagePrior, power_spectrum
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood import plausible_ratios, take_logarithm
@@ -158,9 +158,9 @@ class WindowSpectra:
         of_window = scipy.fft.rfft(self._window, torus)
         overlap = scipy.fft.irfft(of_window.real**2 + of_window.imag**2, torus)
         spectra = []
-        for of_kind in self._prior.spectra:
+        for slope in self._prior.slopes:
             # The scale is that of four windows, as in `WindowedFourierBasis.expected_power`.
-            texture = of_kind((2 * torus, 2 * torus))[::2, ::2].astype(np.float32)
+            texture = power_spectrum(slope, (2 * torus, 2 * torus))[::2, ::2].astype(np.float32)
             # No window sees the mean; without it, rounding is less than the power in the zeros.
             texture[0, 0] = 0
             spectrum = seen_spectra(texture, gain, overlap[:, None] * overlap)[:, ::4, ::4]

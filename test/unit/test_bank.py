@@ -43,9 +43,9 @@ def direct_energies(bank, image, noise):
 
     # For each ratio of contrast to noise that is plausible at the noise that is told.
     for ratio in np.array(prior.contrasts) / noise**2:
-        for of_kind in prior.spectra:
+        for slope in prior.slopes:
             for level, psf in enumerate(bank.stack.psfs):
-                texture = ratio * (fourier.expected_power(psf, of_kind) + prior.model_error**2)
+                texture = ratio * (fourier.expected_power(psf, slope) + prior.model_error**2)
                 energies[..., level] = np.minimum(energies[..., level], energy(texture))
     return np.minimum(energies, energy(0)[..., None]) - counts.sum()
 
@@ -226,23 +226,3 @@ def test_levels_out_of_order_are_refused():
     depths = PsfStack(np.arange(3.0), ordered.psfs, np.array([1.0, 3.0, 2.0]))
     with pytest.raises(InputError, match="depths: levels must be in order"):
         learn_bank(depths)
-
-
-def test_softness_is_a_gaussian_blur_of_the_texture(tmp_path):
-    prior = NaturalImagePrior(slopes=(2.4, 2.4), softness=(0.0, 0.8))
-    sharp, soft = (spectrum((64, 48)) for spectrum in prior.spectra)
-    squared = np.fft.fftfreq(64)[:, None] ** 2 + np.fft.rfftfreq(48) ** 2
-    left = soft / sharp
-    np.testing.assert_allclose(
-        (left / left[0, 1])[1:], np.exp(-((2 * np.pi * 0.8) ** 2) * (squared - 1 / 48**2))[1:]
-    )
-    for power in (sharp, soft):
-        assert np.fft.irfft2(power, (64, 48))[0, 0] == pytest.approx(1)
-    assert prior.sharp().softness == () and prior.sharp().sharp() == prior.sharp()
-    stack = render_psf_stack(Mask.named("disc"), [3.0, 5.0])
-    bank = learn_bank(stack, LearnConfig(window_px=16), prior)
-    save_bank(bank, tmp_path / "bank.npz")
-    assert load_bank(tmp_path / "bank.npz").prior == prior
-    for wrong in ((0.5,), (0.5, -1.0)):
-        with pytest.raises(InputError, match="prior softness"):
-            NaturalImagePrior(slopes=(2.4, 2.4), softness=wrong)

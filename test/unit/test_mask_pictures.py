@@ -112,9 +112,9 @@ def test_expected_power_is_that_of_the_bank():
     bank = learn_bank(stack, LearnConfig(WINDOW_PX, 8, highest_frequency=0.35))
     half = (WINDOW_PX, WINDOW_PX // 2 + 1)
     counts = (bank.fourier.multiplicity.reshape(half) > 0)[::2, ::2]
-    for of_kind, expected in zip(bank.prior.spectra, spectra.expected(stack.psfs), strict=True):
+    for slope, expected in zip(bank.prior.slopes, spectra.expected(stack.psfs), strict=True):
         for psf, power in zip(stack.psfs, expected, strict=True):
-            exact = bank.fourier.expected_power(psf, of_kind).reshape(half)[::2, ::2][counts]
+            exact = bank.fourier.expected_power(psf, slope).reshape(half)[::2, ::2][counts]
             np.testing.assert_allclose(
                 power, exact + bank.prior.model_error**2, rtol=0.1, atol=4e-4
             )

@@ -117,8 +117,8 @@ def test_expected_powers_are_those_of_the_basis(bank):
     for motion, level in ((0, 1), (1, 4)):
         vector = tuple(some.vectors_px[motion])
         psf = blurred_psf(bank.defocus.stack.psfs[level], vector)
-        for of_kind, found in zip(bank.defocus.prior.sharp().spectra, powers, strict=True):
-            exact = bank.defocus.fourier.expected_power(psf, of_kind)
+        for slope, found in zip(bank.defocus.prior.slopes, powers, strict=True):
+            exact = bank.defocus.fourier.expected_power(psf, slope)
             assert found[motion * len(SIZES) + level] == pytest.approx(
                 exact, abs=1e-6 * exact.max()
             )

@@ -103,8 +103,8 @@ def with_all_filters(bank: FilterBank) -> FilterBank:
         Of any rank, learned from PSFs with the natural-image prior.
     """
     powers = [
-        [bank.fourier.expected_power(psf, texture) for psf in bank.stack.psfs]
-        for texture in bank.prior.spectra
+        [bank.fourier.expected_power(psf, slope) for psf in bank.stack.psfs]
+        for slope in bank.prior.slopes
     ]
     expected = np.array(powers) + bank.prior.model_error**2  # [slopes, L, K]
     counting = np.flatnonzero(bank.fourier.multiplicity)

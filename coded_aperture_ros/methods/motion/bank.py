@@ -8,7 +8,7 @@ import numpy as np
 import scipy.fft
 import scipy.linalg
 
-from coded_aperture_ros.bank import FilterBank, WindowedFourierBasis
+from coded_aperture_ros.bank import EmpiricalPrior, FilterBank, WindowedFourierBasis, power_spectrum
 from coded_aperture_ros.bank.factoring import common_basis, fitted_coefficients
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
@@ -61,7 +61,7 @@ def learn_motion_bank(
     Parameters
     ----------
     bank : FilterBank
-        Its PSFs, window, sharp textures and highest frequency are taken over.
+        Its PSFs, window, textures and highest frequency are taken over.
     rank : int, optional
         Vectors in the common basis. As many as there are frequencies, or more, are exact: then the
         frequencies themselves are the basis.
@@ -87,8 +87,7 @@ def learn_motion_bank(
             f"fit the bank's {bank.window_px} px window: learn a bank with a larger window, or "
             "smaller blur sizes, or take shorter motions"
         )
-    prior = bank.prior.sharp()
-    prior = dataclasses.replace(prior, contrasts=prior.contrasts[::_EVERY_CONTRAST])
+    prior = dataclasses.replace(bank.prior, contrasts=bank.prior.contrasts[::_EVERY_CONTRAST])
     ratios = bank.ratios[::_EVERY_CONTRAST]
     expected = expected_powers(bank, motions, progress) + np.float32(prior.model_error**2)
     shape = expected.shape[:-1]  # [slopes, M * L]
@@ -142,7 +141,12 @@ def expected_powers(
     n, psfs = bank.window_px, bank.stack.psfs
     period = 4 * n
     torus = (period, period)
-    textures = [texture(torus) for texture in bank.prior.sharp().spectra]
+    prior = bank.prior
+    textures = (
+        [texture(torus) for texture in prior.spectra]
+        if isinstance(prior, EmpiricalPrior)
+        else [power_spectrum(slope, torus) for slope in prior.slopes]
+    )
     defocus = np.abs(scipy.fft.rfft2(psfs.astype(np.float64), torus)) ** 2
     spread = _spread(bank.fourier, period)
     # The power at (-v, -h) is that at (v, h): half of all frequencies, in two parts, are enough.
