@@ -292,7 +292,11 @@ def test_parameters_change_what_is_published(ros, model, coded):
     (refused,) = chain.node.set_parameters([Parameter("confidence.threshold", value=2.0)])
     assert not refused.successful and refused.reason
     (refused,) = chain.node.set_parameters([Parameter("regularize.method", value="magic")])
-    assert "one of none, semiglobal, tv, graphcut" in refused.reason
+    assert "one of learned, none, semiglobal, tv, graphcut" in refused.reason
+    for how in ("learned", "semiglobal"):
+        (changed,) = chain.node.set_parameters([Parameter("regularize.method", value=how)])
+        assert changed.successful
+        assert chain.result(mono8(coded)).width == WIDTH // 4
     (refused,) = chain.node.set_parameters([Parameter("bank", value="other.npz")])
     assert "read-only" in refused.reason
     (changed,) = chain.node.set_parameters([Parameter("confidence.threshold", value=1.0)])

@@ -7,7 +7,7 @@ import pytest
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video
 from coded_aperture_ros.depth.refine import untrained
 from coded_aperture_ros.depth.refine.cells import CELL_PX, HALVINGS, Cells
 from coded_aperture_ros.depth.refine.features import (
@@ -216,6 +216,30 @@ def test_nearest_plausible_is_never_farther(bank, camera, scene):
     known = np.isfinite(levels["nothing"])
     assert np.isfinite(levels["nearest"]).all() and not known.all()
     assert np.array_equal(levels["nearest"][known], levels["nothing"][known])
+
+
+@pytest.mark.parametrize("unknown", ["nothing", "nearest"])
+@pytest.mark.parametrize("memory", [0.0, 4.0])
+@pytest.mark.parametrize("size", [None, (80, 96), (53, 200)])
+def test_options_meet_each_other(bank, camera, scene, unknown, memory, size):
+    config = DepthConfig(
+        regularize="learned",
+        unknown=unknown,
+        temporal_frames=memory,
+        noise=0.001,
+        confidence_threshold=0.1,
+    )
+    estimator = DepthEstimator(bank, config, camera)
+    frame = scene[0].copy()
+    frame[:8, :8] = 1.0  # saturated
+    for _ in range(2):
+        found = estimator.estimate(frame, size)
+    assert found.depth_m.shape == (size or frame.shape)
+    assert np.isfinite(found.confidence).all()
+    assert np.isfinite(found.depth_m).any()
+    if memory:
+        frames = list(estimate_video(estimator, [frame] * 3, size))
+        assert [each.depth_m.shape for each in frames] == [size or frame.shape] * 3
 
 
 def test_network_runs_frames_of_any_size():
