@@ -27,7 +27,7 @@ class DepthConfig:
         "semiglobal",
         "Spatial regularisation of the blur levels: semiglobal needs nothing learned, learned is a "
         "small network, sharper at edges, graphcut is the slow reference.",
-        choices=(LEARNED, *REGULARIZERS),
+        choices=(*REGULARIZERS, LEARNED),
         parameter="regularize.method",
     )
     smoothness: float = option(

@@ -456,7 +456,7 @@ def test_wrong_input_is_refused(bank, camera):
         estimator.estimate(np.zeros((64, 64), np.uint8))
     with pytest.raises(InputError, match="stride_px"):
         DepthConfig(stride_px=-1)
-    with pytest.raises(InputError, match="one of learned, none, semiglobal, tv, graphcut"):
+    with pytest.raises(InputError, match="one of none, semiglobal, tv, graphcut, learned"):
         DepthConfig(regularize="magic")
     weak = Camera(800.0, 0.9, 192, 160, camera.mask, 1.0)
     with pytest.raises(InputError, match="learn the bank for this camera"):
