@@ -9,11 +9,10 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from batches import Frame, load, looked_at
-from scenes import BLUR_STEP
+from batches import Frame, load, true_blur_px
 from scipy.optimize import minimize
 
-from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, tried_sizes
+from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX
 from coded_aperture_ros.depth.refine.network import Network
 from coded_aperture_ros.depth.refine.probabilities import HalfCells
 
@@ -23,22 +22,17 @@ _SURE = 1e-3
 
 def measured(frame: Frame) -> dict[str, np.ndarray]:
     """Return for every half-cell in the frame what was found and how wrong it is."""
-    costs, texture, cells = looked_at(frame, frame.volume.astype(np.float32), frame.sizes_px)
-    tried = tried_sizes(frame.sizes_px)
-    logits = Network(tried)(costs, texture)
-    found = HalfCells.of(logits, BLUR_SIZES_PX[tried].astype(np.float32))
-    rows, columns = frame.blur.shape
-    down, right = (np.arange(2, length, 4) for length in (rows, columns))
-    at = np.ix_((down - cells.top) // 4, (right - cells.left) // 4)
-    truth = np.abs(frame.blur[np.ix_(down, right)] * BLUR_STEP)
-    tolerance = 0.05 * np.abs(frame.infinity_px - np.sign(frame.sizes_px.mean()) * found.size_px)
-    probability = found.right_within(tolerance.astype(np.float32))[at]
-    known = frame.blur[np.ix_(down, right)] != 0
+    logits = Network(frame.tried)(*(v.astype(np.float32) for v in (frame.costs, frame.frame)))
+    found = HalfCells.of(logits, BLUR_SIZES_PX[frame.tried].astype(np.float32))
+    truth = true_blur_px(frame)[2::4, 2::4]
+    tolerance = 0.05 * np.abs(frame.infinity_px - np.sign(truth) * found.size_px)
+    probability = found.right_within(np.nan_to_num(tolerance).astype(np.float32))
+    known = np.isfinite(truth)
     return {
         "probability": probability[known],
-        "error": np.abs(found.size_px[at] - truth)[known],
-        "tolerance": tolerance[at][known],
-        "deviation": found.deviation_px()[at][known],
+        "error": np.abs(found.size_px - np.abs(truth))[known],
+        "tolerance": tolerance[known],
+        "deviation": found.deviation_px()[known],
     }
 
 

@@ -1,29 +1,41 @@
-"""Cost volumes of rendered frames: noise is added, and the package's own likelihood looks at them.
+"""What the network is shown of rendered frames: with noise, through the package's own likelihood.
 
 python training/costs.py --scenes DIR --output DIR --shards 0 40
 """
 
 import argparse
 import dataclasses
+import os
 import tempfile
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
-from scenes import FRAMES_PER_SHARD, LIGHT_STEP, drawn, mask_of
+from scenes import BLUR_STEP, FRAMES_PER_SHARD, LIGHT_STEP, drawn, mask_of
 from shards import add_shard_options, compute
 
-from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank
+from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank, relearned
 from coded_aperture_ros.bank.file import load_bank, save_bank
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth.refine.cells import Cells
+from coded_aperture_ros.depth.refine.features import cost_features, frame_features, tried_sizes
+from coded_aperture_ros.depth.refine.looks import SMALL_PX, SmallPatches, look
 from coded_aperture_ros.optics import render_psf_stack
 
+STRIDE_PX = 8
+# Frames of one size have no more cells a side than this, whatever the window.
+CELLS = 40
 _LARGEST_PX = 20.6
 # Window, and distance between levels; the first are what is used most.
-_BANKS = ((32, 0.5), (32, 0.44), (32, 0.58), (40, 0.5), (48, 0.5))
-_BANK_SHARES = (0.3, 0.2, 0.2, 0.15, 0.15)
-_BOTH_SIDES = ((32, 0.6), (32, 0.72))
+_BANKS = ((48, 0.5), (48, 0.44), (48, 0.58), (40, 0.5), (64, 0.5), (32, 0.5))
+_BANK_SHARES = (0.32, 0.22, 0.22, 0.08, 0.1, 0.06)
+_BOTH_SIDES = ((48, 0.6), (48, 0.72))
+_BOTH_LARGEST_PX = 16.5
+# Costs that the frames of a video add up to: of one frame they count up to this; see
+# `coded_aperture_ros.depth.temporal`.
+_OF_A_FRAME = 12.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,6 +49,7 @@ class Seen:
     scale: float
     eight_bits: bool
     known: bool
+    added_up: float
 
 
 def seen(number: int, side: str) -> Seen:
@@ -56,26 +69,30 @@ def seen(number: int, side: str) -> Seen:
         scale=float(random.normal(1, 0.006)),
         eight_bits=bool(random.random() < 0.1),
         known=bool(random.random() < 0.25),
+        added_up=float(random.uniform(1.2, 3.0)) if random.random() < 0.15 else 0.0,
     )
 
 
 @lru_cache(maxsize=256)
-def bank_of(mask: str, side: str, index: int, folder: Path) -> FilterBank:
-    """Return a bank for all blur sizes of a side, or of both sides; kept in a folder."""
+def banks_of(mask: str, side: str, index: int, folder: Path) -> tuple[FilterBank, FilterBank]:
+    """Return a bank for all blur sizes, and that of small patches; kept in a folder."""
     both = side == "both"
-    path = folder / f"{mask}_{'both' if both else 'one'}_{index}.npz"
-    if path.exists():
-        return load_bank(path)
-    window, step = (_BOTH_SIDES if both else _BANKS)[index]
-    if both:
-        count = int(16.5 / step)
-        sizes = np.arange(-count, count + 1) * step
-    else:
-        sizes = np.arange(0.9, _LARGEST_PX, step)
-    bank = learn_bank(render_psf_stack(mask_of(mask), sizes), LearnConfig(window_px=window))
-    folder.mkdir(parents=True, exist_ok=True)
-    save_bank(bank, path)
-    return bank
+    name = f"{mask}_{'both' if both else 'one'}_{index}"
+    paths = folder / f"{name}.npz", folder / f"{name}_small.npz"
+    if not all(path.exists() for path in paths):
+        window, step = (_BOTH_SIDES if both else _BANKS)[index]
+        # Spectra do not tell the sides: the levels of one serve both.
+        sizes = np.arange(0, _BOTH_LARGEST_PX, step) if both else np.arange(0.9, _LARGEST_PX, step)
+        bank = learn_bank(render_psf_stack(mask_of(mask), sizes), LearnConfig(window_px=window))
+        folder.mkdir(parents=True, exist_ok=True)
+        small = relearned(bank, SMALL_PX, np.arange(bank.levels))
+        for path, one in zip(paths, (bank, small), strict=True):
+            # Two processes may learn the same bank at once.
+            part = path.with_suffix(f".{os.getpid()}.npz")
+            save_bank(one, part)
+            part.rename(path)
+    bank, small = (load_bank(path) for path in paths)
+    return bank, small
 
 
 def recorded(light: np.ndarray, how: Seen, number: int) -> np.ndarray:
@@ -90,40 +107,82 @@ def recorded(light: np.ndarray, how: Seen, number: int) -> np.ndarray:
     return frame.astype(np.float32)
 
 
-def costs(number: int, light: np.ndarray, folder: Path) -> dict[str, np.ndarray]:
-    """Return what the likelihood says of frame `number`."""
+def shown(number: int, light: np.ndarray, blur_px: np.ndarray, folder: Path) -> dict[str, Any]:
+    """Return what the network is shown of frame `number`."""
     what = drawn(number)
     how = seen(number, what.side)
     frame = recorded(light, how, number)
-    bank = bank_of(what.mask, what.side, how.bank, folder)
+    banks = banks_of(what.mask, what.side, how.bank, folder)
+    keep = _levels_kept(banks[0].blur_sizes_px, blur_px, number)
+    bank, small_bank = (_with_levels(each, keep) for each in banks)
     noise = max(np.hypot(how.noise, 0.0011 * how.eight_bits), 2e-4) if how.known else 0.0
     estimator = DepthEstimator(bank, DepthConfig(noise=float(noise), regularize="semiglobal"))
     observed = estimator.observe(frame)
     cost = estimator.cost(observed, observed.grey)
     estimator.close()
-    # A bank of one side serves both: the power of a PSF turned around is the same.
-    sizes = bank.blur_sizes_px * how.scale * (-1 if what.side == "near" else 1)
+    volume = cost.volume
+    if how.added_up:
+        volume = np.minimum(volume, _OF_A_FRAME) * np.float32(how.added_up)
+    small = SmallPatches(small_bank, frame.shape)
+    looks = look(cost, observed.grid, volume), small.look(observed)
+    small.close()
+    cells = Cells.covering(frame.shape, observed.grid)
+    typical = observed.noise.typical
+    sizes = bank.blur_sizes_px * how.scale
+    near = {"far": 0.0, "near": 1.0, "both": 0.5}[what.side]
+    grid = observed.grid
+    truth = blur_px[np.ix_(grid.row_centres, grid.column_centres)]
+    about = np.abs(sizes[cost.volume.argmin(-1)] - truth) < 1
     return {
-        "volume": np.minimum(cost.volume, 6e4).astype(np.float16),
-        "misfit": cost.misfit.astype(np.float16),
-        "frame": np.rint(np.clip(frame, 0, 1) / LIGHT_STEP).astype(np.uint16),
-        "noise": np.float32(observed.noise.typical),
-        "sizes": sizes.astype(np.float32),
-        "grid": np.array(
-            [observed.grid.top, observed.grid.left, observed.grid.window_px], np.int32
-        ),
+        "costs": _whole(cost_features(looks, observed.grey, typical, cells, sizes, near), CELLS),
+        "frame": _whole(frame_features(observed.grey, typical, cells), 2 * CELLS),
+        "tried": tried_sizes(sizes),
+        "corner": np.array([cells.top, cells.left], np.int32),
+        "told": np.float32(about.mean()),
     }
 
 
-def cost_shard(shard: int, light: np.ndarray, folder: Path | None) -> dict[str, np.ndarray]:
-    """Return what the likelihood says of all frames of a shard; names end in their index."""
+def _levels_kept(sizes: np.ndarray, blur_px: np.ndarray, number: int) -> np.ndarray:
+    """Return which levels a bank for about the scene's depth range has."""
+    random = np.random.default_rng([10, number])
+    low, high = np.nanmin(blur_px), np.nanmax(blur_px)
+    ends = np.array([low, high]) + random.exponential(1.0, 2) * [-1, 1]
+    if random.random() < 0.3:
+        ends += [-8, 8]
+    kept = (sizes >= min(ends[0], low - 0.3)) & (sizes <= max(ends[1], high + 0.3))
+    return np.flatnonzero(kept) if kept.sum() >= 8 else np.arange(len(sizes))
+
+
+def _with_levels(bank: FilterBank, kept: np.ndarray) -> FilterBank:
+    stack = bank.stack
+    return dataclasses.replace(
+        bank,
+        stack=dataclasses.replace(
+            stack, blur_sizes_px=stack.blur_sizes_px[kept], psfs=stack.psfs[kept]
+        ),
+        coefficients=bank.coefficients[..., kept],
+        log_determinants=bank.log_determinants[..., kept],
+    )
+
+
+def _whole(values: np.ndarray, side: int) -> np.ndarray:
+    """Pad the last two axes to a common size by the outermost values."""
+    margins = [(0, 0)] + [(0, side - length) for length in values.shape[-2:]]
+    return np.pad(values, margins, mode="edge").astype(np.float16)
+
+
+def shown_shard(
+    shard: int, light: np.ndarray, blur: np.ndarray, folder: Path | None
+) -> dict[str, np.ndarray]:
+    """Return what the network is shown of all frames of a shard, stacked."""
     folder = folder or Path(tempfile.gettempdir()) / "coded_aperture_training_banks"
-    arrays = {}
-    for index, frame in enumerate(light):
+    each = []
+    for index, (frame, sizes) in enumerate(zip(light, blur, strict=True)):
+        blur_px = np.abs(sizes * np.float32(BLUR_STEP))
+        blur_px[sizes == 0] = np.nan  # seams between two surfaces
         number = shard * FRAMES_PER_SHARD + index
-        found = costs(number, frame.astype(np.float32) * np.float32(LIGHT_STEP), folder)
-        arrays.update({f"{name}_{index}": value for name, value in found.items()})
-    return arrays
+        each.append(shown(number, frame * np.float32(LIGHT_STEP), blur_px, folder))
+    return {name: np.stack([one[name] for one in each]) for name in each[0]}
 
 
 def main() -> None:
@@ -135,15 +194,16 @@ def main() -> None:
     # Other machines keep the banks that they learn to themselves.
     folder = None if args.scheduler else args.output / "banks"
 
-    def read(shard: int, source: Path) -> tuple[int, np.ndarray, Path | None]:
-        return shard, np.load(source)["light"], folder
+    def read(shard: int, source: Path) -> tuple[int, np.ndarray, np.ndarray, Path | None]:
+        with np.load(source) as scenes:
+            return shard, scenes["light"], scenes["blur"], folder
 
     tasks = [
         (args.output / f"costs_{shard:04d}.npz", partial(read, shard, source))
         for shard in range(*args.shards)
         if (source := args.scenes / f"scenes_{shard:04d}.npz").exists()
     ]
-    compute(cost_shard, tasks, ("shards.py", "scenes.py", "costs.py"), args.scheduler)
+    compute(shown_shard, tasks, ("shards.py", "scenes.py", "costs.py"), args.scheduler)
 
 
 if __name__ == "__main__":

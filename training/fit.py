@@ -15,12 +15,7 @@ from batches import Batch, ahead, batches, load
 from network import BINS, NEIGHBOURS, Refinement
 from torch.nn import functional
 
-from coded_aperture_ros.depth.refine.features import (
-    BLUR_SIZES_PX,
-    BLUR_STEP_PX,
-    LARGEST_PX,
-    SCALARS,
-)
+from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, BLUR_STEP_PX, LARGEST_PX
 
 _BATCH = 8
 _RATE = 2e-3
@@ -101,7 +96,6 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=_RATE)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--least-told", type=float, default=0.0)
-    parser.add_argument("--bfloat16", action="store_true")
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     torch.manual_seed(0)
@@ -115,7 +109,7 @@ def main() -> None:
     spent, step = 0.0, 0
     state_path = args.output / "state.pt"
     if args.start:
-        network.load_state_dict(_grown(torch.load(args.start)["average"], network.state_dict()))
+        network.load_state_dict(torch.load(args.start)["average"])
         average.load_state_dict(network.state_dict())
     if state_path.exists():
         state = torch.load(state_path)
@@ -136,11 +130,10 @@ def main() -> None:
         for group in optimizer.param_groups:
             group["lr"] = args.rate * warm * (0.5 + 0.5 * math.cos(math.pi * progress)) + 1e-6
         network.train()
-        with torch.autocast("cpu", torch.bfloat16, enabled=args.bfloat16):
-            size, choice = network(
-                batch.costs.contiguous(memory_format=torch.channels_last),
-                batch.frame.contiguous(memory_format=torch.channels_last),
-            )
+        size, choice = network(
+            batch.costs.contiguous(memory_format=torch.channels_last),
+            batch.frame.contiguous(memory_format=torch.channels_last),
+        )
         parts = losses(size, choice, batch)
         optimizer.zero_grad(set_to_none=True)
         total(parts).backward()
@@ -181,20 +174,6 @@ def validated(network: Refinement, frames: list) -> dict[str, float]:
                 sums[name] = sums.get(name, 0.0) + float(value)
             count += 1
     return {name: round(value / max(count, 1), 4) for name, value in sums.items()}
-
-
-def _grown(state: dict, wanted: dict) -> dict:
-    """Fit weights of a network with fewer inputs: what is new begins at zero."""
-    grown = {}
-    for name, values in wanted.items():
-        old = state[name]
-        if old.shape != values.shape and old.dim() == 4:
-            new = torch.zeros_like(values)
-            new[:, : 2 * BINS] = old[:, : 2 * BINS]
-            new[:, -SCALARS:] = old[:, -SCALARS:]
-            old = new
-        grown[name] = old if old.shape == values.shape else values
-    return grown
 
 
 def _save(path: Path, network, average, optimizer, spent: float, step: int) -> None:

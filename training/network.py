@@ -13,7 +13,7 @@ from coded_aperture_ros.depth.refine.features import (
 
 BINS = len(BLUR_SIZES_PX)
 # Channels: of cells of 8 px, half as many a side, a quarter; of half-cells of 4 px; of the frame.
-_CELL, _HALF, _QUARTER, _FINE, _FRAME = 48, 64, 80, 32, 16
+_CELL, _HALF, _QUARTER, _FINE, _FRAME = 48, 72, 112, 32, 16
 NEIGHBOURS = 9
 CHOICES = 4 * NEIGHBOURS
 
@@ -61,21 +61,23 @@ class Refinement(nn.Module):
             convolution(_CELL + 16, _CELL), Residual(_CELL, 24), Residual(_CELL, 24, 2)
         )
         self.down = convolution(_CELL, _HALF, 3, 2)
-        self.at_half = nn.Sequential(Residual(_HALF, 32), Residual(_HALF, 32, 2))
+        self.at_half = nn.Sequential(Residual(_HALF, 36), Residual(_HALF, 36, 2))
         self.down2 = convolution(_HALF, _QUARTER, 3, 2)
-        self.at_quarter = nn.Sequential(Residual(_QUARTER, 40), Residual(_QUARTER, 40, 2))
+        self.at_quarter = nn.Sequential(
+            Residual(_QUARTER, 56), Residual(_QUARTER, 56, 2), Residual(_QUARTER, 56)
+        )
         self.up2 = nn.ConvTranspose2d(_QUARTER, _HALF, 2, 2)
-        self.at_half_again = nn.Sequential(convolution(2 * _HALF, _HALF), Residual(_HALF, 32))
+        self.at_half_again = nn.Sequential(convolution(2 * _HALF, _HALF), Residual(_HALF, 36))
         self.up = nn.ConvTranspose2d(_HALF, _CELL, 2, 2)
         self.at_cell_again = nn.Sequential(
             convolution(2 * _CELL, _CELL), Residual(_CELL, 24), Residual(_CELL, 24, 3)
         )
         self.to_fine = nn.ConvTranspose2d(_CELL, 28, 2, 2)
-        self.fine = convolution(28 + _FRAME, _FINE)
+        self.fine = nn.Sequential(convolution(28 + _FRAME, _FINE), Residual(_FINE, 16))
         self.size = nn.Conv2d(_FINE, BINS + 1, 1)
         self.choice = nn.Conv2d(_FINE, CHOICES, 1)
         # What the costs say by themselves: the network only adds to it.
-        self.trust = nn.Parameter(torch.tensor([1.0, 0.5]))
+        self.trust = nn.Parameter(torch.tensor([0.5, 0.0, 0.25, 0.5, 0.0, 0.25]))
 
     def trunk(self, costs: torch.Tensor, frame: torch.Tensor) -> torch.Tensor:
         """Return what the last two convolutions act on."""
@@ -93,7 +95,7 @@ class Refinement(nn.Module):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         fine = self.trunk(costs, frame)
         size = self.size(fine)
-        added_up = costs[:, 2 * BINS : COST_CHANNELS]
-        own = self.trust[0] * costs[:, :BINS] + self.trust[1] * added_up
+        of_kinds = costs[:, :COST_CHANNELS].unflatten(1, (len(self.trust), BINS))
+        own = (self.trust.view(-1, 1, 1, 1) * of_kinds).sum(1)
         own = functional.interpolate(own, scale_factor=2.0, mode="bilinear")
         return torch.cat([size[:, :BINS] - own, size[:, BINS:]], 1), self.choice(fine)

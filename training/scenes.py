@@ -20,18 +20,18 @@ BLUR_STEP = 1 / 1500
 
 # How often each mask is drawn; the random ones share the last number.
 _MASKS = {
-    "levin": 34,
-    "zhou": 15,
-    "four_hole": 13,
-    "three_wide": 5,
-    "four_wide": 4,
-    "three_hole": 3,
-    "veeraraghavan": 3,
-    "mura": 3,
-    "annulus": 2,
-    "disc": 2,
+    "levin": 44,
+    "zhou": 16,
+    "four_hole": 14,
+    "three_wide": 4,
+    "four_wide": 3,
+    "three_hole": 2,
+    "veeraraghavan": 2,
+    "mura": 2,
+    "annulus": 1,
+    "disc": 1,
 }
-_RANDOM_MASKS, _RANDOM_SHARE = 12, 16
+_RANDOM_MASKS, _RANDOM_SHARE = 12, 11
 _ASYMMETRIC = 0.05
 
 
@@ -64,7 +64,7 @@ def drawn(number: int) -> Drawn:
     random = np.random.default_rng([5, number])
     weights = np.array([*_MASKS.values(), *[_RANDOM_SHARE / _RANDOM_MASKS] * _RANDOM_MASKS])
     mask = str(random.choice(mask_names(), p=weights / weights.sum()))
-    side = str(random.choice(["far", "near", "both"], p=[0.72, 0.1, 0.18]))
+    side = str(random.choice(["far", "near", "both"], p=[0.76, 0.1, 0.14]))
     if side == "both" and mask_of(mask).asymmetry < _ASYMMETRIC:
         side = "far"
     return Drawn(number, mask, side)

@@ -10,6 +10,7 @@ from coded_aperture_ros.bank.learning import (
     learn_bank_for_camera,
     learn_bank_for_pattern,
     psf_stack_for_camera,
+    relearned,
     textures_of,
 )
 from coded_aperture_ros.bank.model import DEFAULT_STRIDE_PX, FilterBank
@@ -33,6 +34,7 @@ __all__ = [
     "load_bank",
     "power_spectrum",
     "psf_stack_for_camera",
+    "relearned",
     "save_bank",
     "textures_of",
 ]

@@ -12,7 +12,7 @@ from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.model import FilterBank
 from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.bank.prior import NaturalImagePrior
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
@@ -243,6 +243,25 @@ def learn_bank(
         learned_from=learned_from,
         highest_frequency=config.highest_frequency,
     )
+
+
+def relearned(bank: FilterBank, window_px: int, levels: IndexArray) -> FilterBank:
+    """Return a bank for some levels of another, with patches of another size.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two levels, or a PSF is larger than the window.
+    """
+    stack = bank.stack
+    depths_m = None if stack.depths_m is None else stack.depths_m[levels]
+    some = dataclasses.replace(
+        stack, blur_sizes_px=stack.blur_sizes_px[levels], psfs=stack.psfs[levels], depths_m=depths_m
+    )
+    components = None if bank.pattern is None else bank.pattern.components(some.blur_sizes_px)
+    config = LearnConfig(window_px, bank.basis_vectors, bank.highest_frequency, bank.noise)
+    other = learn_bank(some, config, bank.prior, bank.learned_from, components=components)
+    return dataclasses.replace(other, mask_digest=bank.mask_digest, pattern=bank.pattern)
 
 
 def textures_of(prior: NaturalImagePrior | None) -> str:

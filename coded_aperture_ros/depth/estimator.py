@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.depth.config import DepthConfig
@@ -89,6 +90,7 @@ class DepthEstimator:
         """End the threads that the work was shared among."""
         if self._planned is not None:
             self._planned.likelihood.close()
+            self._planned.decide.close()
             self._planned = None
 
     def estimate(
@@ -223,15 +225,17 @@ class DepthEstimator:
             sides = None
             if model.stack.has_both_sides:
                 sides = FocalSides(model.stack, self._levels, shape, self._regularize)
-            decide: Decide = Regularized(
-                self._levels,
-                self._regularize,
-                edge_correction(model, config.edge_correction),
-                sides,
-                self._neighbours_decide,
-            )
-            if self._learned and not untrained(model, stride_px):
-                decide = Refined(model, self._levels)
+            decide: Decide
+            if self._learned and isinstance(model, FilterBank) and not untrained(model, stride_px):
+                decide = Refined(model, self._levels, shape, sides, config.backend, config.threads)
+            else:
+                decide = Regularized(
+                    self._levels,
+                    self._regularize,
+                    edge_correction(model, config.edge_correction),
+                    sides,
+                    self._neighbours_decide,
+                )
             self._planned = _Planned(shape, likelihood, sides, decide)
         return self._planned
 

@@ -13,15 +13,18 @@ from coded_aperture_ros.depth.refine.cells import CELL_PX, HALVINGS, Cells
 from coded_aperture_ros.depth.refine.features import (
     BLUR_SIZES_PX,
     COST_CHANNELS,
+    Look,
     cost_features,
     frame_features,
     tried_sizes,
 )
+from coded_aperture_ros.depth.refine.focal import Folding
 from coded_aperture_ros.depth.refine.network import Logits, Network
 from coded_aperture_ros.depth.refine.probabilities import HalfCells, chosen_neighbours, drawn
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation import render_coded_frame
+from coded_aperture_ros.simulation.layered import random_scene
 
 SHAPES = [(96, 128), (97, 131), (240, 333), (121, 200)]
 
@@ -60,7 +63,7 @@ def test_cells_cover_the_frame_and_lie_around_the_patches(shape, window):
     assert cells.left + cells.columns * CELL_PX >= shape[1]
     assert cells.rows % 2**HALVINGS == 0 and cells.columns % 2**HALVINGS == 0
     rows, columns = np.meshgrid(grid.row_centres, grid.column_centres, indexing="ij")
-    at_cells, known = cells.of_patches(np.stack([rows, columns], -1).astype(np.float32))
+    at_cells, known = cells.of_patches(np.stack([rows, columns], -1).astype(np.float32), grid)
     assert known.sum() == rows.size
     i, j = np.nonzero(known)
     middle = CELL_PX // 2
@@ -78,8 +81,21 @@ def test_other_strides_are_interpolated(stride):
     grid = PatchGrid.covering(shape, 48, stride)
     cells = Cells.covering(shape, grid)
     rows, columns = np.meshgrid(grid.row_centres, grid.column_centres, indexing="ij")
-    at_cells, known = cells.of_patches(np.stack([rows, columns], -1).astype(np.float32))
+    at_cells, known = cells.of_patches(np.stack([rows, columns], -1).astype(np.float32), grid)
     i, j = np.nonzero(known)
+    assert at_cells[0, i, j] == pytest.approx(cells.top + CELL_PX * i + 4, abs=1e-3)
+    assert at_cells[1, i, j] == pytest.approx(cells.left + CELL_PX * j + 4, abs=1e-3)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("window", [36, 40, 48, 62])
+def test_patches_of_another_size_are_put_on_the_same_cells(shape, window):
+    cells = Cells.covering(shape, PatchGrid.covering(shape, window, CELL_PX))
+    small = PatchGrid.covering(shape, 32, CELL_PX)
+    rows, columns = np.meshgrid(small.row_centres, small.column_centres, indexing="ij")
+    at_cells, known = cells.of_patches(np.stack([rows, columns], -1).astype(np.float32), small)
+    i, j = np.nonzero(known)
+    assert len(i) >= (small.rows - 1) * (small.columns - 1)
     assert at_cells[0, i, j] == pytest.approx(cells.top + CELL_PX * i + 4, abs=1e-3)
     assert at_cells[1, i, j] == pytest.approx(cells.left + CELL_PX * j + 4, abs=1e-3)
 
@@ -94,19 +110,38 @@ def test_costs_are_put_on_the_grid_of_blur_sizes(sign, order):
     volume = np.broadcast_to(np.abs(sizes) - 3, (grid.rows, grid.columns, 13)).astype(np.float32)
     misfit = np.full((grid.rows, grid.columns), 0.25, np.float32)
     grey = np.full(shape, 0.2, np.float32)
-    features = cost_features(volume, misfit, misfit, grey, 0.001, cells, sizes)
+    folding = Folding.of(sizes)
+    looks = [Look(folding.of_sizes(volume), misfit, grid)] * 2
+    near = float(sign < 0)
+    features = cost_features(looks, grey, 0.001, cells, folding.sizes_px, near)
     row, column = cells.rows // 2, cells.columns // 2
-    tried = tried_sizes(sizes)
+    tried = tried_sizes(folding.sizes_px)
     assert BLUR_SIZES_PX[tried] == pytest.approx(np.arange(3, 9.1, 0.5))
-    of_cell = features[: len(BLUR_SIZES_PX), row, column]
-    assert of_cell[tried] == pytest.approx(np.log1p(BLUR_SIZES_PX[tried] - 3), abs=1e-5)
-    assert (of_cell[~tried] == 5).all()
-    fine = features[len(BLUR_SIZES_PX) : 2 * len(BLUR_SIZES_PX), row, column]
-    assert fine[tried] == pytest.approx(np.log1p(30 * (BLUR_SIZES_PX[tried] - 3)) / 3, abs=1e-5)
-    assert (fine[~tried] == np.float32(2.8)).all()
-    assert features[COST_CHANNELS, row, column] == 0.25
-    assert (features[COST_CHANNELS + 4] == (sign < 0)).all()
-    assert not features[COST_CHANNELS + 1, 0].any()  # no patches at the edge of the frame
+    count = len(BLUR_SIZES_PX)
+    for first in (0, 3 * count):  # of the model's patches, and of the small ones
+        of_cell = features[first : first + count, row, column]
+        assert of_cell[tried] == pytest.approx(np.log1p(BLUR_SIZES_PX[tried] - 3), abs=1e-5)
+        assert (of_cell[~tried] == 5).all()
+        fine = features[first + count : first + 2 * count, row, column]
+        expected = np.log1p(30 * (BLUR_SIZES_PX[tried] - 3)) / 3
+        assert fine[tried] == pytest.approx(expected, abs=1e-5)
+        assert (fine[~tried] == np.float32(2.8)).all()
+    assert (features[COST_CHANNELS : COST_CHANNELS + 2, row, column] == 0.25).all()
+    assert not features[COST_CHANNELS + 2, 0].any()  # no patches at the edge of the frame
+    assert (features[-1] == near).all()
+
+
+def test_levels_of_both_sides_are_folded():
+    sizes = np.arange(-3, 5) * 0.7
+    folding = Folding.of(sizes)
+    assert folding.sizes_px == pytest.approx(np.arange(5) * 0.7)
+    assert folding.far.tolist() == [3, 4, 5, 6, 7]
+    assert folding.near.tolist() == [3, 2, 1, 0, 7]  # the largest is on one side only
+    volume = np.float32([[[7, 6, 5, 4, 3, 5.5, 6, 1]]])
+    assert folding.of_sizes(volume).tolist() == [[[4, 3, 5.5, 6, 1]]]
+    one = Folding.of(-sizes[4:][::-1])
+    assert one.sizes_px == pytest.approx(np.arange(1, 5) * 0.7)
+    assert one.far.tolist() == one.near.tolist() == [3, 2, 1, 0]
 
 
 def _logits(sizes, probability, log_width=-2.0):
@@ -160,8 +195,8 @@ def test_where_it_was_not_trained_it_stands_back(bank, camera, scene):
     frame, _ = scene
     assert untrained(bank, 8) == ""
     assert "stride of 24 px" in untrained(bank, 24)
-    both = learn_bank(render_psf_stack(camera.mask, np.linspace(-6, 6, 9)))
-    assert "both sides" in untrained(both, 8)
+    small = dataclasses.replace(bank, window_px=24)
+    assert "window of 24 px" in untrained(small, 8)
     wide = learn_bank(render_psf_stack(camera.mask, np.linspace(4, 30, 9)))
     assert "blur of 30 px" in untrained(wide, 8)
     indices = dataclasses.replace(bank, stack=dataclasses.replace(bank.stack, in_pixels=False))
@@ -242,6 +277,26 @@ def test_options_meet_each_other(bank, camera, scene, unknown, memory, size):
         assert [each.depth_m.shape for each in frames] == [size or frame.shape] * 3
 
 
+def test_both_sides_of_the_focal_plane():
+    camera = Camera(600.0, 1.0, 192, 160, Mask.named("three_wide"), 30.0, side="both")
+    bank = learn_bank_for_camera(camera, 0.7, 1.8, 31)
+    assert untrained(bank, 8) == ""
+    scene = random_scene(1_000_007, camera.mask, "both", (160, 192))
+    camera = scene.camera
+    bank = learn_bank_for_camera(camera, *_range_of(scene.depth_m()), 31)
+    frame = scene.coded() + 0.001 * np.random.default_rng(0).standard_normal((160, 192))
+    config = DepthConfig(regularize="learned", confidence_threshold=0.0, unknown="nearest")
+    found = DepthEstimator(bank, config, camera).estimate(frame.astype(np.float32))
+    right = np.abs(np.abs(found.blur_size_px) - np.abs(scene.blur_size_px())) < 1
+    assert right[np.isfinite(scene.blur_size_px())].mean() > 0.6
+    assert (found.side_confidence >= 0.5).all() and (found.side_confidence <= 1).all()
+    assert (found.confidence <= 1).all() and np.isfinite(found.depth_m).all()
+
+
+def _range_of(depth_m):
+    return float(np.nanmin(depth_m)), float(np.nanmax(depth_m))
+
+
 def test_network_runs_frames_of_any_size():
     tried = tried_sizes(np.linspace(2, 8, 9))
     network = Network(tried)
@@ -252,7 +307,8 @@ def test_network_runs_frames_of_any_size():
         volume = random.random((grid.rows, grid.columns, 9), dtype=np.float32)
         grey = random.random(shape, dtype=np.float32)
         flat = volume[..., 0]
-        costs = cost_features(volume, flat, flat, grey, 0.01, cells, np.linspace(2, 8, 9))
+        looks = [Look(volume, flat, grid)] * 2
+        costs = cost_features(looks, grey, 0.01, cells, np.linspace(2, 8, 9), 0.0)
         logits = network(costs, frame_features(grey, 0.01, cells))
         assert logits.size.shape == (tried.sum(), 2 * cells.rows, 2 * cells.columns)
         assert logits.choice.shape == (36, 2 * cells.rows, 2 * cells.columns)

@@ -1,6 +1,7 @@
 """The cells of a frame that depth is refined on: those of the patches, and more up to its edges."""
 
 import dataclasses
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -45,12 +46,14 @@ class Cells:
         left, columns = _axis(int(grid.column_centres[0]), width)
         return cls(top, left, rows, columns, (height, width), grid)
 
-    def of_patches(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def of_patches(self, values: FloatArray, grid: PatchGrid) -> tuple[FloatArray, FloatArray]:
         """Return patches' values at the cells, and where there are any.
 
         Parameters
         ----------
         values : ndarray, float32 [grid rows, grid columns, n]
+        grid : PatchGrid
+            Where these patches lie.
 
         Returns
         -------
@@ -59,9 +62,9 @@ class Cells:
         known : ndarray, float32 [rows, columns]
             1 or 0.
         """
-        rows, columns = self._inside()
-        grid = self.grid
-        if grid.stride_px != CELL_PX:
+        rows = _inside(grid.row_centres, self.top)
+        columns = _inside(grid.column_centres, self.left)
+        if grid.stride_px != CELL_PX or rows.offset or columns.offset:
             across = _interpolation(grid.column_centres, self.left, columns)
             down = _interpolation(grid.row_centres, self.top, rows)
             values = np.tensordot(down, np.tensordot(values, across, (1, 1)), (1, 0))
@@ -73,7 +76,7 @@ class Cells:
         ]
         at_cells = np.pad(np.moveaxis(values, -1, 0), [(0, 0), *before_after], mode="edge")
         known = np.zeros((self.rows, self.columns), np.float32)
-        known[rows, columns] = 1
+        known[rows.start : rows.stop, columns.start : columns.stop] = 1
         return at_cells, known
 
     def of_frame(self, picture: FloatArray) -> FloatArray:
@@ -85,14 +88,19 @@ class Cells:
             cv2.copyMakeBorder(picture, -self.top, bottom, -self.left, right, cv2.BORDER_REFLECT)
         )
 
-    def _inside(self) -> tuple[slice, slice]:
-        """Return the rows and columns of cells that have patches."""
-        grid = self.grid
-        inside = []
-        for centres, first in ((grid.row_centres, self.top), (grid.column_centres, self.left)):
-            start = (int(centres[0]) - CELL_PX // 2 - first) // CELL_PX
-            inside.append(slice(start, start + (int(centres[-1] - centres[0])) // CELL_PX + 1))
-        return inside[0], inside[1]
+
+class _Inside(NamedTuple):
+    """Cells whose middles lie among patches' centres, and how far off the first of them is."""
+
+    start: int
+    stop: int
+    offset: int
+
+
+def _inside(centres: IndexArray, first: int) -> _Inside:
+    before, after = (int(centre) - CELL_PX // 2 - first for centre in centres[[0, -1]])
+    start = -(-before // CELL_PX)
+    return _Inside(start, after // CELL_PX + 1, start * CELL_PX - before)
 
 
 def _axis(centre: int, length: int) -> tuple[int, int]:
@@ -105,7 +113,7 @@ def _axis(centre: int, length: int) -> tuple[int, int]:
     return top, -(-count // multiple) * multiple
 
 
-def _interpolation(centres: IndexArray, first: int, cells: slice) -> FloatArray:
+def _interpolation(centres: IndexArray, first: int, cells: _Inside) -> FloatArray:
     """Return the linear weight of every patch for every cell [cells, patches]."""
     at = first + CELL_PX * np.arange(cells.start, cells.stop) + CELL_PX // 2
     place = np.interp(at, centres, np.arange(len(centres)))

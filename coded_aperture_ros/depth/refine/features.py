@@ -1,26 +1,33 @@
 """What the refinement looks at: the costs on a grid of blur sizes of its own, and the frame."""
 
+import dataclasses
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.depth.refine.cells import CELL_PX, Cells
 from coded_aperture_ros.depth.regularize import semi_global_cost
+from coded_aperture_ros.imaging import PatchGrid, brightness_at
 
 # The refinement's own grid of blur sizes, on one side of the focal plane.
 BLUR_STEP_PX = 0.5
 LARGEST_PX = 22.0
 BLUR_SIZES_PX = np.arange(0, LARGEST_PX + BLUR_STEP_PX / 2, BLUR_STEP_PX)
-# What stands in the three kinds of channels for blur sizes that were not tried.
+# Every blur size has a channel of each kind: the logarithm of its cost, of small differences of
+# it, and of the cost that semi-global matching adds up; and what stands there if it was not tried.
 _UNTRIED = (5.0, 2.8, 5.0)
+KINDS = len(_UNTRIED)
 _MOST_COST = 140.0
 # Where there is little texture costs differ little, but those of many patches tell something.
 _FINE_SCALE = 30.0
-# Every blur size has three channels: the logarithm of the cost, of its small differences, and of
-# the cost that semi-global matching adds up.
-COST_CHANNELS = 3 * len(BLUR_SIZES_PX)
-# Beside them: the misfit, where there are patches, texture over noise, brightness, and the side.
-SCALARS = 5
+# Patches of two sizes are looked at: those of the model, and smaller ones.
+LOOKS = 2
+COST_CHANNELS = LOOKS * KINDS * len(BLUR_SIZES_PX)
+# Beside them: the misfit of both, where there are patches of the model, texture over noise,
+# brightness, and the side of the focal plane.
+SCALARS = LOOKS + 4
 # The frame's texture is looked at in squares of so many pixels: its channels.
 FRAME_CELL_PX = 4
 _SMOOTH_PX = 9
@@ -42,56 +49,76 @@ def resampling(sizes_px: DoubleArray) -> FloatArray:
     return np.asarray(weights[np.argsort(order)], np.float32)
 
 
-def cost_features(
-    volume: FloatArray,
-    misfit: FloatArray,
-    brightness: FloatArray,
-    grey: FloatArray,
-    noise: float,
-    cells: Cells,
-    sizes_px: DoubleArray,
-) -> FloatArray:
-    """Return what is known of every cell.
+@dataclasses.dataclass(frozen=True, eq=False)
+class Look:
+    """What the patches of one size tell about a frame.
 
-    Parameters
+    Attributes
     ----------
     volume : ndarray, float32 [grid rows, grid columns, L]
         Cost of every level; see `Cost`.
     misfit : ndarray, float32 [grid rows, grid columns]
         See `Cost`.
-    brightness : ndarray, float32 [grid rows, grid columns]
-        Around every patch.
+    grid : PatchGrid
+        Where the patches lie.
+    """
+
+    volume: FloatArray
+    misfit: FloatArray
+    grid: PatchGrid
+
+
+def cost_features(
+    looks: Sequence[Look],
+    grey: FloatArray,
+    noise: float,
+    cells: Cells,
+    sizes_px: DoubleArray,
+    near: float,
+) -> FloatArray:
+    """Return what is known of every cell.
+
+    Parameters
+    ----------
+    looks : sequence of Look
+        With the model's patches, and with smaller ones.
     grey : ndarray, float32 [height, width]
         The frame, linear light.
     noise : float
         Standard deviation of its noise.
     sizes_px : ndarray, float64 [L]
-        Signed blur size of every level.
+        Blur size of every level, of one side.
+    near : float
+        1 for a scene before the focal plane, 0 for one beyond it, 0.5 if that is not known.
 
     Returns
     -------
     ndarray, float32 [COST_CHANNELS + SCALARS, rows, columns]
     """
     tried = np.flatnonzero(tried_sizes(sizes_px))
-    levels = np.minimum(volume, np.float32(_MOST_COST))
     weights = resampling(sizes_px)
-    fine = np.log1p(levels * np.float32(_FINE_SCALE)) * np.float32(1 / 3)
-    added_up = semi_global_cost(volume, 1.0, brightness)
-    added_up -= added_up.min(axis=-1, keepdims=True)
-    logarithms = (np.log1p(levels), fine, np.log1p(added_up))
-    values = [*(logarithm @ weights for logarithm in logarithms), misfit[..., None]]
-    at_cells, known = cells.of_patches(np.concatenate(values, axis=-1))
-    features = np.zeros((COST_CHANNELS + SCALARS, cells.rows, cells.columns), np.float32)
+    features = np.empty((COST_CHANNELS + SCALARS, cells.rows, cells.columns), np.float32)
     count = len(BLUR_SIZES_PX)
-    for kind, untried in enumerate(_UNTRIED):
-        features[kind * count : (kind + 1) * count] = untried
-        features[kind * count + tried] = at_cells[kind * len(tried) :][: len(tried)]
+    for index, look in enumerate(looks):
+        levels = np.minimum(look.volume, np.float32(_MOST_COST))
+        fine = np.log1p(levels * np.float32(_FINE_SCALE)) * np.float32(1 / 3)
+        added_up = semi_global_cost(look.volume, 1.0, brightness_at(grey, look.grid))
+        added_up -= added_up.min(axis=-1, keepdims=True)
+        logarithms = (np.log1p(levels), fine, np.log1p(added_up))
+        values = [*(logarithm @ weights for logarithm in logarithms), look.misfit[..., None]]
+        at_cells, known = cells.of_patches(np.concatenate(values, axis=-1), look.grid)
+        for kind, untried in enumerate(_UNTRIED):
+            start = (index * KINDS + kind) * count
+            features[start : start + count] = untried
+            features[start + tried] = at_cells[kind * len(tried) :][: len(tried)]
+        features[COST_CHANNELS + index] = at_cells[-1]
+        if index == 0:
+            features[COST_CHANNELS + LOOKS] = known
     mean, variance = (_of_cells(cells.of_frame(picture)) for picture in _statistics(grey))
-    features[COST_CHANNELS] = at_cells[-1]
-    features[COST_CHANNELS + 1] = known
-    features[COST_CHANNELS + 2] = np.log(variance / np.float32(noise**2) + 1) / 2
-    features[COST_CHANNELS + 3] = np.log(np.maximum(mean, np.float32(1e-3)))
-    features[COST_CHANNELS + 4] = sizes_px.mean() < 0
+    rest = features[COST_CHANNELS + LOOKS + 1 :]
+    rest[0] = np.log(variance / np.float32(noise**2) + 1) / 2
+    rest[1] = np.log(np.maximum(mean, np.float32(1e-3)))
+    rest[2] = near
     return features
 
 

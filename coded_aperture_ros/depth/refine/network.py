@@ -10,7 +10,7 @@ import numpy as np
 from coded_aperture_ros.core.archive import read_archive
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX
+from coded_aperture_ros.depth.refine.features import COST_CHANNELS
 
 WEIGHTS = "refinement.npz"
 SCHEMA, SCHEMA_VERSION = "coded-aperture refinement network", 1
@@ -81,8 +81,8 @@ class Network:
         size = found[:count]
         # What the costs say by themselves, to which the network adds.
         shape = size.shape[2], size.shape[1]
-        added_up = costs[2 * len(BLUR_SIZES_PX) + self._tried]
-        own = self._trust[0] * costs[self._tried] + self._trust[1] * added_up
+        of_kinds = costs[:COST_CHANNELS].reshape(len(self._trust), -1, *costs.shape[1:])
+        own = np.tensordot(self._trust, of_kinds[:, self._tried], 1)
         for of_size, cost in zip(size, own, strict=True):
             of_size -= cv2.resize(cost, shape, interpolation=cv2.INTER_LINEAR)
         return Logits(size, found[count], found[count + 1 :])

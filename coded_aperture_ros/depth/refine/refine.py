@@ -3,14 +3,14 @@
 import cv2
 import numpy as np
 
-from coded_aperture_ros.bank import FilterBank
+from coded_aperture_ros.bank import FilterBank, relearned
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.decision import Decision
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
-from coded_aperture_ros.depth.refine.cells import Cells
+from coded_aperture_ros.depth.refine.cells import CELL_PX, Cells
 from coded_aperture_ros.depth.refine.features import (
     BLUR_SIZES_PX,
     LARGEST_PX,
@@ -18,14 +18,17 @@ from coded_aperture_ros.depth.refine.features import (
     frame_features,
     tried_sizes,
 )
+from coded_aperture_ros.depth.refine.focal import Folding
+from coded_aperture_ros.depth.refine.looks import SMALL_PX, SmallPatches, look
 from coded_aperture_ros.depth.refine.network import Network
 from coded_aperture_ros.depth.refine.probabilities import HalfCells, chosen_neighbours, drawn
 from coded_aperture_ros.depth.regularize import LEARNED
+from coded_aperture_ros.depth.sides import FocalSides
 from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.likelihood import Cost, LikelihoodModel
 
 # What the network was trained for.
-_WINDOWS_PX = (24, 72)
+_WINDOWS_PX = (32, 72)
 _STRIDES_PX = (4, 12)
 # Neighbouring half-cells whose blur sizes differ by at most this are one surface.
 _ONE_SURFACE_PX = 0.8
@@ -43,8 +46,6 @@ def untrained(model: LikelihoodModel, stride_px: int) -> str:
     stack = model.stack
     if not isinstance(model, FilterBank):
         return "it is not a filter bank"
-    if stack.has_both_sides:
-        return "it has levels on both sides of the focal plane"
     if not stack.in_pixels:
         return "the blur sizes of its PSFs are not known in pixels"
     largest = float(np.abs(stack.blur_sizes_px).max())
@@ -72,17 +73,46 @@ def refinement_note(model: LikelihoodModel, config: DepthConfig) -> str | None:
 
 
 class Refined:
-    """Decides the levels of frames of one size; see `Decide`."""
+    """Decides the levels of frames of one size; see `Decide`.
 
-    def __init__(self, model: LikelihoodModel, levels: Levels) -> None:
-        self._sizes = model.stack.blur_sizes_px
-        self._levels = levels
-        tried = tried_sizes(self._sizes)
+    Parameters
+    ----------
+    bank : FilterBank
+        For which `untrained` has nothing to say.
+    levels : Levels
+        Its levels.
+    shape : (int, int)
+        Rows and columns of the frames.
+    sides : FocalSides or None
+        Tells the sides of the focal plane apart, if there are levels on both.
+    backend, threads
+        See `LikelihoodModel.plan`.
+    """
+
+    def __init__(
+        self,
+        bank: FilterBank,
+        levels: Levels,
+        shape: tuple[int, ...],
+        sides: FocalSides | None = None,
+        backend: str = "numpy",
+        threads: int = 1,
+    ) -> None:
+        self._sizes = sizes = bank.blur_sizes_px
+        self._levels, self._sides = levels, sides
+        self._folding = Folding.of(sizes)
+        small = relearned(bank, SMALL_PX, self._folding.far)
+        self._small = SmallPatches(small, shape, backend, threads)
+        tried = tried_sizes(self._folding.sizes_px)
         self._tried_px = BLUR_SIZES_PX[tried].astype(np.float32)
         self._network = Network(tried)
         self._tolerance = _tolerance_px(levels)
-        # In front of the focal plane the nearer surface is the more blurred one.
-        self._nearer_share = 1 - _PLAUSIBLE if self._sizes.mean() < 0 else _PLAUSIBLE
+        self._near = 0.5 if sides is not None else float(sizes.mean() < 0)
+        self._per_px = np.float32((len(sizes) - 1) / np.ptp(sizes))
+
+    def close(self) -> None:
+        """See `Decide`."""
+        self._small.close()
 
     def __call__(
         self,
@@ -93,14 +123,25 @@ class Refined:
         stages: Stages,
     ) -> Decision:
         """See `Decide`."""
+        small = self._small.look(seen)
+        stages.lap("small patches")
         noise, grey = seen.noise.typical, seen.grey
         cells = Cells.covering(grey.shape, seen.grid)
-        misfit = np.zeros(volume.shape[:2], np.float32) if own.misfit is None else own.misfit
-        costs = cost_features(volume, misfit, seen.brightness, grey, noise, cells, self._sizes)
+        looks = look(own, seen.grid, self._folding.of_sizes(volume)), small
+        sizes_px = self._folding.sizes_px
+        costs = cost_features(looks, grey, noise, cells, sizes_px, self._near)
         logits = self._network(costs, frame_features(grey, noise, cells))
         found = HalfCells.of(logits, self._tried_px)
-        right = _calibrated(found.right_within(self._tolerance_at(found.size_px)))
-        deviation_px = found.deviation_px()
+        far = self._far(found.size_px, volume, cells)
+        level = self._level(np.where(far >= 0.5, found.size_px, -found.size_px))
+        tolerance_px = self._tolerance[np.rint(level).astype(np.intp)]
+        right = _calibrated(found.right_within(tolerance_px))
+        of_side = None
+        if self._sides is not None:
+            of_side = np.maximum(far, 1 - far)
+            # Where both sides' depths are about the same, either is right.
+            right *= np.where(self._sides.agree(level), 1, of_side)
+        deviation = found.deviation_px() * (self._per_px * np.float32(_DEVIATION))
         quarters = chosen_neighbours(logits.choice)
         stages.lap("refine")
 
@@ -112,10 +153,8 @@ class Refined:
                 whole = cv2.resize(whole, size[::-1], interpolation=cv2.INTER_NEAREST)
             return np.ascontiguousarray(whole)
 
-        level = self._level(map_of(found.size_px, _ONE_SURFACE_PX))
+        one_surface = _ONE_SURFACE_PX * float(self._per_px)
         confidence = map_of(right, 0.1)
-        per_px = np.float32(abs((len(self._sizes) - 1) / np.ptp(self._sizes)))
-        deviation = map_of(deviation_px * (per_px * np.float32(_DEVIATION)), 0.5)
         if volume.max() <= _ALIKE:  # nothing to go by anywhere
             confidence[:] = 0
         if not seen.usable.all():
@@ -123,19 +162,46 @@ class Refined:
             confidence[at.nearest(~seen.usable)] = 0
 
         def nearest_plausible() -> FloatArray:
-            return self._level(map_of(found.quantile_px(self._nearer_share), _ONE_SURFACE_PX))
+            # Before the focal plane the nearer surface is the more blurred one.
+            before = -found.quantile_px(1 - _PLAUSIBLE)
+            beyond = found.quantile_px(_PLAUSIBLE)
+            return map_of(self._level(np.where(far > 1 - _PLAUSIBLE, beyond, before)), one_surface)
 
-        return Decision(level, deviation, confidence, None, nearest_plausible)
+        return Decision(
+            map_of(level, one_surface),
+            map_of(deviation, 0.5),
+            confidence,
+            None if of_side is None else map_of(of_side, 0.1),
+            nearest_plausible,
+        )
+
+    def _far(self, size_px: FloatArray, volume: FloatArray, cells: Cells) -> FloatArray:
+        """Return how likely every half-cell is beyond the focal plane [rows, columns]."""
+        if self._sides is None:
+            return np.full(size_px.shape, self._sizes.mean() > 0, np.float32)
+        grid, half_px = cells.grid, CELL_PX // 2
+        rows, columns = (
+            (centres - first) // half_px
+            for centres, first in ((grid.row_centres, cells.top), (grid.column_centres, cells.left))
+        )
+        # A centre is where four half-cells meet.
+        means = cv2.blur(size_px, (2, 2), anchor=(1, 1), borderType=cv2.BORDER_REPLICATE)
+        sizes_px = self._folding.sizes_px
+        beyond = np.interp(means[np.ix_(rows, columns)], sizes_px, self._folding.far)
+        probability = self._sides.confidence(beyond.astype(np.float32), volume, grid)
+        nearest = (
+            np.abs(half_px * np.arange(length)[:, None] + first + half_px // 2 - centres).argmin(1)
+            for length, first, centres in (
+                (size_px.shape[0], cells.top, grid.row_centres),
+                (size_px.shape[1], cells.left, grid.column_centres),
+            )
+        )
+        return probability[np.ix_(*nearest)]
 
     def _level(self, size_px: FloatArray) -> FloatArray:
-        """Return the fractional level of blur sizes without their sign."""
-        first, last = np.abs(self._sizes[[0, -1]])
-        scale = np.float32((len(self._sizes) - 1) / (last - first))
-        return np.clip((size_px - np.float32(first)) * scale, 0, len(self._sizes) - 1)
-
-    def _tolerance_at(self, size_px: FloatArray) -> FloatArray:
-        index = np.rint(self._level(size_px)).astype(np.intp)
-        return self._tolerance[index]
+        """Return the fractional level of signed blur sizes."""
+        order = np.argsort(self._sizes)
+        return np.interp(size_px, self._sizes[order], order).astype(np.float32)
 
 
 def _tolerance_px(levels: Levels) -> FloatArray:
