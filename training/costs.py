@@ -16,12 +16,17 @@ import numpy as np
 from scenes import BLUR_STEP, FRAMES_PER_SHARD, LIGHT_STEP, drawn, mask_of
 from shards import add_shard_options, compute
 
-from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank, relearned
+from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank
 from coded_aperture_ros.bank.file import load_bank, save_bank
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.refine.cells import Cells
-from coded_aperture_ros.depth.refine.features import cost_features, frame_features, tried_sizes
-from coded_aperture_ros.depth.refine.looks import SMALL_PX, SmallPatches, look
+from coded_aperture_ros.depth.refine.features import (
+    Look,
+    cost_features,
+    frame_features,
+    tried_sizes,
+)
+from coded_aperture_ros.depth.refine.small import SmallPatches, small_bank
 from coded_aperture_ros.optics import render_psf_stack
 
 STRIDE_PX = 8
@@ -58,14 +63,14 @@ def seen(number: int, side: str) -> Seen:
     bank = random.choice(len(_BANKS), p=_BANK_SHARES)
     if side == "both":
         bank = random.integers(len(_BOTH_SIDES))
-    noise = float(np.exp(random.uniform(np.log(2e-4), np.log(6e-3))))
+    noise = float(np.exp(random.uniform(np.log(3e-4), np.log(5e-3))))
     if random.random() < 0.12:
         noise = 0.0
     return Seen(
         bank=int(bank),
         noise=noise,
         gain=float(random.uniform(0, 4e-5)) if random.random() < 0.2 else 0.0,
-        blur_px=float(random.uniform(0.15, 0.6)) if random.random() < 0.4 else 0.0,
+        blur_px=float(random.uniform(0.15, 0.5)) if random.random() < 0.3 else 0.0,
         scale=float(random.normal(1, 0.006)),
         eight_bits=bool(random.random() < 0.1),
         known=bool(random.random() < 0.25),
@@ -85,8 +90,7 @@ def banks_of(mask: str, side: str, index: int, folder: Path) -> tuple[FilterBank
         sizes = np.arange(0, _BOTH_LARGEST_PX, step) if both else np.arange(0.9, _LARGEST_PX, step)
         bank = learn_bank(render_psf_stack(mask_of(mask), sizes), LearnConfig(window_px=window))
         folder.mkdir(parents=True, exist_ok=True)
-        small = relearned(bank, SMALL_PX, np.arange(bank.levels))
-        for path, one in zip(paths, (bank, small), strict=True):
+        for path, one in zip(paths, (bank, small_bank(bank)), strict=True):
             # Two processes may learn the same bank at once.
             part = path.with_suffix(f".{os.getpid()}.npz")
             save_bank(one, part)
@@ -114,7 +118,7 @@ def shown(number: int, light: np.ndarray, blur_px: np.ndarray, folder: Path) -> 
     frame = recorded(light, how, number)
     banks = banks_of(what.mask, what.side, how.bank, folder)
     keep = _levels_kept(banks[0].blur_sizes_px, blur_px, number)
-    bank, small_bank = (_with_levels(each, keep) for each in banks)
+    bank, bank_of_small = (_with_levels(each, keep) for each in banks)
     noise = max(np.hypot(how.noise, 0.0011 * how.eight_bits), 2e-4) if how.known else 0.0
     estimator = DepthEstimator(bank, DepthConfig(noise=float(noise), regularize="semiglobal"))
     observed = estimator.observe(frame)
@@ -123,8 +127,9 @@ def shown(number: int, light: np.ndarray, blur_px: np.ndarray, folder: Path) -> 
     volume = cost.volume
     if how.added_up:
         volume = np.minimum(volume, _OF_A_FRAME) * np.float32(how.added_up)
-    small = SmallPatches(small_bank, frame.shape)
-    looks = look(cost, observed.grid, volume), small.look(observed)
+    small = SmallPatches(bank_of_small, frame.shape)
+    of_small = small.cost(observed, observed.grey, observed.noise.deviation)
+    looks = Look.of(cost, observed.grid, volume), Look.of(of_small, small.grid)
     small.close()
     cells = Cells.covering(frame.shape, observed.grid)
     typical = observed.noise.typical

@@ -52,7 +52,7 @@ def main() -> None:
         ),
         written,
         input_names=["costs", "frame"],
-        output_names=["fine"],
+        output_names=["cells"],
         dynamo=False,
         opset_version=11,
     )

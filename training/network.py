@@ -12,8 +12,8 @@ from coded_aperture_ros.depth.refine.features import (
 )
 
 BINS = len(BLUR_SIZES_PX)
-# Channels: of cells of 8 px, half as many a side, a quarter; of half-cells of 4 px; of the frame.
-_CELL, _HALF, _QUARTER, _FINE, _FRAME = 48, 72, 112, 32, 16
+# Channels: of cells of 8 px, of squares of 16 and of 32 px, and what a cell knows of the frame.
+_CELL, _HALF, _QUARTER, _FRAME = 96, 96, 128, 32
 NEIGHBOURS = 9
 CHOICES = 4 * NEIGHBOURS
 
@@ -54,48 +54,44 @@ class Refinement(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.frame = convolution(FRAME_CELL_PX**2, _FRAME)
-        self.frame_down = convolution(_FRAME, 16, 3, 2)
+        self.frame = nn.Sequential(convolution(FRAME_CELL_PX**2, 16), convolution(16, _FRAME, 3, 2))
         self.stem = convolution(COST_CHANNELS + SCALARS, _CELL)
         self.at_cell = nn.Sequential(
-            convolution(_CELL + 16, _CELL), Residual(_CELL, 24), Residual(_CELL, 24, 2)
+            convolution(_CELL + _FRAME, _CELL), Residual(_CELL, 32), Residual(_CELL, 32)
         )
         self.down = convolution(_CELL, _HALF, 3, 2)
-        self.at_half = nn.Sequential(Residual(_HALF, 36), Residual(_HALF, 36, 2))
+        self.at_half = nn.Sequential(Residual(_HALF, 48), Residual(_HALF, 48))
         self.down2 = convolution(_HALF, _QUARTER, 3, 2)
         self.at_quarter = nn.Sequential(
-            Residual(_QUARTER, 56), Residual(_QUARTER, 56, 2), Residual(_QUARTER, 56)
+            Residual(_QUARTER, 64), Residual(_QUARTER, 64, 2), Residual(_QUARTER, 64)
         )
         self.up2 = nn.ConvTranspose2d(_QUARTER, _HALF, 2, 2)
-        self.at_half_again = nn.Sequential(convolution(2 * _HALF, _HALF), Residual(_HALF, 36))
+        self.at_half_again = nn.Sequential(convolution(2 * _HALF, _HALF), Residual(_HALF, 48))
         self.up = nn.ConvTranspose2d(_HALF, _CELL, 2, 2)
         self.at_cell_again = nn.Sequential(
-            convolution(2 * _CELL, _CELL), Residual(_CELL, 24), Residual(_CELL, 24, 3)
+            convolution(2 * _CELL, _CELL), Residual(_CELL, 32), Residual(_CELL, 32)
         )
-        self.to_fine = nn.ConvTranspose2d(_CELL, 28, 2, 2)
-        self.fine = nn.Sequential(convolution(28 + _FRAME, _FINE), Residual(_FINE, 16))
-        self.size = nn.Conv2d(_FINE, BINS + 1, 1)
-        self.choice = nn.Conv2d(_FINE, CHOICES, 1)
+        # Of the four half-cells of each cell.
+        self.size = nn.Conv2d(_CELL, 4 * (BINS + 1), 1)
+        self.choice = nn.Conv2d(_CELL, 4 * CHOICES, 1)
         # What the costs say by themselves: the network only adds to it.
         self.trust = nn.Parameter(torch.tensor([0.5, 0.0, 0.25, 0.5, 0.0, 0.25]))
 
     def trunk(self, costs: torch.Tensor, frame: torch.Tensor) -> torch.Tensor:
         """Return what the last two convolutions act on."""
-        of_frame = self.frame(frame)
-        cell = self.at_cell(torch.cat([self.stem(costs), self.frame_down(of_frame)], 1))
+        cell = self.at_cell(torch.cat([self.stem(costs), self.frame(frame)], 1))
         half = self.at_half(self.down(cell))
         quarter = self.at_quarter(self.down2(half))
         half = self.at_half_again(torch.cat([half, self.up2(quarter)], 1))
-        cell = self.at_cell_again(torch.cat([cell, self.up(half)], 1))
-        fine: torch.Tensor = self.fine(torch.cat([torch.relu(self.to_fine(cell)), of_frame], 1))
-        return fine
+        return self.at_cell_again(torch.cat([cell, self.up(half)], 1))
 
     def forward(
         self, costs: torch.Tensor, frame: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        fine = self.trunk(costs, frame)
-        size = self.size(fine)
+        cell = self.trunk(costs, frame)
+        size = functional.pixel_shuffle(self.size(cell), 2)
         of_kinds = costs[:, :COST_CHANNELS].unflatten(1, (len(self.trust), BINS))
         own = (self.trust.view(-1, 1, 1, 1) * of_kinds).sum(1)
         own = functional.interpolate(own, scale_factor=2.0, mode="bilinear")
-        return torch.cat([size[:, :BINS] - own, size[:, BINS:]], 1), self.choice(fine)
+        choice = functional.pixel_shuffle(self.choice(cell), 2)
+        return torch.cat([size[:, :BINS] - own, size[:, BINS:]], 1), choice

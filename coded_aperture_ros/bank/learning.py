@@ -248,15 +248,17 @@ def learn_bank(
 def relearned(bank: FilterBank, window_px: int, levels: IndexArray) -> FilterBank:
     """Return a bank for some levels of another, with patches of another size.
 
+    It knows blur sizes without sign, and no depths. `levels` [n] are in the order of their sizes
+    without sign: the power of a PSF is that of the PSF turned around.
+
     Raises
     ------
     InputError
         If there are fewer than two levels, or a PSF is larger than the window.
     """
     stack = bank.stack
-    depths_m = None if stack.depths_m is None else stack.depths_m[levels]
-    some = dataclasses.replace(
-        stack, blur_sizes_px=stack.blur_sizes_px[levels], psfs=stack.psfs[levels], depths_m=depths_m
+    some = PsfStack(
+        np.abs(stack.blur_sizes_px[levels]), stack.psfs[levels], in_pixels=stack.in_pixels
     )
     components = None if bank.pattern is None else bank.pattern.components(some.blur_sizes_px)
     config = LearnConfig(window_px, bank.basis_vectors, bank.highest_frequency, bank.noise)

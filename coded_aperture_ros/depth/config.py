@@ -24,9 +24,10 @@ class DepthConfig:
         parameter="compute.stride_px",
     )
     regularize: str = option(
-        "semiglobal",
-        "Spatial regularisation of the blur levels: semiglobal needs nothing learned, learned is a "
-        "small network, sharper at edges, graphcut is the slow reference.",
+        LEARNED,
+        "How the levels of neighbours are decided together: learned is a small network, trained on "
+        "simulated scenes, and semiglobal where it was not; semiglobal needs nothing learned, "
+        "graphcut is the slow reference.",
         choices=(*REGULARIZERS, LEARNED),
         parameter="regularize.method",
     )

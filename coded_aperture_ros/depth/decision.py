@@ -74,9 +74,6 @@ class Decide(Protocol):
             Takes down how long the parts of the work took.
         """
 
-    def close(self) -> None:
-        """Let go of threads."""
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Regularized:
@@ -117,9 +114,6 @@ class Regularized:
 
         deviation = self._deviation(level, volume, at)
         return Decision(level, deviation, confidence, of_side, nearest_plausible)
-
-    def close(self) -> None:
-        """See `Decide`; there are none."""
 
     def _confidence(
         self,

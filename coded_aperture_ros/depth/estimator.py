@@ -15,7 +15,7 @@ from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.posterior import is_unsure
-from coded_aperture_ros.depth.refine import Refined, untrained
+from coded_aperture_ros.depth.refine import Refined, SmallPatches, small_bank, untrained
 from coded_aperture_ros.depth.regularize import LEARNED, Regularizer, regularizer
 from coded_aperture_ros.depth.sides import FocalSides
 from coded_aperture_ros.depth.temporal import TemporalFilter
@@ -33,6 +33,7 @@ class _Planned:
     shape: tuple[int, ...]
     likelihood: Likelihood
     sides: FocalSides | None
+    small: SmallPatches | None
     decide: Decide
 
 
@@ -90,7 +91,8 @@ class DepthEstimator:
         """End the threads that the work was shared among."""
         if self._planned is not None:
             self._planned.likelihood.close()
-            self._planned.decide.close()
+            if self._planned.small is not None:
+                self._planned.small.close()
             self._planned = None
 
     def estimate(
@@ -166,12 +168,16 @@ class DepthEstimator:
         if frames is not None:
             noise = noise / np.sqrt(frames_of_patches(frames, seen.grid))
         cost = planned.likelihood.cost(grey, noise, seen.usable, prior)
-        if planned.sides is None:
-            return cost
         stages = Stages()
-        volume = planned.sides.weigh(cost.volume, seen, grey)
-        stages.lap("side")
-        return dataclasses.replace(cost, volume=volume, seconds={**cost.seconds, **stages.seconds})
+        volume, small = cost.volume, None
+        if planned.sides is not None:
+            volume = planned.sides.weigh(volume, seen, grey)
+            stages.lap("side")
+        if planned.small is not None:
+            small = planned.small.cost(seen, grey, noise)
+            stages.lap("small patches")
+        seconds = {**cost.seconds, **stages.seconds}
+        return dataclasses.replace(cost, volume=volume, small=small, seconds=seconds)
 
     def decide(
         self,
@@ -225,9 +231,11 @@ class DepthEstimator:
             sides = None
             if model.stack.has_both_sides:
                 sides = FocalSides(model.stack, self._levels, shape, self._regularize)
+            small: SmallPatches | None = None
             decide: Decide
             if self._learned and isinstance(model, FilterBank) and not untrained(model, stride_px):
-                decide = Refined(model, self._levels, shape, sides, config.backend, config.threads)
+                small = SmallPatches(small_bank(model), shape, config.backend, config.threads)
+                decide = Refined(model, self._levels, small.grid, sides)
             else:
                 decide = Regularized(
                     self._levels,
@@ -236,7 +244,7 @@ class DepthEstimator:
                     sides,
                     self._neighbours_decide,
                 )
-            self._planned = _Planned(shape, likelihood, sides, decide)
+            self._planned = _Planned(shape, likelihood, sides, small, decide)
         return self._planned
 
 

@@ -47,6 +47,8 @@ class Cost:
     misfit : ndarray, float32 [rows, columns], or None
         Natural logarithm of what the likeliest level leaves unexplained of a patch, relative to the
         expected noise, for methods that find it: more than usual where a patch shows two surfaces.
+    small : Cost or None
+        Of smaller patches, where they were asked for.
     motion : MotionField or None
         From methods that tell motion from defocus.
     seconds : mapping of str to float
@@ -55,6 +57,7 @@ class Cost:
 
     volume: FloatArray
     misfit: FloatArray | None = None
+    small: "Cost | None" = None
     motion: MotionField | None = None
     seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
 

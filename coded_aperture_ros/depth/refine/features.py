@@ -10,6 +10,7 @@ from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.depth.refine.cells import CELL_PX, Cells
 from coded_aperture_ros.depth.regularize import semi_global_cost
 from coded_aperture_ros.imaging import PatchGrid, brightness_at
+from coded_aperture_ros.likelihood import Cost
 
 # The refinement's own grid of blur sizes, on one side of the focal plane.
 BLUR_STEP_PX = 0.5
@@ -66,6 +67,13 @@ class Look:
     volume: FloatArray
     misfit: FloatArray
     grid: PatchGrid
+
+    @classmethod
+    def of(cls, cost: Cost, grid: PatchGrid, volume: FloatArray | None = None) -> "Look":
+        """Return what patches tell by their cost, or by another volume."""
+        volume = cost.volume if volume is None else volume
+        misfit = np.zeros(volume.shape[:2], np.float32) if cost.misfit is None else cost.misfit
+        return cls(volume, misfit, grid)
 
 
 def cost_features(

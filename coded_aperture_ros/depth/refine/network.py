@@ -13,7 +13,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.refine.features import COST_CHANNELS
 
 WEIGHTS = "refinement.npz"
-SCHEMA, SCHEMA_VERSION = "coded-aperture refinement network", 1
+SCHEMA, SCHEMA_VERSION = "coded-aperture refinement network", 2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -60,8 +60,8 @@ class Network:
                 f"regularize: OpenCV {cv2.__version__} cannot run the network of learned: "
                 "use semiglobal, or OpenCV 4.6 or newer"
             ) from error
-        # The last row of the blur sizes' is the width.
-        rows = np.append(tried, True)
+        # The last of the blur sizes' rows is the width; each is four, one of every half-cell.
+        rows = np.repeat(np.append(tried, True), 4)
         self._weights, self._bias = (
             np.concatenate([arrays[f"size_{name}"][rows], arrays[f"choice_{name}"]])
             for name in ("weights", "bias")
@@ -73,10 +73,10 @@ class Network:
         """Return the logits of half-cells, from `cost_features` and `frame_features`."""
         self._net.setInput(costs[None], "costs")
         self._net.setInput(frame[None], "frame")
-        fine = self._net.forward("fine")[0]
-        found = self._weights @ fine.reshape(len(fine), -1)
+        cells = self._net.forward("cells")[0]
+        found = self._weights @ cells.reshape(len(cells), -1)
         found += self._bias[:, None]
-        found = found.reshape(-1, *fine.shape[1:])
+        found = _at_half_cells(found.reshape(-1, *cells.shape[1:]))
         count = len(self._tried)
         size = found[:count]
         # What the costs say by themselves, to which the network adds.
@@ -86,6 +86,13 @@ class Network:
         for of_size, cost in zip(size, own, strict=True):
             of_size -= cv2.resize(cost, shape, interpolation=cv2.INTER_LINEAR)
         return Logits(size, found[count], found[count + 1 :])
+
+
+def _at_half_cells(of_cells: FloatArray) -> FloatArray:
+    """Put groups of four channels side by side: [4 n, rows, columns] to [n, 2 rows, 2 columns]."""
+    count, rows, columns = of_cells.shape
+    quarters = of_cells.reshape(count // 4, 2, 2, rows, columns).transpose(0, 3, 1, 4, 2)
+    return np.ascontiguousarray(quarters).reshape(count // 4, 2 * rows, 2 * columns)
 
 
 @lru_cache(maxsize=1)

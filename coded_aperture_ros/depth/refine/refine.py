@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from coded_aperture_ros.bank import FilterBank, relearned
+from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.depth.config import DepthConfig
@@ -14,17 +14,18 @@ from coded_aperture_ros.depth.refine.cells import CELL_PX, Cells
 from coded_aperture_ros.depth.refine.features import (
     BLUR_SIZES_PX,
     LARGEST_PX,
+    Look,
     cost_features,
     frame_features,
     tried_sizes,
 )
 from coded_aperture_ros.depth.refine.focal import Folding
-from coded_aperture_ros.depth.refine.looks import SMALL_PX, SmallPatches, look
 from coded_aperture_ros.depth.refine.network import Network
 from coded_aperture_ros.depth.refine.probabilities import HalfCells, chosen_neighbours, drawn
 from coded_aperture_ros.depth.regularize import LEARNED
 from coded_aperture_ros.depth.sides import FocalSides
 from coded_aperture_ros.depth.upsample import MapGrid
+from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.likelihood import Cost, LikelihoodModel
 
 # What the network was trained for.
@@ -81,38 +82,24 @@ class Refined:
         For which `untrained` has nothing to say.
     levels : Levels
         Its levels.
-    shape : (int, int)
-        Rows and columns of the frames.
+    small : PatchGrid
+        Where the small patches lie, whose cost comes with that of the model's; see `SmallPatches`.
     sides : FocalSides or None
         Tells the sides of the focal plane apart, if there are levels on both.
-    backend, threads
-        See `LikelihoodModel.plan`.
     """
 
     def __init__(
-        self,
-        bank: FilterBank,
-        levels: Levels,
-        shape: tuple[int, ...],
-        sides: FocalSides | None = None,
-        backend: str = "numpy",
-        threads: int = 1,
+        self, bank: FilterBank, levels: Levels, small: PatchGrid, sides: FocalSides | None = None
     ) -> None:
         self._sizes = sizes = bank.blur_sizes_px
-        self._levels, self._sides = levels, sides
+        self._levels, self._small, self._sides = levels, small, sides
         self._folding = Folding.of(sizes)
-        small = relearned(bank, SMALL_PX, self._folding.far)
-        self._small = SmallPatches(small, shape, backend, threads)
         tried = tried_sizes(self._folding.sizes_px)
         self._tried_px = BLUR_SIZES_PX[tried].astype(np.float32)
         self._network = Network(tried)
         self._tolerance = _tolerance_px(levels)
         self._near = 0.5 if sides is not None else float(sizes.mean() < 0)
         self._per_px = np.float32((len(sizes) - 1) / np.ptp(sizes))
-
-    def close(self) -> None:
-        """See `Decide`."""
-        self._small.close()
 
     def __call__(
         self,
@@ -123,11 +110,14 @@ class Refined:
         stages: Stages,
     ) -> Decision:
         """See `Decide`."""
-        small = self._small.look(seen)
-        stages.lap("small patches")
+        if own.small is None:
+            raise ValueError("the cost of the small patches is missing")
         noise, grey = seen.noise.typical, seen.grey
         cells = Cells.covering(grey.shape, seen.grid)
-        looks = look(own, seen.grid, self._folding.of_sizes(volume)), small
+        looks = (
+            Look.of(own, seen.grid, self._folding.of_sizes(volume)),
+            Look.of(own.small, self._small),
+        )
         sizes_px = self._folding.sizes_px
         costs = cost_features(looks, grey, noise, cells, sizes_px, self._near)
         logits = self._network(costs, frame_features(grey, noise, cells))
@@ -155,13 +145,16 @@ class Refined:
 
         one_surface = _ONE_SURFACE_PX * float(self._per_px)
         confidence = map_of(right, 0.1)
-        if volume.max() <= _ALIKE:  # nothing to go by anywhere
+        blank = volume.max() <= _ALIKE  # nothing to go by anywhere
+        if blank:
             confidence[:] = 0
         if not seen.usable.all():
             at = MapGrid.of(seen.grid, grey.shape, size)
             confidence[at.nearest(~seen.usable)] = 0
 
         def nearest_plausible() -> FloatArray:
+            if blank:
+                return np.full(size, self._levels.nearest_first[0], np.float32)
             # Before the focal plane the nearer surface is the more blurred one.
             before = -found.quantile_px(1 - _PLAUSIBLE)
             beyond = found.quantile_px(_PLAUSIBLE)

@@ -155,8 +155,9 @@ def _blur_range(random: np.random.Generator, side: str) -> tuple[float, float]:
     """Return the blur sizes of the nearest and the farthest surface."""
     if side == "both":
         return random.uniform(-15, -2), random.uniform(2, 15)
-    far = random.uniform(5, _LARGEST_PX)
-    near = random.uniform(1.0, max(0.85 * far, 2))
+    far = random.uniform(6, _LARGEST_PX)
+    # Mostly deep scenes, where near things stand out; some shallow ones.
+    near = random.uniform(1.0, (0.5 if random.random() < 0.75 else 0.85) * far)
     return (near, far) if side == "far" else (-far, -near)
 
 
@@ -173,10 +174,10 @@ class _Drawing:
         self.random, self.shape, self.margin = random, shape, margin_px
         self.nearest, self.farthest = blur_range_px
         self.canvas = tuple(FINENESS * (length + 2 * margin_px) for length in shape)
-        self.exposure = float(np.exp(random.uniform(np.log(0.05), np.log(0.4))))
+        self.exposure = float(np.exp(random.uniform(np.log(0.06), np.log(0.4))))
         # How much the scene's textures vary, and how sharp they are.
-        self.contrast = float(np.exp(random.uniform(np.log(0.08), np.log(0.5))))
-        self.softness = random.uniform(0, 1.2) if random.random() < 0.5 else 0.0
+        self.contrast = float(np.exp(random.uniform(np.log(0.12), np.log(0.6))))
+        self.softness = random.uniform(0, 1.0) if random.random() < 0.3 else 0.0
 
     def things(self) -> tuple[Layer, ...]:
         """Return what stands, hangs and grows before the room, nearest first."""
@@ -260,7 +261,8 @@ class _Drawing:
         return self.farthest - highest, down, right
 
     def _place(self) -> float:
-        return float(self.random.uniform(self.nearest, self.farthest))
+        """Return the blur size of a thing: more of them are near than far."""
+        return float(self.nearest + (self.farthest - self.nearest) * self.random.random() ** 1.6)
 
     def _thing(self, name: str) -> FloatArray:
         side = max(self.canvas)
@@ -332,8 +334,8 @@ class _Drawing:
         cut = np.ascontiguousarray(np.flip(cut, tuple(np.flatnonzero(random.random(2) < 0.5))))
         if self.softness > 0:
             cut = cv2.GaussianBlur(cut, (0, 0), FINENESS * self.softness)
-        contrast = self.contrast * float(np.exp(random.normal(0, 0.7)))
-        if random.random() < 0.2:  # painted
+        contrast = self.contrast * float(np.exp(random.normal(0, 0.5)))
+        if random.random() < 0.15:  # painted
             contrast *= random.uniform(0.05, 0.3)
         tone = self.exposure * float(np.exp(random.normal(0, 0.5)))
         light = tone * np.exp(np.clip(contrast * cut, -2.5, 1.5))

@@ -50,6 +50,9 @@ def texture(number: int) -> FloatArray:
     if random.random() < 0.25:  # two textures at once, one of them faint
         other = _KINDS[kinds[random.integers(len(kinds))]](random)
         values = _standard(values) + random.uniform(0.1, 0.6) * _standard(other)
+    if random.random() < 0.7:  # most surfaces are rough when looked at closely
+        rough = _standard(_power_law(random, random.uniform(0.5, 2.0)))
+        values = _standard(values) + random.uniform(0.1, 0.6) * rough
     return np.clip(_standard(values), -4, 4).astype(np.float16)
 
 
@@ -100,8 +103,14 @@ def _photograph(random: np.random.Generator) -> FloatArray:
 
 
 def _noise(random: np.random.Generator) -> FloatArray:
-    """Draw noise with a power-law spectrum, sometimes stretched."""
-    slope = random.uniform(1.0, 3.4)
+    """Draw noise with a power-law spectrum, sometimes stretched, or blotches and veins of it."""
+    noise = _power_law(random, random.uniform(1.0, 3.4))
+    if random.random() < 0.3:
+        return np.asarray(np.abs(_standard(noise)) ** random.uniform(0.4, 1.5), np.float32)
+    return noise
+
+
+def _power_law(random: np.random.Generator, slope: float) -> FloatArray:
     shape = (TEXTURE_PX, TEXTURE_PX)
     stretch, angle = np.exp(random.uniform(0, 1.5) * (random.random() < 0.4)), random.uniform(0, 3)
     rows = np.fft.fftfreq(shape[0])[:, None]
@@ -110,10 +119,7 @@ def _noise(random: np.random.Generator) -> FloatArray:
     across = (columns * np.cos(angle) - rows * np.sin(angle)) * stretch
     amplitude = np.maximum(np.hypot(along, across), 1 / TEXTURE_PX) ** (-slope / 2)
     white = scipy.fft.rfft2(random.standard_normal(shape, dtype=np.float32))
-    noise = scipy.fft.irfft2(white * amplitude.astype(np.float32))
-    if random.random() < 0.3:  # blotches and veins instead of a Gaussian
-        noise = np.abs(_standard(noise)) ** random.uniform(0.4, 1.5)
-    return np.asarray(noise, np.float32)
+    return np.asarray(scipy.fft.irfft2(white * amplitude.astype(np.float32)), np.float32)
 
 
 def _dead_leaves(random: np.random.Generator) -> FloatArray:
