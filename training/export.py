@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from network import Refinement
+from network import BINS, Refinement
 
 from coded_aperture_ros.core.archive import write_archive
 from coded_aperture_ros.depth.refine.features import COST_CHANNELS, FRAME_CELL_PX, SCALARS
@@ -21,6 +21,7 @@ from coded_aperture_ros.depth.refine.network import SCHEMA, SCHEMA_VERSION
 _DROPPED_BITS = 12
 # OpenCV takes other sizes, too.
 _ROWS, _COLUMNS = 64, 84
+_LEVELS = 30
 
 
 def rounded(weights: torch.Tensor) -> torch.Tensor:
@@ -28,6 +29,23 @@ def rounded(weights: torch.Tensor) -> torch.Tensor:
     bits = weights.contiguous().view(torch.int32)
     half = 1 << (_DROPPED_BITS - 1)
     return ((bits + half) >> _DROPPED_BITS << _DROPPED_BITS).view(torch.float32)
+
+
+def written(
+    module: torch.nn.Module, inputs: tuple[torch.Tensor, ...], names: list[str], output: str
+) -> np.ndarray:
+    """Return a module in the form that OpenCV reads."""
+    file = io.BytesIO()
+    torch.onnx.export(
+        module,
+        inputs,
+        file,
+        input_names=names,
+        output_names=[output],
+        dynamo=False,
+        opset_version=11,
+    )
+    return np.frombuffer(file.getvalue(), np.uint8)
 
 
 def main() -> None:
@@ -43,20 +61,16 @@ def main() -> None:
         _fold(module)
     for parameter in network.parameters():
         parameter.data = rounded(parameter.data)
-    written = io.BytesIO()
-    torch.onnx.export(
-        _Trunk(network),
-        (
-            torch.zeros(1, COST_CHANNELS + SCALARS, _ROWS, _COLUMNS),
-            torch.zeros(1, FRAME_CELL_PX**2, 2 * _ROWS, 2 * _COLUMNS),
+    costs = torch.zeros(1, COST_CHANNELS + SCALARS, _ROWS, _COLUMNS)
+    frame = torch.zeros(1, FRAME_CELL_PX**2, 2 * _ROWS, 2 * _COLUMNS)
+    levels = torch.zeros(1, BINS, _ROWS, _COLUMNS)
+    of_level = torch.zeros(_LEVELS, network.every_level.inputs, _ROWS, _COLUMNS)
+    arrays: dict[str, Any] = {
+        "levels_onnx": written(network.every_level.layers, (of_level,), ["levels"], "found"),
+        "cells_onnx": written(
+            _Trunk(network), (costs, frame, levels), ["costs", "frame", "levels"], "cells"
         ),
-        written,
-        input_names=["costs", "frame"],
-        output_names=["cells"],
-        dynamo=False,
-        opset_version=11,
-    )
-    arrays: dict[str, Any] = {"onnx": np.frombuffer(written.getvalue(), np.uint8)}
+    }
     for name, layer in (("size", network.size), ("choice", network.choice)):
         arrays[f"{name}_weights"] = layer.weight.detach().numpy()[:, :, 0, 0]
         arrays[f"{name}_bias"] = layer.bias.detach().numpy()
@@ -74,8 +88,10 @@ class _Trunk(torch.nn.Module):
         super().__init__()
         self.network = network
 
-    def forward(self, costs: torch.Tensor, frame: torch.Tensor) -> torch.Tensor:
-        return self.network.trunk(costs, frame)
+    def forward(
+        self, costs: torch.Tensor, frame: torch.Tensor, levels: torch.Tensor
+    ) -> torch.Tensor:
+        return self.network.trunk(costs, frame, levels)
 
 
 def _fold(module: torch.nn.Module) -> None:

@@ -8,12 +8,16 @@ from coded_aperture_ros.depth.refine.features import (
     BLUR_SIZES_PX,
     COST_CHANNELS,
     FRAME_CELL_PX,
+    KINDS,
     SCALARS,
+    UNTRIED,
 )
 
 BINS = len(BLUR_SIZES_PX)
 # Channels: of cells of 8 px, of squares of 16 and of 32 px, and what a cell knows of the frame.
-_CELL, _HALF, _QUARTER, _FRAME = 96, 96, 128, 32
+_CELL, _HALF, _QUARTER, _FRAME = 128, 96, 112, 32
+# Channels of every blur size by itself: logits of a cell's four half-cells, and one more.
+PER_LEVEL = 5
 NEIGHBOURS = 9
 CHOICES = 4 * NEIGHBOURS
 
@@ -43,8 +47,74 @@ class Residual(nn.Module):
         return x + self.mix(torch.relu(self.norm(self.spatial(self.reduce(x)))))
 
 
+class Around(nn.Module):
+    """Adds what each channel has around each place: how the costs of every level change there."""
+
+    def __init__(self, width: int, dilation: int = 1) -> None:
+        super().__init__()
+        margin = 2 * dilation
+        self.spatial = nn.Conv2d(width, width, 5, 1, margin, dilation, groups=width, bias=False)
+        self.norm = nn.BatchNorm2d(width)
+        self.mix = nn.Conv2d(width, width, 1)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return x + self.mix(torch.relu(self.norm(self.spatial(x))))
+
+
+class LevelLayers(nn.Module):
+    """What is done to every blur size, always with the same weights."""
+
+    def __init__(self, inputs: int) -> None:
+        super().__init__()
+        self.first = convolution(inputs, 12, 3)
+        self.down = convolution(12, 16, 3, 2)
+        self.wide = nn.Sequential(convolution(16, 16, 3), convolution(16, 16, 3))
+        self.up = nn.ConvTranspose2d(16, 12, 2, 2)
+        self.join = convolution(24, 12)
+        self.out = nn.Conv2d(12, PER_LEVEL, 3, 1, 1)
+        nn.init.zeros_(self.out.weight)
+        nn.init.zeros_(self.out.bias)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        fine = self.first(x)
+        found: torch.Tensor = self.out(
+            self.join(torch.cat([fine, self.up(self.wide(self.down(fine)))], 1))
+        )
+        return found
+
+
+class EveryLevel(nn.Module):
+    """Looks at every blur size by itself and its two neighbours, at all with the same weights.
+
+    Takes `cost_features` [batch, channels, rows, columns], gives `PER_LEVEL` channels for each blur
+    size [batch, PER_LEVEL, blur sizes, rows, columns]; 0 for those that were not tried.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        kinds = COST_CHANNELS // BINS
+        self.inputs = kinds + 2 * len(range(0, kinds, KINDS)) + SCALARS + 1
+        self.layers = LevelLayers(self.inputs)
+        self.register_buffer("sizes", torch.from_numpy(BLUR_SIZES_PX).float() / 10)
+
+    def forward(self, costs: torch.Tensor) -> torch.Tensor:
+        batch, _, rows, columns = costs.shape
+        volume = costs[:, :COST_CHANNELS].unflatten(1, (-1, BINS))
+        beside = volume[:, ::KINDS]  # of neighbouring sizes, the logarithms
+        lower = torch.cat([beside[:, :, :1], beside[:, :, :-1]], 2)
+        upper = torch.cat([beside[:, :, 1:], beside[:, :, -1:]], 2)
+        scalars = costs[:, COST_CHANNELS:, None].expand(-1, -1, BINS, -1, -1)
+        size = self.sizes.view(1, 1, -1, 1, 1).expand(batch, 1, -1, rows, columns)
+        levels = torch.cat([volume, lower, upper, scalars, size], 1)
+        tried = (costs[:, :BINS, 0, 0] < UNTRIED).flatten()
+        some = levels.transpose(1, 2).flatten(0, 1)[tried]
+        found = costs.new_zeros(batch * BINS, PER_LEVEL, rows, columns)
+        found[tried] = self.layers(some.contiguous(memory_format=torch.channels_last))
+        return found.unflatten(0, (batch, BINS)).transpose(1, 2)
+
+
 class Refinement(nn.Module):
-    """An encoder and decoder over cells of 8 px, with skips, and a decoder to half-cells.
+    """Each channel's surroundings in cells of 8 px, and an encoder and decoder beside them.
 
     Takes `cost_features` [batch, channels, rows, columns] and `frame_features` [batch, channels, 2
     rows, 2 columns]. Returns, at half-cells of 4 px, the logits of `BLUR_SIZES_PX` and the
@@ -55,43 +125,43 @@ class Refinement(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.frame = nn.Sequential(convolution(FRAME_CELL_PX**2, 16), convolution(16, _FRAME, 3, 2))
-        self.stem = convolution(COST_CHANNELS + SCALARS, _CELL)
+        self.every_level = EveryLevel()
+        self.stem = convolution(COST_CHANNELS + SCALARS + BINS, _CELL)
         self.at_cell = nn.Sequential(
-            convolution(_CELL + _FRAME, _CELL), Residual(_CELL, 32), Residual(_CELL, 32)
+            convolution(_CELL + _FRAME, _CELL), Around(_CELL), Around(_CELL, 2)
         )
         self.down = convolution(_CELL, _HALF, 3, 2)
-        self.at_half = nn.Sequential(Residual(_HALF, 48), Residual(_HALF, 48))
+        self.at_half = nn.Sequential(Residual(_HALF, 40), Residual(_HALF, 40))
         self.down2 = convolution(_HALF, _QUARTER, 3, 2)
-        self.at_quarter = nn.Sequential(
-            Residual(_QUARTER, 64), Residual(_QUARTER, 64, 2), Residual(_QUARTER, 64)
-        )
+        self.at_quarter = nn.Sequential(Residual(_QUARTER, 48), Residual(_QUARTER, 48))
         self.up2 = nn.ConvTranspose2d(_QUARTER, _HALF, 2, 2)
-        self.at_half_again = nn.Sequential(convolution(2 * _HALF, _HALF), Residual(_HALF, 48))
+        self.at_half_again = nn.Sequential(convolution(2 * _HALF, _HALF), Residual(_HALF, 40))
         self.up = nn.ConvTranspose2d(_HALF, _CELL, 2, 2)
-        self.at_cell_again = nn.Sequential(
-            convolution(2 * _CELL, _CELL), Residual(_CELL, 32), Residual(_CELL, 32)
-        )
+        self.at_cell_again = nn.Sequential(Around(_CELL), Around(_CELL, 2), Around(_CELL))
         # Of the four half-cells of each cell.
         self.size = nn.Conv2d(_CELL, 4 * (BINS + 1), 1)
         self.choice = nn.Conv2d(_CELL, 4 * CHOICES, 1)
         # What the costs say by themselves: the network only adds to it.
         self.trust = nn.Parameter(torch.tensor([0.5, 0.0, 0.25, 0.5, 0.0, 0.25]))
 
-    def trunk(self, costs: torch.Tensor, frame: torch.Tensor) -> torch.Tensor:
+    def trunk(self, costs: torch.Tensor, frame: torch.Tensor, levels: torch.Tensor) -> torch.Tensor:
         """Return what the last two convolutions act on."""
-        cell = self.at_cell(torch.cat([self.stem(costs), self.frame(frame)], 1))
+        stem = self.stem(torch.cat([costs, levels], 1))
+        cell = self.at_cell(torch.cat([stem, self.frame(frame)], 1))
         half = self.at_half(self.down(cell))
         quarter = self.at_quarter(self.down2(half))
         half = self.at_half_again(torch.cat([half, self.up2(quarter)], 1))
-        return self.at_cell_again(torch.cat([cell, self.up(half)], 1))
+        return self.at_cell_again(cell + self.up(half))
 
     def forward(
         self, costs: torch.Tensor, frame: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        cell = self.trunk(costs, frame)
+        levels = self.every_level(costs)
+        cell = self.trunk(costs, frame, levels[:, 4])
         size = functional.pixel_shuffle(self.size(cell), 2)
         of_kinds = costs[:, :COST_CHANNELS].unflatten(1, (len(self.trust), BINS))
         own = (self.trust.view(-1, 1, 1, 1) * of_kinds).sum(1)
         own = functional.interpolate(own, scale_factor=2.0, mode="bilinear")
+        own = own - functional.pixel_shuffle(levels[:, :4].transpose(1, 2).flatten(1, 2), 2)
         choice = functional.pixel_shuffle(self.choice(cell), 2)
         return torch.cat([size[:, :BINS] - own, size[:, BINS:]], 1), choice

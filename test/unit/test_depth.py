@@ -174,13 +174,15 @@ def test_missing_maxflow_is_one_clear_line(bank, plane, monkeypatch):
         DepthEstimator(bank, DepthConfig(regularize="graphcut")).estimate(plane[0])
 
 
-def test_confidence_tells_right_from_wrong(bank, camera):
+@pytest.mark.parametrize("regularize", ["semiglobal", "learned"])
+def test_confidence_tells_right_from_wrong(bank, camera, regularize):
     """Texture on the left, almost nothing but noise on the right."""
     depth = np.full((160, 256), 1.5, np.float32)
     texture = natural_texture(depth.shape)
     texture[:, 128:] = 0.4 + 0.002 * (texture[:, 128:] - 0.4)
     frame = with_noise(render_coded_frame(texture, depth, camera))
-    estimate = DepthEstimator(bank, DepthConfig(confidence_threshold=0)).estimate(frame)
+    config = DepthConfig(confidence_threshold=0, regularize=regularize)
+    estimate = DepthEstimator(bank, config).estimate(frame)
     confidence = estimate.confidence
     assert (confidence.min() >= 0) and (confidence.max() <= 1)
     assert np.median(confidence[:, :96]) > 0.75
@@ -191,9 +193,11 @@ def test_confidence_tells_right_from_wrong(bank, camera):
     assert np.array_equal(np.isnan(thresholded.depth_m), np.isnan(thresholded.level))
 
 
-def test_deviation_is_about_that_of_the_levels(bank, camera, stairs):
+@pytest.mark.parametrize("regularize", ["semiglobal", "learned"])
+def test_deviation_is_about_that_of_the_levels(bank, camera, stairs, regularize):
     frame, depth = stairs
-    estimate = DepthEstimator(bank, DepthConfig(confidence_threshold=0)).estimate(frame)
+    config = DepthConfig(confidence_threshold=0, regularize=regularize)
+    estimate = DepthEstimator(bank, config).estimate(frame)
     deviation = estimate.std_dev_m
     assert deviation.shape == depth.shape and deviation.dtype == np.float32
     assert (deviation > 0).all()
@@ -204,9 +208,7 @@ def test_deviation_is_about_that_of_the_levels(bank, camera, stairs):
     # Inverse depth is linear in the blur size: what is 5/3 as far is known (3/5)^2 as well.
     ratio = np.median(deviation[:, 160:]) / np.median(deviation[:, :96])
     assert ratio > (2 / 1.2) ** 2
-    noisy = DepthEstimator(bank, DepthConfig(confidence_threshold=0)).estimate(
-        with_noise(frame, 0.01)
-    )
+    noisy = DepthEstimator(bank, config).estimate(with_noise(frame, 0.01))
     assert np.median(noisy.std_dev_m[:, :96]) > 1.2 * np.median(deviation[:, :96])
 
 
@@ -403,7 +405,9 @@ def test_background_is_found_nearer_to_an_edge_with_trimming(bank, stairs):
     frame, _ = stairs
 
     def edge(edge_correction):
-        config = DepthConfig(confidence_threshold=0, edge_correction=edge_correction)
+        config = DepthConfig(
+            confidence_threshold=0, regularize="semiglobal", edge_correction=edge_correction
+        )
         depth = DepthEstimator(bank, config).estimate(frame).depth_m
         return np.median((depth < 1.55).sum(axis=1))
 

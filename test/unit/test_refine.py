@@ -8,7 +8,7 @@ import pytest
 from coded_aperture_ros.bank import LearnConfig, learn_bank, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video
-from coded_aperture_ros.depth.refine import untrained
+from coded_aperture_ros.depth.refine import small_bank, untrained
 from coded_aperture_ros.depth.refine.cells import CELL_PX, HALVINGS, Cells
 from coded_aperture_ros.depth.refine.features import (
     BLUR_SIZES_PX,
@@ -21,6 +21,7 @@ from coded_aperture_ros.depth.refine.features import (
 from coded_aperture_ros.depth.refine.focal import Folding
 from coded_aperture_ros.depth.refine.network import Logits, Network
 from coded_aperture_ros.depth.refine.probabilities import HalfCells, chosen_neighbours, drawn
+from coded_aperture_ros.depth.refine.small import SMALL_PX
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation import render_coded_frame
@@ -129,6 +130,19 @@ def test_costs_are_put_on_the_grid_of_blur_sizes(sign, order):
     assert (features[COST_CHANNELS : COST_CHANNELS + 2, row, column] == 0.25).all()
     assert not features[COST_CHANNELS + 2, 0].any()  # no patches at the edge of the frame
     assert (features[-1] == near).all()
+
+
+def test_small_patches_have_a_bank_of_the_same_psfs(camera):
+    sizes = np.arange(-8, 9) * 0.9
+    both = learn_bank(render_psf_stack(camera.mask, sizes), LearnConfig(window_px=48, rank=60))
+    small = small_bank(both)
+    assert small.window_px == SMALL_PX
+    assert small.blur_sizes_px == pytest.approx(np.arange(9) * 0.9)
+    config = LearnConfig(window_px=SMALL_PX, rank=60)
+    alone = learn_bank(render_psf_stack(camera.mask, sizes[8:]), config)
+    frame = np.random.default_rng(0).random((64, 80), dtype=np.float32)
+    expected = alone.energies(frame, 8, 0.01)
+    assert small.energies(frame, 8, 0.01) == pytest.approx(expected, rel=2e-3)
 
 
 def test_levels_of_both_sides_are_folded():

@@ -274,8 +274,8 @@ def test_temporal_filter_forgets_when_told():
 # Frames of a camera that runs.
 
 
-def with_memory(frames):
-    return dataclasses.replace(EVERYTHING, temporal_frames=frames)
+def with_memory(frames, regularize="learned"):
+    return dataclasses.replace(EVERYTHING, temporal_frames=frames, regularize=regularize)
 
 
 def levels_of(estimator, frames):
@@ -294,10 +294,13 @@ def weak_scene(bank, camera):
     return video, true
 
 
-def test_still_scene_is_more_accurate_and_calmer_with_memory(bank, weak_scene):
+@pytest.mark.parametrize("regularize", ["semiglobal", "learned"])
+def test_still_scene_is_more_accurate_and_calmer_with_memory(bank, weak_scene, regularize):
     video, true = weak_scene
-    alone = levels_of(DepthEstimator(bank, EVERYTHING), video)[5:]
-    filtered = levels_of(DepthEstimator(bank, with_memory(3.0)), video)[5:]
+    alone, filtered = (
+        levels_of(DepthEstimator(bank, with_memory(frames, regularize)), video)[5:]
+        for frames in (0.0, 3.0)
+    )
     error, flicker = error_and_flicker(alone, true)
     less_error, less_flicker = error_and_flicker(filtered, true)
     assert less_error < 0.7 * error
@@ -359,12 +362,17 @@ def test_refused_frame_leaves_the_memory_as_it_is(bank, weak_scene, frame, size)
     assert np.abs(own.level - expected.level).max() > 0.5  # there was something to remember
 
 
+@pytest.mark.parametrize(
+    ("regularize", "own"),
+    [("semiglobal", ["regularise"]), ("learned", ["small patches", "refine"])],
+)
 @pytest.mark.parametrize("frames", [0.0, 2.0])
-def test_stages_are_timed_in_order(bank, weak_scene, frames):
-    estimator = DepthEstimator(bank, with_memory(frames))
+def test_stages_are_timed_in_order(bank, weak_scene, frames, regularize, own):
+    estimator = DepthEstimator(bank, with_memory(frames, regularize))
     for frame in weak_scene[0][:2]:
         estimate = estimator.estimate(frame)
-        stages = ["prepare", "average", "spectra", "energies", "temporal", "regularise", "map"]
+        stages = ["prepare", "average", "spectra", "energies", *own[:-1], "temporal", own[-1]]
+        stages.append("map")
         if not frames:
             stages = [stage for stage in stages if stage not in ("average", "temporal")]
         assert list(estimate.seconds) == stages
@@ -393,10 +401,13 @@ def moving_object(bank, camera):
     return frames, np.array(objects), near, far
 
 
-def test_memory_does_not_harm_what_moves(bank, moving_object):
+@pytest.mark.parametrize("regularize", ["semiglobal", "learned"])
+def test_memory_does_not_harm_what_moves(bank, moving_object, regularize):
     frames, objects, near, far = moving_object
-    alone = levels_of(DepthEstimator(bank, EVERYTHING), frames)
-    filtered = levels_of(DepthEstimator(bank, with_memory(4.0)), frames)
+    alone, filtered = (
+        levels_of(DepthEstimator(bank, with_memory(memory, regularize)), frames)
+        for memory in (0.0, 4.0)
+    )
     assert np.abs(filtered - near)[objects].mean() < 1.05 * np.abs(alone - near)[objects].mean()
     behind = np.s_[2:, :, 160:]
     assert np.abs(filtered - far)[behind].mean() < 1.05 * np.abs(alone - far)[behind].mean()
@@ -437,10 +448,11 @@ def test_results_come_before_the_video_ends(bank, weak_scene):
     assert len(taken) == 8
 
 
-def test_video_is_no_worse_than_a_camera_that_runs(bank, weak_scene):
+@pytest.mark.parametrize("regularize", ["semiglobal", "learned"])
+def test_video_is_no_worse_than_a_camera_that_runs(bank, weak_scene, regularize):
     video, true = weak_scene
-    causal = levels_of(DepthEstimator(bank, with_memory(2.0)), video)
-    results = estimate_video(DepthEstimator(bank, with_memory(2.0)), video)
+    causal = levels_of(DepthEstimator(bank, with_memory(2.0, regularize)), video)
+    results = estimate_video(DepthEstimator(bank, with_memory(2.0, regularize)), video)
     both_ways = np.array([result.level for result in results])
     error, flicker = error_and_flicker(causal, true)
     assert error_and_flicker(both_ways, true)[0] < error

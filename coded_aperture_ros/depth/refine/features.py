@@ -19,6 +19,7 @@ BLUR_SIZES_PX = np.arange(0, LARGEST_PX + BLUR_STEP_PX / 2, BLUR_STEP_PX)
 # Every blur size has a channel of each kind: the logarithm of its cost, of small differences of
 # it, and of the cost that semi-global matching adds up; and what stands there if it was not tried.
 _UNTRIED = (5.0, 2.8, 5.0)
+UNTRIED = _UNTRIED[0]
 KINDS = len(_UNTRIED)
 _MOST_COST = 140.0
 # Where there is little texture costs differ little, but those of many patches tell something.
