@@ -102,9 +102,17 @@ class Network:
         volume = costs[:COST_CHANNELS].reshape(-1, last + 1, *costs.shape[1:])
         beside = volume[::KINDS]  # of neighbouring sizes, the logarithms
         lower, upper = (beside[:, np.clip(tried + step, 0, last)] for step in (-1, 1))
-        size = BLUR_SIZES_PX[None, tried, None, None] / 10
-        parts = [volume[:, tried], lower, upper, costs[COST_CHANNELS:, None], size]
-        levels = np.empty((len(tried), sum(map(len, parts)), *costs.shape[1:]), np.float32)
+        size = (BLUR_SIZES_PX[None, tried, None, None] / 10).astype(np.float32)
+        parts: list[FloatArray] = [
+            volume[:, tried],
+            lower,
+            upper,
+            costs[COST_CHANNELS:, None],
+            size,
+        ]
+        levels = np.empty(
+            (len(tried), sum(len(part) for part in parts), *costs.shape[1:]), np.float32
+        )
         start = 0
         for part in parts:
             levels[:, start : start + len(part)] = part.swapaxes(0, 1)
