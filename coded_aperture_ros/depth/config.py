@@ -65,7 +65,8 @@ class DepthConfig:
     )
     confidence_threshold: float = option(
         0.55,
-        "Depth is unknown where the confidence, which is at most 0.86, is below this.",
+        "Depth is unknown where the confidence is below this; that of classical regularisation is "
+        "at most 0.86.",
         within=(0.0, 1.0),
         parameter="confidence.threshold",
     )

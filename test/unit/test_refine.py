@@ -213,6 +213,9 @@ def test_where_it_was_not_trained_it_stands_back(bank, camera, scene):
     assert "window of 24 px" in untrained(small, 8)
     wide = learn_bank(render_psf_stack(camera.mask, np.linspace(4, 30, 9)))
     assert "blur of 30 px" in untrained(wide, 8)
+    margin = np.pad(bank.stack.psfs, [(0, 0), (10, 10), (10, 10)])
+    padded = dataclasses.replace(bank, stack=dataclasses.replace(bank.stack, psfs=margin))
+    assert "do not fit patches of 32 px" in untrained(padded, 8)
     indices = dataclasses.replace(bank, stack=dataclasses.replace(bank.stack, in_pixels=False))
     assert "not known in pixels" in untrained(indices, 8)
     learned, classical = (

@@ -47,8 +47,11 @@ def test_frames_and_their_costs_are_written_once(
     run(monkeypatch, training["costs"], "--scenes", scenes, "--output", costs, "--shards", 0, 9, 4)
     assert [path.name for path in costs.glob("*.npz")] == ["costs_0004.npz"]
     seen = np.load(costs / "costs_0004.npz")
-    assert seen["volume_0"].shape[-1] == len(seen["sizes_0"])
-    assert np.isfinite(seen["volume_1"]).all() and seen["frame_1"].shape == (96, 96)
+    cells = training["costs"].CELLS
+    assert seen["costs"].shape[0] == 2 and seen["costs"].shape[2:] == (cells, cells)
+    assert np.isfinite(seen["costs"]).all() and np.isfinite(seen["frame"]).all()
+    assert seen["tried"].any(axis=1).all() and (seen["corner"] <= 0).all()
+    assert ((seen["told"] > 0) & (seen["told"] <= 1)).all()
 
     capsys.readouterr()
     before = (scenes / "scenes_0003.npz").stat().st_mtime_ns

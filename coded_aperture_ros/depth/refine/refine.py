@@ -22,6 +22,7 @@ from coded_aperture_ros.depth.refine.features import (
 from coded_aperture_ros.depth.refine.focal import Folding
 from coded_aperture_ros.depth.refine.network import Network
 from coded_aperture_ros.depth.refine.probabilities import HalfCells, chosen_neighbours, drawn
+from coded_aperture_ros.depth.refine.small import SMALL_PX
 from coded_aperture_ros.depth.regularize import LEARNED
 from coded_aperture_ros.depth.sides import FocalSides
 from coded_aperture_ros.depth.upsample import MapGrid
@@ -52,6 +53,8 @@ def untrained(model: LikelihoodModel, stride_px: int) -> str:
     largest = float(np.abs(stack.blur_sizes_px).max())
     if largest > LARGEST_PX:
         return f"its blur of {largest:.3g} px is above {LARGEST_PX:g} px"
+    if stack.psfs.shape[-1] > SMALL_PX:
+        return f"its PSFs of {stack.psfs.shape[-1]} px do not fit patches of {SMALL_PX} px"
     for name, value, (low, high) in (
         ("window", model.window_px, _WINDOWS_PX),
         ("stride", stride_px, _STRIDES_PX),
