@@ -25,6 +25,7 @@ from coded_aperture_ros.depth.refine.probabilities import HalfCells, chosen_neig
 from coded_aperture_ros.depth.refine.small import SMALL_PX
 from coded_aperture_ros.depth.regularize import LEARNED
 from coded_aperture_ros.depth.sides import FocalSides
+from coded_aperture_ros.depth.temporal import bounded
 from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.likelihood import Cost, LikelihoodModel
@@ -32,6 +33,7 @@ from coded_aperture_ros.likelihood import Cost, LikelihoodModel
 # What the network was trained for.
 _WINDOWS_PX = (32, 72)
 _STRIDES_PX = (4, 12)
+_LARGEST_STEP_PX = 0.8
 # Neighbouring half-cells whose blur sizes differ by at most this are one surface.
 _ONE_SURFACE_PX = 0.8
 _PLAUSIBLE = 0.05
@@ -53,6 +55,9 @@ def untrained(model: LikelihoodModel, stride_px: int) -> str:
     largest = float(np.abs(stack.blur_sizes_px).max())
     if largest > LARGEST_PX:
         return f"its blur of {largest:.3g} px is above {LARGEST_PX:g} px"
+    step = float(np.abs(np.diff(stack.blur_sizes_px)).max())
+    if step > _LARGEST_STEP_PX:
+        return f"its levels are up to {step:.3g} px apart, more than {_LARGEST_STEP_PX:g} px"
     if stack.psfs.shape[-1] > SMALL_PX:
         return f"its PSFs of {stack.psfs.shape[-1]} px do not fit patches of {SMALL_PX} px"
     for name, value, (low, high) in (
@@ -116,6 +121,9 @@ class Refined:
         if own.small is None:
             raise ValueError("the cost of the small patches is missing")
         noise, grey = seen.noise.typical, seen.grey
+        if volume is not own.volume:  # of a video, to which a frame adds no more than so much
+            volume = volume + (own.volume - bounded(own.volume))
+            volume -= volume.min(axis=-1, keepdims=True)
         cells = Cells.covering(grey.shape, seen.grid)
         looks = (
             Look.of(own, seen.grid, self._folding.of_sizes(volume)),
