@@ -306,8 +306,8 @@ def test_videos_are_scored_without_a_filter(capsys, ray_traced, rgbd):
     results = json.loads(result.out)
     cells = results["cells"]
     assert [(cell["camera"], cell["regularize"]) for cell in cells] == [
-        *(("static", "none"), ("static", "semiglobal")),
-        *(("moving", "none"), ("moving", "semiglobal")),
+        *(("static", "none"), ("static", "learned")),
+        *(("moving", "none"), ("moving", "learned")),
     ]
     for cell in cells:
         assert (cell["filter"], cell["frames"]) == ("none", LENGTH)
@@ -319,9 +319,7 @@ def test_videos_are_scored_without_a_filter(capsys, ray_traced, rgbd):
     assert moving["flicker"] is moving["moving"] is moving["around_moving"] is None
     assert moving["change"]["std"] < 0.2
     ratios = results["ratios_to_raw"]
-    assert [(ratio["regularize"], ratio["filter"]) for ratio in ratios] == [
-        ("semiglobal", "none")
-    ] * 2
+    assert [(ratio["regularize"], ratio["filter"]) for ratio in ratios] == [("learned", "none")] * 2
 
 
 def test_filters_over_time_are_measured_beside_none(capsys, ray_traced):
