@@ -92,7 +92,8 @@ train: $(VENV)/finished-train ## Learn the refinement anew: scenes, costs, weigh
 	@$(call IN_TWO_PROCESSES,scenes.py --output $(TRAIN)/scenes)
 	@$(call IN_TWO_PROCESSES,costs.py --scenes $(TRAIN)/scenes --output $(TRAIN)/costs)
 	@$(VENV)/bin/python training/fit.py --scenes $(TRAIN)/scenes --costs $(TRAIN)/costs \
-		--output $(TRAIN)/fit --minutes $(MINUTES) --shards 4 $(SHARDS) --validate 0 4
+		--output $(TRAIN)/fit --minutes $(MINUTES) --shards 4 $(SHARDS) --validate 0 4 \
+		--least-told 0.15
 	@$(VENV)/bin/python training/export.py --state $(TRAIN)/fit/state.pt -o $(TRAIN)/$(WEIGHTS)
 
 environment: $(READY) ## Only make the virtual environment (.venv)

@@ -27,9 +27,9 @@ from coded_aperture_ros.depth.refine.features import (
     tried_sizes,
 )
 from coded_aperture_ros.depth.refine.small import SmallPatches, small_bank
+from coded_aperture_ros.depth.temporal import bounded
 from coded_aperture_ros.optics import render_psf_stack
 
-STRIDE_PX = 8
 # Frames of one size have no more cells a side than this, whatever the window.
 CELLS = 40
 _LARGEST_PX = 20.6
@@ -38,9 +38,6 @@ _BANKS = ((48, 0.5), (48, 0.44), (48, 0.58), (40, 0.5), (64, 0.5), (32, 0.5))
 _BANK_SHARES = (0.32, 0.22, 0.22, 0.08, 0.1, 0.06)
 _BOTH_SIDES = ((48, 0.6), (48, 0.72))
 _BOTH_LARGEST_PX = 16.5
-# Costs that the frames of a video add up to: of one frame they count up to this; see
-# `coded_aperture_ros.depth.temporal`.
-_OF_A_FRAME = 12.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,7 +123,7 @@ def shown(number: int, light: np.ndarray, blur_px: np.ndarray, folder: Path) -> 
     estimator.close()
     volume = cost.volume
     if how.added_up:
-        volume = np.minimum(volume, _OF_A_FRAME) * np.float32(how.added_up)
+        volume = bounded(volume) * np.float32(how.added_up)
     small = SmallPatches(bank_of_small, frame.shape)
     of_small = small.cost(observed, observed.grey, observed.noise.deviation)
     looks = Look.of(cost, observed.grid, volume), Look.of(of_small, small.grid)

@@ -16,13 +16,12 @@ from network import BINS, NEIGHBOURS, Refinement
 from torch.nn import functional
 
 from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, BLUR_STEP_PX, LARGEST_PX
+from coded_aperture_ros.depth.refine.probabilities import REACH
 
 _BATCH = 8
 _RATE = 2e-3
 _AVERAGE = 0.998
 _UNTRIED = -1e4
-# Bins on either side of the likeliest that the blur size is the mean of.
-REACH = 2
 _RIGHT_PX = 1.5
 # Narrow things before something at least so much more or less blurred count more: a network that
 # is right for most pixels would leave them out, and they are what a robot runs into. The side of
@@ -35,7 +34,7 @@ def blur_sizes(logits: torch.Tensor) -> torch.Tensor:
     sizes = torch.from_numpy(BLUR_SIZES_PX).float()
     best = logits.argmax(1, keepdim=True)
     around = (best + torch.arange(-REACH, REACH + 1).view(1, -1, 1, 1)).clamp(0, BINS - 1)
-    near = torch.gather(logits, 1, around).float()
+    near = torch.gather(logits, 1, around)
     return (functional.softmax(near, 1) * sizes[around]).sum(1)
 
 
@@ -58,8 +57,8 @@ def thin(blur_px: torch.Tensor, known: torch.Tensor, near: torch.Tensor) -> torc
 
 def losses(size: torch.Tensor, choice: torch.Tensor, batch: Batch) -> dict[str, torch.Tensor]:
     """Return what the network got wrong: blur sizes, their spread, and the choice of half-cells."""
-    logits = size[:, :BINS].float().masked_fill(~batch.tried[:, :, None, None], _UNTRIED)
-    log_width = size[:, BINS].float().clamp(-5, 2)
+    logits = size[:, :BINS].masked_fill(~batch.tried[:, :, None, None], _UNTRIED)
+    log_width = size[:, BINS].clamp(-5, 2)
     known = torch.isfinite(batch.blur_px)
     truth = torch.nan_to_num(batch.blur_px).clamp(0, LARGEST_PX - 1e-3)
     quarters = functional.pixel_unshuffle(truth[:, None], 2)  # [batch, 4, rows, columns]
@@ -89,9 +88,7 @@ def losses(size: torch.Tensor, choice: torch.Tensor, batch: Batch) -> dict[str, 
         functional.pad(found.detach()[:, None], (1, 1, 1, 1), "replicate"), 3
     )
     around = around.view(len(found), NEIGHBOURS, *found.shape[1:])
-    weights = functional.log_softmax(
-        choice.float().view(len(found), 4, NEIGHBOURS, *found.shape[1:]), 2
-    )
+    weights = functional.log_softmax(choice.view(len(found), 4, NEIGHBOURS, *found.shape[1:]), 2)
     fit = -(around[:, None] - quarters[:, :, None]).abs().clamp(max=6) / 0.7
     chosen = -torch.logsumexp(weights + fit, 2)
     best = fit.amax(2)

@@ -32,12 +32,12 @@ def convolution(inputs: int, outputs: int, side: int = 1, stride: int = 1) -> nn
 
 
 class Residual(nn.Module):
-    """Adds what convolutions find around each place, in fewer channels if `inner` is less."""
+    """Adds what convolutions of fewer channels find around each place."""
 
-    def __init__(self, width: int, inner: int, dilation: int = 1) -> None:
+    def __init__(self, width: int, inner: int) -> None:
         super().__init__()
-        self.reduce = convolution(width, inner) if inner < width else nn.Identity()
-        self.spatial = nn.Conv2d(inner, inner, 3, 1, dilation, dilation, bias=False)
+        self.reduce = convolution(width, inner)
+        self.spatial = nn.Conv2d(inner, inner, 3, 1, 1, bias=False)
         self.norm = nn.BatchNorm2d(inner)
         self.mix = nn.Conv2d(inner, width, 1)
         nn.init.zeros_(self.mix.weight)

@@ -40,10 +40,6 @@ class Folding:
 
     def of_sizes(self, volume: FloatArray) -> FloatArray:
         """Return the cost of every size, whatever its side [rows, columns, n], from [.., L]."""
-        if np.array_equal(self.far, self.near):
-            return (
-                volume
-                if np.array_equal(self.far, np.arange(volume.shape[-1]))
-                else np.take(volume, self.far, axis=-1)
-            )
+        if len(self.far) == volume.shape[-1]:  # each size is on one side only
+            return volume[..., self.far]
         return np.minimum(volume[..., self.far], volume[..., self.near])

@@ -100,6 +100,7 @@ class Refined:
         self, bank: FilterBank, levels: Levels, small: PatchGrid, sides: FocalSides | None = None
     ) -> None:
         self._sizes = sizes = bank.blur_sizes_px
+        self._order = np.argsort(sizes)
         self._levels, self._small, self._sides = levels, small, sides
         self._folding = Folding.of(sizes)
         tried = tried_sizes(self._folding.sizes_px)
@@ -204,8 +205,8 @@ class Refined:
 
     def _level(self, size_px: FloatArray) -> FloatArray:
         """Return the fractional level of signed blur sizes."""
-        order = np.argsort(self._sizes)
-        return np.interp(size_px, self._sizes[order], order).astype(np.float32)
+        sizes, order = self._sizes[self._order], self._order
+        return np.interp(size_px, sizes, order).astype(np.float32)
 
 
 def _tolerance_px(levels: Levels) -> FloatArray:
