@@ -2,6 +2,7 @@
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.imaging import PatchGrid
@@ -37,7 +38,7 @@ class TemporalFilter:
     open the next may decide, and what it gets wrong by a small difference of costs weighs little.
     The sum over all past frames is a recursion over the last one, as ``exp(-|t - t_0| / tau_2)``
     is. There is no flow: several places of the last frame may match, or none, where an object has
-    moved away. There the past is forgotten.
+    moved away. There the past is forgotten, as far around as windows see it.
 
     Parameters
     ----------
@@ -67,6 +68,9 @@ class TemporalFilter:
         if self._past is not None and self._samples is not None:
             variance = 2 * (noise * _SAMPLES / grid.stride_px) ** 2
             weights, match = _matches(samples, self._samples, variance)
+            # A patch's cost is of all that its window shows: the past counts if all of that is
+            # still there. Else what has moved on would trail its costs behind it.
+            match = cv2.erode(match, _window(grid))
             past = _gathered(self._past, weights)
             np.minimum(past[1:], past[:-1] + _DRIFT, out=past[1:])
             np.minimum(past[:-1], past[1:] + _DRIFT, out=past[:-1])
@@ -81,6 +85,12 @@ class TemporalFilter:
 def bounded(volume: FloatArray) -> FloatArray:
     """Return the cost of one frame as far as it counts."""
     return np.minimum(volume, np.float32(_OF_A_FRAME))
+
+
+def _window(grid: PatchGrid) -> NDArray[np.uint8]:
+    """Return which patches have their centre in the window of the one in the middle."""
+    side = 2 * round(grid.window_px / (2 * grid.stride_px)) + 1
+    return np.ones((side, side), np.uint8)
 
 
 def _sampled(grey: FloatArray, grid: PatchGrid) -> FloatArray:

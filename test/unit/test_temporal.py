@@ -210,6 +210,9 @@ def test_past_is_forgotten_where_the_scene_has_changed():
     away = GRID.column_centres > 96 + 32
     assert result[:, away] == pytest.approx(without_least(weak)[:, away], abs=0.05)
     assert (result[:, GRID.column_centres < 96 - 32].argmin(-1) == 3).all()
+    # What is still there, in windows that saw what is not, is judged anew.
+    beside = np.abs(GRID.column_centres - (96 - GRID.window_px // 4)) < 8
+    assert result[:, beside] == pytest.approx(without_least(weak)[:, beside], abs=0.05)
 
 
 @pytest.mark.parametrize(("down_px", "right_px"), [(0, 8), (8, 0), (-8, 8), (0, -8)])
@@ -220,7 +223,7 @@ def test_evidence_moves_along_with_a_scene(down_px, right_px):
     moved = scene[16 - down_px : 176 - down_px, 16 - right_px : 208 - right_px]
     result = temporal.add(NOTHING, moved, GRID, NOISE)
     from_there = np.roll(without_least(past), (down_px // 8, right_px // 8), axis=(0, 1))
-    inner = np.s_[5:-5, 5:-5]  # nothing of what has just come into view
+    inner = np.s_[8:-8, 8:-8]  # no window that shows what has just come into view
     expected = without_least(np.exp(-1 / 4) * from_there)
     assert result[inner] == pytest.approx(expected[inner], abs=0.02)
 
@@ -232,7 +235,7 @@ def test_half_a_patch_is_the_mean_of_two():
     result = temporal.add(NOTHING, scene[:, 12:204], GRID, NOISE)
     past = without_least(past)
     expected = without_least(np.exp(-1 / 4) * (past + np.roll(past, 1, axis=1)) / 2)
-    inner = np.s_[5:-5, 5:-5]  # nothing of what has just come into view
+    inner = np.s_[8:-8, 8:-8]  # no window that shows what has just come into view
     assert result[inner] == pytest.approx(expected[inner], abs=0.02)
 
 
