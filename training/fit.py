@@ -23,10 +23,10 @@ _RATE = 2e-3
 _AVERAGE = 0.998
 _UNTRIED = -1e4
 _RIGHT_PX = 1.5
-# Narrow things before something at least so much more or less blurred count more: a network that
-# is right for most pixels would leave them out, and they are what a robot runs into. The side of
-# what they fit into, in squares of 2 px.
-_MORE_FOR_THIN, _BEFORE_PX, _THIN = 4.0, 1.0, 13
+# Narrow things, and narrow gaps between nearer ones, count more if blur sizes differ at least so
+# much there: a network that is right for most pixels would leave them out, and they are what a
+# robot runs into, or through. The side of what they fit into, in squares of 2 px.
+_MORE_FOR_NARROW, _APART_PX, _NARROW = 3.0, 1.0, 13
 
 
 def blur_sizes(logits: torch.Tensor) -> torch.Tensor:
@@ -38,21 +38,25 @@ def blur_sizes(logits: torch.Tensor) -> torch.Tensor:
     return (functional.softmax(near, 1) * sizes[around]).sum(1)
 
 
-def thin(blur_px: torch.Tensor, known: torch.Tensor, near: torch.Tensor) -> torch.Tensor:
-    """Return where something narrow is before something more distant, 0 or 1.
+def narrow(blur_px: torch.Tensor, known: torch.Tensor, near: torch.Tensor) -> torch.Tensor:
+    """Return where something narrow is before something more distant, or seen between two; 0 or 1.
 
     Takes and gives quarters of half-cells [batch, 4, rows, columns]; `near` as `cost_features` has
-    it. What is narrow is what a morphological closing of the distance takes away.
+    it. What is narrow is what a morphological closing or opening of the distance takes away.
     """
     away = functional.pixel_shuffle(blur_px * (1 - 2 * near.view(-1, 1, 1, 1)), 2)
     known = functional.pixel_shuffle(known.float(), 2) > 0
 
-    def widened(values: torch.Tensor) -> torch.Tensor:
-        return functional.max_pool2d(values, _THIN, 1, _THIN // 2)
+    def taken_away(values: torch.Tensor) -> torch.Tensor:
+        """By a closing."""
+        widened = _widened(values.masked_fill(~known, -LARGEST_PX))
+        return -_widened(-widened) - values > _APART_PX
 
-    far = widened(away.masked_fill(~known, -LARGEST_PX))
-    closed = -widened(-far)
-    return functional.pixel_unshuffle((closed - away > _BEFORE_PX).float(), 2)
+    return functional.pixel_unshuffle((taken_away(away) | taken_away(-away)).float(), 2)
+
+
+def _widened(values: torch.Tensor) -> torch.Tensor:
+    return functional.max_pool2d(values, _NARROW, 1, _NARROW // 2)
 
 
 def losses(size: torch.Tensor, choice: torch.Tensor, batch: Batch) -> dict[str, torch.Tensor]:
@@ -63,7 +67,8 @@ def losses(size: torch.Tensor, choice: torch.Tensor, batch: Batch) -> dict[str, 
     truth = torch.nan_to_num(batch.blur_px).clamp(0, LARGEST_PX - 1e-3)
     quarters = functional.pixel_unshuffle(truth[:, None], 2)  # [batch, 4, rows, columns]
     counted = functional.pixel_unshuffle(known[:, None].float(), 2)
-    counted = counted * (1 + _MORE_FOR_THIN * thin(quarters, counted > 0, batch.costs[:, -1, 0, 0]))
+    of_narrow = narrow(quarters, counted > 0, batch.costs[:, -1, 0, 0])
+    counted = counted * (1 + _MORE_FOR_NARROW * of_narrow)
     place = quarters / BLUR_STEP_PX
     below = place.floor()
     share = place - below

@@ -15,8 +15,10 @@ from coded_aperture_ros.depth.refine.features import (
 
 BINS = len(BLUR_SIZES_PX)
 # Channels: of cells of 8 px, of squares of 16 and of 32 px, and what a cell knows of the frame.
-_CELL, _HALF, _QUARTER, _FRAME = 128, 96, 112, 32
-# Channels of every blur size by itself: logits of a cell's four half-cells, and one more.
+_CELL, _HALF, _QUARTER, _FRAME = 64, 96, 112, 32
+# Of every blur size by itself: of cells, and of squares of 16 px.
+_LEVEL, _LEVEL_HALF = 16, 32
+# What comes of each: logits of a cell's four half-cells, and one more.
 PER_LEVEL = 5
 NEIGHBOURS = 9
 CHOICES = 4 * NEIGHBOURS
@@ -48,12 +50,11 @@ class Residual(nn.Module):
 
 
 class Around(nn.Module):
-    """Adds what each channel has around each place: how the costs of every level change there."""
+    """Adds what convolutions at a distance find around each place."""
 
     def __init__(self, width: int, dilation: int = 1) -> None:
         super().__init__()
-        margin = 2 * dilation
-        self.spatial = nn.Conv2d(width, width, 5, 1, margin, dilation, groups=width, bias=False)
+        self.spatial = nn.Conv2d(width, width, 3, 1, dilation, dilation, bias=False)
         self.norm = nn.BatchNorm2d(width)
         self.mix = nn.Conv2d(width, width, 1)
 
@@ -66,12 +67,12 @@ class LevelLayers(nn.Module):
 
     def __init__(self, inputs: int) -> None:
         super().__init__()
-        self.first = convolution(inputs, 12, 3)
-        self.down = convolution(12, 16, 3, 2)
-        self.wide = nn.Sequential(convolution(16, 16, 3), convolution(16, 16, 3))
-        self.up = nn.ConvTranspose2d(16, 12, 2, 2)
-        self.join = convolution(24, 12)
-        self.out = nn.Conv2d(12, PER_LEVEL, 3, 1, 1)
+        self.first = convolution(inputs, _LEVEL, 3)
+        self.down = convolution(_LEVEL, _LEVEL_HALF, 3, 2)
+        self.wide = nn.Sequential(*(convolution(_LEVEL_HALF, _LEVEL_HALF, 3) for _ in range(3)))
+        self.up = nn.ConvTranspose2d(_LEVEL_HALF, _LEVEL, 2, 2)
+        self.join = convolution(2 * _LEVEL, _LEVEL)
+        self.out = nn.Conv2d(_LEVEL, PER_LEVEL, 3, 1, 1)
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
 

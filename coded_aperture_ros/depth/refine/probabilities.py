@@ -24,7 +24,7 @@ class HalfCells:
     Attributes
     ----------
     size_px : ndarray
-        Signed blur size: the mean around the likeliest.
+        Blur size without sign: the mean around the likeliest three.
     width_px : ndarray
         Mean error of it, if it is about right.
     about : ndarray
@@ -49,8 +49,12 @@ class HalfCells:
         """Interpret logits."""
         shape, count = logits.log_width.shape, len(tried_px)
         flat = logits.size.reshape(count, -1)
-        best = flat.argmax(axis=0)
         probability = np.exp(flat - flat.max(axis=0))
+        # With its neighbours: a blur size between two bins shares its probability among them.
+        together = probability.copy()
+        together[1:] += probability[:-1]
+        together[:-1] += probability[1:]
+        best = together.argmax(axis=0)
         places = np.arange(flat.shape[1])
         total, mean = (np.zeros(flat.shape[1], np.float32) for _ in range(2))
         for step in range(-REACH, REACH + 1):
