@@ -170,7 +170,7 @@ class FramePipeline:
         old = self.estimator
         model, depth, camera = model or old.model, depth or old.config, camera or old.camera
         if model is not old.model or depth != old.config or camera != old.camera:
-            self.estimator = DepthEstimator(model, depth, camera)
+            self.estimator = DepthEstimator(model, depth, camera, like=old)
             old.close()
         deblurrer = self._deblurrer
         config = deblur or (deblurrer.config if deblurrer else None)

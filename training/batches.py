@@ -29,7 +29,7 @@ class Frame:
     blur : ndarray, int16 [height, width]
         True blur size in steps of `BLUR_STEP`; 0 if it is not known.
     corner : (int, int)
-        First row and column of the cells; negative.
+        First row and column of the cells; 0 or less.
     infinity_px : float
         Blur size of what is infinitely far.
     """
@@ -93,9 +93,11 @@ def ahead(source: Iterator[Batch], count: int = 3) -> Iterator[Batch]:
     waiting: queue.Queue[Batch | None] = queue.Queue(count)
 
     def prepare() -> None:
-        for batch in source:
-            waiting.put(batch)
-        waiting.put(None)
+        try:
+            for batch in source:
+                waiting.put(batch)
+        finally:
+            waiting.put(None)
 
     threading.Thread(target=prepare, daemon=True).start()
     while (batch := waiting.get()) is not None:

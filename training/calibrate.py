@@ -50,6 +50,8 @@ def main() -> None:
     parser.add_argument("--shards", type=int, nargs=2, default=(0, 4))
     args = parser.parse_args()
     frames = load(args.scenes, args.costs, [*range(*args.shards)])
+    if not frames:
+        raise SystemExit("no frames: --scenes, --costs and --shards name none that are there")
     each = [measured(frame) for frame in frames]
     found = {name: np.concatenate([one[name] for one in each]) for name in each[0]}
     right = found["error"] <= found["tolerance"]

@@ -126,6 +126,9 @@ def main() -> None:
     args.output.mkdir(parents=True, exist_ok=True)
     frames = load(args.scenes, args.costs, list(range(*args.shards)), args.least_told)
     held = load(args.scenes, args.costs, list(range(*args.validate)))
+    for what, some in (("learn from: --shards", frames), ("look at: --validate", held)):
+        if len(some) < _BATCH:
+            raise SystemExit(f"{len(some)} frames to {what} needs at least {_BATCH}")
     print(f"{len(frames)} frames to learn from, {len(held)} to look at", flush=True)
     network = Refinement().to(memory_format=torch.channels_last)
     average = copy.deepcopy(network)

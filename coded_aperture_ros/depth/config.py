@@ -33,14 +33,14 @@ class DepthConfig:
     )
     smoothness: float = option(
         1.0,
-        "Strength of the spatial regularisation, relative to its default.",
+        "Strength of the spatial regularisation, relative to its default; learned has none.",
         within=(0.0, 100.0),
         parameter="regularize.smoothness",
     )
     edge_correction: float = option(
         0.28,
         "How much is taken off foregrounds, which windows fatten, as a share of the window; 0: "
-        "nothing.",
+        "nothing. Learned needs none.",
         within=(0.0, 1.0),
         parameter="regularize.edge_correction",
         formerly="rim",

@@ -1,6 +1,8 @@
 """Depth from coded frames: cost -> temporal -> refine -> level and confidence -> map."""
 
 import dataclasses
+from contextlib import ExitStack
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -42,6 +44,7 @@ class DepthEstimator:
 
     The work is planned for the size of the first frame, and anew when the size changes. With
     `DepthConfig.temporal_frames` the frames are those of a video, in order; `reset` starts another.
+    Not for several threads at once.
 
     Parameters
     ----------
@@ -52,6 +55,8 @@ class DepthEstimator:
         depths, which say it themselves. Its noise stands in for that of the configuration.
     regularize : Regularizer, optional
         In place of the one that the configuration names.
+    like : DepthEstimator, optional
+        Another one: what it has learned from the same model need not be learned again.
 
     Raises
     ------
@@ -66,6 +71,7 @@ class DepthEstimator:
         camera: Camera | None = None,
         *,
         regularize: Regularizer | None = None,
+        like: "DepthEstimator | None" = None,
     ) -> None:
         self.config = config = config or DepthConfig()
         self.model, self.camera = model, camera
@@ -80,6 +86,15 @@ class DepthEstimator:
         self._average = StaticAverage(2 * frames) if frames else None
         self._temporal = TemporalFilter(frames) if frames else None
         self._planned: _Planned | None = None
+        if like is not None and like.model is model and "small_bank" in like.__dict__:
+            self.small_bank = like.small_bank
+
+    @cached_property
+    def small_bank(self) -> FilterBank:
+        """The bank of small patches, for models that `untrained` has nothing to say of."""
+        if not isinstance(self.model, FilterBank):
+            raise TypeError("only filter banks have small patches")
+        return small_bank(self.model)
 
     def reset(self) -> None:
         """Forget the frames so far: the next one begins another video."""
@@ -189,7 +204,7 @@ class DepthEstimator:
     ) -> DepthEstimate:
         """Decide the level of every pixel and draw the maps; the last step of `estimate`.
 
-        By the cost of all frames; `own`, of this frame, says where between two levels.
+        By the cost of all frames; `own`, of this frame, says the rest: see `Decide`.
         """
         stages = stages or Stages()
         levels, shape, config = self._levels, seen.grey.shape, self.config
@@ -228,24 +243,34 @@ class DepthEstimator:
             # Only now: a frame that does not suit leaves the old plan as it is.
             self.close()
             self.reset()
-            sides = None
-            if model.stack.has_both_sides:
-                sides = FocalSides(model.stack, self._levels, shape, self._regularize)
-            small: SmallPatches | None = None
-            decide: Decide
-            if self._learned and isinstance(model, FilterBank) and not untrained(model, stride_px):
-                small = SmallPatches(small_bank(model), shape, config.backend, config.threads)
-                decide = Refined(model, self._levels, small.grid, sides)
-            else:
-                decide = Regularized(
-                    self._levels,
-                    self._regularize,
-                    edge_correction(model, config.edge_correction),
-                    sides,
-                    self._neighbours_decide,
-                )
+            with ExitStack() as unless_planned:
+                unless_planned.callback(likelihood.close)
+                sides = None
+                if model.stack.has_both_sides:
+                    sides = FocalSides(model.stack, self._levels, shape, self._regularize)
+                small: SmallPatches | None = None
+                decide: Decide
+                if (bank := self._refined_bank(stride_px)) is not None:
+                    small = SmallPatches(self.small_bank, shape, config.backend, config.threads)
+                    unless_planned.callback(small.close)
+                    decide = Refined(bank, self._levels, small.grid, sides)
+                else:
+                    decide = Regularized(
+                        self._levels,
+                        self._regularize,
+                        edge_correction(model, config.edge_correction),
+                        sides,
+                        self._neighbours_decide,
+                    )
+                unless_planned.pop_all()
             self._planned = _Planned(shape, likelihood, sides, small, decide)
         return self._planned
+
+    def _refined_bank(self, stride_px: int) -> FilterBank | None:
+        """Return the model if its levels are decided by the network."""
+        if not self._learned or not isinstance(self.model, FilterBank):
+            return None
+        return None if untrained(self.model, stride_px) else self.model
 
 
 def _drawn(motion: MotionField, at: MapGrid) -> MotionField:

@@ -19,7 +19,7 @@ from coded_aperture_ros.depth.refine.features import (
     tried_sizes,
 )
 from coded_aperture_ros.depth.refine.focal import Folding
-from coded_aperture_ros.depth.refine.network import Logits, Network
+from coded_aperture_ros.depth.refine.network import NEIGHBOURS, Logits, Network
 from coded_aperture_ros.depth.refine.probabilities import HalfCells, chosen_neighbours, drawn
 from coded_aperture_ros.depth.refine.small import SMALL_PX
 from coded_aperture_ros.imaging import PatchGrid
@@ -86,6 +86,16 @@ def test_other_strides_are_interpolated(stride):
     i, j = np.nonzero(known)
     assert at_cells[0, i, j] == pytest.approx(cells.top + CELL_PX * i + 4, abs=1e-3)
     assert at_cells[1, i, j] == pytest.approx(cells.left + CELL_PX * j + 4, abs=1e-3)
+
+
+@pytest.mark.parametrize(("side", "stride"), [(38, 6), (39, 4), (36, 8), (39, 5)])
+def test_a_few_patches_fill_all_cells(side, stride):
+    cells = Cells.covering((side, 96), PatchGrid.covering((side, 96), 32, stride))
+    grid = PatchGrid.covering((side, 96), 32, CELL_PX)
+    values = np.ones((grid.rows, grid.columns, 2), np.float32)
+    at_cells, known = cells.of_patches(values, grid)
+    assert at_cells == pytest.approx(1) and at_cells.shape == (2, cells.rows, cells.columns)
+    assert known.any()
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -158,17 +168,17 @@ def test_levels_of_both_sides_are_folded():
     assert one.far.tolist() == one.near.tolist() == [3, 2, 1, 0]
 
 
-def _logits(sizes, probability, log_width=-2.0):
+def _logits(probability):
     probability = np.asarray(probability, np.float32)
     size = np.log(np.maximum(probability, 1e-9))[:, None, None]
-    return Logits(size, np.full((1, 1), log_width, np.float32), np.zeros((36, 1, 1), np.float32))
+    return Logits(size, np.full((1, 1), -2.0, np.float32), np.full((4, 1, 1), 4))
 
 
 def test_blur_size_is_the_mean_around_the_likeliest():
     sizes = np.arange(2, 12, 0.5, dtype=np.float32)
     probability = np.zeros(len(sizes))
     probability[[4, 5, 15]] = 0.3, 0.4, 0.3
-    found = HalfCells.of(_logits(sizes, probability), sizes)
+    found = HalfCells.of(_logits(probability), sizes)
     assert found.size_px == pytest.approx((0.3 * 4.0 + 0.4 * 4.5) / 0.7, abs=1e-4)
     assert found.about == pytest.approx(0.7, abs=1e-4)
     width = float(found.width_px[0, 0])
@@ -180,11 +190,11 @@ def test_blur_size_is_the_mean_around_the_likeliest():
 
 def test_deviation_holds_two_thirds_of_the_errors():
     sizes = np.arange(2, 12, 0.5, dtype=np.float32)
-    sure = HalfCells.of(_logits(sizes, np.eye(20)[6]), sizes)
+    sure = HalfCells.of(_logits(np.eye(20)[6]), sizes)
     random = np.random.default_rng(0)
     errors = random.laplace(0, float(sure.width_px[0, 0]), 20_000)
     assert np.mean(np.abs(errors) <= sure.deviation_px()) == pytest.approx(0.68, abs=0.02)
-    torn = HalfCells.of(_logits(sizes, 0.5 * np.eye(20)[2] + 0.5 * np.eye(20)[18]), sizes)
+    torn = HalfCells.of(_logits(0.5 * np.eye(20)[2] + 0.5 * np.eye(20)[18]), sizes)
     assert torn.deviation_px() > 5  # the other is 8 px away
 
 
@@ -196,11 +206,10 @@ def test_maps_are_linear_within_surfaces_and_cut_at_edges():
     assert level[4:-4, 14] == pytest.approx((rows * 0.1 + (14.5 / 4 - 0.5) * 0.05)[4:-4], abs=1e-5)
     step = np.zeros((6, 8), np.float32)
     step[:, 4:] = 9
-    choice = np.zeros((36, 6, 8), np.float32)
-    choice[4::9] = 1  # its own
+    neighbour = np.full((4, 6, 8), 4)  # its own
     for quarter in (1, 3):  # the right quarters of the last column before the step: the right one's
-        choice[9 * quarter + 5, :, 3] = 2
-    edge = drawn(step, chosen_neighbours(choice), 0.8)
+        neighbour[quarter, :, 3] = 5
+    edge = drawn(step, chosen_neighbours(neighbour), 0.8)
     assert set(np.unique(edge)) == {0, 9}
     assert (edge[:, :14] == 0).all() and (edge[:, 14:] == 9).all()
 
@@ -215,6 +224,8 @@ def test_where_it_was_not_trained_it_stands_back(bank, camera, scene):
     assert "up to 1 px apart" in untrained(coarse, 8)
     wide = learn_bank(render_psf_stack(camera.mask, np.linspace(4, 30, 53)))
     assert "blur of 30 px" in untrained(wide, 8)
+    narrow = learn_bank(render_psf_stack(camera.mask, np.linspace(3.05, 3.2, 12)))
+    assert "span 0.15 px" in untrained(narrow, 8)
     margin = np.pad(bank.stack.psfs, [(0, 0), (10, 10), (10, 10)])
     padded = dataclasses.replace(bank, stack=dataclasses.replace(bank.stack, psfs=margin))
     assert "do not fit patches of 32 px" in untrained(padded, 8)
@@ -250,6 +261,33 @@ def test_saturated_and_missing_pixels_give_no_depth(bank, camera, scene):
     found = DepthEstimator(bank, config, camera).estimate(frame)
     assert np.isnan(found.depth_m[75:95, 35:55]).all()
     assert np.isfinite(found.depth_m[:, 120:]).mean() > 0.5
+
+
+def test_unseen_is_as_near_as_can_be(bank, camera, scene):
+    """What nothing is known of must not be taken for what is around it."""
+    frame = scene[0].copy()
+    frame[20:150, 112:] = np.nan
+    config = DepthConfig(unknown="nearest", confidence_threshold=0.5)
+    found = DepthEstimator(bank, config, camera).estimate(frame)
+    assert found.depth_m[60:110, 150:] == pytest.approx(1.1, rel=0.02)
+
+
+def test_levels_beyond_infinity_have_a_confidence(camera, scene):
+    reach_px = camera.blur_at_infinity_px
+    sizes = np.linspace(reach_px - 9, reach_px + 3, 25)
+    wide = learn_bank(render_psf_stack(camera.mask, sizes), LearnConfig(window_px=48))
+    estimator = DepthEstimator(wide, DepthConfig(confidence_threshold=0.0), camera)
+    assert np.isfinite(estimator.estimate(scene[0]).confidence).all()
+
+
+def test_small_bank_is_learned_once(bank, camera, scene):
+    first = DepthEstimator(bank, DepthConfig(), camera)
+    first.estimate(scene[0])
+    other = DepthEstimator(bank, DepthConfig(confidence_threshold=0.2), camera, like=first)
+    other.estimate(scene[0])
+    assert other.small_bank is first.small_bank
+    other.estimate(scene[0][:, :150])
+    assert other.small_bank is first.small_bank
 
 
 def test_maps_of_other_sizes_show_the_same(bank, camera, scene):
@@ -312,6 +350,28 @@ def test_both_sides_of_the_focal_plane():
     assert (found.confidence <= 1).all() and np.isfinite(found.depth_m).all()
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_side_that_reaches_farther_than_the_other(sign):
+    """A size that one side alone has is on that side, or nothing is said of it."""
+    camera = Camera(600.0, 1.0, 192, 160, Mask.named("three_wide"), 30.0, side="both")
+    sizes = np.arange(-5, 3, 0.5) * -sign
+    stack = render_psf_stack(camera.mask, np.sort(sizes))
+    bank = learn_bank(stack, LearnConfig(window_px=48))
+    depth = np.full((160, 192), camera.depth_m(-4.0 * -sign), np.float32)
+    random = np.random.default_rng(3)
+    texture = random.standard_normal(depth.shape)
+    sharp = (0.3 * np.exp(0.4 * texture)).astype(np.float32)
+    frame = render_coded_frame(sharp, depth, camera, aperture_blocks=6)
+    frame += 0.001 * random.standard_normal(frame.shape, dtype=np.float32)
+    config = DepthConfig(confidence_threshold=0.0)
+    found = DepthEstimator(bank, config, camera).estimate(frame)
+    inside = np.s_[30:-30, 30:-30]
+    right = np.abs(found.blur_size_px - 4.0 * sign)[inside] < 1
+    sure = found.confidence[inside] > 0.3
+    assert (right | ~sure).mean() > 0.95
+    assert right.mean() > 0.8
+
+
 def _range_of(depth_m):
     return float(np.nanmin(depth_m)), float(np.nanmax(depth_m))
 
@@ -330,7 +390,8 @@ def test_network_runs_frames_of_any_size():
         costs = cost_features(looks, grey, 0.01, cells, np.linspace(2, 8, 9), 0.0)
         logits = network(costs, frame_features(grey, 0.01, cells))
         assert logits.size.shape == (tried.sum(), 2 * cells.rows, 2 * cells.columns)
-        assert logits.choice.shape == (36, 2 * cells.rows, 2 * cells.columns)
+        assert logits.neighbour.shape == (4, 2 * cells.rows, 2 * cells.columns)
+        assert set(np.unique(logits.neighbour)) <= set(range(NEIGHBOURS))
         assert np.isfinite(logits.size).all()
 
 

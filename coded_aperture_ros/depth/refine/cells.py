@@ -22,7 +22,7 @@ class Cells:
     Attributes
     ----------
     top, left : int
-        First pixel row and column of the first cell; negative, as the cells cover a little more.
+        First pixel row and column of the first cell; 0 or less, as the cells cover the frame.
     rows, columns : int
         Number of cells, a multiple of ``2**HALVINGS``.
     frame_shape : (int, int)
@@ -70,11 +70,11 @@ class Cells:
             values = np.tensordot(down, np.tensordot(values, across, (1, 1)), (1, 0))
             values = values.swapaxes(1, 2)
         # Beyond the outermost patches their values go on.
-        before_after = [
-            (rows.start, self.rows - rows.stop),
-            (columns.start, self.columns - columns.stop),
-        ]
-        at_cells = np.pad(np.moveaxis(values, -1, 0), [(0, 0), *before_after], mode="edge")
+        row_of, column_of = (
+            np.clip(np.arange(count) - inside.start, 0, inside.stop - inside.start - 1)
+            for count, inside in ((self.rows, rows), (self.columns, columns))
+        )
+        at_cells = np.moveaxis(values, -1, 0)[:, row_of[:, None], column_of]
         known = np.zeros((self.rows, self.columns), np.float32)
         known[rows.start : rows.stop, columns.start : columns.stop] = 1
         return at_cells, known
@@ -100,7 +100,9 @@ class _Inside(NamedTuple):
 def _inside(centres: IndexArray, first: int) -> _Inside:
     before, after = (int(centre) - CELL_PX // 2 - first for centre in centres[[0, -1]])
     start = -(-before // CELL_PX)
-    return _Inside(start, after // CELL_PX + 1, start * CELL_PX - before)
+    # A few patches close together may have no cell's middle among them: then the next one.
+    stop = max(after // CELL_PX, start) + 1
+    return _Inside(start, stop, start * CELL_PX - before)
 
 
 def _axis(centre: int, length: int) -> tuple[int, int]:

@@ -3,16 +3,20 @@
 import dataclasses
 from functools import lru_cache
 from importlib.resources import as_file, files
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from coded_aperture_ros.core.archive import read_archive
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, COST_CHANNELS, KINDS
 
 WEIGHTS = "refinement.npz"
+# Neighbours around a half-cell, with itself, that a quarter of it may belong to.
+NEIGHBOURS = 9
 SCHEMA, SCHEMA_VERSION = "coded-aperture refinement network", 2
 
 
@@ -26,13 +30,14 @@ class Logits:
         Logits of the blur sizes that were tried.
     log_width : ndarray [rows, columns]
         Logarithm of the mean error in px, if the likeliest blur size is about right.
-    choice : ndarray [4 * 9, rows, columns]
-        For each quarter of a half-cell, logits of the half-cells around whose blur size it has.
+    neighbour : ndarray of int [4, rows, columns]
+        For each quarter of a half-cell, which of the nine half-cells around has its blur size; row
+        by row, 4 is itself.
     """
 
     size: FloatArray
     log_width: FloatArray
-    choice: FloatArray
+    neighbour: IndexArray
 
 
 class Network:
@@ -40,10 +45,12 @@ class Network:
 
     OpenCV runs all but the last layer, of which only the rows are computed that are needed.
 
+    Not for several threads at once.
+
     Parameters
     ----------
     tried : ndarray, bool [blur sizes]
-        Which of `BLUR_SIZES_PX` there are costs of.
+        Which of `BLUR_SIZES_PX` there are costs of; neighbours of each other.
 
     Raises
     ------
@@ -68,40 +75,43 @@ class Network:
             np.concatenate([arrays[f"size_{name}"][rows], arrays[f"choice_{name}"]])
             for name in ("weights", "bias")
         )
-        self._tried = np.flatnonzero(tried)
+        first, last = np.flatnonzero(tried)[[0, -1]]
+        self._tried = slice(int(first), int(last) + 1)
         self._trust = arrays["trust"]
 
     def __call__(self, costs: FloatArray, frame: FloatArray) -> Logits:
         """Return the logits of half-cells, from `cost_features` and `frame_features`."""
-        tried, count = self._tried, len(self._tried)
+        tried = self._tried
         self._of_level.setInput(self._levels(costs), "levels")
         # Logits of the four half-cells of every cell, and one more channel for the other network.
         of_level = self._of_level.forward("found")
-        levels = np.zeros((1, len(BLUR_SIZES_PX), *costs.shape[1:]), np.float32)
+        count, shape = len(of_level), costs.shape[1:]
+        levels = np.zeros((1, len(BLUR_SIZES_PX), *shape), np.float32)
         levels[0, tried] = of_level[:, 4]
         for values, name in ((costs[None], "costs"), (frame[None], "frame"), (levels, "levels")):
             self._of_cells.setInput(values, name)
         cells = self._of_cells.forward("cells")[0]
         found = self._weights @ cells.reshape(len(cells), -1)
         found += self._bias[:, None]
-        found = found.reshape(-1, *cells.shape[1:])
-        found[: 4 * count] += of_level[:, :4].reshape(4 * count, *cells.shape[1:])
-        found = _at_half_cells(found)
+        found = found.reshape(-1, *shape)
+        found[: 4 * count] += of_level[:, :4].reshape(4 * count, *shape)
+        choice = found[4 * (count + 1) :].reshape(4, NEIGHBOURS, 4, *shape).argmax(axis=1)
+        found = _at_half_cells(found[: 4 * (count + 1)])
         size = found[:count]
         # What the costs say by themselves, to which the network adds.
-        shape = size.shape[2], size.shape[1]
-        of_kinds = costs[:COST_CHANNELS].reshape(len(self._trust), -1, *costs.shape[1:])
+        of_kinds = costs[:COST_CHANNELS].reshape(len(self._trust), -1, *shape)
         own = np.tensordot(self._trust, of_kinds[:, tried], 1)
         for of_size, cost in zip(size, own, strict=True):
-            of_size -= cv2.resize(cost, shape, interpolation=cv2.INTER_LINEAR)
-        return Logits(size, found[count], found[count + 1 :])
+            of_size -= cv2.resize(cost, of_size.shape[::-1], interpolation=cv2.INTER_LINEAR)
+        return Logits(size, found[count], _at_half_cells(choice.reshape(-1, *shape)))
 
     def _levels(self, costs: FloatArray) -> FloatArray:
         """Return what each blur size is looked at by [tried, channels, rows, columns]."""
         tried, last = self._tried, len(BLUR_SIZES_PX) - 1
         volume = costs[:COST_CHANNELS].reshape(-1, last + 1, *costs.shape[1:])
         beside = volume[::KINDS]  # of neighbouring sizes, the logarithms
-        lower, upper = (beside[:, np.clip(tried + step, 0, last)] for step in (-1, 1))
+        index = np.arange(tried.start, tried.stop)
+        lower, upper = (beside[:, np.clip(index + step, 0, last)] for step in (-1, 1))
         size = (BLUR_SIZES_PX[None, tried, None, None] / 10).astype(np.float32)
         parts: list[FloatArray] = [
             volume[:, tried],
@@ -111,7 +121,7 @@ class Network:
             size,
         ]
         levels = np.empty(
-            (len(tried), sum(len(part) for part in parts), *costs.shape[1:]), np.float32
+            (len(index), sum(len(part) for part in parts), *costs.shape[1:]), np.float32
         )
         start = 0
         for part in parts:
@@ -120,11 +130,13 @@ class Network:
         return levels
 
 
-def _at_half_cells(of_cells: FloatArray) -> FloatArray:
+def _at_half_cells(of_cells: NDArray[Any]) -> NDArray[Any]:
     """Put groups of four channels side by side: [4 n, rows, columns] to [n, 2 rows, 2 columns]."""
     count, rows, columns = of_cells.shape
-    quarters = of_cells.reshape(count // 4, 2, 2, rows, columns).transpose(0, 3, 1, 4, 2)
-    return np.ascontiguousarray(quarters).reshape(count // 4, 2 * rows, 2 * columns)
+    whole = np.empty((count // 4, 2 * rows, 2 * columns), of_cells.dtype)
+    for quarter in range(4):
+        whole[:, quarter // 2 :: 2, quarter % 2 :: 2] = of_cells[quarter::4]
+    return whole
 
 
 @lru_cache(maxsize=1)

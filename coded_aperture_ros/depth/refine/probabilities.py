@@ -10,8 +10,6 @@ from coded_aperture_ros.depth.refine.network import Logits
 
 # The blur size is the mean over so many bins on either side of the likeliest.
 REACH = 2
-# Neighbours around a half-cell that a quarter of it may belong to.
-_NEIGHBOURS = 9
 # Share of errors within one standard deviation, and the surest that this is taken from.
 _WITHIN_ONE, _SUREST = 0.68, 0.98
 _LOG_WIDTHS = (-4.0, 2.0)
@@ -98,15 +96,14 @@ class HalfCells:
         return self.tried_px[np.minimum(rank, len(self.tried_px) - 1)]
 
 
-def chosen_neighbours(choice: FloatArray) -> IndexArray:
+def chosen_neighbours(neighbour: IndexArray) -> IndexArray:
     """Return for each quarter of each half-cell whose blur size it has [2 rows, 2 columns].
 
-    From the logits [4 * 9, rows, columns], as flat indices into [rows, columns].
+    From `Logits.neighbour` [4, rows, columns], as flat indices into [rows, columns].
     """
-    _, rows, columns = choice.shape
-    best = choice.reshape(4, _NEIGHBOURS, rows, columns).argmax(axis=1)
-    down = np.clip(np.arange(rows)[:, None] + best // 3 - 1, 0, rows - 1)
-    right = np.clip(np.arange(columns) + best % 3 - 1, 0, columns - 1)
+    _, rows, columns = neighbour.shape
+    down = np.clip(np.arange(rows)[:, None] + neighbour // 3 - 1, 0, rows - 1)
+    right = np.clip(np.arange(columns) + neighbour % 3 - 1, 0, columns - 1)
     flat = (down * columns + right).reshape(2, 2, rows, columns)
     return np.ascontiguousarray(flat.transpose(2, 0, 3, 1)).reshape(2 * rows, 2 * columns)
 

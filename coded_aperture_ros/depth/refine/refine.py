@@ -13,6 +13,7 @@ from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.refine.cells import CELL_PX, Cells
 from coded_aperture_ros.depth.refine.features import (
     BLUR_SIZES_PX,
+    BLUR_STEP_PX,
     LARGEST_PX,
     Look,
     cost_features,
@@ -30,10 +31,11 @@ from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.likelihood import Cost, LikelihoodModel
 
-# What the network was trained for.
+# What the network may be used for: about what it was trained for.
 _WINDOWS_PX = (32, 72)
 _STRIDES_PX = (4, 12)
 _LARGEST_STEP_PX = 0.8
+_LEAST_SPAN_PX = 3.0
 # Neighbouring half-cells whose blur sizes differ by at most this are one surface.
 _ONE_SURFACE_PX = 0.8
 _PLAUSIBLE = 0.05
@@ -58,6 +60,9 @@ def untrained(model: LikelihoodModel, stride_px: int) -> str:
     step = float(np.abs(np.diff(stack.blur_sizes_px)).max())
     if step > _LARGEST_STEP_PX:
         return f"its levels are up to {step:.3g} px apart, more than {_LARGEST_STEP_PX:g} px"
+    span = float(np.ptp(np.abs(stack.blur_sizes_px)))
+    if span < _LEAST_SPAN_PX:
+        return f"its blur sizes span {span:.3g} px, less than {_LEAST_SPAN_PX:g} px"
     if stack.psfs.shape[-1] > SMALL_PX:
         return f"its PSFs of {stack.psfs.shape[-1]} px do not fit patches of {SMALL_PX} px"
     for name, value, (low, high) in (
@@ -108,6 +113,7 @@ class Refined:
         self._network = Network(tried)
         self._tolerance = _tolerance_px(levels)
         self._near = 0.5 if sides is not None else float(sizes.mean() < 0)
+        self._ends_px = float(sizes.min()), float(sizes.max())
         self._per_px = np.float32((len(sizes) - 1) / np.ptp(sizes))
 
     def __call__(
@@ -135,16 +141,19 @@ class Refined:
         logits = self._network(costs, frame_features(grey, noise, cells))
         found = HalfCells.of(logits, self._tried_px)
         far = self._far(found.size_px, volume, cells)
-        level = self._level(np.where(far >= 0.5, found.size_px, -found.size_px))
+        signed_px = np.where(far >= 0.5, found.size_px, -found.size_px)
+        level = self._level(signed_px)
         tolerance_px = self._tolerance[np.rint(level).astype(np.intp)]
         right = _calibrated(found.right_within(tolerance_px))
+        # One side may reach farther than the other.
+        right[np.abs(signed_px - np.clip(signed_px, *self._ends_px)) > BLUR_STEP_PX] = 0
         of_side = None
         if self._sides is not None:
             of_side = np.maximum(far, 1 - far)
             # Where both sides' depths are about the same, either is right.
             right *= np.where(self._sides.agree(level), 1, of_side)
         deviation = found.deviation_px() * (self._per_px * np.float32(_DEVIATION))
-        quarters = chosen_neighbours(logits.choice)
+        quarters = chosen_neighbours(logits.neighbour)
         stages.lap("refine")
 
         def map_of(values: FloatArray, one_surface: float) -> FloatArray:
@@ -152,7 +161,7 @@ class Refined:
             rows, columns = grey.shape
             whole = whole[:rows, :columns]
             if whole.shape != size:
-                whole = cv2.resize(whole, size[::-1], interpolation=cv2.INTER_NEAREST)
+                whole = cv2.resize(whole, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
             return np.ascontiguousarray(whole)
 
         one_surface = _ONE_SURFACE_PX * float(self._per_px)
@@ -160,17 +169,21 @@ class Refined:
         blank = volume.max() <= _ALIKE  # nothing to go by anywhere
         if blank:
             confidence[:] = 0
+        at = MapGrid.of(seen.grid, grey.shape, size)
         if not seen.usable.all():
-            at = MapGrid.of(seen.grid, grey.shape, size)
             confidence[at.nearest(~seen.usable)] = 0
 
         def nearest_plausible() -> FloatArray:
+            nearest = np.float32(self._levels.nearest_first[0])
             if blank:
-                return np.full(size, self._levels.nearest_first[0], np.float32)
+                return np.full(size, nearest)
             # Before the focal plane the nearer surface is the more blurred one.
             before = -found.quantile_px(1 - _PLAUSIBLE)
             beyond = found.quantile_px(_PLAUSIBLE)
-            return map_of(self._level(np.where(far > 1 - _PLAUSIBLE, beyond, before)), one_surface)
+            level = self._level(np.where(far > 1 - _PLAUSIBLE, beyond, before))
+            # Where nothing was seen anything may be, whatever is around.
+            blind = ~seen.usable & (volume.max(axis=-1) <= _ALIKE)
+            return np.where(at.nearest(blind), nearest, map_of(level, one_surface))
 
         return Decision(
             map_of(level, one_surface),
@@ -191,9 +204,8 @@ class Refined:
         )
         # A centre is where four half-cells meet.
         means = cv2.blur(size_px, (2, 2), anchor=(1, 1), borderType=cv2.BORDER_REPLICATE)
-        sizes_px = self._folding.sizes_px
-        beyond = np.interp(means[np.ix_(rows, columns)], sizes_px, self._folding.far)
-        probability = self._sides.confidence(beyond.astype(np.float32), volume, grid)
+        beyond = self._level(means[np.ix_(rows, columns)])
+        probability = self._sides.confidence(beyond, volume, grid)
         nearest = (
             np.abs(half_px * np.arange(length)[:, None] + first + half_px // 2 - centres).argmin(1)
             for length, first, centres in (
@@ -212,11 +224,15 @@ class Refined:
 def _tolerance_px(levels: Levels) -> FloatArray:
     """Return by how much the blur size of each level may be wrong for 5 % of its depth [L]."""
     sizes = levels.blur_sizes_px
+    step_px = abs(np.mean(np.diff(sizes)))
     if levels.depths_m is None:
-        return np.full(len(sizes), abs(np.mean(np.diff(sizes))), np.float32)
+        return np.full(len(sizes), step_px, np.float32)
     inverse = 1 / levels.depths_m
     per_px = np.abs(np.gradient(inverse, sizes))
-    return np.asarray(0.05 * np.abs(inverse) / per_px, np.float32)
+    # Levels of infinite depth are alike; some have no depth at all.
+    tolerance = np.full(len(sizes), step_px)
+    finite = np.isfinite(levels.depths_m) & (per_px > 0)
+    return np.divide(0.05 * inverse, per_px, out=tolerance, where=finite).astype(np.float32)
 
 
 def _calibrated(probability: FloatArray) -> FloatArray:
