@@ -38,6 +38,8 @@ _BANKS = ((48, 0.5), (48, 0.44), (48, 0.58), (40, 0.5), (64, 0.5), (32, 0.5))
 _BANK_SHARES = (0.32, 0.22, 0.22, 0.08, 0.1, 0.06)
 _BOTH_SIDES = ((48, 0.6), (48, 0.72))
 _BOTH_LARGEST_PX = 16.5
+# The share of frames from which weak texture is smoothed away, and up to what contrast.
+_SMOOTHED_SHARE, _SMOOTHED = 0.25, (0.003, 0.03)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,6 +50,7 @@ class Seen:
     noise: float
     gain: float
     blur_px: float
+    smoothed: float
     scale: float
     eight_bits: bool
     known: bool
@@ -68,11 +71,20 @@ def seen(number: int, side: str) -> Seen:
         noise=noise,
         gain=float(random.uniform(0, 4e-5)) if random.random() < 0.2 else 0.0,
         blur_px=float(random.uniform(0.15, 0.5)) if random.random() < 0.3 else 0.0,
+        smoothed=_smoothed(number),
         scale=float(random.normal(1, 0.006)),
         eight_bits=bool(random.random() < 0.1),
         known=bool(random.random() < 0.25),
         added_up=float(random.uniform(1.2, 3.0)) if random.random() < 0.15 else 0.0,
     )
+
+
+def _smoothed(number: int) -> float:
+    """Return what frame `number` is smoothed by: cameras take weak texture for noise."""
+    random = np.random.default_rng([11, number])
+    if random.random() > _SMOOTHED_SHARE:
+        return 0.0
+    return float(np.exp(random.uniform(*np.log(_SMOOTHED))))
 
 
 @lru_cache(maxsize=256)
@@ -101,6 +113,8 @@ def recorded(light: np.ndarray, how: Seen, number: int) -> np.ndarray:
     random = np.random.default_rng([9, number])
     if how.blur_px:
         light = cv2.GaussianBlur(light, (0, 0), how.blur_px)
+    if how.smoothed:
+        light = cv2.bilateralFilter(light, 7, how.smoothed, 1.5)
     noise = np.sqrt(how.noise**2 + how.gain * light)
     frame = light + noise * random.standard_normal(light.shape, dtype=np.float32)
     if how.eight_bits:

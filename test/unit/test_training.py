@@ -1,5 +1,6 @@
 """What the training scripts write, here and by the workers of a Dask scheduler."""
 
+import dataclasses
 import importlib
 import sys
 
@@ -28,6 +29,22 @@ def few_frames(training, monkeypatch):
 def run(monkeypatch, module, *options):
     monkeypatch.setattr(sys, "argv", [module.__name__, *map(str, options)])
     module.main()
+
+
+def test_some_frames_lose_weak_texture_and_keep_edges(training):
+    costs = training["costs"]
+    how = [costs.seen(number, "far") for number in range(200)]
+    assert 0.15 < np.mean([each.smoothed > 0 for each in how]) < 0.35
+    clean = dataclasses.replace(how[0], noise=0.0, gain=0.0, blur_px=0.0, eight_bits=False)
+    step = np.repeat(np.float32([0.2, 0.6]), 32) * np.ones((64, 1), np.float32)
+    light = step + np.random.default_rng(0).normal(0, 0.002, step.shape).astype(np.float32)
+    plain, smooth = (
+        costs.recorded(light, dataclasses.replace(clean, smoothed=contrast), 0)
+        for contrast in (0.0, 0.02)
+    )
+    assert np.array_equal(plain, light)
+    assert (smooth - step).std() < 0.5 * (light - step).std()
+    assert np.abs(smooth - light).max() < 0.02
 
 
 def test_frames_and_their_costs_are_written_once(
