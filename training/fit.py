@@ -23,10 +23,10 @@ _RATE = 2e-3
 _AVERAGE = 0.998
 _UNTRIED = -1e4
 _RIGHT_PX = 1.5
-# Narrow things, and narrow gaps between nearer ones, count more if blur sizes differ at least so
-# much there: a network that is right for most pixels would leave them out, and they are what a
-# robot runs into, or through. The side of what they fit into, in squares of 2 px.
-_MORE_FOR_NARROW, _APART_PX, _NARROW = 3.0, 1.0, 13
+# Narrow things before something at least so much more or less blurred count more: a network that
+# is right for most pixels would leave them out, and they are what a robot runs into. The side of
+# what they fit into, in squares of 2 px.
+_MORE_FOR_NARROW, _APART_PX, _NARROW = 4.0, 1.0, 13
 
 
 def blur_sizes(logits: torch.Tensor) -> torch.Tensor:
@@ -39,20 +39,15 @@ def blur_sizes(logits: torch.Tensor) -> torch.Tensor:
 
 
 def narrow(blur_px: torch.Tensor, known: torch.Tensor, near: torch.Tensor) -> torch.Tensor:
-    """Return where something narrow is before something more distant, or seen between two; 0 or 1.
+    """Return where something narrow is before something more distant, 0 or 1.
 
     Takes and gives quarters of half-cells [batch, 4, rows, columns]; `near` as `cost_features` has
-    it. What is narrow is what a morphological closing or opening of the distance takes away.
+    it. What is narrow is what a morphological closing of the distance takes away.
     """
     away = functional.pixel_shuffle(blur_px * (1 - 2 * near.view(-1, 1, 1, 1)), 2)
     known = functional.pixel_shuffle(known.float(), 2) > 0
-
-    def taken_away(values: torch.Tensor) -> torch.Tensor:
-        """By a closing."""
-        widened = _widened(values.masked_fill(~known, -LARGEST_PX))
-        return -_widened(-widened) - values > _APART_PX
-
-    return functional.pixel_unshuffle((taken_away(away) | taken_away(-away)).float(), 2)
+    closed = -_widened(-_widened(away.masked_fill(~known, -LARGEST_PX)))
+    return functional.pixel_unshuffle((closed - away > _APART_PX).float(), 2)
 
 
 def _widened(values: torch.Tensor) -> torch.Tensor:

@@ -42,8 +42,8 @@ _PLAUSIBLE = 0.05
 # Costs that differ by less are those of a frame without any texture.
 _ALIKE = 1e-3
 # Logistic calibration of how likely a depth is right, fitted on random scenes kept apart.
-_CALIBRATION = (0.35, 1.13)
-_DEVIATION = 0.73
+_CALIBRATION = (0.1, 0.93)
+_DEVIATION = 0.95
 _SURE = 1e-3
 
 
