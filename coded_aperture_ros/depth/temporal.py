@@ -88,8 +88,8 @@ def bounded(volume: FloatArray) -> FloatArray:
 
 
 def _window(grid: PatchGrid) -> NDArray[np.uint8]:
-    """Return which patches have their centre in the window of the one in the middle."""
-    side = 2 * round(grid.window_px / (2 * grid.stride_px)) + 1
+    """Return which patches a cost is of: its window, and the patch beside it that it came from."""
+    side = 2 * round(grid.window_px / (2 * grid.stride_px)) + 3
     return np.ones((side, side), np.uint8)
 
 

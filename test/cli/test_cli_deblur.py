@@ -136,7 +136,7 @@ def test_noise_is_that_of_the_option_the_camera_the_bank_or_the_frame(
 ):
     """In this order, whatever the depth comes from; shot noise of the camera's file counts too."""
     noisy_bank = tmp_path / "bank.npz"
-    save_bank(dataclasses.replace(load_bank(scene.bank), noise=0.2), noisy_bank)
+    save_bank(dataclasses.replace(load_bank(scene.bank), noise=0.1), noisy_bank)
     noisy_camera = camera_file(tmp_path, "noisy.yaml", noise=0.05)
     shot_camera = camera_file(tmp_path, "shot.yaml", noise=0.001, noise_gain=0.005)
     frames = {}

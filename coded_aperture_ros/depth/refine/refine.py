@@ -39,6 +39,8 @@ _LEAST_SPAN_PX = 3.0
 # Neighbouring half-cells whose blur sizes differ by at most this are one surface.
 _ONE_SURFACE_PX = 0.8
 _PLAUSIBLE = 0.05
+# The network knows costs of up to three frames: the sum of all past ones counts by this share.
+_OF_THE_PAST = 0.5
 # Costs that differ by less are those of a frame without any texture.
 _ALIKE = 1e-3
 # Logistic calibration of how likely a depth is right, fitted on random scenes kept apart.
@@ -128,8 +130,9 @@ class Refined:
         if own.small is None:
             raise ValueError("the cost of the small patches is missing")
         noise, grey = seen.noise.typical, seen.grey
-        if volume is not own.volume:  # of a video, to which a frame adds no more than so much
-            volume = volume + (own.volume - bounded(own.volume))
+        if volume is not own.volume:  # of a video
+            past = volume - bounded(own.volume)
+            volume = own.volume + np.float32(_OF_THE_PAST) * past
             volume -= volume.min(axis=-1, keepdims=True)
         cells = Cells.covering(grey.shape, seen.grid)
         looks = (
