@@ -18,7 +18,9 @@ from coded_aperture_ros.core.arrays import FloatArray
 
 # Side of a texture; one is made once and cut from many times.
 TEXTURE_PX = 768
-TEXTURE_COUNT = 320
+TEXTURE_COUNT = 440
+# The first so many have texture all over; of the others parts are nearly plain.
+_TEXTURED = 320
 _PICTURES = {
     "skimage": (
         "data",
@@ -45,6 +47,10 @@ def texture(number: int) -> FloatArray:
         Mean 0, standard deviation 1, cut off at 4.
     """
     random = np.random.default_rng([7, number])
+    if number >= _TEXTURED:
+        kinds = list(_PLAIN_KINDS)
+        values = _PLAIN_KINDS[kinds[number % len(kinds)]](random)
+        return np.clip(_standard(values), -4, 4).astype(np.float16)
     kinds = list(_KINDS)
     values = _KINDS[kinds[number % len(kinds)]](random)
     if random.random() < 0.25:  # two textures at once, one of them faint
@@ -231,4 +237,80 @@ _KINDS: dict[str, Callable[[np.random.Generator], FloatArray]] = {
     "cells": _cells,
     "strokes": _strokes,
     "grain": _grain,
+}
+
+
+def _checks(random: np.random.Generator) -> FloatArray:
+    """Draw a board of two tones, turned and in perspective, with or without a border."""
+    cells = int(random.integers(4, 14))
+    board = np.indices((cells, cells)).sum(axis=0) % 2
+    board = np.kron(board, np.ones((64, 64))).astype(np.float32)
+    if random.random() < 0.5:
+        board = cv2.copyMakeBorder(board, *[64] * 4, cv2.BORDER_CONSTANT, value=random.random())
+    corners = np.array([[0, 0], [0, 1], [1, 1], [1, 0]], np.float32)
+    size = random.uniform(0.5, 1.6) * TEXTURE_PX
+    turned = cv2.getRotationMatrix2D((0.5, 0.5), random.uniform(0, 360), 1)
+    placed = np.column_stack([corners, np.ones(4)]) @ turned.T - 0.5
+    placed = (placed + random.uniform(-0.2, 0.2, (4, 2))) * size + TEXTURE_PX / 2
+    change = cv2.getPerspectiveTransform(
+        corners * (len(board) - 1), np.ascontiguousarray(placed, np.float32)
+    )
+    canvas = cv2.warpPerspective(
+        board,
+        change,
+        (TEXTURE_PX,) * 2,
+        flags=cv2.INTER_AREA,
+        borderMode=cv2.BORDER_CONSTANT if random.random() < 0.3 else cv2.BORDER_REFLECT,
+        borderValue=random.random(),
+    )
+    return _nearly_plain(canvas, random)
+
+
+def _panels(random: np.random.Generator) -> FloatArray:
+    """Rectangles of one tone each that cover each other: doors, drawers, posters, windows."""
+    canvas = np.full((TEXTURE_PX, TEXTURE_PX), random.random(), np.float32)
+    for _ in range(random.integers(3, 30)):
+        top, left = random.integers(-100, TEXTURE_PX, 2)
+        rows, columns = np.exp(random.uniform(np.log(20), np.log(500), 2)).astype(int)
+        area = slice(max(top, 0), top + rows), slice(max(left, 0), left + columns)
+        canvas[area] = random.random()
+    return _nearly_plain(canvas, random)
+
+
+def _signs(random: np.random.Generator) -> FloatArray:
+    """Large letters and bold outlines on plain ground."""
+    page = np.zeros((TEXTURE_PX, TEXTURE_PX), np.uint8)
+    for _ in range(random.integers(2, 14)):
+        at = random.integers(0, TEXTURE_PX, 2).tolist()
+        thick = int(random.integers(3, 40))
+        tone = int(random.integers(80, 256))
+        if random.random() < 0.5:
+            scale = float(random.uniform(2, 9))
+            letter = chr(int(random.integers(ord("A"), ord("Z") + 1)))
+            cv2.putText(page, letter, at, 0, scale, tone, thick, cv2.LINE_8)
+        elif random.random() < 0.5:
+            filled = random.random() < 0.4
+            cv2.circle(page, at, int(random.integers(20, 200)), tone, -1 if filled else thick)
+        else:
+            end = random.integers(0, TEXTURE_PX, 2).tolist()
+            cv2.line(page, at, end, tone, thick)
+    return _nearly_plain(page / np.float32(255), random)
+
+
+def _nearly_plain(canvas: FloatArray, random: np.random.Generator) -> FloatArray:
+    """Give a picture of plain parts next to no texture of their own, in places none."""
+    if random.random() < 0.5:
+        canvas = 1 - canvas
+    canvas = cv2.GaussianBlur(canvas, (0, 0), float(random.uniform(0.5, 1.5)))
+    rough = float(np.exp(random.uniform(np.log(0.005), np.log(0.15))))
+    uneven = np.clip(_standard(_power_law(random, 3.0)) + random.uniform(-1, 1), 0, 2)
+    own = _standard(_power_law(random, random.uniform(0.5, 2.5)))
+    return np.asarray(_standard(canvas) + rough * uneven * own, np.float32)
+
+
+_PLAIN_KINDS: dict[str, Callable[[np.random.Generator], FloatArray]] = {
+    "checks": _checks,
+    "panels": _panels,
+    "signs": _signs,
+    "more checks": _checks,
 }
