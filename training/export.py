@@ -64,9 +64,12 @@ def main() -> None:
     costs = torch.zeros(1, COST_CHANNELS + SCALARS, _ROWS, _COLUMNS)
     frame = torch.zeros(1, FRAME_CELL_PX**2, 2 * _ROWS, 2 * _COLUMNS)
     levels = torch.zeros(1, BINS, _ROWS, _COLUMNS)
-    of_level = torch.zeros(_LEVELS, network.every_level.inputs, _ROWS, _COLUMNS)
+    first = network.every_level.layers.first
+    of_level = torch.zeros(_LEVELS, first.out_channels, _ROWS // 2, _COLUMNS // 2)
     arrays: dict[str, Any] = {
-        "levels_onnx": written(network.every_level.layers, (of_level,), ["levels"], "found"),
+        "levels_onnx": written(_AfterFirst(network), (of_level,), ["levels"], "found"),
+        "first_weights": first.weight.detach().numpy()[:, :, 0, 0],
+        "first_bias": first.bias.detach().numpy(),
         "cells_onnx": written(
             _Trunk(network), (costs, frame, levels), ["costs", "frame", "levels"], "cells"
         ),
@@ -79,6 +82,18 @@ def main() -> None:
     packed = args.output.read_bytes()
     count = sum(parameter.numel() for parameter in network.parameters())
     print(f"{count} weights, {len(packed)} bytes, sha256 {hashlib.sha256(packed).hexdigest()}")
+
+
+class _AfterFirst(torch.nn.Module):
+    """What is done to every blur size, but for the first layer."""
+
+    def __init__(self, network: Refinement) -> None:
+        super().__init__()
+        self.layers = network.every_level.layers
+
+    def forward(self, first: torch.Tensor) -> torch.Tensor:
+        found: torch.Tensor = self.layers.after_first(first)
+        return found
 
 
 class _Trunk(torch.nn.Module):

@@ -1,6 +1,7 @@
 """Fit the refinement network; goes on where it was stopped.
 
-python training/fit.py --scenes DIR --costs DIR --output DIR --minutes 60
+python training/fit.py --scenes DIR --costs DIR --output DIR --minutes 60 --large
+python training/fit.py --scenes DIR --costs DIR --output DIR2 --minutes 60 --teacher DIR/state.pt
 """
 
 import argparse
@@ -13,6 +14,7 @@ from pathlib import Path
 import torch
 from batches import Batch, ahead, batches, load
 from network import BINS, NEIGHBOURS, Refinement
+from teacher import teacher as large_network
 from torch.nn import functional
 
 from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, BLUR_STEP_PX, LARGEST_PX
@@ -22,6 +24,8 @@ _BATCH = 8
 _RATE = 2e-3
 _AVERAGE = 0.998
 _UNTRIED = -1e4
+# What the truth counts beside the teacher, who says as well what else it might be.
+_OF_TRUTH = 0.5
 _RIGHT_PX = 1.5
 # Narrow things before something at least so much more or less blurred count more: a network that
 # is right for most pixels would leave them out, and they are what a robot runs into. The side of
@@ -102,6 +106,24 @@ def total(parts: dict[str, torch.Tensor]) -> torch.Tensor:
     return parts["entropy"] + 0.2 * parts["spread"] + 0.3 * parts["choice"]
 
 
+def taught(
+    size: torch.Tensor, choice: torch.Tensor, told: tuple[torch.Tensor, torch.Tensor], batch: Batch
+) -> torch.Tensor:
+    """Return the divergence from the probabilities that a teacher gives."""
+    untried = ~batch.tried[:, :, None, None]
+    log_p, log_q = (
+        functional.log_softmax(values[:, :BINS].masked_fill(untried, _UNTRIED), 1)
+        for values in (size, told[0])
+    )
+    of_size = (log_q.exp() * (log_q - log_p)).sum(1).mean()
+    log_p, log_q = (
+        functional.log_softmax(values.unflatten(1, (4, NEIGHBOURS)), 2)
+        for values in (choice, told[1])
+    )
+    of_choice = (log_q.exp() * (log_q - log_p)).sum(2).mean()
+    return of_size + 0.3 * of_choice
+
+
 def main() -> None:
     """Fit, and keep what was reached every few minutes."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -112,6 +134,8 @@ def main() -> None:
     parser.add_argument("--shards", type=int, nargs=2, default=(4, 400))
     parser.add_argument("--validate", type=int, nargs=2, default=(0, 4))
     parser.add_argument("--start", type=Path, help="weights to start from")
+    parser.add_argument("--large", action="store_true", help="fit the teacher")
+    parser.add_argument("--teacher", type=Path, help="state of a large network to learn from")
     parser.add_argument("--rate", type=float, default=_RATE)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--least-told", type=float, default=0.0)
@@ -125,7 +149,12 @@ def main() -> None:
         if len(some) < _BATCH:
             raise SystemExit(f"{len(some)} frames to {what} needs at least {_BATCH}")
     print(f"{len(frames)} frames to learn from, {len(held)} to look at", flush=True)
-    network = Refinement().to(memory_format=torch.channels_last)
+    network = large_network() if args.large else Refinement()
+    network = network.to(memory_format=torch.channels_last)
+    teacher = None
+    if args.teacher:
+        teacher = large_network().to(memory_format=torch.channels_last).eval()
+        teacher.load_state_dict(torch.load(args.teacher)["average"])
     average = copy.deepcopy(network)
     optimizer = torch.optim.AdamW(network.parameters(), lr=args.rate, weight_decay=1e-2)
     spent, step = 0.0, 0
@@ -152,13 +181,20 @@ def main() -> None:
         for group in optimizer.param_groups:
             group["lr"] = args.rate * warm * (0.5 + 0.5 * math.cos(math.pi * progress)) + 1e-6
         network.train()
-        size, choice = network(
+        shown = (
             batch.costs.contiguous(memory_format=torch.channels_last),
             batch.frame.contiguous(memory_format=torch.channels_last),
         )
+        size, choice = network(*shown)
         parts = losses(size, choice, batch)
+        loss = total(parts)
+        if teacher is not None:
+            with torch.no_grad():
+                told = teacher(*shown)
+            parts["taught"] = taught(size, choice, told, batch)
+            loss = _OF_TRUTH * loss + parts["taught"]
         optimizer.zero_grad(set_to_none=True)
-        total(parts).backward()
+        loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 2.0)
         optimizer.step()
         step += 1

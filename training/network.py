@@ -1,5 +1,8 @@
 """The refinement network: costs of a neighbourhood in, probabilities of blur sizes out."""
 
+import dataclasses
+from collections.abc import Callable
+
 import torch
 from torch import nn
 from torch.nn import functional
@@ -14,14 +17,29 @@ from coded_aperture_ros.depth.refine.features import (
 )
 
 BINS = len(BLUR_SIZES_PX)
-# Channels: of cells of 8 px, of squares of 16 and of 32 px, and what a cell knows of the frame.
-_CELL, _HALF, _QUARTER, _FRAME = 64, 96, 112, 32
-# Of every blur size by itself: of cells, and of squares of 16 px.
-_LEVEL, _LEVEL_HALF = 16, 32
+# Channels of every blur size by itself, in squares of 16 px.
+_LEVEL = 24
 # What comes of each: logits of a cell's four half-cells, and one more.
 PER_LEVEL = 5
 NEIGHBOURS = 9
 CHOICES = 4 * NEIGHBOURS
+
+
+@dataclasses.dataclass(frozen=True)
+class Widths:
+    """How large a network is, in channels.
+
+    Of cells of 8 px, of squares of 16 and of 32 px with what is between their convolutions, and of
+    what a cell knows of the frame; and the distances that cells look at, before and after.
+    """
+
+    cell: int = 48
+    half: int = 64
+    of_half: int = 32
+    quarter: int = 96
+    frame: int = 24
+    before: tuple[int, ...] = (1,)
+    after: tuple[int, ...] = (1, 1)
 
 
 def convolution(inputs: int, outputs: int, side: int = 1, stride: int = 1) -> nn.Sequential:
@@ -49,8 +67,20 @@ class Residual(nn.Module):
         return x + self.mix(torch.relu(self.norm(self.spatial(self.reduce(x)))))
 
 
+class Near(nn.Module):
+    """Adds what a convolution finds around each place."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.spatial = nn.Conv2d(width, width, 3, 1, 1, bias=False)
+        self.norm = nn.BatchNorm2d(width)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return x + torch.relu(self.norm(self.spatial(x)))
+
+
 class Around(nn.Module):
-    """Adds what convolutions at a distance find around each place."""
+    """Adds what two convolutions find around each place, or at a distance."""
 
     def __init__(self, width: int, dilation: int = 1) -> None:
         super().__init__()
@@ -63,24 +93,27 @@ class Around(nn.Module):
 
 
 class LevelLayers(nn.Module):
-    """What is done to every blur size, always with the same weights."""
+    """What is done to every blur size, always with the same weights.
+
+    In squares of 16 px, whose four cells are channels: a quarter of the work of cells.
+    """
 
     def __init__(self, inputs: int) -> None:
         super().__init__()
-        self.first = convolution(inputs, _LEVEL, 3)
-        self.down = convolution(_LEVEL, _LEVEL_HALF, 3, 2)
-        self.wide = nn.Sequential(*(convolution(_LEVEL_HALF, _LEVEL_HALF, 3) for _ in range(3)))
-        self.up = nn.ConvTranspose2d(_LEVEL_HALF, _LEVEL, 2, 2)
-        self.join = convolution(2 * _LEVEL, _LEVEL)
-        self.out = nn.Conv2d(_LEVEL, PER_LEVEL, 3, 1, 1)
+        self.first = nn.Conv2d(4 * inputs, _LEVEL, 1)
+        self.around = nn.Sequential(Near(_LEVEL), Near(_LEVEL))
+        self.out = nn.Conv2d(_LEVEL, 4 * PER_LEVEL, 3, 1, 1)
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        fine = self.first(x)
-        found: torch.Tensor = self.out(
-            self.join(torch.cat([fine, self.up(self.wide(self.down(fine)))], 1))
+        return functional.pixel_shuffle(
+            self.after_first(self.first(functional.pixel_unshuffle(x, 2))), 2
         )
+
+    def after_first(self, x: torch.Tensor) -> torch.Tensor:
+        """Return what comes of the first layer, of squares [batch, _LEVEL, rows, columns]."""
+        found: torch.Tensor = self.out(self.around(torch.relu(x)))
         return found
 
 
@@ -91,11 +124,11 @@ class EveryLevel(nn.Module):
     size [batch, PER_LEVEL, blur sizes, rows, columns]; 0 for those that were not tried.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, layers: Callable[[int], nn.Module]) -> None:
         super().__init__()
         kinds = COST_CHANNELS // BINS
         self.inputs = kinds + 2 * len(range(0, kinds, KINDS)) + SCALARS + 1
-        self.layers = LevelLayers(self.inputs)
+        self.layers = layers(self.inputs)
         self.register_buffer("sizes", torch.from_numpy(BLUR_SIZES_PX).float() / 10)
 
     def forward(self, costs: torch.Tensor) -> torch.Tensor:
@@ -123,25 +156,32 @@ class Refinement(nn.Module):
     half-cell around it whose blur size it has.
     """
 
-    def __init__(self) -> None:
+    def __init__(
+        self, widths: Widths | None = None, of_level: Callable[[int], nn.Module] = LevelLayers
+    ) -> None:
         super().__init__()
-        self.frame = nn.Sequential(convolution(FRAME_CELL_PX**2, 16), convolution(16, _FRAME, 3, 2))
-        self.every_level = EveryLevel()
-        self.stem = convolution(COST_CHANNELS + SCALARS + BINS, _CELL)
-        self.at_cell = nn.Sequential(
-            convolution(_CELL + _FRAME, _CELL), Around(_CELL), Around(_CELL, 2)
+        w = widths or Widths()
+        self.frame = nn.Sequential(
+            convolution(FRAME_CELL_PX**2, 16), convolution(16, w.frame, 3, 2)
         )
-        self.down = convolution(_CELL, _HALF, 3, 2)
-        self.at_half = nn.Sequential(Residual(_HALF, 40), Residual(_HALF, 40))
-        self.down2 = convolution(_HALF, _QUARTER, 3, 2)
-        self.at_quarter = nn.Sequential(Residual(_QUARTER, 48), Residual(_QUARTER, 48))
-        self.up2 = nn.ConvTranspose2d(_QUARTER, _HALF, 2, 2)
-        self.at_half_again = nn.Sequential(convolution(2 * _HALF, _HALF), Residual(_HALF, 40))
-        self.up = nn.ConvTranspose2d(_HALF, _CELL, 2, 2)
-        self.at_cell_again = nn.Sequential(Around(_CELL), Around(_CELL, 2), Around(_CELL))
+        self.every_level = EveryLevel(of_level)
+        self.stem = convolution(COST_CHANNELS + SCALARS + BINS, w.cell)
+        self.at_cell = nn.Sequential(
+            convolution(w.cell + w.frame, w.cell), *(Around(w.cell, far) for far in w.before)
+        )
+        self.down = convolution(w.cell, w.half, 3, 2)
+        self.at_half = nn.Sequential(*(Residual(w.half, w.of_half) for _ in range(2)))
+        self.down2 = convolution(w.half, w.quarter, 3, 2)
+        self.at_quarter = nn.Sequential(*(Residual(w.quarter, 48) for _ in range(2)))
+        self.up2 = nn.ConvTranspose2d(w.quarter, w.half, 2, 2)
+        self.at_half_again = nn.Sequential(
+            convolution(2 * w.half, w.half), Residual(w.half, w.of_half)
+        )
+        self.up = nn.ConvTranspose2d(w.half, w.cell, 2, 2)
+        self.at_cell_again = nn.Sequential(*(Around(w.cell, far) for far in w.after))
         # Of the four half-cells of each cell.
-        self.size = nn.Conv2d(_CELL, 4 * (BINS + 1), 1)
-        self.choice = nn.Conv2d(_CELL, 4 * CHOICES, 1)
+        self.size = nn.Conv2d(w.cell, 4 * (BINS + 1), 1)
+        self.choice = nn.Conv2d(w.cell, 4 * CHOICES, 1)
         # What the costs say by themselves: the network only adds to it.
         self.trust = nn.Parameter(torch.tensor([0.5, 0.0, 0.25, 0.5, 0.0, 0.25]))
 

@@ -34,14 +34,14 @@ class LearnConfig:
         within=(16, 256),
     )
     rank: int = option(
-        128,
+        96,
         "Vectors in the common basis of the filters. Fewer is faster and less accurate.",
         within=(1, 4096),
     )
     highest_frequency: float = option(
-        1.0,
-        "Frequencies above this are left out; 0.4 costs little from blur sizes of 7 px on, and "
-        "saves a third of the time. 1: all count.",
+        0.42,
+        "Frequencies above this are left out: blur leaves little there that is not noise, or from "
+        "edges of depth. 1: all count.",
         unit="cycles/px",
         within=(0.1, 1.0),
     )

@@ -12,12 +12,19 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.archive import read_archive
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, COST_CHANNELS, KINDS
+from coded_aperture_ros.depth.refine.features import (
+    BLUR_SIZES_PX,
+    COST_CHANNELS,
+    KINDS,
+    SCALARS,
+)
 
 WEIGHTS = "refinement.npz"
 # Neighbours around a half-cell, with itself, that a quarter of it may belong to.
 NEIGHBOURS = 9
-SCHEMA, SCHEMA_VERSION = "coded-aperture refinement network", 2
+# Channels of each blur size at a cell: the logits of its half-cells, and one more.
+PER_LEVEL = 5
+SCHEMA, SCHEMA_VERSION = "coded-aperture refinement network", 3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -78,14 +85,17 @@ class Network:
         first, last = np.flatnonzero(tried)[[0, -1]]
         self._tried = slice(int(first), int(last) + 1)
         self._trust = arrays["trust"]
+        self._first = _First.of(arrays, self._tried)
 
     def __call__(self, costs: FloatArray, frame: FloatArray) -> Logits:
         """Return the logits of half-cells, from `cost_features` and `frame_features`."""
-        tried = self._tried
-        self._of_level.setInput(self._levels(costs), "levels")
+        tried, shape = self._tried, costs.shape[1:]
+        self._of_level.setInput(self._first(costs), "levels")
         # Logits of the four half-cells of every cell, and one more channel for the other network.
         of_level = self._of_level.forward("found")
-        count, shape = len(of_level), costs.shape[1:]
+        count = len(of_level)
+        of_level = _at_half_cells(of_level.reshape(-1, *of_level.shape[2:]))
+        of_level = of_level.reshape(count, PER_LEVEL, *shape)
         levels = np.zeros((1, len(BLUR_SIZES_PX), *shape), np.float32)
         levels[0, tried] = of_level[:, 4]
         for values, name in ((costs[None], "costs"), (frame[None], "frame"), (levels, "levels")):
@@ -105,29 +115,58 @@ class Network:
             of_size -= cv2.resize(cost, of_size.shape[::-1], interpolation=cv2.INTER_LINEAR)
         return Logits(size, found[count], _at_half_cells(choice.reshape(-1, *shape)))
 
-    def _levels(self, costs: FloatArray) -> FloatArray:
-        """Return what each blur size is looked at by [tried, channels, rows, columns]."""
-        tried, last = self._tried, len(BLUR_SIZES_PX) - 1
-        volume = costs[:COST_CHANNELS].reshape(-1, last + 1, *costs.shape[1:])
-        beside = volume[::KINDS]  # of neighbouring sizes, the logarithms
-        index = np.arange(tried.start, tried.stop)
-        lower, upper = (beside[:, np.clip(index + step, 0, last)] for step in (-1, 1))
-        size = (BLUR_SIZES_PX[None, tried, None, None] / 10).astype(np.float32)
-        parts: list[FloatArray] = [
-            volume[:, tried],
-            lower,
-            upper,
-            costs[COST_CHANNELS:, None],
-            size,
-        ]
-        levels = np.empty(
-            (len(index), sum(len(part) for part in parts), *costs.shape[1:]), np.float32
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _First:
+    """The first layer of what is done to every blur size, in squares of 2 x 2 cells.
+
+    Weights of the costs of the blur size itself [out, 4 kinds], of those of its lower and upper
+    neighbour together [2 out, 4 looks], and of the rest [out, 4 scalars]; and what is added to
+    every blur size [tried, out, 1].
+    """
+
+    tried: slice
+    itself: FloatArray
+    beside: FloatArray
+    scalars: FloatArray
+    added: FloatArray
+
+    @classmethod
+    def of(cls, arrays: dict[str, FloatArray], tried: slice) -> "_First":
+        weights = arrays["first_weights"]
+        kinds = COST_CHANNELS // len(BLUR_SIZES_PX)
+        looks = kinds // KINDS
+        itself, lower, upper, scalars, size = np.split(
+            weights, 4 * np.cumsum([kinds, looks, looks, SCALARS]), axis=1
         )
-        start = 0
-        for part in parts:
-            levels[:, start : start + len(part)] = part.swapaxes(0, 1)
-            start += len(part)
-        return levels
+        of_size = BLUR_SIZES_PX[tried, None] / 10 * size.sum(axis=1) + arrays["first_bias"]
+        beside = np.concatenate([lower, upper])
+        return cls(tried, *map(_contiguous, (itself, beside, scalars, of_size[..., None])))
+
+    def __call__(self, costs: FloatArray) -> FloatArray:
+        """Return the layer [tried, out, square rows, square columns] of `cost_features`."""
+        tried, last = self.tried, len(BLUR_SIZES_PX) - 1
+        volume = costs[:COST_CHANNELS].reshape(-1, last + 1, *costs.shape[1:])
+        squares = _in_squares(volume[:, tried])
+        found = self.itself @ squares
+        beside = volume[::KINDS, np.clip(np.arange(tried.start - 1, tried.stop + 1), 0, last)]
+        of_beside = self.beside @ _in_squares(beside)
+        out = len(self.itself)
+        found += of_beside[:-2, :out]
+        found += of_beside[2:, out:]
+        found += self.scalars @ _in_squares(costs[COST_CHANNELS:, None])[0] + self.added
+        return found.reshape(*found.shape[:2], costs.shape[1] // 2, -1)
+
+
+def _in_squares(values: FloatArray) -> FloatArray:
+    """Put the cells of 2 x 2 into channels: [n, b, rows, columns] to [b, 4 n, squares]."""
+    count, sizes, rows, columns = values.shape
+    parts = values.reshape(count, sizes, rows // 2, 2, columns // 2, 2)
+    return np.ascontiguousarray(parts.transpose(1, 0, 3, 5, 2, 4)).reshape(sizes, 4 * count, -1)
+
+
+def _contiguous(values: NDArray[Any]) -> FloatArray:
+    return np.ascontiguousarray(values, np.float32)
 
 
 def _at_half_cells(of_cells: NDArray[Any]) -> NDArray[Any]:
