@@ -22,6 +22,7 @@ from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.refine.cells import Cells
 from coded_aperture_ros.depth.refine.features import (
     Look,
+    Surroundings,
     cost_features,
     frame_features,
     tried_sizes,
@@ -143,15 +144,15 @@ def shown(number: int, light: np.ndarray, blur_px: np.ndarray, folder: Path) -> 
     looks = Look.of(cost, observed.grid, volume), Look.of(of_small, small.grid)
     small.close()
     cells = Cells.covering(frame.shape, observed.grid)
-    typical = observed.noise.typical
+    around = Surroundings.of(observed.grey, observed.noise.typical)
     sizes = bank.blur_sizes_px * how.scale
     near = {"far": 0.0, "near": 1.0, "both": 0.5}[what.side]
     grid = observed.grid
     truth = blur_px[np.ix_(grid.row_centres, grid.column_centres)]
     about = np.abs(sizes[cost.volume.argmin(-1)] - truth) < 1
     return {
-        "costs": _whole(cost_features(looks, observed.grey, typical, cells, sizes, near), CELLS),
-        "frame": _whole(frame_features(observed.grey, typical, cells), 2 * CELLS),
+        "costs": _whole(cost_features(looks, around, cells, sizes, near), CELLS),
+        "frame": _whole(frame_features(around, cells), 2 * CELLS),
         "tried": tried_sizes(sizes),
         "corner": np.array([cells.top, cells.left], np.int32),
         "told": np.float32(about.mean()),

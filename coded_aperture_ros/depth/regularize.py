@@ -7,6 +7,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth.paths import add_best_paths
 from coded_aperture_ros.depth.posterior import refine_level
 from coded_aperture_ros.depth.surface import on_surfaces
 
@@ -114,10 +115,10 @@ def semi_global_cost(
     Each of the four paths through a patch is minimised exactly, with a small cost for steps of
     one level, as of slants, and a larger one for jumps. Takes and gives [rows, columns, L].
     """
-    known = _bounded(volume)
+    known = np.ascontiguousarray(_bounded(volume))
     rows, columns = known.shape[:2]
     down = np.full((rows - 1, columns), smoothness, np.float32)
-    across = np.full((columns - 1, rows), smoothness, np.float32)
+    across = np.full((rows, columns - 1), smoothness, np.float32)
     if brightness is not None and brightness.size > 1:
         changes = [np.abs(np.diff(brightness, axis=axis)) for axis in (0, 1)]
         usual = np.median(np.concatenate([change.ravel() for change in changes]))
@@ -127,36 +128,14 @@ def semi_global_cost(
         ]
         mean = np.mean(np.concatenate([weight.ravel() for weight in weights]))
         down *= weights[0] / mean
-        across *= weights[1].T / mean
+        across *= weights[1] / mean
     # Every path counts the cost of its patch.
-    total = _both_ways(known, down) - 3 * known
-    total += _both_ways(known.swapaxes(0, 1), across).swapaxes(0, 1)
+    total = -3 * known
+    add_best_paths(known, down, np.float32(_P1), np.float32(_P2), total)
+    add_best_paths(
+        known.swapaxes(0, 1), across.T, np.float32(_P1), np.float32(_P2), total.swapaxes(0, 1)
+    )
     return total
-
-
-def _both_ways(volume: FloatArray, weights: FloatArray) -> FloatArray:
-    """Add up the costs of the best paths that reach each patch along the first axis.
-
-    Takes [n, m, L] and the weight of the smoothness between neighbours [n - 1, m].
-    """
-    # Levels before patches: all that is done to every level is then one long run of numbers.
-    costs = np.empty((len(volume), 2, volume.shape[2], volume.shape[1]), np.float32)
-    costs[:, 0] = volume.swapaxes(1, 2)
-    costs[:, 1] = costs[::-1, 0]
-    p1 = _P1 * np.stack([weights, weights[::-1]], axis=1)[:, :, None]
-    p2 = _P2 / _P1 * p1
-    step, best = np.empty_like(costs[0]), np.empty_like(costs[0])
-    least = np.empty_like(costs[0, :, :1])
-    for i in range(1, len(costs)):
-        previous = costs[i - 1]
-        np.minimum.reduce(previous, axis=1, keepdims=True, out=least)
-        np.subtract(previous, least, out=previous)  # so that costs do not grow along the path
-        np.minimum(previous, p2[i - 1], out=best)
-        np.add(previous, p1[i - 1], out=step)
-        np.minimum(best[:, 1:], step[:, :-1], out=best[:, 1:])
-        np.minimum(best[:, :-1], step[:, 1:], out=best[:, :-1])
-        np.add(costs[i], best, out=costs[i])
-    return (costs[:, 0] + costs[::-1, 1]).swapaxes(1, 2)
 
 
 def _graph_cut(volume: FloatArray, smoothness: float) -> IndexArray:

@@ -8,6 +8,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.likelihood.plan import Plan
+from coded_aperture_ros.likelihood.products import products_of_transforms
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE, take_logarithm
 
 # Rows of pixels that are transformed, and patches whose hypotheses are tried, at a time: few
@@ -23,7 +24,6 @@ class _Scratch:
     windows: FloatArray
     parts: FloatArray
     power: FloatArray
-    product: FloatArray
     functions: FloatArray
     patches: FloatArray
     hypotheses: FloatArray
@@ -51,7 +51,6 @@ class NumpyEngine:
                 windows=np.empty((_PIXEL_ROWS, grid.columns, n), np.float32),
                 parts=np.empty((len(plan.vertical), width), np.float32),
                 power=np.empty((len(plan.vertical), half), np.float32),
-                product=np.empty((plan.paired, half), np.float32),
                 functions=np.empty((len(plan.features), grid.columns), np.float32),
                 patches=np.empty(rank * _PATCHES, np.float32),
                 hypotheses=np.empty(tried * _PATCHES, np.float32),
@@ -107,20 +106,7 @@ class NumpyEngine:
         np.matmul(
             plan.vertical, self._horizontal[first : first + grid.window_px], out=scratch.parts
         )
-        half, paired = scratch.parts.shape[1] // 2, plan.paired
-        cosines, sines = scratch.parts[:paired], scratch.parts[paired : 2 * paired]
-        cc, cs = cosines[:, :half], cosines[:, half:]
-        sc, ss = sines[:, :half], sines[:, half:]
-        total, crossed = scratch.power[:paired], scratch.power[paired : 2 * paired]
-        np.multiply(cc, ss, out=crossed)
-        np.multiply(cs, sc, out=scratch.product)
-        np.subtract(crossed, scratch.product, out=crossed)
-        np.multiply(scratch.parts, scratch.parts, out=scratch.parts)
-        np.add(cc, cs, out=total)
-        np.add(sc, ss, out=scratch.product)
-        np.add(total, scratch.product, out=total)
-        unpaired = scratch.parts[2 * paired :]
-        np.add(unpaired[:, :half], unpaired[:, half:], out=scratch.power[2 * paired :])
+        products_of_transforms(scratch.parts, plan.paired, scratch.power)
         power = scratch.power.reshape(-1, grid.columns)
         np.matmul(plan.features, power, out=scratch.functions)
         self._functions[:, row] = scratch.functions

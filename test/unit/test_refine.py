@@ -14,6 +14,7 @@ from coded_aperture_ros.depth.refine.features import (
     BLUR_SIZES_PX,
     COST_CHANNELS,
     Look,
+    Surroundings,
     cost_features,
     frame_features,
     tried_sizes,
@@ -64,7 +65,7 @@ def test_cells_cover_the_frame_and_lie_around_the_patches(shape, window):
     assert cells.left + cells.columns * CELL_PX >= shape[1]
     assert cells.rows % 2**HALVINGS == 0 and cells.columns % 2**HALVINGS == 0
     rows, columns = np.meshgrid(grid.row_centres, grid.column_centres, indexing="ij")
-    at_cells, known = cells.of_patches(np.stack([rows, columns], -1).astype(np.float32), grid)
+    at_cells, known = cells.of_patches(np.stack([rows, columns]).astype(np.float32), grid)
     assert known.sum() == rows.size
     i, j = np.nonzero(known)
     middle = CELL_PX // 2
@@ -82,7 +83,7 @@ def test_other_strides_are_interpolated(stride):
     grid = PatchGrid.covering(shape, 48, stride)
     cells = Cells.covering(shape, grid)
     rows, columns = np.meshgrid(grid.row_centres, grid.column_centres, indexing="ij")
-    at_cells, known = cells.of_patches(np.stack([rows, columns], -1).astype(np.float32), grid)
+    at_cells, known = cells.of_patches(np.stack([rows, columns]).astype(np.float32), grid)
     i, j = np.nonzero(known)
     assert at_cells[0, i, j] == pytest.approx(cells.top + CELL_PX * i + 4, abs=1e-3)
     assert at_cells[1, i, j] == pytest.approx(cells.left + CELL_PX * j + 4, abs=1e-3)
@@ -92,7 +93,7 @@ def test_other_strides_are_interpolated(stride):
 def test_a_few_patches_fill_all_cells(side, stride):
     cells = Cells.covering((side, 96), PatchGrid.covering((side, 96), 32, stride))
     grid = PatchGrid.covering((side, 96), 32, CELL_PX)
-    values = np.ones((grid.rows, grid.columns, 2), np.float32)
+    values = np.ones((2, grid.rows, grid.columns), np.float32)
     at_cells, known = cells.of_patches(values, grid)
     assert at_cells == pytest.approx(1) and at_cells.shape == (2, cells.rows, cells.columns)
     assert known.any()
@@ -104,7 +105,7 @@ def test_patches_of_another_size_are_put_on_the_same_cells(shape, window):
     cells = Cells.covering(shape, PatchGrid.covering(shape, window, CELL_PX))
     small = PatchGrid.covering(shape, 32, CELL_PX)
     rows, columns = np.meshgrid(small.row_centres, small.column_centres, indexing="ij")
-    at_cells, known = cells.of_patches(np.stack([rows, columns], -1).astype(np.float32), small)
+    at_cells, known = cells.of_patches(np.stack([rows, columns]).astype(np.float32), small)
     i, j = np.nonzero(known)
     assert len(i) >= (small.rows - 1) * (small.columns - 1)
     assert at_cells[0, i, j] == pytest.approx(cells.top + CELL_PX * i + 4, abs=1e-3)
@@ -124,7 +125,8 @@ def test_costs_are_put_on_the_grid_of_blur_sizes(sign, order):
     folding = Folding.of(sizes)
     looks = [Look(folding.of_sizes(volume), misfit, grid)] * 2
     near = float(sign < 0)
-    features = cost_features(looks, grey, 0.001, cells, folding.sizes_px, near)
+    around = Surroundings.of(grey, 0.001)
+    features = cost_features(looks, around, cells, folding.sizes_px, near)
     row, column = cells.rows // 2, cells.columns // 2
     tried = tried_sizes(folding.sizes_px)
     assert BLUR_SIZES_PX[tried] == pytest.approx(np.arange(3, 9.1, 0.5))
@@ -387,8 +389,9 @@ def test_network_runs_frames_of_any_size():
         grey = random.random(shape, dtype=np.float32)
         flat = volume[..., 0]
         looks = [Look(volume, flat, grid)] * 2
-        costs = cost_features(looks, grey, 0.01, cells, np.linspace(2, 8, 9), 0.0)
-        logits = network(costs, frame_features(grey, 0.01, cells))
+        around = Surroundings.of(grey, 0.01)
+        costs = cost_features(looks, around, cells, np.linspace(2, 8, 9), 0.0)
+        logits = network(costs, frame_features(around, cells))
         assert logits.size.shape == (tried.sum(), 2 * cells.rows, 2 * cells.columns)
         assert logits.neighbour.shape == (4, 2 * cells.rows, 2 * cells.columns)
         assert set(np.unique(logits.neighbour)) <= set(range(NEIGHBOURS))

@@ -51,7 +51,7 @@ class Cells:
 
         Parameters
         ----------
-        values : ndarray, float32 [grid rows, grid columns, n]
+        values : ndarray, float32 [n, grid rows, grid columns]
         grid : PatchGrid
             Where these patches lie.
 
@@ -67,14 +67,13 @@ class Cells:
         if grid.stride_px != CELL_PX or rows.offset or columns.offset:
             across = _interpolation(grid.column_centres, self.left, columns)
             down = _interpolation(grid.row_centres, self.top, rows)
-            values = np.tensordot(down, np.tensordot(values, across, (1, 1)), (1, 0))
-            values = values.swapaxes(1, 2)
+            values = down @ values @ across.T
         # Beyond the outermost patches their values go on.
         row_of, column_of = (
             np.clip(np.arange(count) - inside.start, 0, inside.stop - inside.start - 1)
             for count, inside in ((self.rows, rows), (self.columns, columns))
         )
-        at_cells = np.moveaxis(values, -1, 0)[:, row_of[:, None], column_of]
+        at_cells = values.take(row_of, axis=1).take(column_of, axis=2)
         known = np.zeros((self.rows, self.columns), np.float32)
         known[rows.start : rows.stop, columns.start : columns.stop] = 1
         return at_cells, known

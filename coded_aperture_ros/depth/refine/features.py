@@ -77,10 +77,27 @@ class Look:
         return cls(volume, misfit, grid)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Surroundings:
+    """Mean and variance of a frame around every pixel [height, width], and its noise."""
+
+    grey: FloatArray
+    mean: FloatArray
+    variance: FloatArray
+    noise: float
+
+    @classmethod
+    def of(cls, grey: FloatArray, noise: float) -> "Surroundings":
+        """Look at a frame with noise of a standard deviation."""
+        side = (2 * _SMOOTH_PX + 1,) * 2
+        mean = cv2.blur(grey, side)
+        difference = grey - mean
+        return cls(grey, mean, cv2.blur(difference * difference, side), noise)
+
+
 def cost_features(
     looks: Sequence[Look],
-    grey: FloatArray,
-    noise: float,
+    around: Surroundings,
     cells: Cells,
     sizes_px: DoubleArray,
     near: float,
@@ -91,10 +108,8 @@ def cost_features(
     ----------
     looks : sequence of Look
         With the model's patches, and with smaller ones.
-    grey : ndarray, float32 [height, width]
-        The frame, linear light.
-    noise : float
-        Standard deviation of its noise.
+    around : Surroundings
+        Of the frame, linear light.
     sizes_px : ndarray, float64 [L]
         Blur size of every level, of one side.
     near : float
@@ -105,53 +120,47 @@ def cost_features(
     ndarray, float32 [COST_CHANNELS + SCALARS, rows, columns]
     """
     tried = np.flatnonzero(tried_sizes(sizes_px))
-    weights = resampling(sizes_px)
+    some = slice(int(tried[0]), int(tried[-1]) + 1)
+    to_sizes = resampling(sizes_px).T
     features = np.empty((COST_CHANNELS + SCALARS, cells.rows, cells.columns), np.float32)
-    count = len(BLUR_SIZES_PX)
+    of_kinds = features[:COST_CHANNELS].reshape(LOOKS, KINDS, -1, cells.rows, cells.columns)
+    for kind, untried in enumerate(_UNTRIED):
+        of_kinds[:, kind] = untried
+    one = np.float32(1)
     for index, look in enumerate(looks):
-        levels = np.minimum(look.volume, np.float32(_MOST_COST))
-        fine = np.log1p(levels * np.float32(_FINE_SCALE)) * np.float32(1 / 3)
-        added_up = semi_global_cost(look.volume, 1.0, brightness_at(grey, look.grid))
+        levels = np.minimum(np.moveaxis(look.volume, -1, 0), np.float32(_MOST_COST))
+        fine = np.log(levels * np.float32(_FINE_SCALE) + one) * np.float32(1 / 3)
+        added_up = semi_global_cost(look.volume, 1.0, brightness_at(around.grey, look.grid))
         added_up -= added_up.min(axis=-1, keepdims=True)
-        logarithms = (np.log1p(levels), fine, np.log1p(added_up))
-        values = [*(logarithm @ weights for logarithm in logarithms), look.misfit[..., None]]
-        at_cells, known = cells.of_patches(np.concatenate(values, axis=-1), look.grid)
-        for kind, untried in enumerate(_UNTRIED):
-            start = (index * KINDS + kind) * count
-            features[start : start + count] = untried
-            features[start + tried] = at_cells[kind * len(tried) :][: len(tried)]
-        features[COST_CHANNELS + index] = at_cells[-1]
+        logarithms = np.log(levels + one), fine, np.moveaxis(np.log(added_up + one), -1, 0)
+        for kind, logarithm in enumerate(logarithms):
+            values = to_sizes @ logarithm.reshape(len(logarithm), -1)
+            values = values.reshape(-1, *look.misfit.shape)
+            of_kinds[index, kind, some] = cells.of_patches(values, look.grid)[0]
+        features[COST_CHANNELS + index], known = cells.of_patches(look.misfit[None], look.grid)
         if index == 0:
             features[COST_CHANNELS + LOOKS] = known
-    mean, variance = (_of_cells(cells.of_frame(picture)) for picture in _statistics(grey))
+    mean, variance = (_of_cells(cells.of_frame(part)) for part in (around.mean, around.variance))
     rest = features[COST_CHANNELS + LOOKS + 1 :]
-    rest[0] = np.log(variance / np.float32(noise**2) + 1) / 2
+    rest[0] = np.log(variance / np.float32(around.noise**2) + 1) / 2
     rest[1] = np.log(np.maximum(mean, np.float32(1e-3)))
     rest[2] = near
     return features
 
 
-def frame_features(grey: FloatArray, noise: float, cells: Cells) -> FloatArray:
+def frame_features(around: Surroundings, cells: Cells) -> FloatArray:
     """Return the frame's texture in squares of `FRAME_CELL_PX`, a channel for every pixel of them.
 
-    Takes the frame [height, width]. The texture is relative to its surroundings' and the noise;
-    float32 [channels, rows, columns].
+    The texture is relative to its surroundings' and the noise; float32 [channels, rows, columns].
     """
-    mean, variance = _statistics(grey)
-    texture = (grey - mean) / np.sqrt(variance + np.float32(4 * noise**2))
+    texture = (around.grey - around.mean) / np.sqrt(
+        around.variance + np.float32(4 * around.noise**2)
+    )
     whole = cells.of_frame(texture)
     side = FRAME_CELL_PX
     rows, columns = (length // side for length in whole.shape)
     squares = whole.reshape(rows, side, columns, side).transpose(1, 3, 0, 2)
     return np.ascontiguousarray(squares.reshape(side * side, rows, columns))
-
-
-def _statistics(grey: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the mean and the variance around every pixel."""
-    side = (2 * _SMOOTH_PX + 1,) * 2
-    mean = cv2.blur(grey, side)
-    difference = grey - mean
-    return mean, cv2.blur(difference * difference, side)
 
 
 def _of_cells(picture: FloatArray) -> FloatArray:

@@ -105,7 +105,7 @@ class Network:
         found += self._bias[:, None]
         found = found.reshape(-1, *shape)
         found[: 4 * count] += of_level[:, :4].reshape(4 * count, *shape)
-        choice = found[4 * (count + 1) :].reshape(4, NEIGHBOURS, 4, *shape).argmax(axis=1)
+        choice = _likeliest(found[4 * (count + 1) :].reshape(4, NEIGHBOURS, 4, *shape))
         found = _at_half_cells(found[: 4 * (count + 1)])
         size = found[:count]
         # What the costs say by themselves, to which the network adds.
@@ -167,6 +167,17 @@ def _in_squares(values: FloatArray) -> FloatArray:
 
 def _contiguous(values: NDArray[Any]) -> FloatArray:
     return np.ascontiguousarray(values, np.float32)
+
+
+def _likeliest(logits: FloatArray) -> NDArray[np.uint8]:
+    """Return which along the second axis is the largest; `argmax` takes four times as long."""
+    best = logits[:, 0].copy()
+    which = np.zeros(best.shape, np.uint8)
+    for index in range(1, logits.shape[1]):
+        better = logits[:, index] > best
+        np.putmask(which, better, index)
+        np.maximum(best, logits[:, index], out=best)
+    return which
 
 
 def _at_half_cells(of_cells: NDArray[Any]) -> NDArray[Any]:

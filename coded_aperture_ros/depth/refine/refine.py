@@ -16,6 +16,7 @@ from coded_aperture_ros.depth.refine.features import (
     BLUR_STEP_PX,
     LARGEST_PX,
     Look,
+    Surroundings,
     cost_features,
     frame_features,
     tried_sizes,
@@ -129,7 +130,7 @@ class Refined:
         """See `Decide`."""
         if own.small is None:
             raise ValueError("the cost of the small patches is missing")
-        noise, grey = seen.noise.typical, seen.grey
+        grey = seen.grey
         if volume is not own.volume:  # of a video
             past = volume - bounded(own.volume)
             volume = own.volume + np.float32(_OF_THE_PAST) * past
@@ -140,8 +141,9 @@ class Refined:
             Look.of(own.small, self._small),
         )
         sizes_px = self._folding.sizes_px
-        costs = cost_features(looks, grey, noise, cells, sizes_px, self._near)
-        logits = self._network(costs, frame_features(grey, noise, cells))
+        around = Surroundings.of(grey, seen.noise.typical)
+        costs = cost_features(looks, around, cells, sizes_px, self._near)
+        logits = self._network(costs, frame_features(around, cells))
         found = HalfCells.of(logits, self._tried_px)
         far = self._far(found.size_px, volume, cells)
         signed_px = np.where(far >= 0.5, found.size_px, -found.size_px)

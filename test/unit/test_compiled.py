@@ -1,0 +1,68 @@
+"""Loops that numba compiles, against what NumPy does without it."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from coded_aperture_ros.core.compiled import Compiled
+from coded_aperture_ros.depth.paths import add_best_paths
+from coded_aperture_ros.likelihood.products import products_of_transforms
+
+RANDOM = np.random.default_rng(0)
+
+
+def paths(function, shape, strength=1.0):
+    rows, columns, _ = shape
+    random = np.random.default_rng(1)
+    volume = random.exponential(3.0, shape).astype(np.float32)
+    weights = random.uniform(0, strength, (rows - 1, columns)).astype(np.float32)
+    total = np.zeros(shape, np.float32)
+    function(volume, weights, np.float32(4), np.float32(22), total)
+    return total
+
+
+@pytest.mark.parametrize("shape", [(9, 7, 12), (1, 5, 3), (6, 1, 2), (4, 4, 1)])
+@pytest.mark.parametrize("strength", [0.0, 1.0])
+def test_both_forms_find_the_same_paths(shape, strength):
+    pytest.importorskip("numba")
+    compiled, plain = (
+        paths(form, shape, strength) for form in (add_best_paths, add_best_paths.plain)
+    )
+    assert compiled == pytest.approx(plain, abs=1e-4)
+    assert paths(add_best_paths.loop, shape, strength) == pytest.approx(plain, abs=1e-4)
+
+
+@pytest.mark.parametrize("unpaired", [1, 2])
+def test_both_forms_multiply_the_same_transforms(unpaired):
+    pytest.importorskip("numba")
+    parts = RANDOM.standard_normal((2 * 5 + unpaired, 2 * 33), dtype=np.float32)
+    found = [np.empty((len(parts), 33), np.float32) for _ in range(3)]
+    forms = products_of_transforms, products_of_transforms.plain, products_of_transforms.loop
+    for form, products in zip(forms, found, strict=True):
+        form(parts, 5, products)
+    for products in found[1:]:
+        assert products == pytest.approx(found[0], rel=1e-5, abs=1e-5)
+
+
+def test_without_numba_numpy_does_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "numba", None)
+    called = []
+    Compiled(lambda: called.append("loop"), lambda: called.append("plain"))()
+    assert called == ["plain"]
+
+
+def test_where_nothing_can_be_kept_it_is_compiled_each_time(monkeypatch):
+    numba = pytest.importorskip("numba")
+    asked = []
+
+    def njit(**options):
+        asked.append(options.get("cache", False))
+        if options.get("cache"):
+            raise RuntimeError("cannot cache function: no locator available")
+        return lambda loop: loop
+
+    monkeypatch.setattr(numba, "njit", njit)
+    called = []
+    Compiled(lambda: called.append("loop"), lambda: called.append("plain"))()
+    assert asked == [True, False] and called == ["loop"]
