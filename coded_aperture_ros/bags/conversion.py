@@ -50,7 +50,7 @@ class BagConversion:
     camera: Camera
     new_pipeline: Callable[[Camera], FramePipeline]  # for the camera at the frames' size
     gamma: Gamma = 1.0  # of 8-bit frames
-    map_size: str = "auto"  # of the depth images, see `depth.map_size`
+    map_size: str = "full"  # of the depth images, see `depth.map_size`
     motion: bool = False  # whether the pipeline's method finds motion
     prior: ExpectedMotion | None = None  # of all frames, for such a method
 

@@ -5,6 +5,7 @@ two processes do 1.9 times as many.
 """
 
 import contextlib
+import dataclasses
 import itertools
 import multiprocessing
 import os
@@ -66,8 +67,12 @@ def frame_workers(processor: FrameProcessor, first: bytes) -> Iterator[Submit]:
         return
     load_in_fork_server(__name__)
     workers: list[_Worker] = []
+    count = 1 if processor.remembers else processors()
+    config = processor.pipeline.estimator.config
+    if count > 1 and not config.threads:  # every processor has its process
+        processor.pipeline.reconfigure(depth=dataclasses.replace(config, threads=1))
     try:
-        for _ in range(1 if processor.remembers else processors()):
+        for _ in range(count):
             workers.append(_Worker(processor, first))
         for worker in workers:
             worker.wait()  # until it is ready

@@ -66,8 +66,8 @@ def add_parser(subparsers: Any) -> None:
     sizes = {
         "--deblur-band {full,half}": "frequencies that --deblur fast works on: half is faster, and "
         "leaves the finest details as they are (default %(default)s)",
-        "--output-size {auto,full,half,quarter}": "of the depth images, in parts of the frame; "
-        "auto: at most 320x240 (default auto)",
+        "--output-size {full,half,quarter,auto}": "of the depth images, in parts of the frame; "
+        "auto: at most 320x240 (default %(default)s)",
     }
     add_options(parser, method)
     add_options(parser, rank, type=int, default=_DEBLUR_RANK)
@@ -78,9 +78,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _add_settings(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.depth.config import REAL_TIME_STRIDE_PX
-
-    add_estimator_settings(parser, stride_px=REAL_TIME_STRIDE_PX)
+    add_estimator_settings(parser)
 
 
 def run(args: argparse.Namespace) -> int:

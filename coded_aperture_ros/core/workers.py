@@ -9,6 +9,9 @@ from coded_aperture_ros.core.errors import InputError
 
 Item = TypeVar("Item")
 
+# More of them than this share the work on one frame only if somebody says so.
+_AUTOMATIC_THREADS = 4
+
 
 class Workers:
     """Runs a function on many items in a fixed number of threads.
@@ -63,6 +66,11 @@ def processors() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def automatic_threads() -> int:
+    """Return how many threads share the work on one frame unless something else is said."""
+    return min(processors(), _AUTOMATIC_THREADS)
 
 
 def check_threads(threads: int) -> None:

@@ -3,12 +3,9 @@
 import dataclasses
 
 from coded_aperture_ros.core.options import check_options, option
-from coded_aperture_ros.core.workers import check_threads
+from coded_aperture_ros.core.workers import automatic_threads, check_threads
 from coded_aperture_ros.depth.regularize import LEARNED, REGULARIZERS
 from coded_aperture_ros.likelihood import BACKENDS, check_backend
-
-# What nodes and bags take instead of a bank's own stride, to keep up with a camera.
-REAL_TIME_STRIDE_PX = 16
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,13 +90,19 @@ class DepthConfig:
         parameter="compute.backend",
     )
     threads: int = option(
-        1,
-        "Threads of the processor for the costs; at most as many as it has cores.",
-        within=(1, 1024),
+        0,
+        "Threads of the processor; at most as many as it has cores. 0: so many, but no more than "
+        "four.",
+        within=(0, 1024),
         parameter="compute.threads",
     )
 
     def __post_init__(self) -> None:
         check_options(self)
-        check_threads(self.threads)
+        check_threads(self.thread_count)
         check_backend(self.backend)
+
+    @property
+    def thread_count(self) -> int:
+        """How many threads `threads` means on this machine."""
+        return self.threads or automatic_threads()

@@ -239,7 +239,7 @@ class DepthEstimator:
         if self._planned is None or shape != self._planned.shape:
             config, model = self.config, self.model
             stride_px = config.stride_px or model.stride_px
-            likelihood = model.plan(shape, stride_px, config.backend, config.threads)
+            likelihood = model.plan(shape, stride_px, config.backend, config.thread_count)
             # Only now: a frame that does not suit leaves the old plan as it is.
             self.close()
             self.reset()
@@ -251,7 +251,7 @@ class DepthEstimator:
                 small: SmallPatches | None = None
                 decide: Decide
                 if (bank := self._refined_bank(stride_px)) is not None:
-                    small = SmallPatches(self.small_bank, shape, config.backend, config.threads)
+                    small = SmallPatches(self.small_bank, shape, config.backend, config.thread_count)
                     unless_planned.callback(small.close)
                     decide = Refined(bank, self._levels, small.grid, sides)
                 else:

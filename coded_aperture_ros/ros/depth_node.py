@@ -22,7 +22,6 @@ from coded_aperture_ros.depth import (
     refinement_note,
     side_warning,
 )
-from coded_aperture_ros.depth.config import REAL_TIME_STRIDE_PX
 from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.methods.choose import METHODS, new_model, with_settings
 from coded_aperture_ros.methods.motion import MotionConfig
@@ -43,18 +42,15 @@ from coded_aperture_ros.ros.messages import (
     stamp_ns,
 )
 
-# What a camera's rate needs on two processors; a bank from a file brings its own rank.
-_RANK = 64
-
 
 @dataclasses.dataclass(frozen=True)
 class DepthNodeConfig:
     """What the node needs beside the model and the options of the estimator."""
 
     output_size: str = option(
-        "auto",
+        "full",
         "Size of the depth image relative to the frame; auto: largest whole fraction of the frame "
-        "that fits in 320x240",
+        "that fits in 320x240, which best-effort subscribers get with any settings of DDS",
         choices=MAP_SIZES,
         parameter="output.size",
     )
@@ -100,10 +96,10 @@ class DepthNode(FrameNode[Image]):
             "depth_node",
             ModelConfig(),
             DepthNodeConfig(),
-            DepthConfig(stride_px=REAL_TIME_STRIDE_PX),
+            DepthConfig(),
             MotionConfig(),
             GyroConfig(),
-            fixed={"learn.": LearnConfig(rank=_RANK), "simple.": SimpleConfig()},
+            fixed={"learn.": LearnConfig(), "simple.": SimpleConfig()},
             **node_options,
         )
         if warning := slow_blas_warning():
