@@ -38,7 +38,7 @@ CAMERA_FILE = "demo_camera.yaml"
 NEAR_M, FAR_M = 2.05, 5.1
 RATE_HZ = 12.0
 # A robot steers by depth; all-in-focus frames are for people, who need fewer of them.
-DEBLUR = {"frames.max_rate_hz": 1.0, "deblur.rank": 12}
+DEBLUR = {"frames.max_rate_hz": 2.0, "deblur.rank": 12}
 NODES = ("camera_driver_node", "depth_node", "deblur_node")
 
 _START_TIMEOUT_S = 60.0
@@ -65,7 +65,8 @@ def add_parser(subparsers: Any) -> None:
         description=(
             "Run camera driver (simulating a camera that pans over a real scene), depth node and "
             "deblurring node as three processes over DDS; show rate, latency and accuracy; leave "
-            "coded.png, depth.png, all_in_focus.png and summary.json."
+            "coded.png, depth.png, all_in_focus.png, comparison.png (all of it beside the truth) and "
+            "summary.json."
         ),
         epilog="example: coded_aperture demo --output results --seconds 10",
     )

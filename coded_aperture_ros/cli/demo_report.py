@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from coded_aperture_ros.ros.demo_monitor import DemoMonitor
 
 _LATENCIES = ("latency_median_s", "latency_p99_s", "latency_max_s")
-RESULTS = ("coded.png", "depth.png", "all_in_focus.png", "summary.json")
+RESULTS = ("coded.png", "depth.png", "all_in_focus.png", "comparison.png", "summary.json")
+# Where the scale of relative depth errors ends.
+_LARGEST_ERROR = 0.1
 
 
 def summarise(monitor: "DemoMonitor", seconds: float) -> dict[str, Any]:
@@ -56,8 +58,44 @@ def write_results(output: Path, snapshot: "dict[str, NDArray]", summary: dict[st
     write_image(output / "coded.png", snapshot[CODED], bits=8, gamma=SRGB)
     write_image(output / "all_in_focus.png", snapshot[DEBLURRED], bits=8, gamma=SRGB)
     write_image(output / "depth.png", depth_picture(snapshot[DEPTH]))
+    write_image(output / "comparison.png", _comparison(snapshot))
     with atomic_output(output / "summary.json") as path:
         path.write_text(json.dumps(summary, indent=2) + "\n")
+
+
+def _comparison(snapshot: "dict[str, NDArray]") -> "NDArray":
+    """Return what was found beside what is there, in one picture."""
+    import numpy as np
+
+    from coded_aperture_ros.imaging import SRGB, pixels_from_linear
+    from coded_aperture_ros.io import depth_picture, error_picture
+    from coded_aperture_ros.io.panels import panels
+    from coded_aperture_ros.ros import demo_monitor as topics
+
+    found = topics.resized(snapshot[topics.DEPTH], snapshot[topics.TRUE_DEPTH].shape)
+    truth = snapshot[topics.TRUE_DEPTH]
+    known = truth[np.isfinite(truth)]
+    near_m, far_m = map(float, (known.min(), known.max())) if known.size else (1.0, 2.0)
+    error = np.abs(found - truth) / truth
+
+    def light(topic: str) -> "NDArray":
+        picture = pixels_from_linear(snapshot[topic], 8, SRGB)
+        return picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
+
+    return panels(
+        [
+            [
+                ("coded frame", light(topics.CODED)),
+                ("depth", depth_picture(found, near_m, far_m)),
+                ("all in focus", light(topics.DEBLURRED)),
+            ],
+            [
+                ("relative error of depth; grey: unknown", error_picture(error, _LARGEST_ERROR)),
+                ("true depth", depth_picture(truth, near_m, far_m)),
+                ("sharp scene", light(topics.TRUE_IMAGE)),
+            ],
+        ]
+    )
 
 
 def table(summary: dict[str, Any]) -> list[str]:

@@ -1,6 +1,6 @@
 """Pictures and depth maps on disk; in `sources`, whatever gives frames."""
 
-from coded_aperture_ros.io.depth_picture import confidence_picture, depth_picture
+from coded_aperture_ros.io.depth_picture import confidence_picture, depth_picture, error_picture
 from coded_aperture_ros.io.picture_file import (
     PICTURE_SUFFIXES,
     picture_files,
@@ -14,6 +14,7 @@ __all__ = [
     "PICTURE_SUFFIXES",
     "confidence_picture",
     "depth_picture",
+    "error_picture",
     "picture_files",
     "read_depth",
     "read_image",

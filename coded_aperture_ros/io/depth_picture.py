@@ -42,6 +42,27 @@ def depth_picture(
     return np.vstack([picture, _scale_strip(depth_m.shape[1], near_m, far_m, unit)])
 
 
+def error_picture(error: NDArray, largest: float) -> NDArray[np.uint8]:
+    """Colour relative errors, none in blue and large ones in red, above a scale bar in per cent.
+
+    Parameters
+    ----------
+    error : ndarray of float, shape [h, w]
+        As a share; NaN, drawn in grey, is unknown.
+    largest : float
+        The end of the scale.
+
+    Returns
+    -------
+    ndarray of uint8, shape [h + strip, w, 3]
+        RGB; as high as a `depth_picture`.
+    """
+    picture = _turbo(np.nan_to_num(error, posinf=largest) / largest)
+    picture[np.isnan(error)] = UNKNOWN_RGB
+    strip = _scale_strip(error.shape[1], 0.0, 100 * largest, "%", rising=True)
+    return np.vstack([picture, strip])
+
+
 def confidence_picture(confidence: NDArray) -> NDArray[np.uint8]:
     """Draw confidences 0 to 1 from black to white; unknown is black. Shape [h, w]."""
     return np.rint(np.clip(np.nan_to_num(confidence), 0.0, 1.0) * 255.0).astype(np.uint8)
@@ -61,13 +82,16 @@ def _turbo(values: NDArray) -> NDArray[np.uint8]:
     return cv2.cvtColor(cv2.applyColorMap(levels, cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
 
 
-def _scale_strip(width: int, near_m: float, far_m: float, unit: str) -> NDArray[np.uint8]:
+def _scale_strip(
+    width: int, near_m: float, far_m: float, unit: str, rising: bool = False
+) -> NDArray[np.uint8]:
     strip = np.full((_STRIP_HEIGHT, width, 3), 255, dtype=np.uint8)
     length = width - 2 * _MARGIN
     if length < 40:
         # Too narrow for a legible scale: the strip keeps its size, so that pictures line up.
         return strip
-    bar = _turbo(np.linspace(1.0, 0.0, length)[None, :].repeat(_BAR_HEIGHT, axis=0))
+    ends = (0.0, 1.0) if rising else (1.0, 0.0)
+    bar = _turbo(np.linspace(*ends, length)[None, :].repeat(_BAR_HEIGHT, axis=0))
     strip[4 : 4 + _BAR_HEIGHT, _MARGIN : _MARGIN + length] = bar
     for tick_m in _ticks(near_m, far_m, max(2, length // 70)):
         column = _MARGIN + round((tick_m - near_m) / (far_m - near_m) * (length - 1))

@@ -136,9 +136,13 @@ class DemoMonitor(Node):
 
 def error_of(depth_m: FloatArray, confidence: FloatArray, true_depth_m: FloatArray) -> DepthError:
     """Return the error of a depth map, which may be of another size than the truth."""
-    # Each value is one that the truth had: depths are never mixed.
-    truth = cv2.resize(true_depth_m, depth_m.shape[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
-    return depth_error(depth_m, confidence, np.asarray(truth, np.float32))
+    return depth_error(depth_m, confidence, resized(true_depth_m, depth_m.shape))
+
+
+def resized(depth_m: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """Return a depth map of another shape; each value is one that it had."""
+    whole = cv2.resize(depth_m, shape[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
+    return np.asarray(whole, np.float32)
 
 
 def running_monitor(reliable: bool = False) -> AbstractContextManager[DemoMonitor]:

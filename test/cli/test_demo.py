@@ -69,7 +69,7 @@ def test_a_short_demo(tmp_path):
     summary = json.loads(out)
     assert json.loads((tmp_path / "out" / "summary.json").read_text()) == summary
     assert summary["frame"] == [640, 480]
-    assert summary["depth_image"] == [320, 240]
+    assert summary["depth_image"] == [640, 480]
     assert summary["levels"] == 30
     for name in ("camera", "depth", "deblur"):
         entry = summary[name]
@@ -81,11 +81,11 @@ def test_a_short_demo(tmp_path):
     assert summary["depth"]["median_relative_error"] < 0.05
     assert summary["depth"]["coverage"] > 0.5
     assert summary["psnr_all_in_focus_db"] > summary["psnr_coded_db"] + 1
-    for name, rows in (("coded", 480), ("all_in_focus", 480), ("depth", 280)):
+    for name, rows in (("coded", 480), ("all_in_focus", 480), ("depth", 520), ("comparison", 1108)):
         picture = cv2.imread(str(tmp_path / "out" / f"{name}.png"))
         assert picture.shape[0] == rows and np.ptp(picture) > 100, name
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
-        *("all_in_focus.png", "coded.png", "depth.png", "summary.json")
+        *("all_in_focus.png", "coded.png", "comparison.png", "depth.png", "summary.json")
     ]
     # Without a terminal a line now and then, no redrawing.
     assert "\x1b" not in err and "depth" in err

@@ -1,0 +1,38 @@
+"""Pictures side by side, each under its title."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+_TITLE_HEIGHT, _GAP = 28, 6
+_FONT, _FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.5
+_WHITE = 255
+
+
+def panels(rows: Sequence[Sequence[tuple[str, NDArray[np.uint8]]]]) -> NDArray[np.uint8]:
+    """Return rows of titled pictures as one picture.
+
+    Parameters
+    ----------
+    rows : sequence of sequences of (str, ndarray of uint8 [h, w, 3])
+        As many in every row; smaller ones get a white border.
+
+    Returns
+    -------
+    ndarray of uint8, shape [h, w, 3]
+    """
+    shapes = np.array([picture.shape[:2] for row in rows for _, picture in row])
+    height, width = shapes.max(axis=0)
+    return np.vstack([np.hstack([_titled(*one, height, width) for one in row]) for row in rows])
+
+
+def _titled(
+    title: str, picture: NDArray[np.uint8], height: int, width: int
+) -> NDArray[np.uint8]:
+    whole = np.full((_TITLE_HEIGHT + height + _GAP, width + _GAP, 3), _WHITE, np.uint8)
+    rows, columns = picture.shape[:2]
+    whole[_TITLE_HEIGHT : _TITLE_HEIGHT + rows, :columns] = picture
+    cv2.putText(whole, title, (4, 19), _FONT, _FONT_SCALE, (0, 0, 0), 1, cv2.LINE_AA)
+    return whole
