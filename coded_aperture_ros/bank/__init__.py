@@ -12,6 +12,7 @@ from coded_aperture_ros.bank.learning import (
     psf_stack_for_camera,
     relearned,
     textures_of,
+    with_all_frequencies,
 )
 from coded_aperture_ros.bank.model import DEFAULT_STRIDE_PX, FilterBank
 from coded_aperture_ros.bank.pattern import LearnedPattern, ThinLens
@@ -37,4 +38,5 @@ __all__ = [
     "relearned",
     "save_bank",
     "textures_of",
+    "with_all_frequencies",
 ]

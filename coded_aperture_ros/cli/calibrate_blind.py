@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     if args.bank is not None:
         check_suffix(args.bank, [".npz"])
         check_output(args.bank)
-        if filters.window_px < config.largest_blur_px:
+        if 0 < filters.window_px < config.largest_blur_px:
             args.usage_error(
                 f"--window-px: blur of --largest-blur-px {config.largest_blur_px} does not fit "
                 f"patches of {filters.window_px} px"

@@ -123,13 +123,13 @@ def run(args: argparse.Namespace) -> int:
         "blur_size_min_px": round(float(bank.blur_sizes_px.min()), 3),
         "blur_size_max_px": round(float(bank.blur_sizes_px.max()), 3),
         "window_px": bank.window_px,
+        "stride_px": bank.stride_px,
         "rank": bank.basis.shape[1],
         "truncation_error": round(bank.truncation_error, 6),
         "learned_from": bank.learned_from,
         "seconds": round(time.perf_counter() - start, 3),
     }
     if trials:
-        summary["stride_px"] = bank.stride_px
         summary["tried"] = [dataclasses.asdict(trial) for trial in trials]
     return tell(args, summary, _text, filter(None, [side_warning(bank)]))
 
@@ -137,7 +137,9 @@ def run(args: argparse.Namespace) -> int:
 def _text(summary: dict[str, Any]) -> str:
     lines = [
         "{output}: {levels} levels, {blur_size_min_px:g} to {blur_size_max_px:g} px, from "
-        "{learned_from}; {seconds:.1f} s".format(**summary)
+        "{learned_from}; patches of {window_px} px every {stride_px} px; {seconds:.1f} s".format(
+            **summary
+        )
     ]
     for trial in summary.get("tried", []):
         chosen = all(trial[name] == summary[name] for name in ("window_px", "stride_px"))

@@ -6,12 +6,12 @@ from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 
 # Offset and slope of the logistic calibration of a patch's probability, fitted on ray-traced
 # scenes, and how sure a patch may be.
-_CALIBRATION = (0.7, 0.16)
+_CALIBRATION = (0.7, 0.22)
 _SURE = 1e-3
 # What a level is off by at least, in levels, and the factor of all deviations: of random scenes'
 # errors 68 % are within one, and as many where the deviation is small as where it is large.
 _LEAST_DEVIATION = 2.0
-_DEVIATION = 0.14
+_DEVIATION = 0.18
 # Of ray-traced pixels whose depth is unknown, what is found with this share is farther than the
 # truth by more than 10 % at three in a thousand (47 % without), and by the median at 0.7 of it.
 _PLAUSIBLE = 0.05

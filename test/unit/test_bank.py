@@ -210,7 +210,7 @@ def test_unusable_levels_are_refused():
         learn_bank(stack)
     with pytest.raises(InputError, match=r"41 px does not fit the 32 px window"):
         learn_bank(render_psf_stack(Mask.named("disc"), [3.0, 40.0]), LearnConfig(window_px=32))
-    with pytest.raises(InputError, match="window_px: expected an even number"):
+    with pytest.raises(InputError, match="window_px: expected 0 or an even number from 16"):
         LearnConfig(window_px=33)
     with pytest.raises(InputError, match="prior slopes"):
         NaturalImagePrior(slopes=())

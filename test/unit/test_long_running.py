@@ -31,7 +31,7 @@ def learned(camera, **config):
 
 @pytest.fixture(scope="module")
 def bank(camera):
-    return learned(camera)
+    return learned(camera, highest_frequency=1.0)
 
 
 def plane_at(camera, depth_m, noise=0.002, seed=1):
@@ -103,8 +103,9 @@ def test_memory_of_deblurring_does_not_grow(bank, frames, options):
 
 
 def test_threads_that_are_not_there_are_refused():
-    with pytest.raises(InputError, match="threads: 0 is out of range"):
-        DepthConfig(threads=0)
+    with pytest.raises(InputError, match="threads: -1 is out of range"):
+        DepthConfig(threads=-1)
+    assert DepthConfig().thread_count == min(processors(), 4)
     too_many = processors() + 1
     if too_many <= 1024:
         message = f"threads: {too_many} is out of range: .* {processors()} processor.*1 to "

@@ -105,7 +105,7 @@ def calibrate_planes(
         Naming the picture and what to do: no texture, wrong depths, planes on both sides of the
         focus, a depth range far beyond the planes.
     """
-    config = config or LearnConfig()
+    config = (config or LearnConfig()).for_blur()
     checks = check_pictures(planes.images, planes.names, config.window_px, planes.depths_m)
     search = MaskSearch(planes, config.window_px, progress)
     mixture = search.mixture()
@@ -168,7 +168,7 @@ def learn_bank_from_planes(
         If a plane has no texture above its noise, or is smaller than the window.
     """
     check_levels(level_count)
-    config = config or LearnConfig()
+    config = (config or LearnConfig()).for_blur()
     check_pictures(planes.images, planes.names, config.window_px)
     search = MaskSearch(planes, config.window_px, progress)
     mixture = search.mixture()

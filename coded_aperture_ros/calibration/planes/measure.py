@@ -74,6 +74,7 @@ def measured_planes(
 
     Of the pattern only its mask is used, and how large it gets at most.
     """
+    config = config.for_blur()
     largest = _BEYOND * float(np.abs(pattern.blur_size_px(planes.depths_m)).max())
     largest = min(largest, config.window_px - 1)
     sizes_px = np.linspace(_SMALLEST_PX, largest, _SIZES)

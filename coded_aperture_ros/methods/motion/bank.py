@@ -8,7 +8,13 @@ import numpy as np
 import scipy.fft
 import scipy.linalg
 
-from coded_aperture_ros.bank import EmpiricalPrior, FilterBank, WindowedFourierBasis, power_spectrum
+from coded_aperture_ros.bank import (
+    EmpiricalPrior,
+    FilterBank,
+    WindowedFourierBasis,
+    power_spectrum,
+    with_all_frequencies,
+)
 from coded_aperture_ros.bank.factoring import common_basis, fitted_coefficients
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
@@ -61,7 +67,7 @@ def learn_motion_bank(
     Parameters
     ----------
     bank : FilterBank
-        Its PSFs, window, textures and highest frequency are taken over.
+        Its PSFs, window and textures are taken over; all frequencies count.
     rank : int, optional
         Vectors in the common basis. As many as there are frequencies, or more, are exact: then the
         frequencies themselves are the basis.
@@ -79,6 +85,7 @@ def learn_motion_bank(
             "motion: the bank has levels on both sides of the focal plane, which cannot be "
             "distinguished where things move: learn a bank for one side"
         )
+    bank = with_all_frequencies(bank)
     psfs, fourier = bank.stack.psfs, bank.fourier
     width = psfs.shape[-1] + len(motion_kernel((motions.longest_px, 0.0))) - 1
     if width > bank.window_px:
