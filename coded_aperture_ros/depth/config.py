@@ -63,7 +63,7 @@ class DepthConfig:
     confidence_threshold: float = option(
         0.55,
         "Depth is unknown where the confidence is below this; that of classical regularisation is "
-        "at most 0.86.",
+        "at most 0.90.",
         within=(0.0, 1.0),
         parameter="confidence.threshold",
     )

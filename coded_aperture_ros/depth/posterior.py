@@ -83,7 +83,7 @@ def confidence_of(
     Returns
     -------
     ndarray, float32 [rows, columns]
-        In [0, 1]; where the patch knows something, between 0.40 and 0.86.
+        In [0, 1]; where the patch knows something, between 0.31 and 0.90.
     """
     # For every level that a patch may be given, as there are fewer of these than pixels.
     levels = probability.shape[-1]

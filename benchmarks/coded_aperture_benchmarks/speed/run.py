@@ -16,6 +16,7 @@ from coded_aperture_benchmarks.speed.baselines import (
     ways_to_regularise,
 )
 from coded_aperture_benchmarks.speed.frames import NOISE, moving_frames
+from coded_aperture_benchmarks.speed.grid import SpeedGrid
 from coded_aperture_benchmarks.speed.machine import Rates, machine_rates, roofline
 from coded_aperture_benchmarks.speed.setting import MASK, Extent, Setting
 from coded_aperture_benchmarks.speed.video import VideoRun
@@ -48,6 +49,7 @@ class SpeedBenchmark:
         self._thesis = ThesisFilters(setting, stack)
         self._denoising = NonLocalMeans(setting, stack)
         self._accuracy = StairAccuracy(setting) if extent.accuracy else None
+        self._grid = SpeedGrid(setting.threads, setting.backend, extent.frames, extent.quick)
 
     def steps(self) -> list[Work]:
         """Return the work, to be done in this order; `results` is of all of it."""
@@ -70,6 +72,7 @@ class SpeedBenchmark:
             *(step for keys in (sizes, levels, threads, cuts) for step in self._in_turns(keys)),
             *slow,
             *(self._accuracy.steps() if self._accuracy else []),
+            *self._grid.steps(),
         ]
 
     def results(self) -> dict[str, Any]:
@@ -83,6 +86,7 @@ class SpeedBenchmark:
             "threads": self._thread_results(),
             "comparison": self._comparison(),
             "accuracy": self._accuracy.results() if self._accuracy else None,
+            "grid": self._grid.results(self._machine()),
         }
 
     # The work.

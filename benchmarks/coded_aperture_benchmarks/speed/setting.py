@@ -81,6 +81,8 @@ class Extent:
         Frames that a non-local mean is of.
     accuracy : bool
         Whether the stair is measured, which needs its pictures.
+    quick : bool
+        Less of the table over strides and sizes.
     """
 
     frames: int
@@ -90,6 +92,7 @@ class Extent:
     repeats: int
     denoised: tuple[int, ...]
     accuracy: bool
+    quick: bool = False
 
 
 def published_size(shape: Size, full: bool = False) -> Size:

@@ -66,6 +66,7 @@ def _cells(args: options.Args) -> list[Callable[[], Any]]:
         repeats=_QUICK_REPEATS if quick else _REPEATS,
         denoised=_QUICK_DENOISED if quick else _DENOISED,
         accuracy=not quick and has_test_pictures(),
+        quick=quick,
     )
     benchmark = SpeedBenchmark(setting, extent)
     return [*benchmark.steps(), benchmark.results]
@@ -98,6 +99,7 @@ def _results(_: options.Args, found: list[Any], seconds: float) -> Row:
 def _text(results: Row) -> str:
     return "\n\n".join(
         [
+            _grid_table(results["grid"]),
             _stage_table(results),
             _roofline_table(results),
             _size_table(results["sizes"]),
@@ -108,6 +110,31 @@ def _text(results: Row) -> str:
             f"{results['seconds']:.0f} s in all",
         ]
     )
+
+
+def _grid_table(rows: list[Row]) -> str:
+    stages = list(dict.fromkeys(stage for row in rows for stage in row["stages"]))
+
+    def of_stage(stage: str) -> Callable[[Row], str]:
+        return lambda row: _number(row["stages"][stage]) if stage in row["stages"] else ""
+
+    described = {
+        "stride": "{stride_px}",
+        "size": lambda row: _size(row["size"]),
+        "frames": lambda row: "colour" if row["colour"] else "grey",
+        # Where the network was not trained for the stride, the row says what stood in for it.
+        "levels by": lambda row: "learned" if row["refined"] else "semiglobal",
+        **{stage: of_stage(stage) for stage in stages},
+        "p50": lambda row: _number(row["total"]["p50_ms"]),
+        "p99": lambda row: _number(row["total"]["p99_ms"]),
+        "fps": "{frames_per_second:.1f}",
+        "engine / GEMM": lambda row: f"{100 * row['engine_of_gemm']:.0f} %",
+    }
+    title = "depth as nodes estimate it: the bank that `learn` makes, full-size maps; ms"
+    once = {
+        (row["stride_px"], tuple(row["size"]), row["colour"], row["refined"]): row for row in rows
+    }
+    return f"{title}\n{columns(list(once.values()), described)}"
 
 
 def _stage_table(results: Row) -> str:
