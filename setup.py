@@ -40,6 +40,8 @@ setup(
         "numpy>=1.26",
         "scipy>=1.11",
         "opencv-python-headless>=4.6",
+        # Compiles the loops that NumPy would need many passes for; works without it, slower.
+        "numba>=0.58",
         "PyYAML>=6.0",
         f'{GRAPH_CUTS}; platform_machine == "x86_64"',
     ],
@@ -66,7 +68,7 @@ setup(
         ],
         "gpu": ["torch>=2.2"],
         # Random scenes, and training of the refinement.
-        "train": ["numba>=0.59", "torch>=2.2", "scikit-image>=0.22", "scikit-learn>=1.4"],
+        "train": ["torch>=2.2", "scikit-image>=0.22", "scikit-learn>=1.4"],
         "graphcut": [GRAPH_CUTS],
         "cluster": ["distributed>=2024.1"],
         # `make docs`.
@@ -82,7 +84,6 @@ setup(
             "mypy>=1.11",
             "pre-commit>=3.5",
             "types-PyYAML",
-            "numba>=0.59",
             "distributed>=2024.1",
             "colcon-core>=0.17",
             "colcon-ros>=0.5",

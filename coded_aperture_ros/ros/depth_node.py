@@ -6,6 +6,7 @@ import math
 import threading
 from typing import Any, ClassVar
 
+import cv2
 import numpy as np
 from sensor_msgs.msg import CameraInfo, Image, Imu, PointCloud2
 
@@ -221,6 +222,9 @@ class DepthNode(FrameNode[Image]):
         motion = self.configs[MotionConfig]
         self._model.change(lambda model: with_settings(model, motion))
         model, camera = self._model.model, self._model.camera
+        # OpenCV runs the network; without it one thread is enough (see `limit_threads`).
+        if cv2.getNumThreads() != (threads := self.configs[DepthConfig].thread_count):
+            cv2.setNumThreads(threads)
         pipeline.reconfigure(model=model, camera=camera, depth=self.configs[DepthConfig])
         if self._restarting.is_set():
             self._restarting.clear()

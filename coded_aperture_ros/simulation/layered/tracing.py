@@ -127,6 +127,6 @@ def _kernels() -> Any:
         from coded_aperture_ros.simulation.layered import kernels
     except ImportError as error:
         raise InputError(
-            "random scenes need numba: pip install 'coded_aperture_ros[train]'"
+            "random scenes need numba: pip install numba (on Ubuntu: apt install python3-numba)"
         ) from error
     return kernels
