@@ -7,6 +7,7 @@ import pytest
 
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.depth.paths import add_best_paths
+from coded_aperture_ros.depth.refine.layout import _put_in_squares, subtract_enlarged
 from coded_aperture_ros.likelihood.products import products_of_transforms
 
 RANDOM = np.random.default_rng(0)
@@ -43,6 +44,29 @@ def test_both_forms_multiply_the_same_transforms(unpaired):
         form(parts, 5, products)
     for products in found[1:]:
         assert products == pytest.approx(found[0], rel=1e-5, abs=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(3, 4, 6), (2, 2, 2), (1, 1, 1)])
+def test_both_forms_subtract_the_same(shape):
+    pytest.importorskip("numba")
+    costs = RANDOM.random(shape, dtype=np.float32)
+    sizes = [np.ones((shape[0], 2 * shape[1], 2 * shape[2]), np.float32) for _ in range(3)]
+    forms = subtract_enlarged, subtract_enlarged.plain, subtract_enlarged.loop
+    for form, size in zip(forms, sizes, strict=True):
+        form(costs, size)
+    for size in sizes[1:]:
+        assert size == pytest.approx(sizes[0], abs=1e-6)
+
+
+def test_both_forms_put_cells_in_the_same_squares():
+    pytest.importorskip("numba")
+    values = RANDOM.random((3, 2, 4, 6), dtype=np.float32)
+    squares = [np.empty((2, 3, 4, 2, 3), np.float32) for _ in range(3)]
+    forms = _put_in_squares, _put_in_squares.plain, _put_in_squares.loop
+    for form, found in zip(forms, squares, strict=True):
+        form(values, found)
+    for found in squares[1:]:
+        assert np.array_equal(found, squares[0])
 
 
 def test_without_numba_numpy_does_it(monkeypatch):

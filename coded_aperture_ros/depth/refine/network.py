@@ -18,6 +18,7 @@ from coded_aperture_ros.depth.refine.features import (
     KINDS,
     SCALARS,
 )
+from coded_aperture_ros.depth.refine.layout import at_half_cells, in_squares, subtract_enlarged
 
 WEIGHTS = "refinement.npz"
 # Neighbours around a half-cell, with itself, that a quarter of it may belong to.
@@ -94,7 +95,7 @@ class Network:
         # Logits of the four half-cells of every cell, and one more channel for the other network.
         of_level = self._of_level.forward("found")
         count = len(of_level)
-        of_level = _at_half_cells(of_level.reshape(-1, *of_level.shape[2:]))
+        of_level = at_half_cells(of_level.reshape(-1, *of_level.shape[2:]))
         of_level = of_level.reshape(count, PER_LEVEL, *shape)
         levels = np.zeros((1, len(BLUR_SIZES_PX), *shape), np.float32)
         levels[0, tried] = of_level[:, 4]
@@ -106,14 +107,13 @@ class Network:
         found = found.reshape(-1, *shape)
         found[: 4 * count] += of_level[:, :4].reshape(4 * count, *shape)
         choice = _likeliest(found[4 * (count + 1) :].reshape(4, NEIGHBOURS, 4, *shape))
-        found = _at_half_cells(found[: 4 * (count + 1)])
+        found = at_half_cells(found[: 4 * (count + 1)])
         size = found[:count]
         # What the costs say by themselves, to which the network adds.
         of_kinds = costs[:COST_CHANNELS].reshape(len(self._trust), -1, *shape)
         own = np.tensordot(self._trust, of_kinds[:, tried], 1)
-        for of_size, cost in zip(size, own, strict=True):
-            of_size -= cv2.resize(cost, of_size.shape[::-1], interpolation=cv2.INTER_LINEAR)
-        return Logits(size, found[count], _at_half_cells(choice.reshape(-1, *shape)))
+        subtract_enlarged(own, size)
+        return Logits(size, found[count], at_half_cells(choice.reshape(-1, *shape)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -147,22 +147,15 @@ class _First:
         """Return the layer [tried, out, square rows, square columns] of `cost_features`."""
         tried, last = self.tried, len(BLUR_SIZES_PX) - 1
         volume = costs[:COST_CHANNELS].reshape(-1, last + 1, *costs.shape[1:])
-        squares = _in_squares(volume[:, tried])
+        squares = in_squares(volume[:, tried])
         found = self.itself @ squares
         beside = volume[::KINDS, np.clip(np.arange(tried.start - 1, tried.stop + 1), 0, last)]
-        of_beside = self.beside @ _in_squares(beside)
+        of_beside = self.beside @ in_squares(beside)
         out = len(self.itself)
         found += of_beside[:-2, :out]
         found += of_beside[2:, out:]
-        found += self.scalars @ _in_squares(costs[COST_CHANNELS:, None])[0] + self.added
+        found += self.scalars @ in_squares(costs[COST_CHANNELS:, None])[0] + self.added
         return found.reshape(*found.shape[:2], costs.shape[1] // 2, -1)
-
-
-def _in_squares(values: FloatArray) -> FloatArray:
-    """Put the cells of 2 x 2 into channels: [n, b, rows, columns] to [b, 4 n, squares]."""
-    count, sizes, rows, columns = values.shape
-    parts = values.reshape(count, sizes, rows // 2, 2, columns // 2, 2)
-    return np.ascontiguousarray(parts.transpose(1, 0, 3, 5, 2, 4)).reshape(sizes, 4 * count, -1)
 
 
 def _contiguous(values: NDArray[Any]) -> FloatArray:
@@ -178,15 +171,6 @@ def _likeliest(logits: FloatArray) -> NDArray[np.uint8]:
         np.putmask(which, better, index)
         np.maximum(best, logits[:, index], out=best)
     return which
-
-
-def _at_half_cells(of_cells: NDArray[Any]) -> NDArray[Any]:
-    """Put groups of four channels side by side: [4 n, rows, columns] to [n, 2 rows, 2 columns]."""
-    count, rows, columns = of_cells.shape
-    whole = np.empty((count // 4, 2 * rows, 2 * columns), of_cells.dtype)
-    for quarter in range(4):
-        whole[:, quarter // 2 :: 2, quarter % 2 :: 2] = of_cells[quarter::4]
-    return whole
 
 
 @lru_cache(maxsize=1)
