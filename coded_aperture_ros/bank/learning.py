@@ -48,7 +48,7 @@ class LearnConfig:
         within=(1, 4096),
     )
     highest_frequency: float = option(
-        0.42,
+        0.46,
         "Frequencies above this are left out: blur leaves little there that is not noise, or from "
         "edges of depth. 1: all count.",
         unit="cycles/px",

@@ -78,7 +78,9 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _add_settings(parser: argparse.ArgumentParser) -> None:
-    add_estimator_settings(parser)
+    from coded_aperture_ros.depth.config import VIDEO_FRAMES
+
+    add_estimator_settings(parser, temporal_frames=VIDEO_FRAMES)
 
 
 def run(args: argparse.Namespace) -> int:

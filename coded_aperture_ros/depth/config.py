@@ -7,6 +7,9 @@ from coded_aperture_ros.core.workers import automatic_threads, check_threads
 from coded_aperture_ros.depth.regularize import LEARNED, REGULARIZERS
 from coded_aperture_ros.likelihood import BACKENDS, check_backend
 
+# `temporal_frames` of nodes and bags, whose frames are those of a video.
+VIDEO_FRAMES = 4.0
+
 
 @dataclasses.dataclass(frozen=True)
 class DepthConfig:

@@ -96,7 +96,7 @@ def _scale_strip(
     for tick_m in _ticks(near_m, far_m, max(2, length // 70)):
         column = _MARGIN + round((tick_m - near_m) / (far_m - near_m) * (length - 1))
         cv2.line(strip, (column, 4 + _BAR_HEIGHT), (column, 8 + _BAR_HEIGHT), (0, 0, 0))
-        label = f"{tick_m:.4g} {unit}".strip()
+        label = f"{tick_m + 0.0:.4g} {unit}".strip()  # never "-0"
         (text_width, text_height), _ = cv2.getTextSize(label, _FONT, _FONT_SCALE, _STROKE)
         left = int(np.clip(column - text_width // 2, 0, width - text_width))
         origin = (left, 12 + _BAR_HEIGHT + text_height)

@@ -23,6 +23,7 @@ from coded_aperture_ros.depth import (
     refinement_note,
     side_warning,
 )
+from coded_aperture_ros.depth.config import VIDEO_FRAMES
 from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.methods.choose import METHODS, new_model, with_settings
 from coded_aperture_ros.methods.motion import MotionConfig
@@ -97,7 +98,7 @@ class DepthNode(FrameNode[Image]):
             "depth_node",
             ModelConfig(),
             DepthNodeConfig(),
-            DepthConfig(),
+            DepthConfig(temporal_frames=VIDEO_FRAMES),
             MotionConfig(),
             GyroConfig(),
             fixed={"learn.": LearnConfig(), "simple.": SimpleConfig()},

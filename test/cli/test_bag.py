@@ -343,6 +343,8 @@ def test_motion_is_found_as_by_depth(scene, tmp_path, capsys, options):
         16,
         "--unknown",
         "nearest",
+        "--temporal-frames",
+        0,  # as of pictures
     )
     bag = write_bag(tmp_path / "in", recording(scene, frames=2))
     sizes = ("--output-size", "full")

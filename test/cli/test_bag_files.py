@@ -195,7 +195,9 @@ def test_a_full_disk_leaves_nothing_behind(scene, tmp_path, storage):
     bag = write_bag(tmp_path / "in", recording(scene, frames=8), storage)
     target = tmp_path / "deep" / "out"
     before = everything(tmp_path)
-    arguments = [str(part) for part in command(scene, bag, target)]
+    # Frames by themselves are shared among processes.
+        options = ("--temporal-frames", 0)
+        arguments = [str(part) for part in command(scene, bag, target, *options)]
     program = (
         "import resource, sys\n"
         "from coded_aperture_ros.cli.main import main\n"
