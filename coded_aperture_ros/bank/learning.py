@@ -27,8 +27,8 @@ _WINDOW_PX, _ENOUGH_FOR_PX, _WINDOWS_PER_BLUR = 48, 22.0, 3.2
 _SMALLEST_WINDOW_PX, _LARGEST_WINDOW_PX = 16, 256
 # The rank that all frequencies need.
 _RANK_OF_ALL = 128
-# Patches are so many to a window chosen by the blur.
-_STRIDES_PER_WINDOW = 6
+# A window chosen by the blur has so many patches a side, no farther apart than this.
+_STRIDES_PER_WINDOW, _LARGEST_STRIDE_PX = 6, 16
 
 
 @dataclasses.dataclass(frozen=True)
@@ -235,7 +235,8 @@ def learn_bank(
     if not config.window_px:
         largest_px = float(np.abs(stack.blur_sizes_px).max()) if stack.in_pixels else 0.0
         config = config.for_blur(largest_px, widest)
-        stride_px = max(DEFAULT_STRIDE_PX, config.window_px // _STRIDES_PER_WINDOW // 4 * 4)
+        stride_px = config.window_px // _STRIDES_PER_WINDOW // 4 * 4
+        stride_px = min(max(stride_px, DEFAULT_STRIDE_PX), _LARGEST_STRIDE_PX)
     if widest > config.window_px:
         raise InputError(
             f"a PSF of {widest} px does not fit the {config.window_px} px window: "

@@ -195,9 +195,7 @@ def test_a_full_disk_leaves_nothing_behind(scene, tmp_path, storage):
     bag = write_bag(tmp_path / "in", recording(scene, frames=8), storage)
     target = tmp_path / "deep" / "out"
     before = everything(tmp_path)
-    # Frames by themselves are shared among processes.
-        options = ("--temporal-frames", 0)
-        arguments = [str(part) for part in command(scene, bag, target, *options)]
+    arguments = [str(part) for part in command(scene, bag, target)]
     program = (
         "import resource, sys\n"
         "from coded_aperture_ros.cli.main import main\n"
@@ -433,7 +431,9 @@ def forked_processes(pid):
 def test_nothing_stays_of_a_program_or_a_worker_that_is_killed(scene, recorded, tmp_path, whom):
     bag, target = recorded(600), tmp_path / "out"
     before = everything(tmp_path)
-    arguments = [str(part) for part in command(scene, bag, target)]
+    # Frames by themselves are shared among processes.
+    options = ("--temporal-frames", 0)
+    arguments = [str(part) for part in command(scene, bag, target, *options)]
     program = subprocess.Popen(
         [sys.executable, "-m", "coded_aperture_ros.cli.main", *arguments],
         stdout=subprocess.PIPE,

@@ -84,7 +84,7 @@ def test_levels_and_a_summary_as_json(scene, tmp_path, capsys):
     assert (summary["output"], summary["unit"]) == (str(output), "level")
     assert 0.8 < summary["known"] <= 1
     # The estimate errs upward: some of the texture counts as noise.
-    assert 0.0005 < summary["noise"] < 0.005
+    assert 0.0005 < summary["noise"] < 0.007
     level = np.load(output)
     assert 0 <= np.nanmin(level) < np.nanmax(level) < 15 + 1e-3
     assert summary["median"] == pytest.approx(np.nanmedian(level), abs=1e-4)

@@ -126,8 +126,8 @@ CAMERA_RANGE = ("--camera", "camera.yaml", "--depth-range", 1.5, 3)
         (("--planes", "folder", "--psfs", "a.npz"), "not allowed with"),
         (("--planes", "folder", "--depths", "1,2"), "--depths only goes with --psfs"),
         (("--planes", "folder", "--images", "other"), "--images does not go with --planes"),
-        ((*CAMERA_RANGE, "--window-px", 8), "--window-px: 8 is out of range (16 to 256 px)"),
-        ((*CAMERA_RANGE, "--window-px", 33), "--window-px: expected an even number"),
+        ((*CAMERA_RANGE, "--window-px", 8), "--window-px: expected 0 or an even number from 16"),
+        ((*CAMERA_RANGE, "--window-px", 33), "--window-px: expected 0 or an even number"),
         ((*CAMERA_RANGE, "--rank", 0), "--rank: 0 is out of range"),
         ((*CAMERA_RANGE, "--noise", -1), "--noise: -1.0 is out of range"),
         ((*CAMERA_RANGE, "--noise", "loud"), "invalid float value: 'loud'"),
@@ -152,7 +152,7 @@ def test_wrong_usage(tmp_path, capsys, monkeypatch, arguments, phrase):
         ({"mask": {"name": "levine"}}, ["unknown mask 'levine'", "did you mean levin?"]),
         ({"mask": {"file": "no.png"}}, ["cannot read mask", "no.png"]),
         ({"mask": None}, ["missing mask"]),
-        ({"mask_extent_mm": 400.0}, ["does not fit the 48 px window", "larger window"]),
+        ({"mask_extent_mm": 1600.0}, ["does not fit the 256 px window", "larger window"]),
     ],
 )
 def test_unusable_camera_files(tmp_path, capsys, changes, phrases):
@@ -325,3 +325,17 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path):
     assert "Traceback" not in result.stderr
     assert (result.returncode, result.stdout) == (1, "")
     assert everything(tmp_path) == {}
+
+
+@pytest.mark.parametrize(
+    ("largest", "window_px", "stride_px"), [(12, 48, 8), (22, 48, 8), (30, 96, 16)]
+)
+def test_window_and_stride_follow_the_largest_blur(tmp_path, capsys, largest, window_px, stride_px):
+    output = tmp_path / "bank.npz"
+    sizes = ("--blur-sizes", 5, largest, 4, "--mask", "levin")
+    result = call(capsys, "learn", *sizes, "-o", output)
+    assert f"patches of {window_px} px every {stride_px} px" in result.out
+    bank = load_bank(output)
+    assert (bank.window_px, bank.stride_px) == (window_px, stride_px)
+    told = call(capsys, "learn", *sizes, "--window-px", 64, "-o", tmp_path / "told.npz")
+    assert "patches of 64 px every 8 px" in told.out

@@ -23,6 +23,8 @@ _SIZES, _BEYOND, _SMALLEST_PX = 48, 1.2, 0.5
 # Whole sizes are this uncertain even on the best of planes; sharp planes are worse.
 LEAST_ERROR_PX = 0.1
 _ITERATIONS = 20
+# Vectors of the common basis, for all frequencies.
+_RANK = 128
 # A tilt is told if it is this sure, and so large.
 _SURE, _TILT_PX = 4.0, 0.6
 
@@ -74,7 +76,8 @@ def measured_planes(
 
     Of the pattern only its mask is used, and how large it gets at most.
     """
-    config = config.for_blur()
+    # Planes have no edges of depth: all frequencies tell.
+    config = dataclasses.replace(config.for_blur(), highest_frequency=1.0, rank=_RANK)
     largest = _BEYOND * float(np.abs(pattern.blur_size_px(planes.depths_m)).max())
     largest = min(largest, config.window_px - 1)
     sizes_px = np.linspace(_SMALLEST_PX, largest, _SIZES)
