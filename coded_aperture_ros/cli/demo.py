@@ -65,7 +65,7 @@ def add_parser(subparsers: Any) -> None:
         description=(
             "Run camera driver (simulating a camera that pans over a real scene), depth node and "
             "deblurring node as three processes over DDS; show rate, latency and accuracy; leave "
-            "coded.png, depth.png, all_in_focus.png, comparison.png (all of it beside the truth) and "
+            "coded.png, depth.png, all_in_focus.png, comparison.png (all beside the truth) and "
             "summary.json."
         ),
         epilog="example: coded_aperture demo --output results --seconds 10",

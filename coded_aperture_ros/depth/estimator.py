@@ -251,7 +251,9 @@ class DepthEstimator:
                 small: SmallPatches | None = None
                 decide: Decide
                 if (bank := self._refined_bank(stride_px)) is not None:
-                    small = SmallPatches(self.small_bank, shape, config.backend, config.thread_count)
+                    small = SmallPatches(
+                        self.small_bank, shape, config.backend, config.thread_count
+                    )
                     unless_planned.callback(small.close)
                     decide = Refined(bank, self._levels, small.grid, sides)
                 else:

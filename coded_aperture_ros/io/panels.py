@@ -28,9 +28,7 @@ def panels(rows: Sequence[Sequence[tuple[str, NDArray[np.uint8]]]]) -> NDArray[n
     return np.vstack([np.hstack([_titled(*one, height, width) for one in row]) for row in rows])
 
 
-def _titled(
-    title: str, picture: NDArray[np.uint8], height: int, width: int
-) -> NDArray[np.uint8]:
+def _titled(title: str, picture: NDArray[np.uint8], height: int, width: int) -> NDArray[np.uint8]:
     whole = np.full((_TITLE_HEIGHT + height + _GAP, width + _GAP, 3), _WHITE, np.uint8)
     rows, columns = picture.shape[:2]
     whole[_TITLE_HEIGHT : _TITLE_HEIGHT + rows, :columns] = picture

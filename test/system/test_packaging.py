@@ -74,15 +74,7 @@ def test_manifest_names_every_package_that_the_code_imports(checkout, manifest):
         "yaml": "python3-yaml",
         "numba": "python3-numba",
     }
-    optional = {
-        "maxflow",
-        "skimage",
-        "matplotlib",
-        "tqdm",
-        "rosbags",
-        "torch",
-        "distributed",
-    }
+    optional = {"maxflow", "skimage", "matplotlib", "tqdm", "rosbags", "torch", "distributed"}
     declared = {element.text for element in manifest.iter("exec_depend")}
     assert {"rclpy", "sensor_msgs", "diagnostic_msgs", *apt_names.values()} <= declared
     imported = set()

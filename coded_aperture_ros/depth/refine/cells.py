@@ -67,7 +67,7 @@ class Cells:
         if grid.stride_px != CELL_PX or rows.offset or columns.offset:
             across = _interpolation(grid.column_centres, self.left, columns)
             down = _interpolation(grid.row_centres, self.top, rows)
-            values = down @ values @ across.T
+            values = np.asarray(down @ values @ across.T, np.float32)
         # Beyond the outermost patches their values go on.
         row_of, column_of = (
             np.clip(np.arange(count) - inside.start, 0, inside.stop - inside.start - 1)

@@ -96,11 +96,7 @@ class Surroundings:
 
 
 def cost_features(
-    looks: Sequence[Look],
-    around: Surroundings,
-    cells: Cells,
-    sizes_px: DoubleArray,
-    near: float,
+    looks: Sequence[Look], around: Surroundings, cells: Cells, sizes_px: DoubleArray, near: float
 ) -> FloatArray:
     """Return what is known of every cell.
 

@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.archive import read_archive
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth.refine.features import (
-    BLUR_SIZES_PX,
-    COST_CHANNELS,
-    KINDS,
-    SCALARS,
-)
+from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, COST_CHANNELS, KINDS, SCALARS
 from coded_aperture_ros.depth.refine.layout import at_half_cells, in_squares, subtract_enlarged
 
 WEIGHTS = "refinement.npz"

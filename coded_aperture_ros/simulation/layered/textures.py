@@ -294,7 +294,7 @@ def _signs(random: np.random.Generator) -> FloatArray:
         else:
             end = random.integers(0, TEXTURE_PX, 2).tolist()
             cv2.line(page, at, end, tone, thick)
-    return _nearly_plain(page / np.float32(255), random)
+    return _nearly_plain(np.asarray(page / 255, np.float32), random)
 
 
 def _nearly_plain(canvas: FloatArray, random: np.random.Generator) -> FloatArray:
