@@ -11,13 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from coded_aperture_ros.cli.checks import check_output
-from coded_aperture_ros.cli.demo_processes import (
-    SHARED_MEMORY_MB,
-    Children,
-    private_network,
-    shared_memory_suffices,
-    sigterm_like_ctrl_c,
-)
+from coded_aperture_ros.cli.demo_processes import Children, private_network, sigterm_like_ctrl_c
 from coded_aperture_ros.cli.demo_report import (
     RESULTS,
     Speaker,
@@ -28,7 +22,7 @@ from coded_aperture_ros.cli.demo_report import (
 )
 from coded_aperture_ros.cli.options import add_options
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.share import share_directory
+from coded_aperture_ros.core.share import SHARED_MEMORY_MB, share_directory, shared_memory_suffices
 
 if TYPE_CHECKING:
     from coded_aperture_ros.ros.demo_monitor import DemoMonitor

@@ -12,15 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.share import share_directory
+from coded_aperture_ros.core.share import shared_memory_profile
 
 _LAST_LINES = 15
 # Niceness counts only within a session (Linux autogroups), so the nodes stay in this one; Ctrl-C
 # then reaches them too, which they take as it is meant. With 19 a busy computer would leave
 # deblurring nothing.
 _NICENESS = {"deblur_node": 5}
-# Four processes with a segment of 64 MiB each.
-SHARED_MEMORY_MB = 280
 
 
 class Children:
@@ -82,18 +80,8 @@ def private_network(shared_memory: bool) -> dict[str, str]:
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     }
     if shared_memory:
-        profiles = share_directory() / "config" / "fastdds_shared_memory.xml"
-        environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profiles)
+        environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(shared_memory_profile())
     return environment
-
-
-def shared_memory_suffices(folder: str = "/dev/shm") -> bool:
-    """Return whether there is room for the segments; containers often have 64 MB only."""
-    try:
-        status = os.statvfs(folder)
-    except OSError:
-        return False
-    return status.f_bavail * status.f_frsize >= SHARED_MEMORY_MB * 2**20
 
 
 @contextlib.contextmanager

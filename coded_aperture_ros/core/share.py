@@ -1,10 +1,13 @@
 """Where the package's camera files, profiles and parameter files are."""
 
+import os
 from pathlib import Path
 
 from coded_aperture_ros.core.errors import InputError
 
 _PACKAGE = "coded_aperture_ros"
+# Four processes with a segment of 64 MiB each.
+SHARED_MEMORY_MB = 280
 
 
 def share_directory() -> Path:
@@ -28,3 +31,17 @@ def share_directory() -> Path:
     raise InputError(
         f"no share/{_PACKAGE}/config above {here.parent}: install the package with pip or colcon"
     )
+
+
+def shared_memory_profile() -> Path:
+    """Return the settings with which Fast DDS hands large messages over in shared memory."""
+    return share_directory() / "config" / "fastdds_shared_memory.xml"
+
+
+def shared_memory_suffices(folder: str = "/dev/shm") -> bool:
+    """Return whether there is room for the segments; containers often have 64 MB only."""
+    try:
+        status = os.statvfs(folder)
+    except OSError:
+        return False
+    return status.f_bavail * status.f_frsize >= SHARED_MEMORY_MB * 2**20

@@ -8,6 +8,9 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+from coded_aperture_ros.core.share import shared_memory_profile, shared_memory_suffices
+
+_PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _BOOTSTRAP = "ros_wheels_bootstrapper"
 
 # Nodes share a computer. Threads that wait for each other on busy cores cost far more than they
@@ -35,6 +38,17 @@ def limit_pictures() -> None:
     A message of some bytes could otherwise take gigabytes. Call it before OpenCV is imported.
     """
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**26))
+
+
+def share_large_messages() -> None:
+    """Let Fast DDS hand over full-size images in shared memory, unless the user has said otherwise.
+
+    Its default segment is smaller than one image, so that best-effort subscribers on the same
+    machine would lose most. Call it before rclpy is imported.
+    """
+    said = any(os.environ.get(name) for name in _PROFILE_VARIABLES)
+    if not said and shared_memory_suffices():
+        os.environ[_PROFILE_VARIABLES[0]] = str(shared_memory_profile())
 
 
 def prepare_ros_environment() -> None:

@@ -26,6 +26,9 @@ def _run(*names: str) -> int:
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _end_at_once)
+    from coded_aperture_ros.ros.environment import share_large_messages
+
+    share_large_messages()
     from coded_aperture_ros.ros.running import run_nodes
     from coded_aperture_ros.ros.topics import LocalTopics
 

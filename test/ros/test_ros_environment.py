@@ -118,3 +118,25 @@ def test_the_wheels_start_with_the_clean_environment():
         timeout=60,
     )
     assert (result.stdout, result.returncode) == ("works\n", 0), result.stderr
+
+
+@pytest.mark.parametrize("room", [True, False])
+def test_nodes_share_large_messages_where_there_is_room(monkeypatch, room):
+    for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(environment, "shared_memory_suffices", lambda: room)
+    environment.share_large_messages()
+    profile = os.environ.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
+    assert (profile is not None) == room
+    if room:
+        assert Path(profile).name == "fastdds_shared_memory.xml" and Path(profile).is_file()
+
+
+@pytest.mark.parametrize("name", environment._PROFILE_VARIABLES)
+def test_settings_of_the_user_for_dds_stay(monkeypatch, name):
+    monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
+    monkeypatch.setenv(name, "/home/user/mine.xml")
+    monkeypatch.setattr(environment, "shared_memory_suffices", lambda: True)
+    environment.share_large_messages()
+    assert os.environ[name] == "/home/user/mine.xml"
+    assert os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE") in (None, "/home/user/mine.xml")
