@@ -88,12 +88,13 @@ WEIGHTS = $(notdir $(wildcard coded_aperture_ros/depth/refine/refinement.*))
 TRAINING = OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python training
 IN_TWO_PROCESSES = trap 'kill 0' INT; part() { $(TRAINING)/$(1) --shards $$1 $(SHARDS) 2; }; \
 	part 0 & first=$$!; part 1; second=$$?; wait $$first && exit $$second
+FIT = $(VENV)/bin/python training/fit.py --scenes $(TRAIN)/scenes --costs $(TRAIN)/costs \
+	--minutes $(MINUTES) --shards 4 $(SHARDS) --validate 0 4 --least-told 0.15
 train: $(VENV)/finished-train ## Learn the refinement anew: scenes, costs, weights (build/training)
 	@$(call IN_TWO_PROCESSES,scenes.py --output $(TRAIN)/scenes)
 	@$(call IN_TWO_PROCESSES,costs.py --scenes $(TRAIN)/scenes --output $(TRAIN)/costs)
-	@$(VENV)/bin/python training/fit.py --scenes $(TRAIN)/scenes --costs $(TRAIN)/costs \
-		--output $(TRAIN)/fit --minutes $(MINUTES) --shards 4 $(SHARDS) --validate 0 4 \
-		--least-told 0.15
+	@$(FIT) --output $(TRAIN)/teacher --large
+	@$(FIT) --output $(TRAIN)/fit --teacher $(TRAIN)/teacher/state.pt
 	@$(VENV)/bin/python training/export.py --state $(TRAIN)/fit/state.pt -o $(TRAIN)/$(WEIGHTS)
 
 environment: $(READY) ## Only make the virtual environment (.venv)
