@@ -58,16 +58,24 @@ def _widened(values: torch.Tensor) -> torch.Tensor:
     return functional.max_pool2d(values, _NARROW, 1, _NARROW // 2)
 
 
+def importance(batch: Batch, truth: torch.Tensor) -> torch.Tensor:
+    """Return how much each quarter of each half-cell counts [batch, 4, rows, columns].
+
+    Takes the true blur sizes of the same shape.
+    """
+    known = torch.isfinite(batch.blur_px)
+    counted = functional.pixel_unshuffle(known[:, None].float(), 2)
+    of_narrow = narrow(truth, counted > 0, batch.costs[:, -1, 0, 0])
+    return counted * (1 + _MORE_FOR_NARROW * of_narrow)
+
+
 def losses(size: torch.Tensor, choice: torch.Tensor, batch: Batch) -> dict[str, torch.Tensor]:
     """Return what the network got wrong: blur sizes, their spread, and the choice of half-cells."""
     logits = size[:, :BINS].masked_fill(~batch.tried[:, :, None, None], _UNTRIED)
     log_width = size[:, BINS].clamp(-5, 2)
-    known = torch.isfinite(batch.blur_px)
     truth = torch.nan_to_num(batch.blur_px).clamp(0, LARGEST_PX - 1e-3)
     quarters = functional.pixel_unshuffle(truth[:, None], 2)  # [batch, 4, rows, columns]
-    counted = functional.pixel_unshuffle(known[:, None].float(), 2)
-    of_narrow = narrow(quarters, counted > 0, batch.costs[:, -1, 0, 0])
-    counted = counted * (1 + _MORE_FOR_NARROW * of_narrow)
+    counted = importance(batch, quarters)
     place = quarters / BLUR_STEP_PX
     below = place.floor()
     share = place - below
@@ -110,17 +118,20 @@ def taught(
     size: torch.Tensor, choice: torch.Tensor, told: tuple[torch.Tensor, torch.Tensor], batch: Batch
 ) -> torch.Tensor:
     """Return the divergence from the probabilities that a teacher gives."""
+    truth = torch.nan_to_num(batch.blur_px).clamp(0, LARGEST_PX - 1e-3)
+    counted = importance(batch, functional.pixel_unshuffle(truth[:, None], 2)).mean(1)
+    counted = counted / counted.mean().clamp(min=1e-3)
     untried = ~batch.tried[:, :, None, None]
     log_p, log_q = (
         functional.log_softmax(values[:, :BINS].masked_fill(untried, _UNTRIED), 1)
         for values in (size, told[0])
     )
-    of_size = (log_q.exp() * (log_q - log_p)).sum(1).mean()
+    of_size = ((log_q.exp() * (log_q - log_p)).sum(1) * counted).mean()
     log_p, log_q = (
         functional.log_softmax(values.unflatten(1, (4, NEIGHBOURS)), 2)
         for values in (choice, told[1])
     )
-    of_choice = (log_q.exp() * (log_q - log_p)).sum(2).mean()
+    of_choice = ((log_q.exp() * (log_q - log_p)).sum(2).mean(1) * counted).mean()
     return of_size + 0.3 * of_choice
 
 
