@@ -60,8 +60,12 @@ def test_everything_is_measured_in_one_run(small, capsys, tmp_path):
     assert min(read_image(tmp_path / "speed.png").shape[:2]) > 400
     assert set(results) == {
         *("benchmark", "setting", "machine", "main", "sizes", "levels", "threads"),
-        *("comparison", "accuracy", "seconds"),
+        *("comparison", "accuracy", "grid", "seconds"),
     }
+    # Refined where the network was trained, at every size and in colour as well.
+    refined = {(row["stride_px"], row["refined"]) for row in results["grid"]}
+    assert refined == {(8, False), (8, True), (16, False)}
+    assert all(row["engine_of_gemm"] > 0 for row in results["grid"])
     main = results["main"]
     assert (main["size"], main["map_size"]) == ([80, 96], [80, 96])
     assert list(main["stages"]) == [
