@@ -24,6 +24,8 @@ RATIOS = 10.0 ** (np.arange(-2, 14) / 2)
 # On textured planes a window of 48 px is wrong by 0.1 px at a blur of 20 px, and by 0.28 px at
 # 30 px, where one of 96 px is wrong by 0.06 px.
 _WINDOW_PX, _ENOUGH_FOR_PX, _WINDOWS_PER_BLUR = 48, 22.0, 3.2
+# Sharp pictures differ from nearly sharp ones at the highest frequencies only.
+_HIGHEST_FREQUENCY, _SHARP_PX, _LOWEST_LIMIT = 0.46, 1.0, 0.1
 _SMALLEST_WINDOW_PX, _LARGEST_WINDOW_PX = 16, 256
 # The rank that all frequencies need.
 _RANK_OF_ALL = 128
@@ -48,11 +50,11 @@ class LearnConfig:
         within=(1, 4096),
     )
     highest_frequency: float = option(
-        0.46,
+        0.0,
         "Frequencies above this are left out: blur leaves little there that is not noise, or from "
-        "edges of depth. 1: all count.",
+        "edges of depth. 1: all count. 0: 0.46, or all where there is a blur below 1 px.",
         unit="cycles/px",
-        within=(0.1, 1.0),
+        within=(0.0, 1.0),
     )
     noise: float = option(
         0.0,
@@ -66,6 +68,11 @@ class LearnConfig:
             raise InputError(
                 f"window_px: expected 0 or an even number from {_SMALLEST_WINDOW_PX} on, "
                 f"got {self.window_px}"
+            )
+        if 0 < self.highest_frequency < _LOWEST_LIMIT:
+            raise InputError(
+                f"highest_frequency: expected 0 or at least {_LOWEST_LIMIT:g}, "
+                f"got {self.highest_frequency:g}"
             )
 
     def for_blur(self, largest_px: float = 0.0, widest_psf_px: int = 0) -> "LearnConfig":
@@ -242,7 +249,11 @@ def learn_bank(
             f"a PSF of {widest} px does not fit the {config.window_px} px window: "
             "use a larger window, or fewer or smaller blur sizes"
         )
-    fourier = WindowedFourierBasis(config.window_px, config.highest_frequency)
+    highest_frequency = config.highest_frequency or _HIGHEST_FREQUENCY
+    sharp = stack.in_pixels and np.abs(stack.blur_sizes_px).min() < _SHARP_PX
+    if sharp and not config.highest_frequency:
+        highest_frequency = 1.0
+    fourier = WindowedFourierBasis(config.window_px, highest_frequency)
     of_levels = stack.psfs[:, None] if components is None else components.swapaxes(0, 1)
     textures = prior.spectra if isinstance(prior, EmpiricalPrior) else prior.slopes
     expected = np.array(
@@ -276,7 +287,7 @@ def learn_bank(
         noise=config.noise,
         mask_digest=mask.digest if mask else "",
         learned_from=learned_from,
-        highest_frequency=config.highest_frequency,
+        highest_frequency=highest_frequency,
         stride_px=stride_px,
     )
 

@@ -78,7 +78,7 @@ class SpeedGrid:
             levels=bank.levels,
             window_px=bank.window_px,
             rank=config.rank,
-            highest_frequency=config.highest_frequency,
+            highest_frequency=bank.highest_frequency,
             stride_px=cell.stride_px,
             backend=self._backend,
             threads=self._threads,
