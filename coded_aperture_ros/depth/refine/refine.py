@@ -45,7 +45,7 @@ _OF_THE_PAST = 0.5
 # Costs that differ by less are those of a frame without any texture.
 _ALIKE = 1e-3
 # Logistic calibration of how likely a depth is right, fitted on random scenes kept apart.
-_CALIBRATION = (0.03, 0.89)
+_CALIBRATION = (0.11, 0.96)
 _DEVIATION = 0.95
 _SURE = 1e-3
 
