@@ -406,10 +406,14 @@ def test_smaller_depth_is_compared_with_the_nearest_reference(scene, tmp_path, c
     messages = read(tmp_path / "out")
     ((_, depth),) = decoded(messages, "/eye/depth/image")
     ((_, truth),) = decoded(messages, "/truth/depth")
-    # The middle of a pixel of half the size is a corner of four; the last of them counts.
-    depth_m, true_m = floats(depth), floats(truth)[1::2, 1::2]
-    both = np.isfinite(depth_m) & (true_m > 0)
-    error = np.abs(depth_m[both] - true_m[both]) / true_m[both]
+    # The middle of a pixel of half the size is a corner of four, all as near: OpenCV 4.6 takes the
+    # first of them, later versions the last.
     reference = json.loads(result.out)["reference"]
-    assert reference["median_relative_error"] == pytest.approx(float(np.median(error)), rel=1e-4)
-    assert reference["mean_relative_error"] == pytest.approx(float(error.mean()), rel=1e-4)
+    found = [reference[f"{name}_relative_error"] for name in ("median", "mean")]
+    depth_m, corners = floats(depth), []
+    for first in (0, 1):
+        true_m = floats(truth)[first::2, first::2]
+        both = np.isfinite(depth_m) & (true_m > 0)
+        error = np.abs(depth_m[both] - true_m[both]) / true_m[both]
+        corners.append([float(np.median(error)), float(error.mean())])
+    assert any(found == pytest.approx(corner, rel=1e-4) for corner in corners)
