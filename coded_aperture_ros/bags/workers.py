@@ -127,7 +127,9 @@ def _serve(connection: Connection, processor: FrameProcessor, first: bytes) -> N
     """Be one of the processes."""
     # A terminal sends Ctrl-C to all processes: the program answers it for them.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    cv2.setNumThreads(1)
+    # Beside others one thread is enough; who works alone shares the work on each frame.
+    alone = processor.remembers
+    cv2.setNumThreads(processor.pipeline.estimator.config.thread_count if alone else 1)
     messages: SimpleQueue[bytes] = SimpleQueue()
     threading.Thread(target=_take, args=(connection, messages), daemon=True).start()
     answer: Any = None

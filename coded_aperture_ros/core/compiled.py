@@ -1,7 +1,11 @@
 """Loops that numba compiles; where it is not installed, NumPy does the same in more passes."""
 
+import logging
+import threading
 from collections.abc import Callable
 from typing import Any
+
+_COMPILING = threading.Lock()
 
 
 class Compiled:
@@ -25,18 +29,29 @@ class Compiled:
     def __call__(self, *arrays: Any) -> None:
         """Run the faster one of the two."""
         if self._chosen is None:
-            self._chosen = self._choose()
+            with _COMPILING:
+                if self._chosen is None:
+                    self._chosen = self._choose(arrays)
+                    return
         self._chosen(*arrays)
 
-    def _choose(self) -> Callable[..., None]:
-        try:
-            from numba import njit
-        except ImportError:
-            return self.plain
-        options: dict[str, Any] = {"nogil": True, "fastmath": True}
-        compiled: Callable[..., None]
-        try:
-            compiled = njit(cache=True, **options)(self.loop)
-        except RuntimeError:  # there is no folder to keep it in
-            compiled = njit(**options)(self.loop)
-        return compiled
+    def _choose(self, arrays: tuple[Any, ...]) -> Callable[..., None]:
+        """Return the form that works, having run it."""
+        why: Exception | None = None
+        for cache in (True, False):  # the folder may be missing, full, or hold a broken file
+            try:
+                from numba import njit
+
+                compiled: Callable[..., None] = njit(cache=cache, nogil=True, fastmath=True)(
+                    self.loop
+                )
+                compiled(*arrays)  # compiles it first: what fails has not begun to write
+                return compiled
+            except Exception as error:
+                why = error
+        if not isinstance(why, ImportError):
+            logging.getLogger(__name__).warning(
+                f"numba cannot compile here, NumPy does the work more slowly: {why!r}"
+            )
+        self.plain(*arrays)
+        return self.plain

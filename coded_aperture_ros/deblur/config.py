@@ -3,7 +3,7 @@
 import dataclasses
 
 from coded_aperture_ros.core.options import check_options, option
-from coded_aperture_ros.core.workers import check_threads
+from coded_aperture_ros.core.workers import automatic_threads, check_threads
 from coded_aperture_ros.likelihood import BACKENDS, check_backend
 
 
@@ -102,8 +102,9 @@ class DeblurConfig:
     )
     threads: int = option(
         1,
-        "Threads of the processor for the filters; at most as many as it has cores.",
-        within=(1, 1024),
+        "Threads of the processor for the filters; at most as many as it has cores. 0: so many, "
+        "but no more than four.",
+        within=(0, 1024),
         read_only=True,
         parameter="compute.threads",
     )
@@ -111,4 +112,9 @@ class DeblurConfig:
     def __post_init__(self) -> None:
         check_options(self)
         check_backend(self.backend)
-        check_threads(self.threads)
+        check_threads(self.thread_count)
+
+    @property
+    def thread_count(self) -> int:
+        """How many threads `threads` means on this machine."""
+        return self.threads or automatic_threads()

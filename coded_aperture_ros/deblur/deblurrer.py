@@ -36,7 +36,7 @@ class Deblurrer:
     def __init__(self, stack: PsfStack, config: DeblurConfig | None = None) -> None:
         self.stack, self.config = stack, config or DeblurConfig()
         self._basis = cache(lambda: PsfBasis.of(stack))
-        self._workers = Workers(self.config.threads)
+        self._workers = Workers(self.config.thread_count)
         self._closed_form = self._new_closed_form()
         self._method = self._new_method()
         self._video = VideoState(self.config.temporal_frames)
@@ -58,7 +58,7 @@ class Deblurrer:
         old, self.config = self.config, config
         if config.threads != old.threads:
             self._workers.close()
-            self._workers = Workers(config.threads)
+            self._workers = Workers(config.thread_count)
         if (config.threads, config.rank, config.band) != (old.threads, old.rank, old.band):
             self._closed_form = self._new_closed_form()
         if config.temporal_frames != old.temporal_frames:

@@ -18,7 +18,7 @@ class DepthConfig:
     stride_px: int = option(
         0,
         "Distance between the patches whose depth is estimated; 0: as the bank says, which is 8 "
-        "unless it was learned for a time per frame.",
+        "up to a blur of 22 px, unless it was learned for a time per frame.",
         unit="px",
         within=(0, 64),
         parameter="compute.stride_px",

@@ -139,13 +139,13 @@ class DepthEstimator:
         stages.lap("prepare")
         grey, frames = seen.grey, None
         if self._average is not None:
-            grey, frames = self._average.add(seen.grey, seen.noise.sigma)
+            grey, frames = self._average.add(seen.grey, seen.noise.least)
             stages.lap("average")
         own = self.cost(seen, grey, frames, prior)
         stages.take(own.seconds)
         volume = own.volume
         if self._temporal is not None:
-            volume = self._temporal.add(volume, grey, seen.grid, seen.noise.sigma)
+            volume = self._temporal.add(volume, grey, seen.grid, seen.noise.least)
             stages.lap("temporal")
         return self.decide(seen, volume, own, size, stages)
 

@@ -60,7 +60,7 @@ def tune(
     budget_ms : float
         Milliseconds for one frame.
     config : DepthConfig, optional
-        How depth will be estimated; by default with one thread and a memory of four frames.
+        How depth will be estimated; by default with a memory of four frames.
     progress : callable, optional
         Wraps the iteration over windows, as ``tqdm.tqdm`` does.
 

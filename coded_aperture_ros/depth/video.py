@@ -61,7 +61,7 @@ def estimate_video(
         new = list(islice(remaining, (_BLOCK + 1) * ahead - len(waiting)))
         for seen in new:
             _check_size(seen, (waiting or new)[0])
-            mean, frames_of_mean = forward_mean.add(seen.grey, seen.noise.sigma)
+            mean, frames_of_mean = forward_mean.add(seen.grey, seen.noise.least)
             means.append((mean.copy(), frames_of_mean))
         waiting += new
         if not waiting:
@@ -71,7 +71,7 @@ def estimate_video(
         costs = _costs_both_ways(estimator, waiting, means)
         later = _carried_back(waiting, costs, memory)
         for seen, own, after in zip(waiting[:done], costs, later, strict=False):
-            until = forward_cost.add(own.volume, seen.grey, seen.grid, seen.noise.sigma)
+            until = forward_cost.add(own.volume, seen.grey, seen.grid, seen.noise.least)
             together = until + after - bounded(own.volume)
             together -= together.min(axis=-1, keepdims=True)
             yield estimator.decide(seen, together, own, size)
@@ -87,7 +87,7 @@ def _costs_both_ways(
     backward = StaticAverage(2 * estimator.config.temporal_frames)
     costs = []
     for seen, until in zip(reversed(waiting), reversed(means), strict=True):
-        grey, frames = joined(until, backward.add(seen.grey, seen.noise.sigma), seen.grey)
+        grey, frames = joined(until, backward.add(seen.grey, seen.noise.least), seen.grey)
         costs.append(estimator.cost(seen, grey, frames))
     return costs[::-1]
 
@@ -96,7 +96,7 @@ def _carried_back(waiting: list[Observation], costs: list[Cost], memory: float) 
     """Return the cost of every frame and of those after it."""
     backward = TemporalFilter(memory)
     carried = [
-        backward.add(own.volume, seen.grey, seen.grid, seen.noise.sigma).copy()
+        backward.add(own.volume, seen.grey, seen.grid, seen.noise.least).copy()
         for seen, own in zip(reversed(waiting), reversed(costs), strict=True)
     ]
     return carried[::-1]

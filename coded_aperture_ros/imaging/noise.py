@@ -110,10 +110,19 @@ class GreyNoise:
         Standard deviation, without shot noise.
     shot_variance : ndarray, float32 [rows, columns], or None
         Variance of the shot noise around every patch, if it is known.
+    highest : float or None
+        As `sigma`, from the highest frequencies alone, where it was estimated: fine texture counts
+        less there, and the noise of colour sensors, too.
     """
 
     sigma: float
     shot_variance: FloatArray | None = None
+    highest: float | None = None
+
+    @property
+    def least(self) -> float:
+        """What frames of a static scene differ by at least: of the highest frequencies alone."""
+        return self.sigma if self.highest is None else self.highest
 
     @property
     def deviation(self) -> float | FloatArray:
@@ -165,7 +174,7 @@ def grey_noise(
     highest = estimate_noise(high_power(grey, grid)[telling], shot)
     # Noise that a sensor's colour filters have smoothed is missing from the highest frequencies.
     lower = estimate_noise(_passed_power(grey, grid, _HALF_AS_FAST)[telling], shot)
-    return GreyNoise(max(highest, _OF_HALF_AS_FAST * lower), shot_variance)
+    return GreyNoise(max(highest, _OF_HALF_AS_FAST * lower), shot_variance, highest)
 
 
 def channel_noise(frame: FloatArray, known: KnownNoise) -> float:
@@ -194,6 +203,6 @@ def channel_noise(frame: FloatArray, known: KnownNoise) -> float:
                 f"frame of {width}x{height} px is too small to estimate its noise, give the noise"
             )
         grid = PatchGrid.covering(grey.shape, window_px, window_px)
-        sigma = grey_noise(grey, grid, known, brightness=brightness_at(grey, grid)).sigma
+        sigma = grey_noise(grey, grid, known, brightness=brightness_at(grey, grid)).least
     light = max(float(grey.mean()), 0.0) if known.noise_gain else 0.0
     return float(np.sqrt(sigma**2 + known.noise_gain * light))

@@ -1,6 +1,7 @@
 """Loops that numba compiles, against what NumPy does without it."""
 
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -76,17 +77,50 @@ def test_without_numba_numpy_does_it(monkeypatch):
     assert called == ["plain"]
 
 
-def test_where_nothing_can_be_kept_it_is_compiled_each_time(monkeypatch):
-    numba = pytest.importorskip("numba")
-    asked = []
+class Numba:
+    """Compiles nothing, and fails where it is told to."""
 
-    def njit(**options):
-        asked.append(options.get("cache", False))
-        if options.get("cache"):
-            raise RuntimeError("cannot cache function: no locator available")
-        return lambda loop: loop
+    def __init__(self, fails):
+        self.asked, self.fails = [], fails
 
-    monkeypatch.setattr(numba, "njit", njit)
+    def njit(self, cache, **_):
+        self.asked.append(cache)
+
+        def compiled(loop):
+            def run():
+                if self.fails(cache):
+                    raise EOFError("Ran out of input")
+                loop()
+
+            return run
+
+        return compiled
+
+
+@pytest.mark.parametrize(
+    ("fails", "asked", "expected"),
+    [
+        (lambda cache: False, [True], "loop"),
+        (lambda cache: cache, [True, False], "loop"),
+        (lambda cache: True, [True, False], "plain"),
+    ],
+)
+def test_what_numba_cannot_do_is_done_all_the_same(monkeypatch, caplog, fails, asked, expected):
+    numba = Numba(fails)
+    monkeypatch.setitem(sys.modules, "numba", numba)
     called = []
-    Compiled(lambda: called.append("loop"), lambda: called.append("plain"))()
-    assert asked == [True, False] and called == ["loop"]
+    compiled = Compiled(lambda: called.append("loop"), lambda: called.append("plain"))
+    compiled()
+    compiled()
+    assert (numba.asked, called) == (asked, [expected] * 2)
+    assert ("more slowly" in caplog.text) == (expected == "plain")
+
+
+def test_threads_that_call_first_compile_once(monkeypatch):
+    numba = Numba(lambda cache: False)
+    monkeypatch.setitem(sys.modules, "numba", numba)
+    called = []
+    compiled = Compiled(lambda: called.append("loop"), lambda: called.append("plain"))
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda _: compiled(), range(8)))
+    assert numba.asked == [True] and called == ["loop"] * 8
