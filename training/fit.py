@@ -58,24 +58,26 @@ def _widened(values: torch.Tensor) -> torch.Tensor:
     return functional.max_pool2d(values, _NARROW, 1, _NARROW // 2)
 
 
-def importance(batch: Batch, truth: torch.Tensor) -> torch.Tensor:
-    """Return how much each quarter of each half-cell counts [batch, 4, rows, columns].
-
-    Takes the true blur sizes of the same shape.
-    """
+def true_quarters(batch: Batch) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return true blur sizes and how much they count, quarters [batch, 4, rows, columns]."""
+    truth = torch.nan_to_num(batch.blur_px).clamp(0, LARGEST_PX - 1e-3)
+    quarters = functional.pixel_unshuffle(truth[:, None], 2)
     known = torch.isfinite(batch.blur_px)
     counted = functional.pixel_unshuffle(known[:, None].float(), 2)
-    of_narrow = narrow(truth, counted > 0, batch.costs[:, -1, 0, 0])
-    return counted * (1 + _MORE_FOR_NARROW * of_narrow)
+    of_narrow = narrow(quarters, counted > 0, batch.costs[:, -1, 0, 0])
+    return quarters, counted * (1 + _MORE_FOR_NARROW * of_narrow)
 
 
-def losses(size: torch.Tensor, choice: torch.Tensor, batch: Batch) -> dict[str, torch.Tensor]:
+def losses(
+    size: torch.Tensor,
+    choice: torch.Tensor,
+    batch: Batch,
+    quarters: torch.Tensor,
+    counted: torch.Tensor,
+) -> dict[str, torch.Tensor]:
     """Return what the network got wrong: blur sizes, their spread, and the choice of half-cells."""
     logits = size[:, :BINS].masked_fill(~batch.tried[:, :, None, None], _UNTRIED)
     log_width = size[:, BINS].clamp(-5, 2)
-    truth = torch.nan_to_num(batch.blur_px).clamp(0, LARGEST_PX - 1e-3)
-    quarters = functional.pixel_unshuffle(truth[:, None], 2)  # [batch, 4, rows, columns]
-    counted = importance(batch, quarters)
     place = quarters / BLUR_STEP_PX
     below = place.floor()
     share = place - below
@@ -115,11 +117,14 @@ def total(parts: dict[str, torch.Tensor]) -> torch.Tensor:
 
 
 def taught(
-    size: torch.Tensor, choice: torch.Tensor, told: tuple[torch.Tensor, torch.Tensor], batch: Batch
+    size: torch.Tensor,
+    choice: torch.Tensor,
+    told: tuple[torch.Tensor, torch.Tensor],
+    batch: Batch,
+    counted: torch.Tensor,
 ) -> torch.Tensor:
     """Return the divergence from the probabilities that a teacher gives."""
-    truth = torch.nan_to_num(batch.blur_px).clamp(0, LARGEST_PX - 1e-3)
-    counted = importance(batch, functional.pixel_unshuffle(truth[:, None], 2)).mean(1)
+    counted = counted.mean(1)
     counted = counted / counted.mean().clamp(min=1e-3)
     untried = ~batch.tried[:, :, None, None]
     log_p, log_q = (
@@ -197,12 +202,13 @@ def main() -> None:
             batch.frame.contiguous(memory_format=torch.channels_last),
         )
         size, choice = network(*shown)
-        parts = losses(size, choice, batch)
+        quarters, counted = true_quarters(batch)
+        parts = losses(size, choice, batch, quarters, counted)
         loss = total(parts)
         if teacher is not None:
             with torch.no_grad():
                 told = teacher(*shown)
-            parts["taught"] = taught(size, choice, told, batch)
+            parts["taught"] = taught(size, choice, told, batch, counted)
             loss = _OF_TRUTH * loss + parts["taught"]
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
@@ -239,7 +245,8 @@ def validated(network: Refinement, frames: list) -> dict[str, float]:
     count = 0
     with torch.no_grad():
         for batch in batches(frames, _BATCH, 0, augment=False):
-            for name, value in losses(*network(batch.costs, batch.frame), batch).items():
+            found = network(batch.costs, batch.frame)
+            for name, value in losses(*found, batch, *true_quarters(batch)).items():
                 sums[name] = sums.get(name, 0.0) + float(value)
             count += 1
     return {name: round(value / max(count, 1), 4) for name, value in sums.items()}
