@@ -28,7 +28,7 @@ _WINDOW_PX, _ENOUGH_FOR_PX, _WINDOWS_PER_BLUR = 48, 22.0, 3.2
 _HIGHEST_FREQUENCY, _SHARP_PX, _LOWEST_LIMIT = 0.46, 1.0, 0.1
 _SMALLEST_WINDOW_PX, _LARGEST_WINDOW_PX = 16, 256
 # The rank that all frequencies need.
-_RANK_OF_ALL = 128
+RANK_OF_ALL = 128
 # A window chosen by the blur has so many patches a side, no farther apart than this.
 _STRIDES_PER_WINDOW, _LARGEST_STRIDE_PX = 6, 16
 
@@ -307,21 +307,24 @@ def relearned(bank: FilterBank, window_px: int, levels: IndexArray) -> FilterBan
     some = PsfStack(
         np.abs(stack.blur_sizes_px[levels]), stack.psfs[levels], in_pixels=stack.in_pixels
     )
-    components = None if bank.pattern is None else bank.pattern.components(some.blur_sizes_px)
     config = LearnConfig(window_px, bank.basis_vectors, bank.highest_frequency, bank.noise)
-    other = learn_bank(some, config, bank.prior, bank.learned_from, components=components)
-    return dataclasses.replace(other, mask_digest=bank.mask_digest, pattern=bank.pattern)
+    return _learned_like(bank, some, config)
 
 
 def with_all_frequencies(bank: FilterBank) -> FilterBank:
     """Return the bank without a highest frequency: traces of motion differ at the highest, too."""
     if bank.highest_frequency >= 1:
         return bank
-    components = None if bank.pattern is None else bank.pattern.components(bank.blur_sizes_px)
-    config = LearnConfig(bank.window_px, _RANK_OF_ALL, 1.0, bank.noise)
-    other = learn_bank(bank.stack, config, bank.prior, bank.learned_from, components=components)
-    kept = {name: getattr(bank, name) for name in ("mask_digest", "stride_px", "pattern")}
-    return dataclasses.replace(other, **kept, level_error=bank.level_error)
+    config = LearnConfig(bank.window_px, RANK_OF_ALL, 1.0, bank.noise)
+    other = _learned_like(bank, bank.stack, config)
+    return dataclasses.replace(other, stride_px=bank.stride_px, level_error=bank.level_error)
+
+
+def _learned_like(bank: FilterBank, stack: PsfStack, config: LearnConfig) -> FilterBank:
+    """Learn another bank of a bank's mask, textures and pattern."""
+    components = None if bank.pattern is None else bank.pattern.components(stack.blur_sizes_px)
+    other = learn_bank(stack, config, bank.prior, bank.learned_from, components=components)
+    return dataclasses.replace(other, mask_digest=bank.mask_digest, pattern=bank.pattern)
 
 
 def textures_of(prior: NaturalImagePrior | None) -> str:

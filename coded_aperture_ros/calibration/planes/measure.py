@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import LearnConfig, LearnedPattern, learn_bank
+from coded_aperture_ros.bank.learning import RANK_OF_ALL
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.depth.posterior import refine_level
@@ -23,8 +24,6 @@ _SIZES, _BEYOND, _SMALLEST_PX = 48, 1.2, 0.5
 # Whole sizes are this uncertain even on the best of planes; sharp planes are worse.
 LEAST_ERROR_PX = 0.1
 _ITERATIONS = 20
-# Vectors of the common basis, for all frequencies.
-_RANK = 128
 # A tilt is told if it is this sure, and so large.
 _SURE, _TILT_PX = 4.0, 0.6
 
@@ -77,7 +76,7 @@ def measured_planes(
     Of the pattern only its mask is used, and how large it gets at most.
     """
     # Planes have no edges of depth: all frequencies tell.
-    config = dataclasses.replace(config.for_blur(), highest_frequency=1.0, rank=_RANK)
+    config = dataclasses.replace(config.for_blur(), highest_frequency=1.0, rank=RANK_OF_ALL)
     largest = _BEYOND * float(np.abs(pattern.blur_size_px(planes.depths_m)).max())
     largest = min(largest, config.window_px - 1)
     sizes_px = np.linspace(_SMALLEST_PX, largest, _SIZES)
