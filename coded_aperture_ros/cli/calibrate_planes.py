@@ -42,8 +42,8 @@ _EPILOG = """examples:
     coded_aperture calibrate planes planes --topic image_raw --depth 1.20
 
 Take 10 to 16 planes parallel to the sensor, all on one side of the focus, equally spaced in inverse
-depth, with fine texture all over. --json prints planes, focus_distance_m, slope_px_m, mask,
-residual_px, left_out_error and more.
+depth, with fine texture all over. A blur of more than 24 px needs a --window-px of twice its width.
+--json prints planes, focus_distance_m, slope_px_m, mask, residual_px, left_out_error and more.
 """
 _REPORT, _CAMERA = "calibrate_planes.json", "camera.yaml"
 _LEVEL_COUNT = 40

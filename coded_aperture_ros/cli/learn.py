@@ -48,7 +48,7 @@ pictures of planes:
   Linear pictures of textured planes (printed pages, say) parallel to the sensor, all on one side
   of the focus, ten or more, equally spaced in inverse depth. Beside them lies planes.json:
     [{"file": "a.png", "depth_m": 1.5}, {"file": "b.png", "depth_m": 1.8}, ...]
-  It takes a minute or two. The window has to be twice as wide as the largest blur.
+  It takes a minute or two. A blur of more than 24 px needs a --window-px of twice its width.
 """
 
 

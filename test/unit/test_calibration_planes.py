@@ -256,7 +256,7 @@ def test_ray_traced_planes_are_measured(data_dir):
     pattern = LearnedPattern(
         slope, 1 / 0.75, Mask.named("levin"), cells[None] / cells.sum(), 1.0, 320
     )
-    measured = measured_planes(planes, pattern, LearnConfig())
+    measured = measured_planes(planes, pattern, LearnConfig(window_px=48))
     fit = signed_fit(planes, measured)
     assert 1 / fit.inverse_focus == pytest.approx(0.75, rel=0.01)
     error_px = fit.blur_size_px(planes.depths_m) - pattern.blur_size_px(planes.depths_m)

@@ -90,7 +90,8 @@ def calibrate_planes(
     level_count : int, optional
         Of the bank.
     config : LearnConfig, optional
-        Its window has to be twice as wide as the largest blur.
+        Its window has to be twice as wide as the largest blur; 0 is 48 px here, as the blur is not
+        known before.
     depth_range_m : (float, float), optional
         Depths of the first and last level; by default those of the planes.
     mask : Mask, optional

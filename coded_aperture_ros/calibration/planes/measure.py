@@ -73,10 +73,10 @@ def measured_planes(
 ) -> list[MeasuredPlane]:
     """Measure the blur of every plane with filters for many sizes of the same mask.
 
-    Of the pattern only its mask is used, and how large it gets at most.
+    Of the pattern only its mask is used, and how large it gets at most. `config` names its window.
     """
     # Planes have no edges of depth: all frequencies tell.
-    config = dataclasses.replace(config.for_blur(), highest_frequency=1.0, rank=RANK_OF_ALL)
+    config = dataclasses.replace(config, highest_frequency=1.0, rank=RANK_OF_ALL)
     largest = _BEYOND * float(np.abs(pattern.blur_size_px(planes.depths_m)).max())
     largest = min(largest, config.window_px - 1)
     sizes_px = np.linspace(_SMALLEST_PX, largest, _SIZES)
