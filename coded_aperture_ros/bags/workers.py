@@ -22,7 +22,7 @@ import cv2
 
 from coded_aperture_ros.bags.frames import FrameProcessor, ProcessedFrame
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.workers import load_in_fork_server, processors
+from coded_aperture_ros.core.workers import load_in_fork_server, processors, thread_count
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -128,8 +128,8 @@ def _serve(connection: Connection, processor: FrameProcessor, first: bytes) -> N
     # A terminal sends Ctrl-C to all processes: the program answers it for them.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Beside others one thread is enough; who works alone shares the work on each frame.
-    alone = processor.remembers
-    cv2.setNumThreads(processor.pipeline.estimator.config.thread_count if alone else 1)
+    threads = processor.pipeline.estimator.config.threads if processor.remembers else 1
+    cv2.setNumThreads(thread_count(threads))
     messages: SimpleQueue[bytes] = SimpleQueue()
     threading.Thread(target=_take, args=(connection, messages), daemon=True).start()
     answer: Any = None

@@ -68,11 +68,6 @@ def processors() -> int:
     return os.cpu_count() or 1
 
 
-def automatic_threads() -> int:
-    """Return how many threads share the work on one frame unless something else is said."""
-    return min(processors(), _AUTOMATIC_THREADS)
-
-
 def check_threads(threads: int) -> None:
     """Refuse more threads than there are processors.
 
@@ -84,8 +79,21 @@ def check_threads(threads: int) -> None:
     if not 1 <= threads <= available:
         raise InputError(
             f"threads: {threads} is out of range: this machine has {available} processor(s) to "
-            f"work with, use 1 to {available}"
+            f"work with, use at most {available}"
         )
+
+
+def thread_count(threads: int) -> int:
+    """Return how many threads a setting means on this machine; 0: all processors, four at most.
+
+    Raises
+    ------
+    InputError
+        If there are fewer processors.
+    """
+    threads = threads or min(processors(), _AUTOMATIC_THREADS)
+    check_threads(threads)
+    return threads
 
 
 def load_in_fork_server(module: str) -> None:

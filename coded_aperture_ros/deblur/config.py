@@ -3,7 +3,7 @@
 import dataclasses
 
 from coded_aperture_ros.core.options import check_options, option
-from coded_aperture_ros.core.workers import automatic_threads, check_threads
+from coded_aperture_ros.core.workers import thread_count
 from coded_aperture_ros.likelihood import BACKENDS, check_backend
 
 
@@ -112,9 +112,4 @@ class DeblurConfig:
     def __post_init__(self) -> None:
         check_options(self)
         check_backend(self.backend)
-        check_threads(self.thread_count)
-
-    @property
-    def thread_count(self) -> int:
-        """How many threads `threads` means on this machine."""
-        return self.threads or automatic_threads()
+        thread_count(self.threads)

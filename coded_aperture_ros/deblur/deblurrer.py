@@ -6,7 +6,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.core.workers import Workers, thread_count
 from coded_aperture_ros.deblur.blur_map import filled_blur_map, safe_blur_map
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fast import ClosedForm, Fast
@@ -36,7 +36,7 @@ class Deblurrer:
     def __init__(self, stack: PsfStack, config: DeblurConfig | None = None) -> None:
         self.stack, self.config = stack, config or DeblurConfig()
         self._basis = cache(lambda: PsfBasis.of(stack))
-        self._workers = Workers(self.config.thread_count)
+        self._workers = Workers(thread_count(self.config.threads))
         self._closed_form = self._new_closed_form()
         self._method = self._new_method()
         self._video = VideoState(self.config.temporal_frames)
@@ -58,7 +58,7 @@ class Deblurrer:
         old, self.config = self.config, config
         if config.threads != old.threads:
             self._workers.close()
-            self._workers = Workers(config.thread_count)
+            self._workers = Workers(thread_count(config.threads))
         if (config.threads, config.rank, config.band) != (old.threads, old.rank, old.band):
             self._closed_form = self._new_closed_form()
         if config.temporal_frames != old.temporal_frames:

@@ -3,7 +3,7 @@
 import dataclasses
 
 from coded_aperture_ros.core.options import check_options, option
-from coded_aperture_ros.core.workers import automatic_threads, check_threads
+from coded_aperture_ros.core.workers import thread_count
 from coded_aperture_ros.depth.regularize import LEARNED, REGULARIZERS
 from coded_aperture_ros.likelihood import BACKENDS, check_backend
 
@@ -102,10 +102,5 @@ class DepthConfig:
 
     def __post_init__(self) -> None:
         check_options(self)
-        check_threads(self.thread_count)
+        thread_count(self.threads)
         check_backend(self.backend)
-
-    @property
-    def thread_count(self) -> int:
-        """How many threads `threads` means on this machine."""
-        return self.threads or automatic_threads()

@@ -10,6 +10,7 @@ import numpy as np
 from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.stages import Stages
+from coded_aperture_ros.core.workers import thread_count
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.decision import Decide, Regularized
 from coded_aperture_ros.depth.edges import edge_correction
@@ -239,7 +240,8 @@ class DepthEstimator:
         if self._planned is None or shape != self._planned.shape:
             config, model = self.config, self.model
             stride_px = config.stride_px or model.stride_px
-            likelihood = model.plan(shape, stride_px, config.backend, config.thread_count)
+            threads = thread_count(config.threads)
+            likelihood = model.plan(shape, stride_px, config.backend, threads)
             # Only now: a frame that does not suit leaves the old plan as it is.
             self.close()
             self.reset()
@@ -251,9 +253,7 @@ class DepthEstimator:
                 small: SmallPatches | None = None
                 decide: Decide
                 if (bank := self._refined_bank(stride_px)) is not None:
-                    small = SmallPatches(
-                        self.small_bank, shape, config.backend, config.thread_count
-                    )
+                    small = SmallPatches(self.small_bank, shape, config.backend, threads)
                     unless_planned.callback(small.close)
                     decide = Refined(bank, self._levels, small.grid, sides)
                 else:

@@ -14,6 +14,7 @@ from coded_aperture_ros.bank import LearnConfig
 from coded_aperture_ros.core.blas import slow_blas_warning
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
+from coded_aperture_ros.core.workers import thread_count
 from coded_aperture_ros.depth import (
     MAP_SIZES,
     DepthConfig,
@@ -224,7 +225,7 @@ class DepthNode(FrameNode[Image]):
         self._model.change(lambda model: with_settings(model, motion))
         model, camera = self._model.model, self._model.camera
         # OpenCV runs the network; without it one thread is enough (see `limit_threads`).
-        if cv2.getNumThreads() != (threads := self.configs[DepthConfig].thread_count):
+        if cv2.getNumThreads() != (threads := thread_count(self.configs[DepthConfig].threads)):
             cv2.setNumThreads(threads)
         pipeline.reconfigure(model=model, camera=camera, depth=self.configs[DepthConfig])
         if self._restarting.is_set():

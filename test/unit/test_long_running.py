@@ -9,7 +9,7 @@ import pytest
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera, load_bank, save_bank
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.workers import processors
+from coded_aperture_ros.core.workers import processors, thread_count
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.optics import Camera, Mask
@@ -105,10 +105,10 @@ def test_memory_of_deblurring_does_not_grow(bank, frames, options):
 def test_threads_that_are_not_there_are_refused():
     with pytest.raises(InputError, match="threads: -1 is out of range"):
         DepthConfig(threads=-1)
-    assert DepthConfig().thread_count == min(processors(), 4)
+    assert thread_count(DepthConfig().threads) == min(processors(), 4)
     too_many = processors() + 1
     if too_many <= 1024:
-        message = f"threads: {too_many} is out of range: .* {processors()} processor.*1 to "
+        message = f"threads: {too_many} is out of range: .* {processors()} processor.*at most "
         with pytest.raises(InputError, match=message):
             DepthConfig(threads=too_many)
     with pytest.raises(InputError, match="threads: 10000 is out of range"):
