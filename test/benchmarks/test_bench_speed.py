@@ -63,8 +63,10 @@ def test_everything_is_measured_in_one_run(small, capsys, tmp_path):
         *("comparison", "accuracy", "grid", "seconds"),
     }
     # Refined where the network was trained, at every size and in colour as well.
-    refined = {(row["stride_px"], row["refined"]) for row in results["grid"]}
-    assert refined == {(8, False), (8, True), (16, False)}
+    levels_by = {(row["stride_px"], row["regularize"]) for row in results["grid"]}
+    assert levels_by == {(8, "semiglobal"), (8, "learned"), (16, "semiglobal")}
+    for row in results["grid"]:
+        assert ("refine" in row["stages"]) == (row["regularize"] == "learned")
     assert all(row["engine_of_gemm"] > 0 for row in results["grid"])
     main = results["main"]
     assert (main["size"], main["map_size"]) == ([80, 96], [80, 96])

@@ -14,7 +14,9 @@ from coded_aperture_benchmarks.speed.machine import Rates
 from coded_aperture_benchmarks.speed.setting import MASK, Setting, Size
 from coded_aperture_benchmarks.speed.video import VideoRun
 from coded_aperture_benchmarks.speed.work import ENGINE_STAGES
-from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank
+from coded_aperture_ros.bank import FilterBank, learn_bank
+from coded_aperture_ros.depth.refine import untrained
+from coded_aperture_ros.depth.regularize import LEARNED
 from coded_aperture_ros.likelihood import Plan
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
@@ -23,7 +25,7 @@ BLUR_PX = (2.0, 15.0, 27)
 STRIDES_PX, QUICK_STRIDES_PX = (4, 8, 12, 16, 24), (8, 16)
 SIZES: tuple[Size, ...] = ((240, 320), (480, 640), (720, 1280))
 QUICK_SIZES = SIZES[:1]
-WAYS = ("semiglobal", "learned")
+WAYS = ("semiglobal", LEARNED)
 
 Work = Callable[[], None]
 
@@ -41,11 +43,12 @@ class Cell:
 class SpeedGrid:
     """Measures every cell in turns, with the bank that `learn` makes by default.
 
-    Full-size maps; single frames, as memory of a video costs the same everywhere.
+    Full-size maps; single frames, as memory of a video costs the same everywhere. Of `setting`
+    threads and backend count. Cells that the network was not trained for are left out.
     """
 
-    def __init__(self, threads: int, backend: str, frames: int, quick: bool) -> None:
-        self._threads, self._backend, self._frames = threads, backend, frames
+    def __init__(self, setting: Setting, frames: int, quick: bool) -> None:
+        self._setting, self._frames = setting, frames
         strides, sizes = (QUICK_STRIDES_PX, QUICK_SIZES) if quick else (STRIDES_PX, SIZES)
         self.cells = [
             Cell(*cell) for cell in itertools.product(strides, sizes, (False, True), WAYS)
@@ -72,18 +75,10 @@ class SpeedGrid:
         bank = self._bank
         if bank is None:
             raise RuntimeError("the bank has not been learned")
-        config = LearnConfig()
-        setting = Setting(
-            size=cell.size,
-            levels=bank.levels,
-            window_px=bank.window_px,
-            rank=config.rank,
-            highest_frequency=bank.highest_frequency,
-            stride_px=cell.stride_px,
-            backend=self._backend,
-            threads=self._threads,
-            temporal_frames=0.0,
-            full_size=True,
+        if cell.regularize == LEARNED and untrained(bank, cell.stride_px):
+            return
+        setting = dataclasses.replace(
+            self._setting, stride_px=cell.stride_px, temporal_frames=0.0, full_size=True
         )
         frames = moving_frames(bank.stack, cell.size)
         if cell.colour:
@@ -96,7 +91,6 @@ class SpeedGrid:
         self._rows.append(
             {
                 **dataclasses.asdict(cell),
-                "refined": "refine" in run.stages,
                 "stages": {stage: run.stage_times(stage).p50_ms for stage in run.stages},
                 "total": dataclasses.asdict(total),
                 "frames_per_second": 1000 / total.p50_ms,

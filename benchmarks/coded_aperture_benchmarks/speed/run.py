@@ -49,7 +49,7 @@ class SpeedBenchmark:
         self._thesis = ThesisFilters(setting, stack)
         self._denoising = NonLocalMeans(setting, stack)
         self._accuracy = StairAccuracy(setting) if extent.accuracy else None
-        self._grid = SpeedGrid(setting.threads, setting.backend, extent.frames, extent.quick)
+        self._grid = SpeedGrid(setting, extent.frames, extent.quick)
 
     def steps(self) -> list[Work]:
         """Return the work, to be done in this order; `results` is of all of it."""

@@ -92,7 +92,7 @@ class Extent:
     repeats: int
     denoised: tuple[int, ...]
     accuracy: bool
-    quick: bool = False
+    quick: bool
 
 
 def published_size(shape: Size, full: bool = False) -> Size:

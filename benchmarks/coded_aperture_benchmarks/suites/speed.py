@@ -122,8 +122,7 @@ def _grid_table(rows: list[Row]) -> str:
         "stride": "{stride_px}",
         "size": lambda row: _size(row["size"]),
         "frames": lambda row: "colour" if row["colour"] else "grey",
-        # Where the network was not trained for the stride, the row says what stood in for it.
-        "levels by": lambda row: "learned" if row["refined"] else "semiglobal",
+        "levels by": "{regularize}",
         **{stage: of_stage(stage) for stage in stages},
         "p50": lambda row: _number(row["total"]["p50_ms"]),
         "p99": lambda row: _number(row["total"]["p99_ms"]),
@@ -131,10 +130,7 @@ def _grid_table(rows: list[Row]) -> str:
         "engine / GEMM": lambda row: f"{100 * row['engine_of_gemm']:.0f} %",
     }
     title = "depth as nodes estimate it: the bank that `learn` makes, full-size maps; ms"
-    once = {
-        (row["stride_px"], tuple(row["size"]), row["colour"], row["refined"]): row for row in rows
-    }
-    return f"{title}\n{columns(list(once.values()), described)}"
+    return f"{title}\n{columns(rows, described)}"
 
 
 def _stage_table(results: Row) -> str:
