@@ -33,7 +33,7 @@ class Setting:
     temporal_frames : float
         0: every frame for itself.
     full_size : bool
-        Maps as large as the frame, instead of what the node publishes.
+        Maps as large as the frame, instead of within 320x240.
     """
 
     size: Size
@@ -96,9 +96,9 @@ class Extent:
 
 
 def published_size(shape: Size, full: bool = False) -> Size:
-    """Return the size (rows, columns) of the map that a node publishes for frames of a shape.
+    """Return the size (rows, columns) of the map that is timed for frames of a shape.
 
-    The largest whole fraction within 320x240, or the frame's own.
+    The largest whole fraction within 320x240, or the frame's own, which nodes publish by default.
     """
     return map_size(shape, "full" if full else "auto")
 

@@ -93,8 +93,8 @@ def _text(results: Row) -> str:
 SUITE = Suite(
     description="Time of deblurring simulated frames through levin's mask, of blur sizes from "
     f"{_BLUR_SIZES_PX[0]:g} to {_BLUR_SIZES_PX[1]:g} px ({_LEVELS} levels), by a map of half "
-    "their size, as depth_node publishes it. The noise is estimated in each frame. What is made "
-    "once for a camera is not counted.",
+    "their size. The noise is estimated in each frame. What is made once for a camera is not "
+    "counted.",
     examples="""examples:
   the closed form and conjugate gradients, grey and in colour:
     coded_aperture bench deblur speed

@@ -150,7 +150,7 @@ SUITE = Suite(
     examples="""examples:
   640x480, 33 levels, two holes, on all processors:
     coded_aperture bench simple-speed
-  four holes, with the stride of the node:
+  four holes, and a window every 16 px:
     coded_aperture bench simple-speed --mask four_hole --stride 16
 """,
     options=(
@@ -163,7 +163,7 @@ SUITE = Suite(
         options.number("--frames", 1, 20, "frames for every measurement"),
         options.option(
             "--full-size",
-            "maps as large as the frame (default: within 320x240, as the node publishes)",
+            "maps as large as the frame (default: within 320x240, a node's `output.size: auto`)",
             action="store_true",
         ),
         options.JSON,

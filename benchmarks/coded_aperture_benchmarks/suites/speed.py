@@ -354,8 +354,8 @@ p50 is the median, p99 the 99th percentile: of less than 100 frames, nearly the 
         ),
         options.option(
             "--full-size",
-            "maps as large as the frame (default: the largest whole fraction within 320x240, as "
-            "the node publishes)",
+            "maps as large as the frame (default: the largest whole fraction within 320x240, "
+            "a node's `output.size: auto`)",
             action="store_true",
         ),
         options.option(
