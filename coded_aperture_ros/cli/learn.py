@@ -84,8 +84,8 @@ def add_parser(subparsers: Any) -> None:
     budget = "choose window, rank and stride: the most accurate that need no more time per frame "
     budget += "of the camera, as measured now (about a minute; not with --planes and --psfs)"
     add_options(parser, {"--budget-ms MS": budget}, type=above(0, "more than 0"))
-    threads = "threads that depth estimation will have, with --budget-ms (default 1)"
-    add_options(parser, {"--budget-threads N": threads}, type=int, default=1)
+    threads = "threads that depth estimation will have, with --budget-ms (default: as nodes have)"
+    add_options(parser, {"--budget-threads N": threads}, type=int, default=0)
     add_gamma_option(parser)
     add_options(parser, {"-o --output FILE": "bank (.npz)"}, required=True)
     add_options(parser, {"--json": "print a summary as JSON"})
@@ -236,7 +236,7 @@ def _remapped(args: argparse.Namespace) -> Any:
 def _tuned(args: argparse.Namespace) -> Any:
     """Learn the best bank for a time per frame; return it and what was tried."""
     from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
-    from coded_aperture_ros.depth import DepthConfig
+    from coded_aperture_ros.depth.config import VIDEO_FRAMES, DepthConfig
     from coded_aperture_ros.depth.tune import tune
     from coded_aperture_ros.optics import load_camera
 
@@ -252,7 +252,7 @@ def _tuned(args: argparse.Namespace) -> Any:
         return learn_bank_for_camera(camera, near_m, far_m, count, config, prior=prior)
 
     shape = camera.image_height, camera.image_width
-    config = DepthConfig(temporal_frames=4.0, threads=args.budget_threads)
+    config = DepthConfig(temporal_frames=VIDEO_FRAMES, threads=args.budget_threads)
     with naming(args.camera):
         return tune(learn, shape, args.budget_ms, config, progress)
 

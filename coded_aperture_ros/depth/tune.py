@@ -5,13 +5,15 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
+import cv2
 import numpy as np
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.bank import FilterBank, LearnConfig, power_spectrum
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth.config import DepthConfig
+from coded_aperture_ros.core.workers import thread_count
+from coded_aperture_ros.depth.config import VIDEO_FRAMES, DepthConfig
 from coded_aperture_ros.depth.estimator import DepthEstimator
 
 # Windows that are tried, and strides as shares of a window.
@@ -60,7 +62,7 @@ def tune(
     budget_ms : float
         Milliseconds for one frame.
     config : DepthConfig, optional
-        How depth will be estimated; by default with a memory of four frames.
+        How depth will be estimated; by default as nodes do.
     progress : callable, optional
         Wraps the iteration over windows, as ``tqdm.tqdm`` does.
 
@@ -76,7 +78,7 @@ def tune(
     InputError
         If none is fast enough, naming the fastest, or no window suits the frames.
     """
-    config = config or DepthConfig(temporal_frames=4.0)
+    config = config or DepthConfig(temporal_frames=VIDEO_FRAMES)
     banks: dict[int, FilterBank] = {}
     trials: list[Trial] = []
     for window_px in progress([size for size in _WINDOWS_PX if size <= min(shape)]):
@@ -164,17 +166,19 @@ def _plane(psf: FloatArray, side: int, random: np.random.Generator) -> FloatArra
 def _milliseconds(
     bank: FilterBank, shape: tuple[int, int], stride_px: int, config: DepthConfig
 ) -> float:
-    """Return the median time of a frame."""
+    """Return the median time of a frame, with maps of its size."""
     random = np.random.default_rng(0)
     side = max(shape)
     plane = _plane(bank.stack.psfs[bank.levels // 2], side, random)[: shape[0], : shape[1]]
     frames = [(plane + _NOISE * random.standard_normal(shape)).astype(np.float32) for _ in range(3)]
     estimator = DepthEstimator(bank, dataclasses.replace(config, stride_px=stride_px))
-    size = (max(shape[0] // 2, 1), max(shape[1] // 2, 1))
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(thread_count(config.threads))
     times = []
     for number in range(_TIMED_FRAMES + 3):
         start = time.perf_counter()
-        estimator.estimate(frames[number % len(frames)], size)
+        estimator.estimate(frames[number % len(frames)])
         times.append(time.perf_counter() - start)
     estimator.close()
+    cv2.setNumThreads(before)
     return float(1e3 * np.median(times[3:]))

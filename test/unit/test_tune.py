@@ -2,12 +2,15 @@
 
 import dataclasses
 
+import cv2
 import numpy as np
 import pytest
 
 from coded_aperture_ros.bank import learn_bank
-from coded_aperture_ros.cli.main import main
+from coded_aperture_ros.cli.main import main, make_parser
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.workers import thread_count
+from coded_aperture_ros.depth import DepthEstimator
 from coded_aperture_ros.depth import tune as tuning
 from coded_aperture_ros.depth.tune import simulated_error, tune
 from coded_aperture_ros.optics import Mask, render_psf_stack
@@ -37,6 +40,28 @@ def test_the_most_accurate_within_the_time_is_chosen(learn, monkeypatch):
     assert (bank.window_px, bank.stride_px) == (best.window_px, best.stride_px)
     assert bank.level_error == best.level_error
     assert bank.highest_frequency < 1  # these blur sizes leave nothing above
+
+
+def test_frames_are_timed_as_nodes_estimate_them(learn, monkeypatch):
+    seen = []
+
+    class Seen(DepthEstimator):
+        def estimate(self, *args):
+            found = super().estimate(*args)
+            seen.append((found.level.shape, cv2.getNumThreads(), self.config))
+            return found
+
+    monkeypatch.setattr(tuning, "_WINDOWS_PX", (48,))
+    monkeypatch.setattr(tuning, "simulated_error", lambda *args: 1.0)
+    monkeypatch.setattr(tuning, "DepthEstimator", Seen)
+    before = cv2.getNumThreads()
+    tune(learn, (80, 100), budget_ms=1e6)
+    assert cv2.getNumThreads() == before
+    for shape, threads, config in seen:
+        assert (shape, threads) == ((80, 100), thread_count(0))
+        assert (config.threads, config.temporal_frames) == (0, 4)
+    args = make_parser().parse_args(["learn", "--camera", "camera.yaml", "-o", "bank.npz"])
+    assert args.budget_threads == 0
 
 
 def test_a_time_that_cannot_be_kept_is_refused_with_the_least(learn):

@@ -316,10 +316,11 @@ SUITE = Suite(
 the defaults are made for real time:
   A window of {_WINDOW} px, rank {_RANK} and a patch every {_STRIDE} px are about what
   `coded_aperture learn --budget-ms 33 --budget-threads 2` chose for frames of
-  640x480 (every 21 px), and so are frequencies up to {_HIGHEST_FREQUENCY:g} cycles/px where no
-  blur is smaller than 7 px. The line "accuracy" says what that costs: the mean
-  error on the thesis' stair of 39 blur sizes (natural textures, noise 0.001, not
-  regularised), over that of all filters and frequencies every 4 px.
+  640x480 and maps of half the size (every 21 px), and so are frequencies up to
+  {_HIGHEST_FREQUENCY:g} cycles/px where no blur is smaller than 7 px. The line "accuracy" says
+  what that costs: the mean error on the thesis' stair of 39 blur sizes (natural
+  textures, noise 0.001, not regularised), over that of all filters and frequencies
+  every 4 px.
 
 p50 is the median, p99 the 99th percentile: of less than 100 frames, nearly the worst
 --output writes {RESULTS} and {_FIGURE}
