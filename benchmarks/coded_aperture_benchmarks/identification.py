@@ -192,7 +192,7 @@ def _estimator(method: str, setting: Setting) -> DepthEstimator:
     _, regularized, how = method.partition("-")
     options = {"regularize": how} if regularized and method != PLAIN else _BARE
     # Every pixel is scored, so none is left out for lack of confidence. Nothing is clipped.
-    config = DepthConfig(confidence_threshold=0.0, saturation=2.0, **options)
+    config = DepthConfig(confidence_threshold=0.0, saturation=2.0, threads=1, **options)
     if setting.stride_px is not None:
         config = dataclasses.replace(config, stride_px=setting.stride_px)
     if setting.noise is not None:

@@ -36,7 +36,7 @@ def _cells(args: Args) -> list[Ways]:
     bank = learn_bank_for_camera(camera, frames.NEAR_M, frames.FAR_M, args.levels)
     settings = MotionConfig()
     motion_bank = learn_motion_bank(bank, settings.motions, settings.motion_rank)
-    config = DepthConfig(stride_px=args.stride)
+    config = DepthConfig(stride_px=args.stride, threads=1)
     alone = DepthEstimator(bank, config, camera)
     together = DepthEstimator(MotionModel(motion_bank, settings), config, camera)
     expected = expected_motion(_RATE, _EXPOSURE_S, camera.intrinsics)
