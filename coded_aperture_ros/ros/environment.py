@@ -12,8 +12,8 @@ from pathlib import Path
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.share import shared_memory_profile, shared_memory_suffices
 
-_PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-_TRANSPORT_VARIABLES = ("FASTDDS_BUILTIN_TRANSPORTS",)
+_PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+_DDS_VARIABLES = (_PROFILE_VARIABLE, "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
 _BOOTSTRAP = "ros_wheels_bootstrapper"
 
 # Nodes share a computer. Threads that wait for each other on busy cores cost far more than they
@@ -49,11 +49,11 @@ def share_large_messages() -> None:
     Its default segment is smaller than one image, so that best-effort subscribers on the same
     machine would lose most. Call it before rclpy is imported.
     """
-    said = any(os.environ.get(name) for name in (*_PROFILE_VARIABLES, *_TRANSPORT_VARIABLES))
+    said = any(os.environ.get(name) for name in _DDS_VARIABLES)
     if said or Path("DEFAULT_FASTRTPS_PROFILES.xml").exists() or not shared_memory_suffices():
         return
     with contextlib.suppress(InputError):  # copied without its shared files
-        os.environ[_PROFILE_VARIABLES[0]] = str(shared_memory_profile())
+        os.environ[_PROFILE_VARIABLE] = str(shared_memory_profile())
 
 
 def prepare_ros_environment() -> None:

@@ -122,7 +122,7 @@ def test_the_wheels_start_with_the_clean_environment():
 
 @pytest.mark.parametrize("room", [True, False])
 def test_nodes_share_large_messages_where_there_is_room(monkeypatch, room):
-    for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
+    for name in environment._DDS_VARIABLES:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(environment, "shared_memory_suffices", lambda: room)
     environment.share_large_messages()
@@ -132,11 +132,11 @@ def test_nodes_share_large_messages_where_there_is_room(monkeypatch, room):
         assert Path(profile).name == "fastdds_shared_memory.xml" and Path(profile).is_file()
 
 
-@pytest.mark.parametrize("name", environment._PROFILE_VARIABLES)
+@pytest.mark.parametrize("name", environment._DDS_VARIABLES)
 def test_settings_of_the_user_for_dds_stay(monkeypatch, name):
     monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
-    monkeypatch.setenv(name, "/home/user/mine.xml")
+    monkeypatch.setenv(name, "mine")
     monkeypatch.setattr(environment, "shared_memory_suffices", lambda: True)
     environment.share_large_messages()
-    assert os.environ[name] == "/home/user/mine.xml"
-    assert os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE") in (None, "/home/user/mine.xml")
+    assert os.environ[name] == "mine"
+    assert os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE") in (None, "mine")
