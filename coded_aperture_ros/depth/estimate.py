@@ -102,7 +102,7 @@ def check_map_size(size: tuple[int, int] | None) -> None:
         raise InputError(f"size of the depth map: expected at least 1x1, got {size}")
 
 
-def map_size(frame_size: tuple[int, int], choice: str = "auto") -> tuple[int, int]:
+def map_size(frame_size: tuple[int, int], choice: str) -> tuple[int, int]:
     """Return the size (rows, columns) of the depth map of frames of a size.
 
     Parameters

@@ -224,7 +224,7 @@ class DepthNode(FrameNode[Image]):
         motion = self.configs[MotionConfig]
         self._model.change(lambda model: with_settings(model, motion))
         model, camera = self._model.model, self._model.camera
-        # OpenCV runs the network; without it one thread is enough (see `limit_threads`).
+        # OpenCV runs the network, which is too much for the one thread of `limit_threads`.
         if cv2.getNumThreads() != (threads := thread_count(self.configs[DepthConfig].threads)):
             cv2.setNumThreads(threads)
         pipeline.reconfigure(model=model, camera=camera, depth=self.configs[DepthConfig])

@@ -46,7 +46,8 @@ class Logits:
 class Network:
     """Costs and frame in, logits out; see `training/network.py` for its layers.
 
-    OpenCV runs all but the last layer, of which only the rows are computed that are needed.
+    OpenCV runs all but the first layer of the blur sizes (see `_First`) and the last layer, of
+    which only the rows are computed that are needed.
 
     Not for several threads at once.
 
