@@ -1,5 +1,6 @@
 """Loops that numba compiles; where it is not installed, NumPy does the same in more passes."""
 
+import contextlib
 import logging
 import threading
 from collections.abc import Callable
@@ -28,12 +29,15 @@ class Compiled:
 
     def __call__(self, *arrays: Any) -> None:
         """Run the faster one of the two."""
-        if self._chosen is None:
-            with _COMPILING:
-                if self._chosen is None:
-                    self._chosen = self._choose(arrays)
-                    return
-        self._chosen(*arrays)
+        tried = self._chosen
+        if tried is not None:
+            with contextlib.suppress(Exception):  # arrays of another layout are compiled anew
+                return tried(*arrays)
+        with _COMPILING:
+            if self._chosen is tried:
+                self._chosen = self._choose(arrays)
+                return None
+        return self(*arrays)
 
     def _choose(self, arrays: tuple[Any, ...]) -> Callable[..., None]:
         """Return the form that works, having run it."""

@@ -116,6 +116,19 @@ def test_what_numba_cannot_do_is_done_all_the_same(monkeypatch, caplog, fails, a
     assert ("more slowly" in caplog.text) == (expected == "plain")
 
 
+def test_what_numba_cannot_do_later_is_done_all_the_same(monkeypatch):
+    """Arrays of another layout are compiled anew, when another file of the folder may be broken."""
+    numba = Numba(lambda cache: False)
+    monkeypatch.setitem(sys.modules, "numba", numba)
+    called = []
+    compiled = Compiled(lambda: called.append("loop"), lambda: called.append("plain"))
+    compiled()
+    for numba.fails in (lambda cache: cache, lambda cache: True):
+        compiled()
+    assert numba.asked == [True, True, False, True, False]
+    assert called == ["loop", "loop", "plain"]
+
+
 def test_threads_that_call_first_compile_once(monkeypatch):
     numba = Numba(lambda cache: False)
     monkeypatch.setitem(sys.modules, "numba", numba)
