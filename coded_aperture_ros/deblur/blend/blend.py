@@ -1,0 +1,88 @@
+"""From a frame and its blur sizes to the blended picture."""
+
+from functools import lru_cache
+from importlib.resources import as_file, files
+
+import cv2
+import numpy as np
+
+from coded_aperture_ros.core.archive import read_archive
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.deblur.blend.features import (
+    CELL_PX,
+    in_cells,
+    level_and_scale,
+    maps_in_cells,
+    out_of_cells,
+)
+from coded_aperture_ros.deblur.blend.hypotheses import HYPOTHESES, Hypotheses, sizes_of
+from coded_aperture_ros.optics import PsfStack
+
+WEIGHTS = "blend.npz"
+SCHEMA, SCHEMA_VERSION = "coded-aperture deblurring network", 1
+# Colour differences have less texture than brightness, but as much noise.
+_COLOUR_NOISE = 2.0
+_PIXELS = CELL_PX**2
+
+
+class Blend:
+    """Weighs the hypotheses of every pixel, and adds a little; see `training/blend_network.py`.
+
+    Not for several threads at once.
+    """
+
+    def __init__(self, stack: PsfStack, rank: int, workers: Workers) -> None:
+        self._of_brightness = Hypotheses(stack, rank, workers)
+        self._of_colour = Hypotheses(stack, max(rank // 2, 2), workers)
+        self._network = _network()
+
+    def prepare(self, shape: tuple[int, int]) -> None:
+        """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
+        self._of_brightness.prepare(shape)
+        self._of_colour.prepare(shape)
+
+    def restore(
+        self, channels: list[FloatArray], blur: FloatArray, known: BoolArray, noise: float
+    ) -> list[FloatArray]:
+        """Deblur the `opponents` of a frame.
+
+        `blur` has the signed blur size of every pixel [rows, columns], and `known` where it was
+        measured.
+        """
+        shape = blur.shape
+        steps = self._of_brightness.steps(blur)
+        cells = in_cells(self._of_brightness.of(channels[0], steps, noise))
+        mean, scale = level_and_scale(cells[-_PIXELS:], noise)
+        maps = maps_in_cells(sizes_of(blur), known, scale, noise)
+        shown = np.concatenate([(cells - mean) / scale, maps])
+        self._network.setInput(shown[None])
+        told = self._network.forward()[0].reshape(HYPOTHESES + 1, _PIXELS, *scale.shape)
+        weights = told[:-1]
+        weights += (1 - weights.sum(axis=0)) / HYPOTHESES
+        restored = [out_of_cells(_weighed(cells, weights) + told[-1] * scale, shape)]
+        for channel in channels[1:]:
+            of_colour = self._of_colour.of(channel, steps, _COLOUR_NOISE * noise)
+            restored.append(out_of_cells(_weighed(in_cells(of_colour), weights), shape))
+        return restored
+
+
+def _weighed(cells: FloatArray, weights: FloatArray) -> FloatArray:
+    return np.einsum("kprc,kprc->prc", cells.reshape(weights.shape), weights)
+
+
+def _network() -> "cv2.dnn.Net":
+    try:
+        return cv2.dnn.readNetFromONNX(_arrays()["blend_onnx"])
+    except cv2.error as error:
+        raise InputError(
+            f"deblurring: OpenCV {cv2.__version__} cannot run the network of fast: use OpenCV 4.6 "
+            "or newer"
+        ) from error
+
+
+@lru_cache(maxsize=1)
+def _arrays() -> dict[str, FloatArray]:
+    with as_file(files(__package__) / WEIGHTS) as path:
+        return read_archive(path, SCHEMA, SCHEMA_VERSION)

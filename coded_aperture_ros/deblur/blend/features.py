@@ -1,0 +1,65 @@
+"""What the network is shown: the hypotheses in cells of 4 x 4 pixels, and what is known of them."""
+
+import cv2
+import numpy as np
+
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray
+
+CELL_PX = 4
+# Frames are extended to whole squares of two by two cells.
+_SQUARE_PX = 2 * CELL_PX
+# Beside the hypotheses' pixels: blur sizes of the pixel, nearest and farthest surface beside it,
+# how much of it is known, and how strong the noise is.
+MAPS = 5
+_AROUND_CELLS = 9
+# Of the scale that everything is divided by, in standard deviations of the noise.
+_LEAST_SCALE = 4.0
+_BLUR_UNIT_PX = 10.0
+
+
+def in_cells(values: FloatArray) -> FloatArray:
+    """Return [n, rows, columns] as [n * 16, rows / 4, columns / 4]; padded by the last values."""
+    count, rows, columns = values.shape
+    down, right = -rows % _SQUARE_PX, -columns % _SQUARE_PX
+    if down or right:
+        values = np.pad(values, ((0, 0), (0, down), (0, right)), mode="edge")
+    parts = values.reshape(
+        count, values.shape[1] // CELL_PX, CELL_PX, values.shape[2] // CELL_PX, CELL_PX
+    )
+    return np.ascontiguousarray(parts.transpose(0, 2, 4, 1, 3)).reshape(
+        count * CELL_PX**2, parts.shape[1], parts.shape[3]
+    )
+
+
+def out_of_cells(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """Undo `in_cells` of one image [16, rows / 4, columns / 4]."""
+    _, rows, columns = values.shape
+    parts = values.reshape(CELL_PX, CELL_PX, rows, columns).transpose(2, 0, 3, 1)
+    return parts.reshape(CELL_PX * rows, CELL_PX * columns)[: shape[0], : shape[1]]
+
+
+def level_and_scale(of_frame: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
+    """Return local mean and contrast of the frame's cells [16, rows, columns], each [r, c]."""
+    side = (_AROUND_CELLS, _AROUND_CELLS)
+    mean = cv2.blur(of_frame.mean(axis=0), side, borderType=cv2.BORDER_REFLECT)
+    power = np.mean((of_frame - mean) ** 2, axis=0)
+    power = cv2.blur(power, side, borderType=cv2.BORDER_REFLECT)
+    scale = np.sqrt(power + np.float32((_LEAST_SCALE * noise) ** 2) + np.float32(1e-8))
+    return mean, scale
+
+
+def maps_in_cells(
+    sizes: list[FloatArray], known: BoolArray, scale: FloatArray, noise: float
+) -> FloatArray:
+    """Return the maps [MAPS, rows, columns] beside the hypotheses; `sizes` as of `sizes_of`."""
+    size = scale.shape[::-1]
+
+    def small(values: FloatArray) -> FloatArray:
+        down, right = (-length % _SQUARE_PX for length in values.shape)
+        if down or right:
+            values = cv2.copyMakeBorder(values, 0, down, 0, right, cv2.BORDER_REPLICATE)
+        return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA))
+
+    blur = [small(each) / np.float32(_BLUR_UNIT_PX) for each in sizes[:3]]
+    strength = np.log10(np.float32(noise) / scale) + 1
+    return np.stack([*blur, small(known.astype(np.float32)), strength])
