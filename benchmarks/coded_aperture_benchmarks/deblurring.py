@@ -197,8 +197,6 @@ def nearest_level(blur_size_px: NDArray[np.floating], stack: PsfStack) -> NDArra
 def _own(method: str, stack: PsfStack, noise: float | None, exact_depth: bool) -> Deblurrer:
     # In no frame of the benchmarks is anything clipped, however bright.
     settings: dict[str, Any] = {"method": method, "saturation": 2.0}
-    if exact_depth:
-        settings["edge_reach"] = 0
     if noise is not None:
         # To the deblurring, 0 means that it is not known.
         settings["noise"] = max(noise, NOISE_FLOOR)

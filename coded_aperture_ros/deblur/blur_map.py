@@ -54,7 +54,7 @@ def filled_blur_map(blur_size_px: FloatArray, frame: FloatArray, reduction: int 
     if not known.any():
         raise InputError("blur map: no pixel has a known depth, so there is nothing to deblur by")
     if not known.all():
-        blur = np.where(known, blur, blur[known][_nearest(known)])
+        blur = np.where(known, blur, blur[known][nearest_of(known)])
     if blur.shape == (rows, columns):
         return blur
     guide = cv2.resize(frame, (columns, rows), interpolation=cv2.INTER_AREA)
@@ -71,7 +71,7 @@ def _reduced(blur: FloatArray, size: tuple[int, int]) -> FloatArray:
     return np.divide(total, share, out=np.full_like(total, np.nan), where=share > 0)
 
 
-def _nearest(source: BoolArray) -> IndexArray:
+def nearest_of(source: BoolArray) -> IndexArray:
     """Return for every pixel the number of the nearest `source`, as a mask of them counts."""
     # A tenth of the time of an exact distance transform; the distances are good to a few per cent.
     _, labels = cv2.distanceTransformWithLabels(
@@ -108,16 +108,22 @@ def _enlarged(small: FloatArray, grey: FloatArray) -> FloatArray:
     return np.asarray(smooth, np.float32)
 
 
-def safe_blur_map(blur: FloatArray, reach_px: float, reduction: int, moves: bool) -> FloatArray:
+def known_pixels(blur_size_px: FloatArray, shape: tuple[int, ...]) -> BoolArray:
+    """Return for which pixels of a frame of `shape` a map has a value [rows, columns]."""
+    known = np.isfinite(blur_size_px).astype(np.uint8)
+    size = (shape[1], shape[0])
+    return cv2.resize(known, size, interpolation=cv2.INTER_NEAREST_EXACT) > 0
+
+
+def safe_blur_map(blur: FloatArray, reach_px: int, reduction: int) -> FloatArray:
     """Return the blur sizes that do the least harm where the depth may be wrong.
 
-    `reach_px` says how far its edges may be off, in px of the frame; 0: it is exact. The map is
-    `reduction` times smaller. `moves`: something has moved during the exposure.
+    `reach_px` says how far its edges may be off, in px of the frame; 0: the method finds out by
+    itself. The map is `reduction` times smaller.
     """
     if not reach_px:
         return blur
-    blur = sharper_near_edges(without_specks(blur, reduction), round(reach_px / reduction))
-    return smoothed_over_surfaces(blur) if moves else blur
+    return sharper_near_edges(without_specks(blur, reduction), round(reach_px / reduction))
 
 
 def without_specks(blur: FloatArray, reduction: int = 1) -> FloatArray:

@@ -13,9 +13,10 @@ class DeblurConfig:
 
     method: str = option(
         "fast",
-        "fast: closed form for each level, for video; cg: least squares over the whole frame; "
-        "sparse: the same with sharp edges preferred, the best picture.",
-        choices=("fast", "cg", "sparse"),
+        "fast: closed forms blended by a small network, for video; inverse: the closed form of "
+        "each pixel's level, without it; cg: a few steps towards the sharp scene that explains "
+        "the whole frame; sparse: many of them, the best picture.",
+        choices=("fast", "inverse", "cg", "sparse"),
         parameter="deblur.method",
     )
     noise: float = option(
@@ -36,25 +37,17 @@ class DeblurConfig:
         within=(0.01, 100.0),
         parameter="deblur.smoothness",
     )
-    edge_reach: int = option(
-        10,
-        "How far edges of the depth may be off, or be wrong by: within, the smaller blur is used; "
-        "0: the depth is exact.",
-        unit="px",
-        within=(0, 64),
-        parameter="deblur.edge_reach",
-    )
     occlusion: str = option(
         "auto",
         "Whether cg and sparse reckon with foregrounds that hide a part of what is behind them; "
-        "auto: sparse does, where the PSFs are small enough for the memory.",
+        "auto: where the PSFs are small enough for the memory.",
         choices=("auto", "yes", "no"),
         parameter="deblur.occlusion",
     )
     iterations: int = option(
-        112,
-        "Conjugate-gradient steps of cg and sparse, at most.",
-        within=(1, 10000),
+        0,
+        "Conjugate-gradient steps of cg and sparse, at most; 0: as many as the method is made for.",
+        within=(0, 10000),
         parameter="deblur.iterations",
     )
     tolerance: float = option(
@@ -65,7 +58,7 @@ class DeblurConfig:
     )
     saturation: float = option(
         0.995,
-        "Brightness from which a pixel counts as saturated and is left out by cg and sparse; "
+        "Brightness from which a pixel counts as saturated, and is left out; "
         "above 1: none.",
         within=(0.1, 2.0),
         parameter="frames.saturation",
@@ -79,15 +72,14 @@ class DeblurConfig:
     )
     rank: int = option(
         10,
-        "Kernels in the common basis of the inverse filters of fast. Fewer is faster and less "
-        "accurate.",
+        "Kernels in the common basis of the inverse filters. Fewer is faster and less accurate.",
         within=(2, 64),
         read_only=True,
         parameter="deblur.rank",
     )
     band: str = option(
         "full",
-        "Frequencies that fast deblurs: half, the lower half, takes half of the time, and "
+        "Frequencies that inverse deblurs: half, the lower half, takes half of the time, and "
         "leaves details where the blur is only a few pixels as they are.",
         choices=("full", "half"),
         read_only=True,

@@ -7,9 +7,15 @@ import numpy as np
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import Workers, thread_count
-from coded_aperture_ros.deblur.blur_map import filled_blur_map, safe_blur_map
+from coded_aperture_ros.deblur.blend import Blend, untrained
+from coded_aperture_ros.deblur.blur_map import (
+    filled_blur_map,
+    known_pixels,
+    safe_blur_map,
+    smoothed_over_surfaces,
+)
 from coded_aperture_ros.deblur.config import DeblurConfig
-from coded_aperture_ros.deblur.fast import ClosedForm, Fast
+from coded_aperture_ros.deblur.fast import ClosedForm, Fast, Inverse
 from coded_aperture_ros.deblur.least_squares import ConjugateGradients, Sparse
 from coded_aperture_ros.deblur.problem import (
     Method,
@@ -22,6 +28,10 @@ from coded_aperture_ros.deblur.problem import (
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.imaging import KnownNoise, channel_noise, check_frame
 from coded_aperture_ros.optics import PsfStack
+
+
+# How far edges of the depth of what moves may be off, px.
+_EDGE_REACH_PX = 10
 
 
 class Deblurrer:
@@ -38,12 +48,16 @@ class Deblurrer:
         self._basis = cache(lambda: PsfBasis.of(stack))
         self._workers = Workers(thread_count(self.config.threads))
         self._closed_form = self._new_closed_form()
+        self._blend = self._new_blend()
         self._method = self._new_method()
         self._video = VideoState(self.config.temporal_frames)
 
     def prepare(self, shape: tuple[int, int]) -> None:
         """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
-        self._closed_form.prepare(shape)
+        if self._blend is not None:
+            self._blend.prepare(shape)
+        else:
+            self._closed_form.prepare(shape)
 
     def reset(self) -> None:
         """Forget the frames so far: the next one begins another video."""
@@ -61,8 +75,10 @@ class Deblurrer:
             self._workers = Workers(thread_count(config.threads))
         if (config.threads, config.rank, config.band) != (old.threads, old.rank, old.band):
             self._closed_form = self._new_closed_form()
+            self._blend = None
         if config.temporal_frames != old.temporal_frames:
             self._video = VideoState(config.temporal_frames)
+        self._blend = self._blend or self._new_blend()
         self._method = self._new_method()
 
     @property
@@ -107,32 +123,45 @@ class Deblurrer:
         ------
         InputError
             If the frame or a map has a wrong shape or type, no blur size is known, the frame is too
-            small for its noise to be estimated, or `fast` is to remove motion.
+            small for its noise to be estimated, or `fast` or `inverse` is to remove motion.
         """
         check_frame(frame)
         motion = motion_of_frame(motion_px, frame.shape)
         if motion is not None and not self._method.removes_motion:
-            raise InputError("motion: method fast removes no motion, use cg or sparse")
+            method = self.config.method
+            raise InputError(f"motion: method {method} removes no motion, use cg or sparse")
+        recorded = frame
         frame, measured = measured_pixels(frame, self.config.saturation)
         blur = self._blur_map(blur_size_px, frame, moves=motion is not None)
         noise = noise or channel_noise(frame, KnownNoise.of(self.config))
         channels, frame_count = self._video.add(opponents(frame), noise)
-        problem = Problem(channels, frame_count, measured, blur, motion, noise)
-        return np.clip(self._method.restore(problem, self._video), 0, 1)
+        known = known_pixels(blur_size_px, frame.shape)
+        problem = Problem(channels, frame_count, measured, blur, known, motion, noise)
+        sharp = self._method.restore(problem, self._video)
+        if not self._method.sees_past_saturation and not measured.all():
+            sharp = np.where(recorded >= self.config.saturation, recorded, sharp)
+        return np.clip(sharp, 0, 1)
 
     def _blur_map(self, blur_size_px: FloatArray, frame: FloatArray, moves: bool) -> FloatArray:
         """Return the blur sizes to deblur by, as much smaller as the method wants them."""
         blur = filled_blur_map(blur_size_px, frame, self._method.reduction)
         if not self.stack.in_pixels:
             return blur
-        reach_px = self._method.edge_reach * self.config.edge_reach
-        return safe_blur_map(blur, reach_px, self._method.reduction, moves)
+        if moves:
+            return smoothed_over_surfaces(safe_blur_map(blur, _EDGE_REACH_PX, 1))
+        return safe_blur_map(blur, self._method.edge_reach_px, self._method.reduction)
 
     def _new_closed_form(self) -> ClosedForm:
         return ClosedForm(self.stack, self.config.rank, self.config.band, self._workers)
 
+    def _new_blend(self) -> Blend | None:
+        needed = self.config.method != "inverse" and not untrained(self.stack)
+        return Blend(self.stack, self.config.rank, self._workers) if needed else None
+
     def _new_method(self) -> Method:
-        if self.config.method == "fast":
-            return Fast(self.config, self._closed_form)
+        if self.config.method in ("fast", "inverse"):
+            if self._blend is not None and self.config.method == "fast":
+                return Fast(self.config, self._blend)
+            return Inverse(self.config, self._closed_form)
         iterative = {"cg": ConjugateGradients, "sparse": Sparse}[self.config.method]
-        return iterative(self.config, self._closed_form, self._basis, self._workers)
+        return iterative(self.config, self._closed_form, self._blend, self._basis, self._workers)

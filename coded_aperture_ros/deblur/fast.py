@@ -1,10 +1,11 @@
-"""Method `fast`: the closed form for each level, which the other methods begin with."""
+"""Methods `fast` and `inverse`: closed forms, which the other methods begin with."""
 
 import cv2
 import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.deblur.blend import Blend
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.inverse_filters import HalfBandFilters, InverseFilters
 from coded_aperture_ros.deblur.problem import Problem, VideoState, from_opponents
@@ -42,12 +43,13 @@ class ClosedForm:
         return restored
 
 
-class Fast:
+class Inverse:
     """Filters every pixel by the inverse of its own level's PSF; see `Method`."""
 
-    # It cannot leave out pixels whose depth is wrong: it keeps farther from edges.
-    edge_reach = 1.4
+    # It cannot leave out pixels whose depth is wrong: it keeps away from edges.
+    edge_reach_px = 14
     removes_motion = False
+    sees_past_saturation = False
 
     def __init__(self, config: DeblurConfig, closed_form: ClosedForm) -> None:
         self._config, self._closed_form = config, closed_form
@@ -55,9 +57,7 @@ class Fast:
 
     def restore(self, problem: Problem, _: VideoState) -> FloatArray:
         """Return the all-in-focus frame."""
-        # One noise for the whole frame: that of places with few frames, which would show it.
-        few = float(np.quantile(problem.frame_count, _FEW)) if problem.frame_count.size > 1 else 1.0
-        noise = problem.noise * float(np.sqrt(self._config.smoothness / few))
+        noise = _noise_to_show(problem, self._config)
         channels = self._closed_form.restore(problem.channels, problem.blur_size_px, noise)
         sharp = from_opponents(channels)
         if self._config.band == "half":
@@ -66,3 +66,27 @@ class Fast:
         # scenes; differences of 0.04 count as edges. A wider filter gains 0.07 dB more at most,
         # and takes three times as long.
         return np.asarray(cv2.bilateralFilter(sharp, 3, 0.04, 2.0), np.float32)
+
+
+class Fast:
+    """Weighs what closed forms of several blur sizes say, as a network has learned; `Method`."""
+
+    reduction = 1
+    edge_reach_px = 0
+    removes_motion = False
+    sees_past_saturation = False
+
+    def __init__(self, config: DeblurConfig, blend: Blend) -> None:
+        self._config, self._blend = config, blend
+
+    def restore(self, problem: Problem, _: VideoState) -> FloatArray:
+        """Return the all-in-focus frame."""
+        noise = _noise_to_show(problem, self._config)
+        blur, known = problem.blur_size_px, problem.known
+        return from_opponents(self._blend.restore(problem.channels, blur, known, noise))
+
+
+def _noise_to_show(problem: Problem, config: DeblurConfig) -> float:
+    """Return one noise for the whole frame: that of places with few frames, which would show it."""
+    few = float(np.quantile(problem.frame_count, _FEW)) if problem.frame_count.size > 1 else 1.0
+    return problem.noise * float(np.sqrt(config.smoothness / few))

@@ -9,6 +9,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.deblur.blend import Blend
 from coded_aperture_ros.deblur.blur_map import filled_blur_map, model_weight
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fast import ClosedForm
@@ -20,6 +21,8 @@ from coded_aperture_ros.likelihood import torch_device
 
 # Occlusion is reckoned with, unless asked otherwise, where its weights fit into so much memory.
 _OCCLUSION_BYTES = 512 * 2**20
+# How much of what is hidden is seen, about.
+_SEEN_OF_HIDDEN = 0.02
 # Ranges of blur sizes that the preconditioners tell apart.
 RANGES = 4
 # Arrays of NumPy, or tensors of PyTorch on any device: only what both can do is done to them.
@@ -34,6 +37,7 @@ class Fit:
     channels: list[FloatArray]  # g [rows, columns]: brightness and colour differences
     weight: FloatArray  # how much every pixel of the frame counts, 0 to 1
     start: list[FloatArray]  # where to begin, such as the last frame's result
+    expected: list[FloatArray] | None  # what the scene is about, if that is known
     noise: float  # standard deviation
     config: DeblurConfig  # with a factor of alpha, and when to stop
 
@@ -42,40 +46,54 @@ class Iterative(abc.ABC):
     """A `Method` that minimises thesis eq. 6.27, beginning with the closed form."""
 
     reduction = 1
-    edge_reach = 1.0
+    edge_reach_px = 0
     removes_motion = True
+    sees_past_saturation = True
     runs_on_torch = False
-    gains_by_occlusion = False
 
     def __init__(
         self,
         config: DeblurConfig,
         closed_form: ClosedForm,
+        blend: Blend | None,
         basis: Callable[[], PsfBasis],  # it takes time to make the first time
         workers: Workers,
     ) -> None:
-        self._config, self._closed_form = config, closed_form
+        self._config, self._closed_form, self._blend = config, closed_form, blend
         self._basis, self._workers = basis, workers
 
     def restore(self, problem: Problem, video: VideoState) -> FloatArray:
         """Return the all-in-focus frame; see `Method`."""
-        blur, count = problem.blur_size_px, problem.frame_count
+        count = problem.frame_count
         most = float(np.max(count))
         noise = problem.noise / float(np.sqrt(most))
-        # Edges that are too sharp are found and lost again more easily than blurred ones.
-        small = filled_blur_map(blur, problem.channels[0], self._closed_form.reduction)
-        start = self._closed_form.restore(problem.channels, small, noise / 3)
-        fit = Fit(
-            self._operator(problem),
-            problem.channels,
-            model_weight(blur, noise) * problem.measured * (count / np.float32(most)),
-            video.start(start, np.broadcast_to(count, blur.shape)),
-            noise,
-            self._config,
+        operator = self._operator(problem)
+        weight = problem.measured * (count / np.float32(most))
+        if operator.hidden is None:
+            weight = weight * model_weight(problem.blur_size_px, noise)
+        closed_forms = self._closed_forms(problem, noise)
+        restored = self.minimise(
+            Fit(
+                operator,
+                problem.channels,
+                weight,
+                video.start(closed_forms, np.broadcast_to(count, operator.shape)),
+                closed_forms if problem.motion_px is None else None,
+                noise,
+                self._config,
+            )
         )
-        restored = self.minimise(fit)
         video.keep(restored)
         return from_opponents(restored)
+
+    def _closed_forms(self, problem: Problem, noise: float) -> list[FloatArray]:
+        """Return about what the scene is."""
+        blur, channels = problem.blur_size_px, problem.channels
+        if self._blend is not None and problem.motion_px is None:
+            return self._blend.restore(channels, blur, problem.known, noise)
+        # Edges that are too sharp are found and lost again more easily than blurred ones.
+        small = filled_blur_map(blur, channels[0], self._closed_form.reduction)
+        return self._closed_form.restore(channels, small, noise / 3)
 
     @abc.abstractmethod
     def minimise(self, fit: Fit) -> list[FloatArray]:
@@ -91,28 +109,37 @@ class Iterative(abc.ABC):
 
             return TorchBlur(basis, blur, device, workers.threads)
         # It needs to know what is in front, and memory.
-        fits = basis.in_pixels and 4 * basis.kernels[0].size * blur.size <= _OCCLUSION_BYTES
-        reckons = {"yes": True, "no": False, "auto": self.gains_by_occlusion and fits}
+        fits = basis.in_pixels and basis.kernels[0].size * blur.size <= _OCCLUSION_BYTES
+        reckons = {"yes": True, "no": False, "auto": fits}
         if reckons[self._config.occlusion]:
             return OccludedBlur(basis, blur, workers)
         return SpreadingBlur(basis, blur, workers)
 
 
-def preconditioner(fit: Fit, ranges: list[tuple[Any, Any]], weight: float, penalty: Any) -> Linear:
-    """Return what nearly solves a system: in each range of blur sizes by one Fourier transform."""
-    fft, workers = fit.operator.fft, fit.operator.workers
+def preconditioner(
+    fit: Fit, ranges: list[tuple[Any, Any]], weight: float, penalty: Any, of_hidden: Any
+) -> Linear:
+    """Return what nearly solves a system.
+
+    In each range of blur sizes it is one Fourier transform; the second plane, of which little is
+    seen, is divided by what it counts.
+    """
+    fft, operator = fit.operator.fft, fit.operator
     inverses = [(share, 1 / (weight * power + penalty)) for share, power in ranges]
 
     def solve(scene: Any) -> Any:
-        sums = [0 * scene for _ in range(workers.threads)]
+        sums = [0 * scene[0] for _ in range(operator.workers.threads)]
 
         def add(of_range: tuple[Any, Any], thread: int) -> None:
             share, inverse = of_range
-            solved = fft.irfft2(inverse * fft.rfft2(share * scene), scene.shape)
+            solved = fft.irfft2(inverse * fft.rfft2(share * scene[0]), scene[0].shape)
             sums[thread] += share * solved
 
-        workers.each(add, inverses)
-        return sum(sums[1:], sums[0])
+        operator.workers.each(add, inverses)
+        front = sum(sums[1:], sums[0])
+        if operator.hidden is None:
+            return front[None]
+        return np.stack([front, operator.hidden * scene[1] / (_SEEN_OF_HIDDEN + of_hidden)])
 
     return solve
 

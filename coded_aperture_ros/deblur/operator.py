@@ -8,7 +8,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.imaging import periodic_shape, transfer_function
@@ -24,7 +24,8 @@ class BlurOperator(Protocol):
     """``H_d`` of thesis eq. 3.27: from a sharp scene to the coded frame without noise.
 
     The scene is larger than the frame by a margin on every side, for light that comes from beyond
-    the frame's border. The frame has only what was really measured: nothing wraps around.
+    the frame's border. The frame has only what was really measured: nothing wraps around. Scenes
+    have one plane, or two with what is hidden behind foregrounds [planes, *scene_shape].
     """
 
     shape: tuple[int, int]
@@ -39,8 +40,11 @@ class BlurOperator(Protocol):
     def to_numpy(self, values: Any) -> FloatArray:
         """Bring a result back."""
 
+    def around(self, frame: FloatArray) -> Any:
+        """Extend a frame to a scene."""
+
     def forward(self, scene: Any) -> Any:
-        """Blur a scene, float32 of `scene_shape`; return the frame, float32 of `shape`."""
+        """Blur a scene, float32 [planes, *scene_shape]; return the frame, float32 of `shape`."""
 
     def adjoint(self, frame: Any) -> Any:
         """Apply the transpose of `forward` to a frame; return a scene."""
@@ -53,6 +57,11 @@ class OnProcessor:
     """An operator on arrays of NumPy, with the Fourier transforms of SciPy."""
 
     fft: Any = scipy.fft
+    shape: tuple[int, int]
+    scene_shape: tuple[int, int]
+    margin_px: int
+    # Where the second plane has something [*scene_shape]; None without one.
+    hidden: BoolArray | None = None
     _basis: PsfBasis
     _steps: IndexArray  # of the scene, see `PsfBasis.steps_of`
 
@@ -62,6 +71,10 @@ class OnProcessor:
 
     to_numpy = array
 
+    def around(self, frame: FloatArray) -> FloatArray:
+        """Extend a frame to a scene."""
+        return scene_around(frame, self)[None]
+
     def ranges(self, count: int) -> list[tuple[FloatArray, FloatArray]]:
         """Divide the scene among ranges of blur sizes."""
         return self._basis.ranges(self._steps, count)
@@ -70,7 +83,7 @@ class OnProcessor:
 def scene_around(
     frame: FloatArray, operator: BlurOperator, border: int = cv2.BORDER_REPLICATE
 ) -> FloatArray:
-    """Extend a frame to a scene."""
+    """Extend a frame to one plane of a scene."""
     margin = operator.margin_px
     below = operator.scene_shape[0] - operator.shape[0] - margin
     right = operator.scene_shape[1] - operator.shape[1] - margin
@@ -85,9 +98,9 @@ def steps_around(basis: PsfBasis, blur_size_px: FloatArray, operator: BlurOperat
 
 
 def frame_within(scene: Any, operator: BlurOperator) -> Any:
-    """Return the part of a scene that the frame shows."""
+    """Return the part of a plane, or of each, that the frame shows."""
     margin, (rows, columns) = operator.margin_px, operator.shape
-    return scene[margin : margin + rows, margin : margin + columns]
+    return scene[..., margin : margin + rows, margin : margin + columns]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -162,7 +175,7 @@ class SpreadingBlur(OnProcessor):
             self._parts = [(labels == part).astype(np.float32) for part in range(len(traces))]
         self._terms = list(np.ndindex(max(len(traces), 1), len(self._shares)))
         self._scale = np.ones(self.shape, np.float32)
-        self._scale /= self.forward(np.ones(self.scene_shape, np.float32))
+        self._scale /= self.forward(np.ones((1, *self.scene_shape), np.float32))
 
     def _share(self, part: int, kernel: int) -> FloatArray:
         share = self._shares[kernel]
@@ -177,7 +190,7 @@ class SpreadingBlur(OnProcessor):
         sums = [np.zeros_like(self._transforms[0]) for _ in range(self.workers.threads)]
 
         def add(term: tuple[int, int], thread: int) -> None:
-            spectrum = scipy.fft.rfft2(self._share(*term) * scene)
+            spectrum = scipy.fft.rfft2(self._share(*term) * scene[0])
             spectrum *= self._transform(*term)
             sums[thread] += spectrum
 
@@ -195,7 +208,7 @@ class SpreadingBlur(OnProcessor):
             cv2.accumulateProduct(passed, self._share(*term), sums[thread])
 
         self.workers.each(add, self._terms)
-        return np.sum(sums, axis=0)
+        return np.sum(sums, axis=0)[None]
 
     def ranges(self, count: int) -> list[tuple[FloatArray, FloatArray]]:
         """Divide the scene among ranges of blur sizes, and motions."""

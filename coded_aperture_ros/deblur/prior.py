@@ -2,10 +2,12 @@
 
 from functools import lru_cache
 
+import cv2
 import numpy as np
 
 from coded_aperture_ros.bank import power_spectrum
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
+from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.imaging import transfer_function
 
 # Side of the patches that the high-order prior relates, px.
@@ -79,14 +81,57 @@ def difference_powers(shape: tuple[int, int]) -> list[FloatArray]:
     return [power.astype(np.float32) for power in powers]
 
 
-def sparse_weights(channels: list[FloatArray]) -> list[FloatArray]:
-    """Return the weights that make a quadratic prior of the differences a sparse one.
+class SparsePrior:
+    """The gradient of ``sum |D f|^0.7`` near a scene, as a linear operator.
 
-    The prior ``sum |D f|^0.7`` lets few large differences stand and presses many small ones down,
-    as edges and smooth areas in photographs are. It is minimised by a sequence of quadratic ones,
-    each with weights from the last solution: one for each of the `differences`, 1 for a small first
-    difference. All channels of a colour image share their edges.
+    The prior lets few large differences stand and presses many small ones down, as edges and smooth
+    areas in photographs are. It is minimised by a sequence of quadratic ones, each with weights
+    from the last solution: one for each of the `differences`, 1 for a small first difference. All
+    channels of a colour image share their edges.
+
+    Parameters
+    ----------
+    scenes : list of ndarray, float32 [planes, rows, columns]
+        The last solution, for each channel.
+    hidden : ndarray, bool [rows, columns], or None
+        Where a second plane is: it is judged together with what is beside it in the first.
     """
+
+    def __init__(self, scenes: list[FloatArray], hidden: BoolArray | None) -> None:
+        self._hidden = hidden
+        self.of_front = np.stack(_weights([scene[0] for scene in scenes]))
+        if hidden is not None:
+            around = cv2.dilate(hidden.astype(np.uint8), np.ones((5, 5), np.uint8))
+            behind = _weights([np.where(hidden, scene[1], scene[0]) for scene in scenes])
+            self.of_behind = np.stack(behind) * around
+
+    def __call__(self, scene: FloatArray) -> FloatArray:
+        """Return the gradient of a scene [planes, rows, columns]."""
+        gradient = np.empty_like(scene)
+        weighted_differences(scene[0], self.of_front, gradient[0])
+        if self._hidden is not None:
+            behind = np.where(self._hidden, scene[1], scene[0])
+            weighted_differences(behind, self.of_behind, gradient[1])
+            gradient[0] += np.where(self._hidden, 0, gradient[1])
+            gradient[1] *= self._hidden
+        return gradient
+
+    def power(self, shape: tuple[int, int]) -> FloatArray:
+        """Return about the power spectrum of the first plane's prior, as by ``rfft2``."""
+        # Typical weights: between the arithmetic mean, of smooth areas, and the harmonic one, of
+        # edges.
+        typical = [np.sqrt(each.mean() / (1 / each).mean()) for each in self.of_front]
+        pairs = zip(typical, difference_powers(shape), strict=True)
+        return sum((size * power for size, power in pairs), np.float32(0))
+
+    def of_hidden(self) -> FloatArray:
+        """Return about how much each pixel of the second plane counts by itself."""
+        first, second = self.of_behind[:2].sum(axis=0), self.of_behind[2:].sum(axis=0)
+        return 2 * first + 6 * second
+
+
+def _weights(channels: list[FloatArray]) -> list[FloatArray]:
+    """Return the weights of the `differences` of one image in some channels."""
     power = [np.zeros_like(channels[0]) for _ in _SHARES]
     for channel in channels:
         for total, part in zip(power, differences(channel), strict=True):
@@ -96,6 +141,57 @@ def sparse_weights(channels: list[FloatArray]) -> list[FloatArray]:
         * (1 + total / np.float32(len(channels) * _SMALL**2)) ** (_EXPONENT / 2 - 1)
         for share, total in zip(_SHARES, power, strict=True)
     ]
+
+
+def _loop(image: FloatArray, weights: FloatArray, gradient: FloatArray) -> None:
+    rows, columns = image.shape
+    gradient[:] = 0
+    for y in range(rows):
+        for x in range(columns):
+            here = image[y, x]
+            below = image[min(y + 1, rows - 1), x]
+            beside = image[y, min(x + 1, columns - 1)]
+            # Differences end at the border, where they are 0.
+            down, right = below - here, beside - here
+            flow_down, flow_right = weights[0, y, x] * down, weights[1, y, x] * right
+            if y < rows - 1:
+                twice = image[min(y + 2, rows - 1), x] - below - down
+                part = weights[2, y, x] * twice
+                gradient[y, x] += part
+                gradient[y + 1, x] -= part
+                if y < rows - 2:
+                    gradient[y + 1, x] -= part
+                    gradient[y + 2, x] += part
+            if x < columns - 1:
+                twice = image[y, min(x + 2, columns - 1)] - beside - right
+                part = weights[3, y, x] * twice
+                gradient[y, x] += part
+                gradient[y, x + 1] -= part
+                if x < columns - 2:
+                    gradient[y, x + 1] -= part
+                    gradient[y, x + 2] += part
+                if y < rows - 1:
+                    mixed = image[y + 1, x + 1] - beside - down
+                    part = weights[4, y, x] * mixed
+                    gradient[y, x] += part
+                    gradient[y + 1, x] -= part
+                    gradient[y, x + 1] -= part
+                    gradient[y + 1, x + 1] += part
+            if y < rows - 1:
+                gradient[y, x] -= flow_down
+                gradient[y + 1, x] += flow_down
+            if x < columns - 1:
+                gradient[y, x] -= flow_right
+                gradient[y, x + 1] += flow_right
+
+
+def _plain(image: FloatArray, weights: FloatArray, gradient: FloatArray) -> None:
+    parts = [each * part for each, part in zip(weights, differences(image), strict=True)]
+    gradient[:] = differences_adjoint(parts)
+
+
+# Writes ``D^T W D`` of an image, for the `differences` D and their weights [5, rows, columns].
+weighted_differences = Compiled(_loop, _plain)
 
 
 def _difference(image: FloatArray, axis: int) -> FloatArray:

@@ -10,8 +10,8 @@ from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import StaticAverage, filled
 
-# One bad pixel beyond these bounds would spoil the whole frame through its Fourier transform.
-_DARKEST, _BRIGHTEST = -1.0, 2.0
+# One bad pixel below this would spoil the whole frame through its Fourier transform.
+_DARKEST = -1.0
 # Orthonormal: noise that is alike and independent in red, green and blue stays so.
 _OPPONENTS = np.float32(np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]]))
 # A place that is the mean of more frames than this has not changed.
@@ -19,17 +19,15 @@ _STATIC = 1.5
 
 
 def measured_pixels(frame: FloatArray, saturation: float) -> tuple[FloatArray, BoolArray]:
-    """Return a frame whose impossible pixels are filled, and which pixels have been measured.
+    """Return a frame whose pixels that were not measured are filled, and which ones were.
 
-    Pixels that are not finite, or far from [0, 1], are impossible. From a brightness of
-    `saturation` on, at most 2, they are kept, but have not been measured. What has been measured
-    [rows, columns] is so in all channels.
+    Pixels that are not finite, far from [0, 1], or as bright as `saturation` have not been
+    measured. What has been measured [rows, columns] is so in all channels.
     """
     # A NaN makes both comparisons false.
     measured = (frame > _DARKEST) & (frame < saturation)
-    possible = measured if measured.all() else (frame > _DARKEST) & (frame < _BRIGHTEST)
-    if not possible.all():
-        channels = zip(np.atleast_3d(frame).T, np.atleast_3d(possible).T, strict=True)
+    if not measured.all():
+        channels = zip(np.atleast_3d(frame).T, np.atleast_3d(measured).T, strict=True)
         frame = np.stack(
             [filled(np.ascontiguousarray(channel), mask) for channel, mask in channels]
         ).T.reshape(frame.shape)
@@ -135,6 +133,7 @@ class Problem:
     frame_count: FloatArray  # that they are the mean of [rows, columns] or [1, 1]
     measured: BoolArray  # neither saturated nor impossible [rows, columns]
     blur_size_px: FloatArray  # signed, finite; as much smaller as the method asks for
+    known: BoolArray  # where a blur size was given [rows, columns]
     motion_px: FloatArray | None  # [rows, columns, 2]; None if nothing moves
     noise: float  # standard deviation of one channel of one frame
 
@@ -142,13 +141,15 @@ class Problem:
 class Method(Protocol):
     """One way to remove the blur.
 
-    Its blur maps are `reduction` times smaller than the frame. `edge_reach` says how far it keeps
-    from edges of the depth, relative to the configured reach.
+    Its blur maps are `reduction` times smaller than the frame. `edge_reach_px` says how far it
+    keeps from edges of the depth, which may be off.
     """
 
     reduction: int
-    edge_reach: float
+    edge_reach_px: int
     removes_motion: bool
+    # Whether it finds what saturated pixels would show; others show them as they are.
+    sees_past_saturation: bool
 
     def restore(self, problem: Problem, video: VideoState) -> FloatArray:
         """Return the all-in-focus frame [rows, columns] or [rows, columns, 3], not yet clipped.

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.deblur.operator import frame_within, steps_around
+from coded_aperture_ros.deblur.operator import frame_within, scene_around, steps_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.imaging import periodic_shape
 
@@ -15,6 +15,7 @@ class TorchBlur:
     """The operator of `SpreadingBlur`, all kernels at once, on the device `cpu` or `cuda`."""
 
     fft = torch.fft
+    hidden = None
 
     def __init__(
         self, basis: PsfBasis, blur_size_px: FloatArray, device: str, threads: int = 1
@@ -35,7 +36,7 @@ class TorchBlur:
         self._table = self.array(basis.table)
         self._shares = self._table[:, self._steps]
         self._scale = torch.ones(self.shape, device=device)
-        self._scale /= self.forward(torch.ones(self.scene_shape, device=device))
+        self._scale /= self.forward(torch.ones(1, *self.scene_shape, device=device))
 
     def array(self, values: NDArray) -> torch.Tensor:
         """Bring an array to the device."""
@@ -45,6 +46,10 @@ class TorchBlur:
         """Bring a result back."""
         result: FloatArray = values.cpu().numpy()
         return result
+
+    def around(self, frame: FloatArray) -> torch.Tensor:
+        """Extend a frame to a scene."""
+        return self.array(scene_around(frame, self)[None])
 
     def forward(self, scene: torch.Tensor) -> torch.Tensor:
         """Blur a scene."""
@@ -57,7 +62,7 @@ class TorchBlur:
         scene = torch.zeros(self.scene_shape, device=self._device)
         frame_within(scene, self).copy_(frame * self._scale)
         spectra = torch.fft.rfft2(scene) * self._transforms.conj()
-        return (torch.fft.irfft2(spectra, self.scene_shape) * self._shares).sum(dim=0)
+        return (torch.fft.irfft2(spectra, self.scene_shape) * self._shares).sum(dim=0)[None]
 
     def ranges(self, count: int) -> list[tuple[torch.Tensor, torch.Tensor]]:
         """Divide the scene among ranges of blur sizes; see `PsfBasis.ranges`."""

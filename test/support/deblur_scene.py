@@ -57,7 +57,8 @@ def relief(shape):
 def assert_adjoint(operator, seed=1):
     """The dot-product test of a `BlurOperator`, with a relative error."""
     random = np.random.default_rng(seed)
-    scene = random.normal(size=operator.scene_shape).astype(np.float32)
+    planes = 1 if operator.hidden is None else 2
+    scene = random.normal(size=(planes, *operator.scene_shape)).astype(np.float32)
     frame = random.normal(size=operator.shape).astype(np.float32)
     blurred_scene = operator.to_numpy(operator.forward(operator.array(scene)))
     spread_frame = operator.to_numpy(operator.adjoint(operator.array(frame)))

@@ -54,15 +54,16 @@ def test_other_settings_keep_the_video(frames):
     changing, same = (Deblurrer(levin_stack(), config) for _ in range(2))
     for each in (changing, same):
         video(each.deblur, frames[:-1])
-    changing.reconfigure(DeblurConfig(temporal_frames=8.0, edge_reach=9))
+    changing.reconfigure(DeblurConfig(temporal_frames=8.0, smoothness=3.0))
     changing.reconfigure(config)
     results = [each.deblur(frames[-1], BLUR, NOISE) for each in (changing, same)]
     assert np.array_equal(*results)
 
 
 @pytest.mark.parametrize(
-    "options", [{"band": "half"}, {"rank": 4}, CG, {"method": "sparse", "iterations": 8},
-                {"smoothness": 9.0}, {"edge_reach": 0}, {"noise": 0.03}, {"noise_gain": 0.01}]
+    "options", [{"method": "inverse"}, {"method": "inverse", "band": "half"}, {"rank": 4}, CG,
+                {"method": "sparse", "iterations": 8}, {"smoothness": 9.0}, {"noise": 0.03},
+                {"noise_gain": 0.01}]
 )  # fmt: skip
 def test_every_option_can_change(frames, options):
     """To what a new deblurrer with these options gives, and back."""

@@ -16,7 +16,6 @@ from coded_aperture_ros.deblur.operator import (
     SpreadingBlur,
     frame_within,
     motion_parts,
-    scene_around,
 )
 from coded_aperture_ros.deblur.problem import motion_of_frame
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
@@ -68,15 +67,15 @@ def test_a_plane_that_moves_is_convolved_with_both():
     blur = np.full(SHAPE, STACK.blur_sizes_px[4], np.float32)
     motion = np.broadcast_to(np.float32([5.0, -3.0]), (*SHAPE, 2))
     operator = moving_blur(basis, blur, motion)
-    scene = scene_around(texture(*SHAPE), operator)
-    exact = fftconvolve(scene, blurred_psf(STACK.psfs[4], (5.0, -3.0)), mode="same")
+    scene = operator.around(texture(*SHAPE))
+    exact = fftconvolve(scene[0], blurred_psf(STACK.psfs[4], (5.0, -3.0)), mode="same")
     assert operator.forward(scene) == pytest.approx(frame_within(exact, operator), abs=2e-4)
 
 
 def test_nothing_moves_is_defocus_alone():
     blur, motion_px = fields((0.0, 0.0))
     moving, static = moving_blur(BASIS, blur, motion_px), SpreadingBlur(BASIS, blur)
-    scene = scene_around(texture(*SHAPE), static)
+    scene = static.around(texture(*SHAPE))
     assert moving.forward(scene) == pytest.approx(static.forward(scene), abs=1e-5)
     assert sum(np.square(share) for share, _ in moving.ranges(3)) == pytest.approx(1, abs=1e-5)
 
@@ -109,9 +108,9 @@ def test_deblurring_with_the_motion_is_better_where_it_was(method):
     sharp = texture(*SHAPE)
     blur, motion_px = fields((8.0, 0.0))
     operator = moving_blur(BASIS, blur, motion_px)
-    coded = operator.forward(scene_around(sharp, operator))
+    coded = operator.forward(operator.around(sharp))
     coded += 0.001 * np.random.default_rng(0).standard_normal(SHAPE).astype(np.float32)
-    config = DeblurConfig(method=method, edge_reach=0, occlusion="no", noise=0.001, iterations=48)
+    config = DeblurConfig(method=method, occlusion="no", noise=0.001, iterations=48)
     deblurrer = Deblurrer(STACK, config)
     inside = np.s_[26:46, 38:62]
     errors = [

@@ -26,15 +26,15 @@ from coded_aperture_ros.deblur.blur_map import (
 from coded_aperture_ros.deblur.iterative import Fit, conjugate_gradients
 from coded_aperture_ros.deblur.least_squares import restore_quadratic, restore_sparse
 from coded_aperture_ros.deblur.occlusion import OccludedBlur
-from coded_aperture_ros.deblur.operator import SpreadingBlur, frame_within, scene_around
+from coded_aperture_ros.deblur.operator import SpreadingBlur, frame_within
 from coded_aperture_ros.deblur.prior import (
+    SparsePrior,
     difference_powers,
     differences,
     differences_adjoint,
     high_order_filters,
     natural_covariance,
     quadratic_power,
-    sparse_weights,
 )
 from coded_aperture_ros.deblur.problem import from_opponents, opponents
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
@@ -59,9 +59,10 @@ def sharp():
     return edges_and_texture((12, 14), 10)
 
 
-def stopping(tolerance, iterations):
-    """Settings for depth that is exact."""
-    return DeblurConfig(edge_reach=0, tolerance=tolerance, iterations=iterations)
+def fit(operator, coded, start, tolerance, iterations):
+    one = np.ones(coded.shape, np.float32)
+    config = DeblurConfig(tolerance=tolerance, iterations=iterations)
+    return Fit(operator, [coded], one, [start], [start], NOISE, config)
 
 
 def test_basis_gives_back_psfs_of_fractional_size(stack, basis):
@@ -91,21 +92,23 @@ def test_adjoint_passes_the_dot_product_test(operator, basis, threads, sharp):
 @OPERATORS
 def test_plane_is_convolved_with_its_psf_and_nothing_wraps_around(operator, stack, sharp):
     blur = operator(PsfBasis.of(stack, 1e-6), np.full(sharp.shape, 7.0, np.float32))
-    scene = np.random.default_rng(2).random(blur.scene_shape).astype(np.float32)
+    plane = np.random.default_rng(2).random(blur.scene_shape).astype(np.float32)
+    scene = blur.around(sharp)
+    scene[0] = plane
     psf = render_psf(Mask.named("levin"), 7.0)
     margin = len(psf) // 2
-    expected = signal.fftconvolve(scene, psf, mode="valid")
+    expected = signal.fftconvolve(plane, psf, mode="valid")
     top = blur.margin_px - margin
     expected = expected[top : top + sharp.shape[0], top : top + sharp.shape[1]]
     assert blur.forward(scene) == pytest.approx(expected, abs=1e-3)
     # What lies beyond the reach of the PSFs has no part in it.
     rows, columns = (length + 2 * blur.margin_px for length in sharp.shape)
     beyond = scene.copy()
-    beyond[rows:] += 1
-    beyond[:, columns:] += 1
+    beyond[:, rows:] += 1
+    beyond[:, :, columns:] += 1
     assert blur.forward(beyond) == pytest.approx(blur.forward(scene), abs=1e-4)
-    assert frame_within(scene, blur).shape == sharp.shape
-    flat = blur.forward(np.full(blur.scene_shape, 0.4, np.float32))
+    assert frame_within(scene, blur)[0].shape == sharp.shape
+    flat = blur.forward(np.full(scene.shape, 0.4, np.float32))
     assert flat == pytest.approx(0.4, abs=1e-4)
 
 
@@ -116,11 +119,11 @@ def test_background_does_not_shine_through_a_foreground(basis, sharp):
     scene_of = np.where(blur == 1.0, 0.0, 1.0).astype(np.float32)
     occluded, spreading = OccludedBlur(basis, blur), SpreadingBlur(basis, blur)
     inside = np.s_[42:78, 42:88]
-    assert occluded.forward(scene_around(scene_of, occluded))[inside].max() < 1e-3
-    assert spreading.forward(scene_around(scene_of, spreading))[inside].max() > 0.1
+    assert occluded.forward(occluded.around(scene_of))[inside].max() < 1e-3
+    assert spreading.forward(spreading.around(scene_of))[inside].max() > 0.1
     # The wall keeps its brightness up to the square's edge.
     beside = np.s_[42:78, 92:100]
-    assert occluded.forward(scene_around(scene_of, occluded))[beside].min() > 0.99
+    assert occluded.forward(occluded.around(scene_of))[beside].min() > 0.99
 
 
 def test_ranges_divide_the_scene(basis, sharp):
@@ -163,13 +166,29 @@ def test_differences_and_their_transpose():
 
 
 def test_sparse_prior_lets_edges_stand():
-    image = np.zeros((20, 20), np.float32)
-    image[:, 10:] = 0.5
-    right = sparse_weights([image])[1]
+    image = np.zeros((1, 20, 20), np.float32)
+    image[0, :, 10:] = 0.5
+    right = SparsePrior([image], None).of_front[1]
     assert right[5, 3] == pytest.approx(1)
     assert right[5, 9] < 0.02
     # An edge in one channel is an edge in all.
-    assert sparse_weights([image, 0 * image])[1][5, 9] < 0.02
+    assert SparsePrior([image, 0 * image], None).of_front[1][5, 9] < 0.02
+
+
+def test_prior_is_symmetric_and_judges_what_is_hidden_with_what_is_beside_it():
+    random = np.random.default_rng(7)
+    hidden = np.zeros((30, 34), bool)
+    hidden[10:16, 12:20] = True
+    one, other = random.standard_normal((2, 2, 30, 34)).astype(np.float32)
+    prior = SparsePrior([random.random((2, 30, 34)).astype(np.float32)], hidden)
+    assert np.vdot(one, prior(other)) == pytest.approx(np.vdot(other, prior(one)), rel=1e-3)
+    assert np.vdot(one, prior(one)) > 0
+    # A ramp in front and behind costs nothing, a step behind costs where it ends.
+    flat = np.full((2, 30, 34), 0.3, np.float32)
+    assert prior(flat) == pytest.approx(0, abs=1e-6)
+    flat[1] += 0.2
+    assert np.abs(prior(flat)[1][9:17, 11:21]).max() > 0.1
+    assert np.abs(prior(flat)[1][~hidden]).max() == 0
 
 
 def patch_covariance(image, side_px):
@@ -197,11 +216,10 @@ def test_high_order_filters_whiten_sharp_patches(sharp):
 def test_quadratic_solution_is_the_minimum(basis, sharp):
     """The gradient of thesis eq. 6.28 vanishes."""
     blur = SpreadingBlur(basis, relief(sharp.shape))
-    coded = blur.forward(scene_around(sharp, blur))
-    one = np.ones(sharp.shape, np.float32)
-    few, needed = restore_quadratic(Fit(blur, [coded], one, [coded], NOISE, stopping(1e-4, 200)))
+    coded = blur.forward(blur.around(sharp))
+    few, needed = restore_quadratic(fit(blur, coded, coded, 1e-4, 200))
     assert needed < 60
-    many, _ = restore_quadratic(Fit(blur, [coded], one, [sharp], NOISE, stopping(1e-6, 400)))
+    many, _ = restore_quadratic(fit(blur, coded, sharp, 1e-6, 400))
     inside = np.s_[12:-12, 12:-12]  # the scene beyond the border hardly shows in the gradient
     assert psnr_db(few[0][inside], many[0][inside]) > 40
     assert psnr_db(many[0], sharp) > psnr_db(coded, sharp) + 3
@@ -211,12 +229,12 @@ def test_quadratic_solution_is_the_minimum(basis, sharp):
 def test_sparse_restoration_beats_the_quadratic_one(operator, basis, sharp):
     blur = operator(basis, relief(sharp.shape))
     noise = np.random.default_rng(5).normal(0, 0.002, sharp.shape).astype(np.float32)
-    coded = blur.forward(scene_around(sharp, blur)) + noise
-    one = np.ones(sharp.shape, np.float32)
-    fit = Fit(blur, [coded], one, [coded], NOISE, stopping(1e-5, 60))
-    (quadratic, _), sparse = restore_quadratic(fit), restore_sparse(fit)
+    coded = blur.forward(blur.around(sharp)) + noise
+    spreading = SpreadingBlur(basis, relief(sharp.shape))
+    quadratic, _ = restore_quadratic(fit(spreading, coded, coded, 1e-5, 60))
+    sparse = restore_sparse(fit(blur, coded, coded, 1e-5, 60), 60)
     assert psnr_db(sparse[0], sharp) > psnr_db(quadratic[0], sharp) + 1
-    residual = blur.forward(scene_around(sparse[0], blur)) - coded
+    residual = blur.forward(blur.around(sparse[0])) - coded
     assert residual[12:-12, 12:-12].std() < 0.003
 
 
@@ -238,7 +256,7 @@ def test_saturated_pixels_are_left_out(sharp, method):
     spoilt[50:56, 60:66] = 1.0  # of a lamp, whose blur is not that of the scene
     blur = np.full(sharp.shape, 6.0, np.float32)
     results = [
-        deblurrer(method=method, noise=NOISE, saturation=limit, edge_reach=0).deblur(spoilt, blur)
+        deblurrer(method=method, noise=NOISE, saturation=limit).deblur(spoilt, blur)
         for limit in (0.995, 2.0)
     ]
     around = np.s_[38:68, 48:78]

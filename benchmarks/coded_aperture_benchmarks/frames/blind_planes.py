@@ -149,9 +149,7 @@ def deblurring_loss(
 def _deblurred_db(
     planes: BlindPlanes, mask: Mask, sizes_px: NDArray[np.float64], method: str
 ) -> NDArray[np.float64]:
-    deblurrer = Deblurrer(
-        render_psf_stack(mask, np.sort(sizes_px)), DeblurConfig(method=method, edge_reach=0)
-    )
+    deblurrer = Deblurrer(render_psf_stack(mask, np.sort(sizes_px)), DeblurConfig(method=method))
     inside = slice(_BORDER_PX, -_BORDER_PX)
     found = []
     for coded, sharp, size in zip(planes.coded, planes.sharp, sizes_px, strict=True):

@@ -154,7 +154,6 @@ def deblurred(
     ----------
     config : DeblurConfig
         With method `cg` or `sparse`, and without occlusion, so that only the motion differs.
-        Where the depth is true, its edges are exact.
     alone, together : DepthEstimate
         Estimated by defocus alone, and by defocus and motion.
 
@@ -163,16 +162,15 @@ def deblurred(
     dict of dict
         Peak signal-to-noise ratio on `object` and `scene`, dB, of each result.
     """
-    exact = Deblurrer(stack, dataclasses.replace(config, edge_reach=0))
-    safe = Deblurrer(stack, config)
+    deblurrer = Deblurrer(stack, config)
     coded, truth = scene.coded, scene.truth
     blur = camera.blur_size_px(truth.depth_m).astype(np.float32)
     results = {
         "coded": coded,
-        "defocus, true": exact.deblur(coded, blur),
-        "motion, true": exact.deblur(coded, blur, motion_px=truth.motion_px),
-        "defocus": safe.deblur(coded, alone.blur_size_px),
-        "motion": safe.deblur(
+        "defocus, true": deblurrer.deblur(coded, blur),
+        "motion, true": deblurrer.deblur(coded, blur, motion_px=truth.motion_px),
+        "defocus": deblurrer.deblur(coded, alone.blur_size_px),
+        "motion": deblurrer.deblur(
             coded,
             together.blur_size_px,
             motion_px=together.motion.vectors_px if together.motion else None,

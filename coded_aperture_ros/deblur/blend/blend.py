@@ -27,6 +27,18 @@ _COLOUR_NOISE = 2.0
 _PIXELS = CELL_PX**2
 
 
+# Blur of which the network has seen pictures.
+_LARGEST_PX = 22.0
+
+
+def untrained(stack: PsfStack) -> str:
+    """Return why PSFs are not such as the network was trained for; empty if they are."""
+    if not stack.in_pixels:
+        return "the blur sizes of its PSFs are not known in pixels"
+    largest = float(np.abs(stack.blur_sizes_px).max())
+    return f"its blur of {largest:.3g} px is above {_LARGEST_PX:g} px" * (largest > _LARGEST_PX)
+
+
 class Blend:
     """Weighs the hypotheses of every pixel, and adds a little; see `training/blend_network.py`.
 
