@@ -58,8 +58,7 @@ class DeblurConfig:
     )
     saturation: float = option(
         0.995,
-        "Brightness from which a pixel counts as saturated, and is left out; "
-        "above 1: none.",
+        "Brightness from which a pixel counts as saturated, and is left out; above 1: none.",
         within=(0.1, 2.0),
         parameter="frames.saturation",
     )

@@ -29,7 +29,6 @@ from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.imaging import KnownNoise, channel_noise, check_frame
 from coded_aperture_ros.optics import PsfStack
 
-
 # How far edges of the depth of what moves may be off, px.
 _EDGE_REACH_PX = 10
 

@@ -31,6 +31,10 @@ _CONTRAST = 0.0025
 _ALPHA = 5.5
 # Rounding of a frame to 8 bits, about: the least noise that is reckoned with.
 _LEAST_NOISE = 0.0002
+# Discrepancy principle, where nothing holds the scene: while more is left unexplained than so many
+# times the noise, alpha is too large, and becomes so much smaller with every set of weights. Not
+# before the larger alpha has nearly been solved, which takes fewer iterations.
+_DISCREPANCY, _LESS = 1.2, 0.7
 # Turns the median absolute value of a normal distribution into its standard deviation.
 _MEDIAN_TO_STD = 1.4826
 # Iterations between two updates of the prior's weights, and of `cg` and `sparse` together.
@@ -117,8 +121,10 @@ def restore_sparse(fit: Fit, iterations: int) -> list[FloatArray]:
             pairs = zip(channels, scenes, strict=True)
             left = [coded - operator.forward(scene) for coded, scene in pairs]
             trusted = fit.weight * _explained(left, noise, allowed)
-            # The model may be better than it usually is.
             found = _MEDIAN_TO_STD * float(np.median(np.abs(left[0])))
+            if fit.expected is None and found > _DISCREPANCY * noise and done >= iterations // 2:
+                found = _LESS * unexplained
+            # Else the model may be better than it usually is.
             unexplained = max(least, min(unexplained, found))
         held = operator.around(cv2.blur(held_by * (1 - trusted), (_HELD_PX, _HELD_PX)))
         sparse = SparsePrior(scenes, operator.hidden)

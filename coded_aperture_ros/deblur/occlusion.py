@@ -32,6 +32,8 @@ class OccludedBlur(OnProcessor):
     over the points y of both. It needs a byte per pixel of the frame and of the largest PSF.
     """
 
+    hidden: BoolArray
+
     def __init__(
         self, basis: PsfBasis, blur_size_px: FloatArray, workers: Workers | None = None
     ) -> None:
@@ -65,7 +67,15 @@ class OccludedBlur(OnProcessor):
         def weigh(top: int, _: int) -> None:
             band = slice(top, min(top + _BAND_ROWS, rows))
             weights = np.empty((len(used), band.stop - top, columns), np.float32)
-            fixed = taps, self._offsets, near_edges, float(front.min()), top, self.margin_px, weights
+            fixed = (
+                taps,
+                self._offsets,
+                near_edges,
+                float(front.min()),
+                top,
+                self.margin_px,
+                weights,
+            )
             rays(front, behind, hidden_steps, *fixed)
             weights *= near_edges[band]  # farther from edges nothing hidden is seen
             offset, row, column = np.nonzero(weights)
@@ -148,7 +158,12 @@ def _continued(
 
 
 def _collect_loop(
-    weights: FloatArray, offsets: IndexArray, scene: FloatArray, top: int, margin: int, frame: FloatArray
+    weights: FloatArray,
+    offsets: IndexArray,
+    scene: FloatArray,
+    top: int,
+    margin: int,
+    frame: FloatArray,
 ) -> None:
     count, rows, columns = weights.shape
     for y in range(rows):
@@ -160,7 +175,12 @@ def _collect_loop(
 
 
 def _collect_plain(
-    weights: FloatArray, offsets: IndexArray, scene: FloatArray, top: int, margin: int, frame: FloatArray
+    weights: FloatArray,
+    offsets: IndexArray,
+    scene: FloatArray,
+    top: int,
+    margin: int,
+    frame: FloatArray,
 ) -> None:
     _, rows, columns = weights.shape
     frame[:] = 0
@@ -170,7 +190,12 @@ def _collect_plain(
 
 
 def _spread_loop(
-    weights: FloatArray, offsets: IndexArray, frame: FloatArray, top: int, margin: int, scene: FloatArray
+    weights: FloatArray,
+    offsets: IndexArray,
+    frame: FloatArray,
+    top: int,
+    margin: int,
+    scene: FloatArray,
 ) -> None:
     count, rows, columns = weights.shape
     for y in range(rows):
@@ -181,7 +206,12 @@ def _spread_loop(
 
 
 def _spread_plain(
-    weights: FloatArray, offsets: IndexArray, frame: FloatArray, top: int, margin: int, scene: FloatArray
+    weights: FloatArray,
+    offsets: IndexArray,
+    frame: FloatArray,
+    top: int,
+    margin: int,
+    scene: FloatArray,
 ) -> None:
     _, rows, columns = weights.shape
     for weight, (down, right) in zip(weights, offsets, strict=True):

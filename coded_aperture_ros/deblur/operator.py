@@ -34,6 +34,10 @@ class BlurOperator(Protocol):
     workers: Workers
     fft: Any
 
+    @property
+    def hidden(self) -> BoolArray | None:
+        """Where the second plane has something [*scene_shape]; None without one."""
+
     def array(self, values: FloatArray) -> Any:
         """Bring an array to where the operator computes."""
 
@@ -60,8 +64,8 @@ class OnProcessor:
     shape: tuple[int, int]
     scene_shape: tuple[int, int]
     margin_px: int
-    # Where the second plane has something [*scene_shape]; None without one.
     hidden: BoolArray | None = None
+    workers: Workers
     _basis: PsfBasis
     _steps: IndexArray  # of the scene, see `PsfBasis.steps_of`
 
@@ -81,7 +85,7 @@ class OnProcessor:
 
 
 def scene_around(
-    frame: FloatArray, operator: BlurOperator, border: int = cv2.BORDER_REPLICATE
+    frame: FloatArray, operator: "BlurOperator | OnProcessor", border: int = cv2.BORDER_REPLICATE
 ) -> FloatArray:
     """Extend a frame to one plane of a scene."""
     margin = operator.margin_px

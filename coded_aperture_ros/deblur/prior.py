@@ -122,7 +122,7 @@ class SparsePrior:
         # edges.
         typical = [np.sqrt(each.mean() / (1 / each).mean()) for each in self.of_front]
         pairs = zip(typical, difference_powers(shape), strict=True)
-        return sum((size * power for size, power in pairs), np.float32(0))
+        return np.sum([size * power for size, power in pairs], axis=0)
 
     def of_hidden(self) -> FloatArray:
         """Return about how much each pixel of the second plane counts by itself."""

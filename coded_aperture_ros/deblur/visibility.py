@@ -42,7 +42,7 @@ def _loop(
                         if front[py, px] < size - _IN_FRONT_PX:
                             weight = 0.0
                     elif abs(size) >= _SHARP_PX:
-                        begin = np.floor(nearest / size * length)
+                        begin = int(np.floor(nearest / size * length))
                         first = min(begin, 0) if begin <= length else length + 1
                         last = length if begin <= length else begin + 1
                         for i in range(first, last + 1):

@@ -12,11 +12,7 @@ from scipy.signal import fftconvolve
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.deblur.blur_map import smoothed_over_surfaces
-from coded_aperture_ros.deblur.operator import (
-    SpreadingBlur,
-    frame_within,
-    motion_parts,
-)
+from coded_aperture_ros.deblur.operator import SpreadingBlur, frame_within, motion_parts
 from coded_aperture_ros.deblur.problem import motion_of_frame
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.io import write_image

@@ -106,11 +106,7 @@ _WHICH = np.array(_TAKEN, np.int64)
 
 
 def _loop(
-    filtered: FloatArray,
-    steps: IndexArray,
-    table: FloatArray,
-    which: IndexArray,
-    found: FloatArray,
+    filtered: FloatArray, steps: IndexArray, table: FloatArray, which: IndexArray, found: FloatArray
 ) -> None:
     rank, rows, columns = filtered.shape
     for y in range(rows):
@@ -124,17 +120,13 @@ def _loop(
 
 
 def _plain(
-    filtered: FloatArray,
-    steps: IndexArray,
-    table: FloatArray,
-    which: IndexArray,
-    found: FloatArray,
+    filtered: FloatArray, steps: IndexArray, table: FloatArray, which: IndexArray, found: FloatArray
 ) -> None:
     for h, (of, error) in enumerate(which):
         weights = table[:, error].T
         found[h] = sum(np.take(w, steps[of]) * f for w, f in zip(weights, filtered, strict=True))
 
 
-# From kernels' pictures [R, rows, columns], steps [4, rows, columns], a table [steps, errors, R] and
-# `_TAKEN` to hypotheses, which it writes to.
+# From kernels' pictures [R, rows, columns], steps [4, rows, columns], a table [steps, errors, R]
+# and `_TAKEN` to hypotheses, which it writes to.
 combined = Compiled(_loop, _plain)
