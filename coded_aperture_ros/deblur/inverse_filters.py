@@ -14,10 +14,8 @@ from coded_aperture_ros.deblur.inverse_basis import MODEL_ERRORS, InverseBasis
 from coded_aperture_ros.imaging import periodic, periodic_shape
 from coded_aperture_ros.optics import PsfStack
 
-# Model errors for which there are filters, and how finely maps are looked up between them.
-_MODEL_ERRORS = np.geomspace(MODEL_ERRORS[0], MODEL_ERRORS[-1], 4)
+# How finely maps are looked up between levels.
 _STEPS_PER_LEVEL = 8
-_STEPS_PER_ERROR = 4
 # The error that a change of blur size within reach of the filters makes, per pixel of its standard
 # deviation; from the best choice on ray-traced scenes.
 _ERROR_PER_PX = 0.03
@@ -43,6 +41,9 @@ class InverseFilters:
 
     # Weights change slowly: a map of so many times fewer rows and columns tells them.
     reduction = 2
+    # Model errors for which there are filters, and how finely maps are looked up between them.
+    model_errors = np.geomspace(MODEL_ERRORS[0], MODEL_ERRORS[-1], 4)
+    steps_per_error = 4
 
     def __init__(self, stack: PsfStack, rank: int, workers: Workers) -> None:
         self._stack, self._workers = stack, workers
@@ -63,22 +64,25 @@ class InverseFilters:
 
         `blur` has signed blur sizes in px of the frame [rows / reduction, columns / reduction].
         """
-        level = _index_among(self._stack.blur_sizes_px[self._order], blur)
-        error = _index_among(np.log(_MODEL_ERRORS), _log_model_error(blur, self.reduction))
-        place = np.rint(level * _STEPS_PER_LEVEL)
-        place *= _STEPS_PER_ERROR * (len(_MODEL_ERRORS) - 1) + 1
-        place += np.rint(error * _STEPS_PER_ERROR)
+        least = float(self.model_errors[0])
+        log_error = _log_model_error(blur, self.reduction, least)
+        error = _index_among(np.log(self.model_errors), log_error)
+        place = self.steps_of(blur).astype(np.float32)
+        place *= self.steps_per_error * (len(self.model_errors) - 1) + 1
+        place += np.rint(error * self.steps_per_error)
         return place.astype(np.intp)
+
+    def steps_of(self, blur: FloatArray) -> IndexArray:
+        """Return the step of every signed blur size among those of the tables."""
+        level = _index_among(self._stack.blur_sizes_px[self._order], blur)
+        return np.rint(level * _STEPS_PER_LEVEL).astype(np.int32)
 
     def apply(
         self, channels: list[FloatArray], places: IndexArray, noise: float
     ) -> list[FloatArray]:
         """Deblur channels of a frame by their `places`; `noise` is its standard deviation, > 0."""
-        basis_noise = min(_NOISES, key=lambda known: abs(np.log(known / noise)))
         shape = channels[0].shape
-        transforms = self._transforms(basis_noise, periodic_shape(shape, self._extension_px))
-        # Steps of a tenth of a decade: there are few different tables.
-        lookup = self._lookup_table(basis_noise, round(10 * np.log10(noise)))
+        transforms, lookup = self._filters(shape, noise)
         weights = [np.empty(0, np.float32)] * len(lookup)  # of every kernel in every pixel
 
         def weigh(kernel: int, _: int) -> None:
@@ -86,6 +90,16 @@ class InverseFilters:
 
         self._workers.each(weigh, range(len(lookup)))
         return [self._filter(channel, transforms, weights) for channel in channels]
+
+    def _filters(
+        self, shape: tuple[int, ...], noise: float
+    ) -> tuple[NDArray[np.complex64], FloatArray]:
+        """Return the kernels' transforms for images of a shape, and the table of coefficients."""
+        basis_noise = min(_NOISES, key=lambda known: abs(np.log(known / noise)))
+        periodic = periodic_shape((shape[0], shape[1]), self._extension_px)
+        # Steps of a tenth of a decade: there are few different tables.
+        table = self._lookup_table(basis_noise, round(10 * np.log10(noise)))
+        return self._transforms(basis_noise, periodic), table
 
     def _filter(
         self, channel: FloatArray, transforms: NDArray[np.complex64], weights: list[FloatArray]
@@ -107,9 +121,9 @@ class InverseFilters:
 
     def _new_lookup_table(self, basis_noise: float, tenths: int) -> FloatArray:
         """Coefficients [R, steps of level * steps of model error], interpolated."""
-        table = self._basis(basis_noise).coefficients(_MODEL_ERRORS, 10 ** (tenths / 10))
+        table = self._basis(basis_noise).coefficients(self.model_errors, 10 ** (tenths / 10))
         table = table[self._order]
-        for axis, steps in ((0, _STEPS_PER_LEVEL), (1, _STEPS_PER_ERROR)):
+        for axis, steps in ((0, _STEPS_PER_LEVEL), (1, self.steps_per_error)):
             table = np.moveaxis(table, axis, 0)
             position = np.arange(steps * (len(table) - 1) + 1) / steps
             lower = np.minimum(position.astype(np.intp), len(table) - 2)
@@ -129,11 +143,11 @@ def _index_among(places: NDArray[np.floating], values: FloatArray) -> NDArray[np
     return np.clip((values - first) / step, 0, np.float32(last))
 
 
-def _log_model_error(blur: FloatArray, reduction: int) -> FloatArray:
+def _log_model_error(blur: FloatArray, reduction: int, least: float) -> FloatArray:
     """Logarithm of every pixel's model error, from how much the blur size changes around it."""
     variance = local_variance(blur, _SURROUNDINGS_PX // reduction | 1)
     variance *= np.float32(_ERROR_PER_PX**2)
-    variance += np.float32(_MODEL_ERRORS[0] ** 2)
+    variance += np.float32(least**2)
     return np.asarray(np.log(variance) / 2, np.float32)
 
 

@@ -64,10 +64,11 @@ class Blend:
         measured.
         """
         shape = blur.shape
-        steps = self._of_brightness.steps(blur)
+        sizes = sizes_of(blur)
+        steps = np.stack([self._of_brightness.steps_of(each) for each in sizes])
         cells = in_cells(self._of_brightness.of(channels[0], steps, noise))
         mean, scale = level_and_scale(cells[-_PIXELS:], noise)
-        maps = maps_in_cells(sizes_of(blur), known, scale, noise)
+        maps = maps_in_cells(sizes, known, scale, noise)
         shown = np.concatenate([(cells - mean) / scale, maps])
         self._network.setInput(shown[None])
         told = self._network.forward()[0].reshape(HYPOTHESES + 1, _PIXELS, *scale.shape)

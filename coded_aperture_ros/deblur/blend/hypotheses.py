@@ -1,32 +1,25 @@
 """What the closed form makes of a frame if a pixel has its own blur, or that of what is beside."""
 
-from functools import lru_cache
-
 import cv2
 import numpy as np
 import scipy.fft
 
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.core.compiled import Compiled
-from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.deblur.inverse_basis import MODEL_ERRORS, InverseBasis
+from coded_aperture_ros.deblur.inverse_basis import MODEL_ERRORS
+from coded_aperture_ros.deblur.inverse_filters import InverseFilters
 from coded_aperture_ros.imaging import periodic, periodic_shape
-from coded_aperture_ros.optics import PsfStack
 
-# Of the closed forms: whose blur size is taken (see `sizes_of`), and the model error that bounds
+# Of the closed forms: whose blur size is taken (see `sizes_of`), and which model error bounds
 # their gain. The frame itself is one more hypothesis: that nothing is gained by changing it.
 OWN, NEARER, FARTHER, MORE = range(4)
-_TAKEN = ((OWN, 0), (OWN, 2), (NEARER, 1), (FARTHER, 1), (MORE, 1))
+_TAKEN = np.array(((OWN, 0), (OWN, 2), (NEARER, 1), (FARTHER, 1), (MORE, 1)))
 HYPOTHESES = len(_TAKEN) + 1
 # How far around a pixel the nearest and the farthest surface are looked for: about as far as light
 # of the largest blur comes from.
 _BESIDE_PX = 9
 # How much larger a blur size is tried: what it changes tells how to correct an error of the depth.
 _MORE_PX = 0.8
-_STEPS_PER_LEVEL = 8
-_EXTENSION_PX = 32
-# There is a basis for each of these noises; the nearest one is used.
-_NOISES = (0.001, 0.003, 0.01, 0.03)
 
 
 def sizes_of(blur: FloatArray) -> list[FloatArray]:
@@ -36,82 +29,56 @@ def sizes_of(blur: FloatArray) -> list[FloatArray]:
     return [blur, cv2.erode(blur, beside), cv2.dilate(blur, beside), more]
 
 
-class Hypotheses:
-    """The closed forms of a camera. Its filters are in `InverseBasis`."""
+class Hypotheses(InverseFilters):
+    """The closed forms of a camera: the filters of `InverseFilters`, combined in several ways."""
 
-    def __init__(self, stack: PsfStack, rank: int, workers: Workers) -> None:
-        self._stack, self._workers, self._rank = stack, workers, rank
-        self._extension_px = max(_EXTENSION_PX, stack.psfs.shape[-1] - 1)
-        self._order = np.argsort(stack.blur_sizes_px)
-        self._basis = lru_cache(maxsize=len(_NOISES))(
-            lambda noise: InverseBasis.learn(stack, noise, rank)
-        )
-        self._transforms = lru_cache(maxsize=len(_NOISES))(
-            lambda noise, shape: self._basis(noise).transforms(shape)
-        )
-        self._table = lru_cache(maxsize=32)(self._new_table)
-
-    def prepare(self, shape: tuple[int, int]) -> None:
-        """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
-        for noise in _NOISES[:-1]:
-            self._transforms(noise, periodic_shape(shape, self._extension_px))
-
-    def steps(self, blur: FloatArray) -> IndexArray:
-        """Return the rows of the table for `sizes_of` a signed map [4, rows, columns]."""
-        sizes = self._stack.blur_sizes_px[self._order]
-        at = np.arange(len(sizes)) * _STEPS_PER_LEVEL
-        steps = [np.interp(each, sizes, at) for each in sizes_of(blur)]
-        return np.rint(steps).astype(np.uint16)
+    reduction = 1
+    model_errors = np.array([MODEL_ERRORS[0], 0.11, 0.2])
+    steps_per_error = 1
 
     def of(self, channel: FloatArray, steps: IndexArray, noise: float) -> FloatArray:
-        """Return the hypotheses [HYPOTHESES, rows, columns] of a channel; the last is itself."""
-        basis_noise = min(_NOISES, key=lambda known: abs(np.log(known / noise)))
+        """Return the hypotheses [HYPOTHESES, rows, columns] of a channel; the last is itself.
+
+        `steps` are those of the `sizes_of` its map, see `steps_of` [4, rows, columns].
+        """
+        rows, columns = channel.shape
         shape = periodic_shape(channel.shape, self._extension_px)
-        transforms = self._transforms(basis_noise, shape)
-        table = self._table(basis_noise, round(10 * np.log10(noise)))
+        transforms, lookup = self._filters(channel.shape, noise)
+        table = np.ascontiguousarray(lookup.T).reshape(-1, len(self.model_errors), len(lookup))
         spectrum = scipy.fft.rfft2(periodic(channel, shape), workers=self._workers.threads)
-        height, width = channel.shape
-        filtered = np.empty((len(transforms), height, width), np.float32)
+        filtered = np.empty((len(transforms), rows, columns), np.float32)
 
         def filter_by(kernel: int, _: int) -> None:
             whole = scipy.fft.irfft2(spectrum * transforms[kernel], shape, overwrite_x=True)
-            filtered[kernel] = whole[:height, :width]
+            filtered[kernel] = whole[:rows, :columns]
 
         self._workers.each(filter_by, range(len(transforms)))
-        found = np.empty((HYPOTHESES, height, width), np.float32)
+        found = np.empty((HYPOTHESES, rows, columns), np.float32)
         found[-1] = channel
-        bands = np.array_split(np.arange(height), self._workers.threads)
 
-        def combine(band: int, _: int) -> None:
-            rows = slice(int(bands[band][0]), int(bands[band][-1]) + 1)
-            combined(filtered[:, rows], steps[:, rows], table, _WHICH, found[:-1, rows])
+        def combine(top: int, _: int) -> None:
+            band = slice(top, top + _BAND_ROWS)
+            combined(filtered[:, band], steps[:, band], table, _TAKEN, found[:-1, band])
 
-        self._workers.each(combine, range(len(bands)))
+        self._workers.each(combine, range(0, rows, _BAND_ROWS))
         return found
 
-    def _new_table(self, basis_noise: float, tenths: int) -> FloatArray:
-        """Coefficients [steps, model errors, R], interpolated between levels."""
-        table = self._basis(basis_noise).coefficients(_errors(), 10 ** (tenths / 10))[self._order]
-        at = np.arange(_STEPS_PER_LEVEL * (len(table) - 1) + 1) / _STEPS_PER_LEVEL
-        lower = np.minimum(at.astype(np.intp), len(table) - 2)
-        above = (at - lower).astype(np.float32)[:, None, None]
-        return np.ascontiguousarray(table[lower] * (1 - above) + table[lower + 1] * above)
 
-
-def _errors() -> DoubleArray:
-    return np.array([MODEL_ERRORS[0], 0.11, 0.2])
-
-
-_WHICH = np.array(_TAKEN, np.int64)
+# Rows that a thread works on at once.
+_BAND_ROWS = 64
 
 
 def _loop(
-    filtered: FloatArray, steps: IndexArray, table: FloatArray, which: IndexArray, found: FloatArray
+    filtered: FloatArray,
+    steps: IndexArray,
+    table: FloatArray,
+    taken: IndexArray,
+    found: FloatArray,
 ) -> None:
     rank, rows, columns = filtered.shape
     for y in range(rows):
-        for h in range(len(which)):
-            of, error = which[h, 0], which[h, 1]
+        for h in range(len(taken)):
+            of, error = taken[h, 0], taken[h, 1]
             for x in range(columns):
                 found[h, y, x] = 0
             for r in range(rank):
@@ -120,9 +87,13 @@ def _loop(
 
 
 def _plain(
-    filtered: FloatArray, steps: IndexArray, table: FloatArray, which: IndexArray, found: FloatArray
+    filtered: FloatArray,
+    steps: IndexArray,
+    table: FloatArray,
+    taken: IndexArray,
+    found: FloatArray,
 ) -> None:
-    for h, (of, error) in enumerate(which):
+    for h, (of, error) in enumerate(taken):
         weights = table[:, error].T
         found[h] = sum(np.take(w, steps[of]) * f for w, f in zip(weights, filtered, strict=True))
 
