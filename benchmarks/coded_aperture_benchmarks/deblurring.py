@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from coded_aperture_benchmarks.options import Add, Args, check_known, option
 from coded_aperture_benchmarks.reference.deblurring import (
@@ -22,6 +23,7 @@ from coded_aperture_benchmarks.reference.deblurring import (
 from coded_aperture_benchmarks.restoration import missing_scikit_image
 from coded_aperture_benchmarks.rows import place
 from coded_aperture_benchmarks.run import Row
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import options_of
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.imaging.noise import NOISE_FLOOR
@@ -29,7 +31,7 @@ from coded_aperture_ros.optics import PsfStack
 
 # What no method has touched, to compare with.
 CODED = "coded"
-TRUE, ESTIMATED = "true", "estimated"
+TRUE, ESTIMATED, CLASSICAL = "true", "estimated", "classical"
 # Of the frames that reference methods find their strength on; the seed decides the noise too, and
 # has to be another one than in any test.
 PRACTICE_SEED = 1_000_000_007
@@ -154,7 +156,6 @@ def deblur(
     stack: PsfStack,
     strength: float | None = None,
     noise: float | None = None,
-    exact_depth: bool = False,
 ) -> Deblurred:
     """Deblur a frame.
 
@@ -164,16 +165,15 @@ def deblur(
         One of `own_methods` or `DEBLURRING_METHODS`.
     coded : ndarray of float32, shape [rows, columns] or [rows, columns, 3]
     blur_size_px : ndarray of float, shape [rows, columns]
-        Blur size of every pixel. Reference methods take the level that comes nearest.
+        Blur size of every pixel, not finite where it is unknown. Reference methods take the level
+        that comes nearest, and the nearest known pixel.
     strength : float, optional
         Of a reference method, see `best_strengths`.
     noise : float, optional
         The noise, which our own methods estimate otherwise.
-    exact_depth : bool, optional
-        Whether our own methods may rely on the blur sizes near depth edges.
     """
     if method in own_methods():
-        deblurrer = _own(method, stack, noise, exact_depth)
+        deblurrer = _own(method, stack, noise)
         deblurrer.prepare(coded.shape[:2])
         blur = np.asarray(blur_size_px, np.float32)
         start = time.perf_counter()
@@ -188,13 +188,24 @@ def deblur(
 
 
 def nearest_level(blur_size_px: NDArray[np.floating], stack: PsfStack) -> NDArray[np.integer]:
-    """Return the level [rows, columns] whose blur size comes nearest."""
+    """Return the level [rows, columns] whose blur size comes nearest.
+
+    Raises `InputError` if no blur size is known; else unknown ones are those of the nearest pixel.
+    """
+    unknown = ~np.isfinite(blur_size_px)
+    if unknown.all():
+        raise InputError("no pixel of the scene has a known depth")
+    if unknown.any():
+        row, column = ndimage.distance_transform_edt(
+            unknown, return_distances=False, return_indices=True
+        )
+        blur_size_px = blur_size_px[row, column]
     order = np.argsort(stack.blur_sizes_px)
     at = np.interp(blur_size_px, stack.blur_sizes_px[order], np.arange(len(order)))
     return np.asarray(order[np.rint(at).astype(np.intp)])
 
 
-def _own(method: str, stack: PsfStack, noise: float | None, exact_depth: bool) -> Deblurrer:
+def _own(method: str, stack: PsfStack, noise: float | None) -> Deblurrer:
     # In no frame of the benchmarks is anything clipped, however bright.
     settings: dict[str, Any] = {"method": method, "saturation": 2.0}
     if noise is not None:

@@ -12,6 +12,8 @@ from coded_aperture_ros.metrics.errors import psnr_db
 
 # Side of the windows that structural similarity is measured in: scikit-image's default.
 _SSIM_WINDOW_PX = 7
+# How far around a pixel the range of the truth is taken for ringing, px, and from which range on.
+_RINGING_PX, _LEAST_STEP = 12, 0.1
 # Passes what alternates from pixel to pixel along rows and columns both, and white noise with its
 # variance unchanged; blurred texture has next to nothing there.
 _ALTERNATING = (np.array([1, -2, 1]) / np.sqrt(6)).astype(np.float32)
@@ -106,6 +108,35 @@ def picture_score(
         ssim=float(similar.mean()) if similar.size else float("nan"),
         pixels=int(np.count_nonzero(part)),
     )
+
+
+def overshoot(
+    image: NDArray[np.floating], truth: NDArray[np.floating], part: NDArray[np.bool_]
+) -> float:
+    """Return how far a picture rings beyond what is around each pixel in the true one.
+
+    Over- and undershoots are relative to the range of the truth within 12 px, where that is at
+    least a tenth of full scale; the mean of the worst hundredth of the pixels. NaN without any.
+
+    Parameters
+    ----------
+    image, truth : ndarray of float, shape [rows, columns] or [rows, columns, channels]
+    part : ndarray of bool, shape [rows, columns]
+        The pixels that count.
+    """
+    _check_shapes(image, truth)
+    around = np.ones((2 * _RINGING_PX + 1,) * 2, np.uint8)
+    truth = np.atleast_3d(np.asarray(truth, np.float32))
+    image = np.atleast_3d(image)
+    beyond = []
+    for channel in range(truth.shape[2]):
+        high, low = cv2.dilate(truth[..., channel], around), cv2.erode(truth[..., channel], around)
+        step = high - low
+        excess = np.maximum(image[..., channel] - high, low - image[..., channel])
+        counts = part & (step >= _LEAST_STEP)
+        beyond.append(np.maximum(excess, 0)[counts] / step[counts])
+    values = np.sort(np.concatenate(beyond))
+    return float(values[-max(len(values) // 100, 1) :].mean()) if len(values) else float("nan")
 
 
 def residual_rms(

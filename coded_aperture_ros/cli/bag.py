@@ -59,10 +59,10 @@ def add_parser(subparsers: Any) -> None:
         "the exposure, px, to the right and down (32FC2); --deblur cg and sparse remove it too",
     )
     method = {
-        "--deblur {fast,cg,sparse,none}": "how all-in-focus frames are made, see deblur --help "
-        "(default %(default)s)"
+        "--deblur {fast,inverse,cg,sparse,none}": "how all-in-focus frames are made, see deblur "
+        "--help (default %(default)s)"
     }
-    rank = {"--deblur-rank N": "kernels of --deblur fast: fewer is faster (default %(default)s)"}
+    rank = {"--deblur-rank N": "kernels of the closed forms: fewer is faster (default %(default)s)"}
     sizes = {
         "--deblur-band {full,half}": "frequencies that --deblur fast works on: half is faster, and "
         "leaves the finest details as they are (default %(default)s)",

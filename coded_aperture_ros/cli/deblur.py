@@ -133,8 +133,8 @@ def _motion(args: argparse.Namespace) -> Any:
 
     if args.motion is None:
         return None
-    if args.method == "fast":
-        args.usage_error("--motion: --method fast removes no motion, use cg or sparse")
+    if args.method in ("fast", "inverse"):
+        args.usage_error(f"--motion: --method {args.method} removes no motion, use cg or sparse")
     try:
         return np.load(args.motion, allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:

@@ -77,6 +77,7 @@ class Deblurrer:
             self._blend = None
         if config.temporal_frames != old.temporal_frames:
             self._video = VideoState(config.temporal_frames)
+        # Its filters take time to make: kept for when another method asks for them.
         self._blend = self._blend or self._new_blend()
         self._method = self._new_method()
 
@@ -154,12 +155,14 @@ class Deblurrer:
         return ClosedForm(self.stack, self.config.rank, self.config.band, self._workers)
 
     def _new_blend(self) -> Blend | None:
-        needed = self.config.method != "inverse" and not untrained(self.stack)
+        closed = self.config.method == "inverse" or self.config.band == "half"
+        needed = not closed and not untrained(self.stack)
         return Blend(self.stack, self.config.rank, self._workers) if needed else None
 
     def _new_method(self) -> Method:
         if self.config.method in ("fast", "inverse"):
-            if self._blend is not None and self.config.method == "fast":
+            blends = self.config.method == "fast" and self.config.band == "full"
+            if blends and self._blend is not None:
                 return Fast(self.config, self._blend)
             return Inverse(self.config, self._closed_form)
         iterative = {"cg": ConjugateGradients, "sparse": Sparse}[self.config.method]

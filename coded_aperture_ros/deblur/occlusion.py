@@ -9,7 +9,7 @@ from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blur_map import nearest_of
 from coded_aperture_ros.deblur.operator import OnProcessor, frame_within, scene_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
-from coded_aperture_ros.deblur.visibility import NOTHING, rays
+from coded_aperture_ros.deblur.visibility import NOTHING, least_towards, rays
 from coded_aperture_ros.imaging import periodic_shape
 
 # Neighbouring pixels that differ by more are an edge, where something may be hidden.
@@ -45,9 +45,10 @@ class OccludedBlur(OnProcessor):
         front = scene_around(blur_size_px, self)
         self._steps = basis.steps_of(front)
         around = np.ones((3, 3), np.uint8)
-        least = cv2.erode(front, around)
-        edge = cv2.dilate(front, around) - least > _EDGE_PX
-        self.hidden, self._origin = _continued(front, front - least > _EDGE_PX, self.margin_px)
+        lowest = cv2.erode(front, around)
+        edge = cv2.dilate(front, around) - lowest > _EDGE_PX
+        self.hidden, self._origin = _continued(front, front - lowest > _EDGE_PX, self.margin_px)
+        least = least_towards(front, self.margin_px)
         behind = np.where(self.hidden, front.ravel()[self._origin], np.float32(NOTHING))
         reach = np.ones((2 * self.margin_px + 3,) * 2, np.uint8)
         near_edges = frame_within(cv2.dilate(edge.astype(np.uint8), reach), self) > 0
@@ -76,11 +77,13 @@ class OccludedBlur(OnProcessor):
                 self.margin_px,
                 weights,
             )
-            rays(front, behind, hidden_steps, *fixed)
+            rays(front, least, behind, hidden_steps, *fixed)
             weights *= near_edges[band]  # farther from edges nothing hidden is seen
-            offset, row, column = np.nonzero(weights)
-            share = weights[offset, row, column]
-            rays(front, front, self._steps, *fixed)
+            seen = np.flatnonzero(weights)  # a third of the time of `nonzero`
+            share = weights.ravel()[seen]
+            offset, inside = np.divmod(seen, weights[0].size)
+            row, column = np.divmod(inside, columns)
+            rays(front, least, front, self._steps, *fixed)
             unit = np.float32(_WHOLE) / np.maximum(weights.max(axis=0), np.float32(1e-9))
             weights *= unit
             share *= unit[row, column]
@@ -167,11 +170,15 @@ def _collect_loop(
 ) -> None:
     count, rows, columns = weights.shape
     for y in range(rows):
-        frame[y] = 0
+        total = frame[y]
+        total[:] = 0
         for k in range(count):
-            row, first = offsets[k, 0] + top + y + margin, offsets[k, 1] + margin
+            # Slices, whose indices are known not to be negative, are added up in vectors.
+            weight = weights[k, y]
+            first = offsets[k, 1] + margin
+            part = scene[offsets[k, 0] + top + y + margin][first : first + columns]
             for x in range(columns):
-                frame[y, x] += weights[k, y, x] * scene[row, first + x]
+                total[x] += np.float32(weight[x]) * part[x]
 
 
 def _collect_plain(
@@ -199,10 +206,13 @@ def _spread_loop(
 ) -> None:
     count, rows, columns = weights.shape
     for y in range(rows):
+        light = frame[y]
         for k in range(count):
-            row, first = offsets[k, 0] + top + y + margin, offsets[k, 1] + margin
+            weight = weights[k, y]
+            first = offsets[k, 1] + margin
+            part = scene[offsets[k, 0] + top + y + margin][first : first + columns]
             for x in range(columns):
-                scene[row, first + x] += weights[k, y, x] * frame[y, x]
+                part[x] += np.float32(weight[x]) * light[x]
 
 
 def _spread_plain(

@@ -1,5 +1,6 @@
 """Which points of a scene each part of the aperture sees, past what is in front of them."""
 
+import cv2
 import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
@@ -15,8 +16,20 @@ _SHARP_PX = 0.3
 NOTHING = -1e9
 
 
+def least_towards(front: FloatArray, reach_px: int) -> FloatArray:
+    """Return the least size within reach above left, above right, below left and below right.
+
+    Of each pixel of `front` [4, rows, columns]: where it is not less than the size of a point
+    there, nothing is in front of that.
+    """
+    square = np.ones((reach_px + 1,) * 2, np.uint8)
+    corners = ((reach_px, reach_px), (0, reach_px), (reach_px, 0), (0, 0))
+    return np.stack([cv2.erode(front, square, anchor=corner) for corner in corners])
+
+
 def _loop(
     front: FloatArray,
+    least: FloatArray,
     sizes: FloatArray,
     steps: IndexArray,
     taps: FloatArray,
@@ -32,36 +45,45 @@ def _loop(
     for k in range(count):
         down, right = offsets[k, 0], offsets[k, 1]
         length = max(abs(down), abs(right))
+        one_pixel = 1 / max(length, 1)
+        towards = 2 * (down > 0) + (right > 0)
         for y in range(rows):
+            py, first_x = top + y + margin, margin + right
+            sizes_here = sizes[py + down][first_x : first_x + columns]
+            steps_here = steps[py + down][first_x : first_x + columns]
+            least_here = least[towards, py][margin : margin + columns]
+            edges_here, weights_here, tap = edges[top + y], weights[k, y], taps[k]
             for x in range(columns):
-                py, px = top + y + margin, x + margin
-                size = sizes[py + down, px + right]
-                weight = taps[k, steps[py + down, px + right]] if size > NOTHING else 0.0
-                if weight > 0 and edges[top + y, x]:
-                    if length == 0:
-                        if front[py, px] < size - _IN_FRONT_PX:
-                            weight = 0.0
-                    elif abs(size) >= _SHARP_PX:
-                        begin = int(np.floor(nearest / size * length))
-                        first = min(begin, 0) if begin <= length else length + 1
-                        last = length if begin <= length else begin + 1
-                        for i in range(first, last + 1):
-                            yy = min(max(py + int(np.rint(down * i / length)), 0), height - 1)
-                            xx = min(max(px + int(np.rint(right * i / length)), 0), width - 1)
-                            there = front[yy, xx]
-                            one, other = (i - 0.5) * size / length, (i + 0.5) * size / length
-                            if (
-                                there < size - _IN_FRONT_PX
-                                and there > min(one, other) - _CLOSED_PX
-                                and there < max(one, other) + _CLOSED_PX
-                            ):
-                                weight = 0.0
-                                break
-                weights[k, y, x] = weight
+                size = sizes_here[x]
+                weights_here[x] = tap[steps_here[x]] if size > NOTHING else 0
+                if not edges_here[x] or weights_here[x] == 0:
+                    continue
+                if length == 0:
+                    if front[py, x + margin] < size - _IN_FRONT_PX:
+                        weights_here[x] = 0
+                    continue
+                if abs(size) < _SHARP_PX:
+                    continue
+                begin = int(np.floor(nearest / size * length))
+                first, last = begin - 1, length
+                if begin > length:
+                    first, last = length + 1, begin + 1
+                elif begin >= 0 and least_here[x] >= size - _IN_FRONT_PX:
+                    continue
+                per_pixel = size * one_pixel
+                half = abs(per_pixel) / 2 + _CLOSED_PX
+                for i in range(first, last + 1):
+                    yy = py + int(np.rint(down * (i * one_pixel)))
+                    xx = x + margin + int(np.rint(right * (i * one_pixel)))
+                    there = front[min(max(yy, 0), height - 1), min(max(xx, 0), width - 1)]
+                    if there < size - _IN_FRONT_PX and abs(there - i * per_pixel) < half:
+                        weights_here[x] = 0
+                        break
 
 
 def _plain(
     front: FloatArray,
+    least: FloatArray,  # noqa: ARG001  saves the loop work
     sizes: FloatArray,
     steps: IndexArray,
     taps: FloatArray,
@@ -85,20 +107,19 @@ def _plain(
             weight[near_edges & (front[py, px] < size - _IN_FRONT_PX)] = 0
             weights[k] = weight
             continue
-        begins = (weight > 0) & near_edges & (np.abs(size) >= _SHARP_PX)
-        begin = np.floor(nearest / np.where(begins, size, 1) * length)
-        first = np.where(begin <= length, np.minimum(begin, 0), length + 1)
+        followed = (weight > 0) & near_edges & (np.abs(size) >= _SHARP_PX)
+        begin = np.floor(nearest / np.where(followed, size, 1) * length)
+        first = np.where(begin <= length, begin - 1, length + 1)
         last = np.where(begin <= length, length, begin + 1)
-        if begins.any():
-            for i in range(int(first[begins].min()), int(last[begins].max()) + 1):
-                yy = np.clip(py + int(np.rint(down * i / length)), 0, height - 1)
-                xx = np.clip(px + int(np.rint(right * i / length)), 0, width - 1)
+        if followed.any():
+            per_pixel = size / length
+            half = np.abs(per_pixel) / 2 + _CLOSED_PX
+            for i in range(int(first[followed].min()), int(last[followed].max()) + 1):
+                yy = np.clip(py + int(np.rint(down * (i / length))), 0, height - 1)
+                xx = np.clip(px + int(np.rint(right * (i / length))), 0, width - 1)
                 there = front[yy, xx]
-                one, other = (i - 0.5) * size / length, (i + 0.5) * size / length
-                stopped = begins & (first <= i) & (i <= last) & (there < size - _IN_FRONT_PX)
-                stopped &= there > np.minimum(one, other) - _CLOSED_PX
-                stopped &= there < np.maximum(one, other) + _CLOSED_PX
-                weight[stopped] = 0
+                stopped = followed & (first <= i) & (i <= last) & (there < size - _IN_FRONT_PX)
+                weight[stopped & (np.abs(there - i * per_pixel) < half)] = 0
         weights[k] = weight
 
 
@@ -108,7 +129,7 @@ def _plain(
 # size there is t.
 #
 # `front` has the size that every pixel of the scene shows, which is a margin larger than the frame
-# on all sides, `sizes` those of the points, `NOTHING` where there are none, and `steps` the columns
+# on all sides, `least` those of `least_towards`, `sizes` those of the points, `NOTHING` where there are none, and `steps` the columns
 # of `taps` [K, steps] for them: the light at each of the `offsets` [K, 2]. Rays are followed from
 # size `nearest` on at the pixels with `edges` around [frame rows, columns]. The first row is `top`.
 rays = Compiled(_loop, _plain)

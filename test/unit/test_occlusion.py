@@ -8,7 +8,7 @@ from deblur_scene import levin_basis, relief
 from coded_aperture_ros.deblur.occlusion import OccludedBlur, collected, spread
 from coded_aperture_ros.deblur.operator import SpreadingBlur, frame_within
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
-from coded_aperture_ros.deblur.visibility import rays
+from coded_aperture_ros.deblur.visibility import least_towards, rays
 from coded_aperture_ros.optics import Mask, render_psf_stack
 from coded_aperture_ros.simulation.layered import random_scene
 
@@ -75,9 +75,11 @@ def test_both_forms_follow_the_same_rays(sign):
     offsets = np.argwhere(np.ones((9, 9))) - 4
     taps = random.random((81, 5)).astype(np.float32)
     edges = random.random((42, 52)) < 0.7
+    least = least_towards(front, 4)
     forms = [np.empty((81, 10, 52), np.float32) for _ in range(3)]
     for form, weights in zip((rays, rays.plain, rays.loop), forms, strict=True):
-        form(front, sizes, steps, taps, offsets, edges, float(front.min()), 3, 4, weights)
+        place = float(front.min()), 3, 4
+        form(front, least, sizes, steps, taps, offsets, edges, *place, weights)
     assert (forms[0] == 0).mean() > 0.15
     assert np.array_equal(forms[0], forms[1])
     assert np.array_equal(forms[2], forms[1])

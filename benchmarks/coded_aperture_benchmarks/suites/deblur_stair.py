@@ -177,7 +177,6 @@ def _repeat(cell: Cell, seed: int, strengths: dict[str, float | None]) -> _Repea
             stair.stack,
             strengths[method],
             noise,
-            depth == deblurring.TRUE,
         )
         pictures[method, depth], seconds[method, depth] = done.sharp, done.seconds
     mistaken = level_error(np.rint(estimated), stair.level, levels)
