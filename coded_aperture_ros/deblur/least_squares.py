@@ -37,8 +37,8 @@ _LEAST_NOISE = 0.0002
 _DISCREPANCY, _LESS = 1.2, 0.7
 # Turns the median absolute value of a normal distribution into its standard deviation.
 _MEDIAN_TO_STD = 1.4826
-# Iterations between two updates of the prior's weights, and of `cg` and `sparse` together.
-_INNER, _FEW, _MANY = 4, 8, 32
+# Of `cg` and of `sparse`: iterations between two updates of the prior's weights, and of all.
+_FEW, _MANY = (4, 8), (8, 32)
 # The tolerance for one set of weights, relative to the configured one.
 _OF_ONE_SET = 0.01
 # Iterations of the quadratic prior.
@@ -60,7 +60,7 @@ class ConjugateGradients(Iterative):
         """Return the channels of the sharp scene within the frame."""
         if fit.operator.hidden is None:  # what moves, or is on a GPU
             return restore_quadratic(fit)[0]
-        return restore_sparse(fit, fit.config.iterations or _FEW)
+        return restore_sparse(fit, fit.config.iterations or _FEW[1], _FEW[0])
 
 
 def restore_quadratic(fit: Fit) -> tuple[list[FloatArray], int]:
@@ -95,15 +95,15 @@ class Sparse(Iterative):
 
     def minimise(self, fit: Fit) -> list[FloatArray]:
         """Return the channels of the sharp scene within the frame."""
-        return restore_sparse(fit, fit.config.iterations or _MANY)
+        return restore_sparse(fit, fit.config.iterations or _MANY[1], _MANY[0])
 
 
-def restore_sparse(fit: Fit, iterations: int) -> list[FloatArray]:
+def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
     """Minimise ``||g - H_d f||^2 + alpha sum |D f|^0.7`` by reweighted least squares.
 
-    Every few iterations the prior's weights follow the solution (see `SparsePrior`), and pixels
-    that no sharp scene can explain, because their depth is wrong, lose their weight: what is there
-    is held near `Fit.expected`. The channels share their edges.
+    After each `between` iterations the prior's weights follow the solution (see `SparsePrior`), and
+    pixels that no sharp scene can explain, because their depth is wrong, lose their weight: what is
+    there is held near `Fit.expected`. The channels share their edges.
     """
     operator, channels, noise, config = fit.operator, fit.channels, fit.noise, fit.config
     # What is seen of brightness in all channels together has less noise than each of them.
@@ -116,7 +116,7 @@ def restore_sparse(fit: Fit, iterations: int) -> list[FloatArray]:
     expected = [operator.around(each) for each in fit.expected or fit.start]
     held_by = _HELD if fit.expected else np.float32(0)
     trusted = fit.weight
-    for done in range(0, iterations, _INNER):
+    for done in range(0, iterations, between):
         if done:
             pairs = zip(channels, scenes, strict=True)
             left = [coded - operator.forward(scene) for coded, scene in pairs]
@@ -147,7 +147,7 @@ def restore_sparse(fit: Fit, iterations: int) -> list[FloatArray]:
                     fit, ranges, float(trusted.mean()), strength * penalty, strength * of_hidden
                 ),
                 config.tolerance * _OF_ONE_SET,
-                min(_INNER, iterations - done),
+                min(between, iterations - done),
             )
     return [frame_within(scene, operator)[0] for scene in scenes]
 

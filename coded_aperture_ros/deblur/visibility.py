@@ -83,7 +83,7 @@ def _loop(
 
 def _plain(
     front: FloatArray,
-    least: FloatArray,  # noqa: ARG001  saves the loop work
+    _: FloatArray,  # it saves the loop work
     sizes: FloatArray,
     steps: IndexArray,
     taps: FloatArray,
@@ -129,7 +129,8 @@ def _plain(
 # size there is t.
 #
 # `front` has the size that every pixel of the scene shows, which is a margin larger than the frame
-# on all sides, `least` those of `least_towards`, `sizes` those of the points, `NOTHING` where there are none, and `steps` the columns
-# of `taps` [K, steps] for them: the light at each of the `offsets` [K, 2]. Rays are followed from
-# size `nearest` on at the pixels with `edges` around [frame rows, columns]. The first row is `top`.
+# on all sides, `least` those of `least_towards`, `sizes` those of the points, `NOTHING` where there
+# are none, and `steps` the columns of `taps` [K, steps] for them: the light at each of the
+# `offsets` [K, 2]. Rays are followed from size `nearest` on at the pixels with `edges` around
+# [frame rows, columns]. The first row is `top`.
 rays = Compiled(_loop, _plain)

@@ -18,6 +18,7 @@ from coded_aperture_benchmarks.reference.thesis_tables import thesis_deblurring_
 from coded_aperture_benchmarks.restoration import (
     deblurring_error,
     noise_of,
+    overshoot,
     picture_score,
     residual_rms,
 )
@@ -284,15 +285,20 @@ def test_a_scene_is_scored_against_its_sharp_picture(capsys, tmp_path, folder):
         *("--jobs", 1, "--output", output),
     )
     assert (result.status, result.err) == (0, "")
-    for words in ("table, mask levin", "all pixels", "from a depth edge", "estimated"):
+    for words in ("table, mask levin", "all pixels", "of a depth edge", "estimated", "overshoot"):
         assert words in result.out
     results = json.loads((output / "results.json").read_text())
     coded, *cells = results["cells"]
     assert [(cell["method"], cell["depth"]) for cell in cells] == [
-        (method, depth) for method in ("fast", "wiener") for depth in ("true", "estimated")
+        (method, depth)
+        for method in ("fast", "wiener")
+        for depth in ("true", "estimated", "classical")
     ]
     assert (coded["method"], coded["all"]["psnr_db_gain"]) == ("coded", 0)
-    assert coded["all"]["pixels"] == 96 * 128 > coded["away"]["pixels"] > 0
+    assert coded["all"]["pixels"] == 96 * 128
+    assert coded["all"]["pixels"] == coded["away"]["pixels"] + coded["near"]["pixels"]
+    assert min(coded[part]["pixels"] for part in ("away", "near")) > 0
+    assert 0 <= coded["overshoot"] < cells[1]["overshoot"] < 1
     for cell in cells:
         gain = cell["away"]["psnr_db"] - coded["away"]["psnr_db"]
         assert cell["away"]["psnr_db_gain"] == pytest.approx(gain, abs=1e-3)
@@ -300,10 +306,19 @@ def test_a_scene_is_scored_against_its_sharp_picture(capsys, tmp_path, folder):
     by_truth = cells[0]["away"]
     assert by_truth["psnr_db_gain"] > 1
     assert by_truth["ssim_gain"] > 0
-    assert set(results["references_ahead"]) == {"all", "away"}
+    assert set(results["references_ahead"]) == {"all", "near", "away"}
     pictures = {path.name for path in output.glob("*.png")}
-    assert pictures == {"table_levin_true.png", "table_levin_estimated.png"}
+    assert pictures == {f"table_levin_{depth}.png" for depth in ("true", "estimated", "classical")}
     assert read_image(output / "table_levin_true.png").std() > 0.05
+
+
+def test_overshoot_is_relative_to_the_step_and_zero_without_one():
+    truth = np.where(np.arange(80) < 40, 0.2, 0.6) * np.ones((60, 1))
+    ringing = truth + 0.04 * (np.abs(np.arange(80) - 44) < 2)
+    everywhere = np.ones(truth.shape, bool)
+    assert overshoot(truth, truth, everywhere) == 0
+    assert overshoot(ringing, truth, everywhere) == pytest.approx(0.1)
+    assert np.isnan(overshoot(ringing, truth, np.arange(80) < 20 + 0 * truth))
 
 
 @pytest.fixture

@@ -132,7 +132,7 @@ def test_cells_and_back():
 def test_both_forms_combine_the_same():
     pytest.importorskip("numba")
     random = np.random.default_rng(0)
-    filtered = random.random((4, 9, 11)).astype(np.float32)
+    filtered = random.random((9, 11, 4)).astype(np.float32)
     steps = random.integers(0, 20, (2, 9, 11)).astype(np.uint16)
     table = random.random((20, 3, 4)).astype(np.float32)
     which = np.array([[0, 2], [1, 0], [0, 1]])

@@ -232,7 +232,7 @@ def test_sparse_restoration_beats_the_quadratic_one(operator, basis, sharp):
     coded = blur.forward(blur.around(sharp)) + noise
     spreading = SpreadingBlur(basis, relief(sharp.shape))
     quadratic, _ = restore_quadratic(fit(spreading, coded, coded, 1e-5, 60))
-    sparse = restore_sparse(fit(blur, coded, coded, 1e-5, 60), 60)
+    sparse = restore_sparse(fit(blur, coded, coded, 1e-5, 60), 60, 8)
     assert psnr_db(sparse[0], sharp) > psnr_db(quadratic[0], sharp) + 1
     residual = blur.forward(blur.around(sparse[0])) - coded
     assert residual[12:-12, 12:-12].std() < 0.003

@@ -170,14 +170,7 @@ def _repeat(cell: Cell, seed: int, strengths: dict[str, float | None]) -> _Repea
     }
     for method, (depth, level) in itertools.product(cell.methods, levels_by.items()):
         blur = np.interp(level, np.arange(levels), stair.stack.blur_sizes_px)
-        done = deblurring.deblur(
-            method,
-            stair.coded,
-            blur,
-            stair.stack,
-            strengths[method],
-            noise,
-        )
+        done = deblurring.deblur(method, stair.coded, blur, stair.stack, strengths[method], noise)
         pictures[method, depth], seconds[method, depth] = done.sharp, done.seconds
     mistaken = level_error(np.rint(estimated), stair.level, levels)
     return _Repeat(stair, pictures, seconds, mistaken.mean)

@@ -24,6 +24,8 @@ WEIGHTS = "blend.npz"
 SCHEMA, SCHEMA_VERSION = "coded-aperture deblurring network", 1
 # Colour differences have less texture than brightness, but as much noise.
 _COLOUR_NOISE = 2.0
+# How far colours are averaged, px, and how much they may differ: 0.1 to 0.6 dB of the colours.
+_FRINGE_PX, _SAME_COLOUR = 5, 0.06
 _PIXELS = CELL_PX**2
 
 
@@ -78,7 +80,14 @@ class Blend:
         for channel in channels[1:]:
             of_colour = self._of_colour.of(channel, steps, _COLOUR_NOISE * noise)
             restored.append(out_of_cells(_weighed(in_cells(of_colour), weights), shape))
-        return restored
+        return _without_fringes(restored) if len(restored) > 1 else restored
+
+
+def _without_fringes(channels: list[FloatArray]) -> list[FloatArray]:
+    """Return brightness, and colour differences that are alike where brightness is."""
+    image = cv2.merge([np.ascontiguousarray(channel) for channel in channels])
+    smooth = cv2.bilateralFilter(image, _FRINGE_PX, _SAME_COLOUR, _FRINGE_PX / 2)
+    return [channels[0], *cv2.split(smooth)[1:]]
 
 
 def _weighed(cells: FloatArray, weights: FloatArray) -> FloatArray:

@@ -58,7 +58,9 @@ class Hypotheses(InverseFilters):
 
         def combine(top: int, _: int) -> None:
             band = slice(top, top + _BAND_ROWS)
-            combined(filtered[:, band], steps[:, band], table, _TAKEN, found[:-1, band])
+            # All kernels of a pixel side by side, as all are needed at once.
+            of_pixels = np.ascontiguousarray(np.moveaxis(filtered[:, band], 0, -1))
+            combined(of_pixels, steps[:, band], table, _TAKEN, found[:-1, band])
 
         self._workers.each(combine, range(0, rows, _BAND_ROWS))
         return found
@@ -69,35 +71,27 @@ _BAND_ROWS = 64
 
 
 def _loop(
-    filtered: FloatArray,
-    steps: IndexArray,
-    table: FloatArray,
-    taken: IndexArray,
-    found: FloatArray,
+    filtered: FloatArray, steps: IndexArray, table: FloatArray, taken: IndexArray, found: FloatArray
 ) -> None:
-    rank, rows, columns = filtered.shape
+    rows, columns, rank = filtered.shape
     for y in range(rows):
         for h in range(len(taken)):
             of, error = taken[h, 0], taken[h, 1]
             for x in range(columns):
-                found[h, y, x] = 0
-            for r in range(rank):
-                for x in range(columns):
-                    found[h, y, x] += table[steps[of, y, x], error, r] * filtered[r, y, x]
+                weights, kernels = table[steps[of, y, x], error], filtered[y, x]
+                total = np.float32(0)
+                for r in range(rank):
+                    total += weights[r] * kernels[r]
+                found[h, y, x] = total
 
 
 def _plain(
-    filtered: FloatArray,
-    steps: IndexArray,
-    table: FloatArray,
-    taken: IndexArray,
-    found: FloatArray,
+    filtered: FloatArray, steps: IndexArray, table: FloatArray, taken: IndexArray, found: FloatArray
 ) -> None:
     for h, (of, error) in enumerate(taken):
-        weights = table[:, error].T
-        found[h] = sum(np.take(w, steps[of]) * f for w, f in zip(weights, filtered, strict=True))
+        np.einsum("yxr,yxr->yx", table[steps[of], error], filtered, out=found[h])
 
 
-# From kernels' pictures [R, rows, columns], steps [4, rows, columns], a table [steps, errors, R]
+# From kernels' pictures [rows, columns, R], steps [4, rows, columns], a table [steps, errors, R]
 # and `_TAKEN` to hypotheses, which it writes to.
 combined = Compiled(_loop, _plain)
