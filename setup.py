@@ -26,7 +26,11 @@ setup(
     maintainer_email="maintainers@example.org",
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={f"{NAME}.depth.refine": ["*.npz"], f"{NAME}.design": ["page.html"]},
+    package_data={
+        f"{NAME}.deblur.blend": ["*.npz"],
+        f"{NAME}.depth.refine": ["*.npz"],
+        f"{NAME}.design": ["page.html"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

@@ -32,7 +32,7 @@ CAMERA_FILE = "demo_camera.yaml"
 NEAR_M, FAR_M = 2.05, 5.1
 RATE_HZ = 12.0
 # A robot steers by depth; all-in-focus frames are for people, who need fewer of them.
-DEBLUR = {"frames.max_rate_hz": 2.0, "deblur.rank": 12}
+DEBLUR = {"frames.max_rate_hz": 3.0}
 NODES = ("camera_driver_node", "depth_node", "deblur_node")
 
 _START_TIMEOUT_S = 60.0

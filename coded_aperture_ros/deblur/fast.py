@@ -57,7 +57,7 @@ class Inverse:
 
     def restore(self, problem: Problem, _: VideoState) -> FloatArray:
         """Return the all-in-focus frame."""
-        noise = _noise_to_show(problem, self._config)
+        noise = _noise_to_show(problem) * float(np.sqrt(self._config.smoothness))
         channels = self._closed_form.restore(problem.channels, problem.blur_size_px, noise)
         sharp = from_opponents(channels)
         if self._config.band == "half":
@@ -81,12 +81,18 @@ class Fast:
 
     def restore(self, problem: Problem, _: VideoState) -> FloatArray:
         """Return the all-in-focus frame."""
-        noise = _noise_to_show(problem, self._config)
-        blur, known = problem.blur_size_px, problem.known
-        return from_opponents(self._blend.restore(problem.channels, blur, known, noise))
+        return from_opponents(
+            self._blend.restore(
+                problem.channels,
+                problem.blur_size_px,
+                problem.known,
+                _noise_to_show(problem),
+                self._config.smoothness,
+            )
+        )
 
 
-def _noise_to_show(problem: Problem, config: DeblurConfig) -> float:
+def _noise_to_show(problem: Problem) -> float:
     """Return one noise for the whole frame: that of places with few frames, which would show it."""
     few = float(np.quantile(problem.frame_count, _FEW)) if problem.frame_count.size > 1 else 1.0
-    return problem.noise * float(np.sqrt(config.smoothness / few))
+    return problem.noise / float(np.sqrt(few))

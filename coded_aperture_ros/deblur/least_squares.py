@@ -20,7 +20,7 @@ from coded_aperture_ros.deblur.prior import SparsePrior, quadratic_power
 
 # alpha of colour differences relative to that of brightness, with the quadratic and the sparse
 # prior: they have less texture.
-_COLOUR_OF_QUADRATIC, _COLOUR_OF_SPARSE = 4.0, 2.0
+_COLOUR_OF_QUADRATIC, _COLOUR_OF_SPARSE = 4.0, 3.0
 # Of the quadratic prior: the variance of photographs in linear light. That of most places, which is
 # less than that of all, edges included. From the best of several on ray-traced scenes.
 _CONTRAST = 0.0025
@@ -31,14 +31,15 @@ _CONTRAST = 0.0025
 _ALPHA = 5.5
 # Rounding of a frame to 8 bits, about: the least noise that is reckoned with.
 _LEAST_NOISE = 0.0002
-# Discrepancy principle, where nothing holds the scene: while more is left unexplained than so many
-# times the noise, alpha is too large, and becomes so much smaller with every set of weights. Not
-# before the larger alpha has nearly been solved, which takes fewer iterations.
+# Discrepancy principle, where the PSFs are all that the model has: while more is left unexplained
+# than so many times the noise, alpha is too large, and becomes so much smaller with every set of
+# weights. Not before the larger alpha has nearly been solved, which takes fewer iterations.
 _DISCREPANCY, _LESS = 1.2, 0.7
 # Turns the median absolute value of a normal distribution into its standard deviation.
 _MEDIAN_TO_STD = 1.4826
 # Of `cg` and of `sparse`: iterations between two updates of the prior's weights, and of all.
-_FEW, _MANY = (4, 8), (8, 32)
+# Without occlusion in the model alpha is looked for, which takes more of them.
+_FEW, _MANY, _LOOKING = (4, 8), (8, 32), (8, 112)
 # The tolerance for one set of weights, relative to the configured one.
 _OF_ONE_SET = 0.01
 # Iterations of the quadratic prior.
@@ -95,7 +96,8 @@ class Sparse(Iterative):
 
     def minimise(self, fit: Fit) -> list[FloatArray]:
         """Return the channels of the sharp scene within the frame."""
-        return restore_sparse(fit, fit.config.iterations or _MANY[1], _MANY[0])
+        between, iterations = _MANY if fit.operator.hidden is not None else _LOOKING
+        return restore_sparse(fit, fit.config.iterations or iterations, between)
 
 
 def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
@@ -122,7 +124,8 @@ def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
             left = [coded - operator.forward(scene) for coded, scene in pairs]
             trusted = fit.weight * _explained(left, noise, allowed)
             found = _MEDIAN_TO_STD * float(np.median(np.abs(left[0])))
-            if fit.expected is None and found > _DISCREPANCY * noise and done >= iterations // 2:
+            too_smooth = found > _DISCREPANCY * noise and done >= iterations // 2
+            if operator.hidden is None and too_smooth:
                 found = _LESS * unexplained
             # Else the model may be better than it usually is.
             unexplained = max(least, min(unexplained, found))

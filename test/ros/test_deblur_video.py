@@ -86,7 +86,7 @@ def test_averaging_can_be_switched_on_and_off_while_the_node_runs(ros, model, no
 def test_other_parameters_change_while_the_node_runs(ros, model, noisy):
     chain = DeblurChain(ros, model)
     before = sharp(chain, noisy[0])
-    assert chain.node.set_parameters([Parameter("deblur.smoothness", value=20)])[0].successful
+    assert chain.node.set_parameters([Parameter("deblur.smoothness", value=100)])[0].successful
     after = sharp(chain, noisy[0])
     detail = [np.abs(np.diff(values.astype(float), axis=1)).mean() for values in (before, after)]
     assert detail[1] < 0.8 * detail[0]

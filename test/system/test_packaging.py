@@ -156,11 +156,13 @@ def test_every_other_file_is_installed(checkout):
         for path in package.rglob("*")
         if path.is_file() and path.suffix != ".py" and path.parent.name != "__pycache__"
     }
-    (weights,) = (package / "depth" / "refine").glob("refinement.*")
-    assert others == {Path("design/page.html"), weights.relative_to(package)}
+    weights = {Path("depth/refine/refinement.npz"), Path("deblur/blend/blend.npz")}
+    assert others == {Path("design/page.html"), *weights}
     setup = (checkout / "setup.py").read_text()
     assert 'f"{NAME}.design": ["page.html"]' in setup
-    assert f'f"{{NAME}}.depth.refine": ["*{"".join(weights.suffixes)}"]' in setup
+    for path in weights:
+        assert f'f"{{NAME}}.{".".join(path.parent.parts)}": ["*.npz"]' in setup
+        assert (package / path).stat().st_size < 2e6
 
 
 def test_setup_cfg_has_what_ros2_run_needs(checkout):

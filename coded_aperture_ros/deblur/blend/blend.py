@@ -29,6 +29,8 @@ _FRINGE_PX, _SAME_COLOUR = 5, 0.06
 _PIXELS = CELL_PX**2
 
 
+# The most noise that it has seen, standard deviation; what asks for more is left to the filters.
+_MOST_NOISE = 0.005
 # Blur of which the network has seen pictures.
 _LARGEST_PX = 22.0
 
@@ -58,19 +60,29 @@ class Blend:
         self._of_colour.prepare(shape)
 
     def restore(
-        self, channels: list[FloatArray], blur: FloatArray, known: BoolArray, noise: float
+        self,
+        channels: list[FloatArray],
+        blur: FloatArray,
+        known: BoolArray,
+        noise: float,
+        smoothness: float = 1.0,
     ) -> list[FloatArray]:
         """Deblur the `opponents` of a frame.
 
         `blur` has the signed blur size of every pixel [rows, columns], and `known` where it was
-        measured.
+        measured. Closed forms and network allow for noise whose variance is `smoothness` times as
+        large.
         """
+        if not any(np.ptp(channel) for channel in channels):
+            return channels  # nothing to divide by, and nothing to deblur
         shape = blur.shape
+        allowed = noise * float(np.sqrt(smoothness))
         sizes = sizes_of(blur)
         steps = np.stack([self._of_brightness.steps_of(each) for each in sizes])
-        cells = in_cells(self._of_brightness.of(channels[0], steps, noise))
+        cells = in_cells(self._of_brightness.of(channels[0], steps, allowed))
         mean, scale = level_and_scale(cells[-_PIXELS:], noise)
-        maps = maps_in_cells(sizes, known, scale, noise)
+        seen = min(allowed, max(noise, _MOST_NOISE))
+        maps = maps_in_cells(sizes, known, scale, seen)
         shown = np.concatenate([(cells - mean) / scale, maps])
         self._network.setInput(shown[None])
         told = self._network.forward()[0].reshape(HYPOTHESES + 1, _PIXELS, *scale.shape)
@@ -78,7 +90,7 @@ class Blend:
         weights += (1 - weights.sum(axis=0)) / HYPOTHESES
         restored = [out_of_cells(_weighed(cells, weights) + told[-1] * scale, shape)]
         for channel in channels[1:]:
-            of_colour = self._of_colour.of(channel, steps, _COLOUR_NOISE * noise)
+            of_colour = self._of_colour.of(channel, steps, _COLOUR_NOISE * allowed)
             restored.append(out_of_cells(_weighed(in_cells(of_colour), weights), shape))
         return _without_fringes(restored) if len(restored) > 1 else restored
 
