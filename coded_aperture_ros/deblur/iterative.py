@@ -37,7 +37,7 @@ class Fit:
     channels: list[FloatArray]  # g [rows, columns]: brightness and colour differences
     weight: FloatArray  # how much every pixel of the frame counts, 0 to 1
     start: list[FloatArray]  # where to begin, such as the last frame's result
-    expected: list[FloatArray] | None  # what the scene is about, if that is known
+    expected: list[FloatArray]  # what the scene is about
     noise: float  # standard deviation
     config: DeblurConfig  # with a factor of alpha, and when to stop
 
@@ -78,7 +78,7 @@ class Iterative(abc.ABC):
                 problem.channels,
                 weight,
                 video.start(closed_forms, np.broadcast_to(count, operator.shape)),
-                closed_forms if problem.motion_px is None else None,
+                closed_forms,
                 noise,
                 self._config,
             )

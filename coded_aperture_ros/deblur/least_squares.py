@@ -26,9 +26,9 @@ _COLOUR_OF_QUADRATIC, _COLOUR_OF_SPARSE = 4.0, 3.0
 _CONTRAST = 0.0025
 # Of the sparse one: alpha relative to the standard deviation of what the model leaves unexplained.
 # It was best like this from 0.001 to 0.01, not proportional to the variance: the weights of a
-# sparse prior already follow the noise that is left in the solution. From the best on random scenes
-# with estimated depth.
-_ALPHA = 5.5
+# sparse prior already follow the noise that is left in the solution. More with occlusion, where the
+# depth is estimated: from the best on random scenes.
+_ALPHA, _ALPHA_OF_ESTIMATED = 4.5, 5.5
 # Rounding of a frame to 8 bits, about: the least noise that is reckoned with.
 _LEAST_NOISE = 0.0002
 # Discrepancy principle, where the PSFs are all that the model has: while more is left unexplained
@@ -115,17 +115,20 @@ def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
     allowed = _MISFIT * float(np.hypot(together, MODEL_ERROR))
     ranges = operator.ranges(RANGES)
     scenes = [operator.around(begin) for begin in fit.start]
-    expected = [operator.around(each) for each in fit.expected or fit.start]
-    held_by = _HELD if fit.expected else np.float32(0)
+    expected = [operator.around(each) for each in fit.expected]
+    # Without occlusion in the model it is that of one plane, or of known motion: exact.
+    exact = operator.hidden is None
+    held_by = np.float32(0) if exact else _HELD
     trusted = fit.weight
     for done in range(0, iterations, between):
         if done:
             pairs = zip(channels, scenes, strict=True)
             left = [coded - operator.forward(scene) for coded, scene in pairs]
-            trusted = fit.weight * _explained(left, noise, allowed)
+            explained = _explained(left, noise, allowed)
+            trusted = fit.weight * (explained if exact else explained**2)
             found = _MEDIAN_TO_STD * float(np.median(np.abs(left[0])))
             too_smooth = found > _DISCREPANCY * noise and done >= iterations // 2
-            if operator.hidden is None and too_smooth:
+            if exact and too_smooth:
                 found = _LESS * unexplained
             # Else the model may be better than it usually is.
             unexplained = max(least, min(unexplained, found))
@@ -134,7 +137,7 @@ def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
         penalty = sparse.power(operator.scene_shape)
         of_hidden = sparse.of_hidden() if operator.hidden is not None else 1.0
         for channel, coded in enumerate(channels):
-            alpha = config.smoothness * _ALPHA * unexplained
+            alpha = config.smoothness * (_ALPHA if exact else _ALPHA_OF_ESTIMATED) * unexplained
             strength = np.float32(alpha * (_COLOUR_OF_SPARSE if channel else 1.0))
             right_side = operator.adjoint(trusted * coded)
             right_side += held * expected[channel]
@@ -168,4 +171,4 @@ def _explained(residuals: list[FloatArray], noise: float, allowed: float) -> Flo
     """Return how far the frame is explained at every pixel, 0 to 1."""
     squared = np.mean([residual**2 for residual in residuals], axis=0)
     misfit = cv2.GaussianBlur(squared, (0, 0), _MISFIT_REACH_PX)
-    return 1 / (1 + np.maximum(misfit - np.float32(noise**2), 0) / np.float32(allowed**2)) ** 2
+    return 1 / (1 + np.maximum(misfit - np.float32(noise**2), 0) / np.float32(allowed**2))
