@@ -6,10 +6,13 @@ python training/fit.py --scenes DIR --costs DIR --output DIR2 --minutes 60 --tea
 
 import argparse
 import copy
+import dataclasses
 import json
 import math
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import torch
 from batches import Batch, ahead, batches, load
@@ -21,8 +24,8 @@ from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, BLUR_STEP_PX
 from coded_aperture_ros.depth.refine.probabilities import REACH
 
 _BATCH = 8
-_RATE = 2e-3
 _AVERAGE = 0.998
+_REPORT_S, _SAVE_S = 60, 300
 _UNTRIED = -1e4
 # What the truth counts beside the teacher, who says as well what else it might be.
 _OF_TRUTH = 0.5
@@ -140,68 +143,201 @@ def taught(
     return of_size + 0.3 * of_choice
 
 
+def add_fit_options(parser: argparse.ArgumentParser, minutes: float, held: int) -> None:
+    """Add what all scripts that fit a network have in common; `held` shards are only looked at."""
+    parser.add_argument("--output", type=Path, required=True)
+    parser.add_argument("--minutes", type=float, default=minutes)
+    parser.add_argument("--shards", type=int, nargs=2, default=(held, 400))
+    parser.add_argument("--validate", type=int, nargs=2, default=(0, held))
+    parser.add_argument("--start", type=Path, help="weights to start from")
+    parser.add_argument("--rate", type=float, default=2e-3)
+    parser.add_argument("--threads", type=int, default=2)
+
+
+def check_enough(
+    learned: list, held: list, least: int, least_held: int, what: str = "frames"
+) -> None:
+    """Print how many frames there are; end the program if they are too few."""
+    for use, some, needed in (
+        ("learn from: --shards", learned, least),
+        ("look at: --validate", held, least_held),
+    ):
+        if len(some) < needed:
+            raise SystemExit(f"{len(some)} {what} to {use} needs at least {needed}")
+    print(f"{len(learned)} {what} to learn from, {len(held)} to look at", flush=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class Schedule:
+    """How a network is fitted.
+
+    Attributes
+    ----------
+    minutes : float
+        How long, with what was spent before it was stopped.
+    rate : float
+        Of learning. It rises during the first steps, and falls to 0 in the end.
+    warm_steps : int
+    decay : float
+        Of the weights.
+    largest_gradient : float
+        Norm to which larger ones are shortened.
+    """
+
+    minutes: float
+    rate: float
+    warm_steps: int
+    decay: float
+    largest_gradient: float
+
+    def rate_at(self, step: int, progress: float) -> float:
+        """Return the rate of a step, when a share of the time is spent."""
+        warm = min(1.0, (step + 1) / self.warm_steps)
+        return self.rate * warm * (0.5 + 0.5 * math.cos(math.pi * progress)) + 1e-6
+
+
+class Fit:
+    """A network that is fitted, and the running average of its weights, which is what is used.
+
+    Parameters
+    ----------
+    network : torch.nn.Module
+    how : Schedule
+    folder : Path
+        What was reached is kept in its `state.pt`. If that is there, fitting goes on from it.
+    start : Path or None
+        State of another fit, whose weights are started from.
+    """
+
+    def __init__(
+        self, network: torch.nn.Module, how: Schedule, folder: Path, start: Path | None
+    ) -> None:
+        self.network = network.to(memory_format=torch.channels_last)
+        self.average = copy.deepcopy(self.network)
+        self.step = 0
+        self._how = how
+        self._spent_s = 0.0
+        self._optimizer = torch.optim.AdamW(
+            self.network.parameters(), lr=how.rate, weight_decay=how.decay
+        )
+        folder.mkdir(parents=True, exist_ok=True)
+        self._path = folder / "state.pt"
+        if start:
+            self.network.load_state_dict(torch.load(start)["average"])
+            self.average.load_state_dict(self.network.state_dict())
+        if self._path.exists():
+            self._go_on(torch.load(self._path))
+
+    def run(
+        self,
+        batches: Iterator[Any],
+        lost: Callable[[Any], tuple[torch.Tensor, dict[str, torch.Tensor]]],
+        validated: Callable[[], dict[str, float]],
+    ) -> None:
+        """Fit until the time is spent; print what is lost, and save, every few minutes.
+
+        Parameters
+        ----------
+        batches : iterator
+            Without an end; they are prepared in another thread.
+        lost : callable
+            From a batch to what is minimised, and to what is printed.
+        validated : callable
+            Returns what is printed of frames that are not learned from.
+        """
+        started = time.perf_counter() - self._spent_s
+        saved = reported = time.perf_counter()
+        sums: dict[str, float] = {}
+        since = 0
+        for batch in ahead(batches):
+            self._spent_s = time.perf_counter() - started
+            progress = self._spent_s / (60 * self._how.minutes)
+            if progress >= 1:
+                break
+            self.network.train()
+            loss, parts = lost(batch)
+            self._improve(loss, progress)
+            for name, value in parts.items():
+                sums[name] = sums.get(name, 0.0) + float(value.detach())
+            since += 1
+            now = time.perf_counter()
+            if now - reported > _REPORT_S:
+                means = " ".join(f"{name} {value / since:.4f}" for name, value in sums.items())
+                print(f"{self._spent_s / 60:.1f} min, step {self.step}: {means}", flush=True)
+                sums, since, reported = {}, 0, now
+            if now - saved > _SAVE_S:
+                self._save(validated)
+                saved = time.perf_counter()
+        self._save(validated)
+
+    def _improve(self, loss: torch.Tensor, progress: float) -> None:
+        """Take a step against the gradient."""
+        for group in self._optimizer.param_groups:
+            group["lr"] = self._how.rate_at(self.step, progress)
+        self._optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), self._how.largest_gradient)
+        self._optimizer.step()
+        self.step += 1
+        keep = min(_AVERAGE, (self.step + 1) / (self.step + 20))
+        with torch.no_grad():
+            for mean, value in zip(
+                self.average.state_dict().values(), self.network.state_dict().values(), strict=True
+            ):
+                if mean.is_floating_point():
+                    mean.lerp_(value, 1 - keep)
+
+    def _go_on(self, state: dict[str, Any]) -> None:
+        self.network.load_state_dict(state["network"])
+        self.average.load_state_dict(state["average"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self._spent_s, self.step = state["spent"], state["step"]
+
+    def _save(self, validated: Callable[[], dict[str, float]]) -> None:
+        part = self._path.with_suffix(".part")
+        torch.save(
+            {
+                "network": self.network.state_dict(),
+                "average": self.average.state_dict(),
+                "optimizer": self._optimizer.state_dict(),
+                "spent": self._spent_s,
+                "step": self.step,
+            },
+            part,
+        )
+        part.rename(self._path)
+        print("held out:", json.dumps(validated()), flush=True)
+
+
 def main() -> None:
     """Fit, and keep what was reached every few minutes."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=Path, required=True)
     parser.add_argument("--costs", type=Path, required=True)
-    parser.add_argument("--output", type=Path, required=True)
-    parser.add_argument("--minutes", type=float, default=60.0)
-    parser.add_argument("--shards", type=int, nargs=2, default=(4, 400))
-    parser.add_argument("--validate", type=int, nargs=2, default=(0, 4))
-    parser.add_argument("--start", type=Path, help="weights to start from")
+    add_fit_options(parser, minutes=60.0, held=4)
     parser.add_argument("--large", action="store_true", help="fit the teacher")
     parser.add_argument("--teacher", type=Path, help="state of a large network to learn from")
-    parser.add_argument("--rate", type=float, default=_RATE)
-    parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--least-told", type=float, default=0.0)
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     torch.manual_seed(0)
-    args.output.mkdir(parents=True, exist_ok=True)
     frames = load(args.scenes, args.costs, list(range(*args.shards)), args.least_told)
     held = load(args.scenes, args.costs, list(range(*args.validate)))
-    for what, some in (("learn from: --shards", frames), ("look at: --validate", held)):
-        if len(some) < _BATCH:
-            raise SystemExit(f"{len(some)} frames to {what} needs at least {_BATCH}")
-    print(f"{len(frames)} frames to learn from, {len(held)} to look at", flush=True)
+    check_enough(frames, held, _BATCH, _BATCH)
+    how = Schedule(args.minutes, args.rate, warm_steps=100, decay=1e-2, largest_gradient=2.0)
     network = large_network() if args.large else Refinement()
-    network = network.to(memory_format=torch.channels_last)
+    fit = Fit(network, how, args.output, args.start)
     teacher = None
     if args.teacher:
         teacher = large_network().to(memory_format=torch.channels_last).eval()
         teacher.load_state_dict(torch.load(args.teacher)["average"])
-    average = copy.deepcopy(network)
-    optimizer = torch.optim.AdamW(network.parameters(), lr=args.rate, weight_decay=1e-2)
-    spent, step = 0.0, 0
-    state_path = args.output / "state.pt"
-    if args.start:
-        network.load_state_dict(torch.load(args.start)["average"])
-        average.load_state_dict(network.state_dict())
-    if state_path.exists():
-        state = torch.load(state_path)
-        network.load_state_dict(state["network"])
-        average.load_state_dict(state["average"])
-        optimizer.load_state_dict(state["optimizer"])
-        spent, step = state["spent"], state["step"]
-    started = time.perf_counter() - spent
-    saved = reported = time.perf_counter()
-    sums: dict[str, float] = {}
-    since = 0
-    for batch in ahead(batches(frames, _BATCH, step + 1)):
-        spent = time.perf_counter() - started
-        progress = spent / (60 * args.minutes)
-        if progress >= 1:
-            break
-        warm = min(1.0, (step + 1) / 100)
-        for group in optimizer.param_groups:
-            group["lr"] = args.rate * warm * (0.5 + 0.5 * math.cos(math.pi * progress)) + 1e-6
-        network.train()
+
+    def lost(batch: Batch) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
         shown = (
             batch.costs.contiguous(memory_format=torch.channels_last),
             batch.frame.contiguous(memory_format=torch.channels_last),
         )
-        size, choice = network(*shown)
+        size, choice = fit.network(*shown)
         quarters, counted = true_quarters(batch)
         parts = losses(size, choice, batch, quarters, counted)
         loss = total(parts)
@@ -210,32 +346,9 @@ def main() -> None:
                 told = teacher(*shown)
             parts["taught"] = taught(size, choice, told, batch, counted)
             loss = _OF_TRUTH * loss + parts["taught"]
-        optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), 2.0)
-        optimizer.step()
-        step += 1
-        keep = min(_AVERAGE, (step + 1) / (step + 20))
-        with torch.no_grad():
-            for mean, value in zip(
-                average.state_dict().values(), network.state_dict().values(), strict=True
-            ):
-                if mean.is_floating_point():
-                    mean.lerp_(value, 1 - keep)
-        for name, value in parts.items():
-            sums[name] = sums.get(name, 0.0) + float(value.detach())
-        since += 1
-        now = time.perf_counter()
-        if now - reported > 60:
-            means = " ".join(f"{name} {value / since:.4f}" for name, value in sums.items())
-            print(f"{spent / 60:.1f} min, step {step}: {means}", flush=True)
-            sums, since, reported = {}, 0, now
-        if now - saved > 300:
-            _save(state_path, network, average, optimizer, spent, step)
-            print("held out:", json.dumps(validated(average, held)), flush=True)
-            saved = time.perf_counter()
-    _save(state_path, network, average, optimizer, spent, step)
-    print("held out:", json.dumps(validated(average, held)), flush=True)
+        return loss, parts
+
+    fit.run(batches(frames, _BATCH, fit.step + 1), lost, lambda: validated(fit.average, held))
 
 
 def validated(network: Refinement, frames: list) -> dict[str, float]:
@@ -250,21 +363,6 @@ def validated(network: Refinement, frames: list) -> dict[str, float]:
                 sums[name] = sums.get(name, 0.0) + float(value)
             count += 1
     return {name: round(value / max(count, 1), 4) for name, value in sums.items()}
-
-
-def _save(path: Path, network, average, optimizer, spent: float, step: int) -> None:
-    part = path.with_suffix(".part")
-    torch.save(
-        {
-            "network": network.state_dict(),
-            "average": average.state_dict(),
-            "optimizer": optimizer.state_dict(),
-            "spent": spent,
-            "step": step,
-        },
-        part,
-    )
-    part.rename(path)
 
 
 if __name__ == "__main__":
