@@ -1,139 +1,246 @@
-"""Coded frames, depth of several kinds, and the sharp picture: to learn deblurring from.
+"""What the blend learns from: random scenes as hypotheses of deblurring, and as sharp pictures.
 
 python training/pictures.py --output DIR --shards 0 40
 """
 
 import argparse
-import sys
+import dataclasses
+import tempfile
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
 
 import cv2
 import numpy as np
 from costs import banks_of, recorded, seen
-from pathlib import Path
-from scenes import BLUR_STEP, FRAME_PX, LIGHT_STEP, drawn, mask_of
+from scenes import FRAME_PX, drawn, mask_of
 from shards import add_shard_options, compute
 
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.deblur.blend.features import in_cells, level_and_scale, maps_in_cells
+from coded_aperture_ros.deblur.blend.features import (
+    CELL_PX,
+    in_cells,
+    level_and_scale,
+    maps_in_cells,
+)
 from coded_aperture_ros.deblur.blend.hypotheses import Hypotheses, sizes_of
 from coded_aperture_ros.deblur.blur_map import filled_blur_map
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.imaging import KnownNoise, channel_noise
 from coded_aperture_ros.optics import Mask, render_psf_stack
 from coded_aperture_ros.simulation.layered import random_scene
-from functools import lru_cache
-import dataclasses
 
 FRAMES_PER_SHARD = 25
-KINDS = 2  # of depth for each frame
+# Every frame is deblurred twice: by the depth that is estimated from it, and by the true depth,
+# which is made worse in most frames.
+DEPTHS = 2
+
+# Kernels of the closed form; as many as the package takes for brightness.
+_RANK = 10
+# How often the learned decision estimates the depth, and not the semiglobal one.
+_LEARNED_SHARE = 0.75
+_WORSE_SHARE, _HOLES_SHARE = 0.65, 0.3
+# Squares of wrong blur: their side, and about how much of the map they cover.
+_SQUARE_PX, _SQUARES_COVER = 12, 0.03
+# Errors without an edge, and holes, are random numbers at so many places a side, enlarged. There
+# are holes where they are above a limit, in standard deviations.
+_ROUGH_SIDE, _HOLES_SIDE, _HOLES_ABOVE = 24, 12, 1.2
 
 
-def wrong_patches(blur, random):
-    """A few squares with another blur size."""
-    blur = blur.copy()
-    low, high = np.nanmin(blur), np.nanmax(blur)
-    for _ in range(int(blur.size * 0.03 / 144)):
-        y, x = random.integers(0, FRAME_PX - 12, 2)
-        blur[y : y + 12, x : x + 12] = random.uniform(low, high)
-    return blur
+@dataclasses.dataclass(frozen=True)
+class Camera:
+    """What looks at frames through one mask, on one side of the plane in focus.
 
+    Attributes
+    ----------
+    estimators : dict of str to DepthEstimator
+        By how they decide: `DepthConfig.regularize`.
+    hypotheses : Hypotheses
+    sign : float
+        Of the camera's blur sizes: -1 if they are of what is nearer than the plane in focus.
+    """
 
-def degraded(blur, random):
-    """True blur sizes as if measured badly."""
-    kind = random.integers(6)
-    if kind == 0:
-        return blur
-    if kind == 1:  # thin things are missed
-        side = 2 * int(random.integers(1, 5)) + 1
-        return cv2.morphologyEx(blur, cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
-    if kind == 2:
-        return wrong_patches(blur, random)
-    if kind == 3:  # fat foregrounds
-        side = 2 * int(random.integers(1, 7)) + 1
-        return cv2.erode(blur, np.ones((side, side), np.uint8))
-    if kind == 4:  # edges between
-        return cv2.GaussianBlur(blur, (0, 0), random.uniform(0.7, 4))
-    rough = cv2.resize(random.standard_normal((24, 24)).astype(np.float32), blur.shape[::-1], interpolation=cv2.INTER_CUBIC)
-    return blur * np.float32(random.normal(1, 0.02)) + rough * np.float32(random.uniform(0, 0.6))
+    estimators: dict[str, DepthEstimator]
+    hypotheses: Hypotheses
+    sign: float
 
 
 @lru_cache(maxsize=24)
-def of_camera(mask, side, index, folder):
-    bank = banks_of(mask, side, index, folder)[0]
-    # Spectra do not tell the sides, pictures do.
-    sizes = bank.blur_sizes_px * (-1 if side == "near" else 1)
+def camera_of(mask: str, side: str, bank: int, folder: Path) -> Camera:
+    """Return the camera with a mask and one of the banks, which are kept in a folder."""
+    of_side = banks_of(mask, side, bank, folder)[0]
+    sign = -1.0 if side == "near" else 1.0
     estimators = {
-        name: DepthEstimator(bank, DepthConfig(regularize=name))
+        name: DepthEstimator(of_side, DepthConfig(regularize=name))
         for name in ("learned", "semiglobal")
     }
-    return estimators, Hypotheses(render_psf_stack(mask_of(mask), sizes), 10, Workers())
+    # Spectra do not tell the sides, pictures do.
+    stack = render_psf_stack(mask_of(mask), sign * of_side.blur_sizes_px)
+    return Camera(estimators, Hypotheses(stack, _RANK, Workers()), sign)
 
 
-def example(number, folder):
+def pictures_of(number: int, folder: Path) -> dict[str, np.ndarray]:
+    """Return frame `number` as the network is shown it, for each of the `DEPTHS`.
+
+    All but the noise is in cells; `level_and_scale` says what mean is taken away from them, and
+    what they are divided by.
+
+    Returns
+    -------
+    dict of str to ndarray
+        cells : float16 [DEPTHS, hypotheses * 16, rows, columns]
+        maps : float16 [DEPTHS, MAPS, rows, columns]
+        sharp : float16 [DEPTHS, 16, rows, columns], the truth
+        scale : float32 [DEPTHS, rows, columns], linear light
+        noise : float32 [DEPTHS], its standard deviation, linear light
+    """
     what = drawn(number)
     if what.side == "both":
         what = dataclasses.replace(what, side="far")
     random = np.random.default_rng([21, number])
     mask = mask_of(what.mask)
     scene = random_scene(what.seed, mask, what.side, (FRAME_PX, FRAME_PX))
-    uneven = 1 + random.uniform(0, 0.05) * random.standard_normal(mask.transmission.shape)
-    light = scene.coded(Mask(mask.name, np.clip(mask.transmission * uneven, 0, 1).astype(np.float32)))
-    sharp, blur = scene.all_in_focus(), scene.blur_size_px()
+    light = scene.coded(_cut(mask, random))
+    # What a camera does to weak texture and to dark areas cannot be undone.
     how = seen(number, what.side)
     how = dataclasses.replace(how, smoothed=0.0, eight_bits=False, gain=0.0)
     frame = recorded(light, how, number)
-    estimators, hypotheses = of_camera(what.mask, what.side, how.bank, folder)
-    sign = np.float32(-1 if what.side == "near" else 1)  # the bank's levels are of one side
-    true = np.where(np.isfinite(blur) , blur, np.nan).astype(np.float32)
-    regularize = "learned" if random.random() < 0.75 else "semiglobal"
-    estimate = estimators[regularize].estimate(frame)
+    camera = camera_of(what.mask, what.side, how.bank, folder)
+    learned = random.random() < _LEARNED_SHARE
+    estimator = camera.estimators["learned" if learned else "semiglobal"]
+    true = filled_blur_map(scene.blur_size_px().astype(np.float32), frame)
+    estimated = estimator.estimate(frame).blur_size_px * np.float32(camera.sign)
+    sharp = in_cells(scene.all_in_focus()[None])
+    shown = [
+        _shown(frame, sharp, blur if np.isfinite(blur).any() else true, camera)
+        for blur in (estimated, _measured(true, random))
+    ]
+    return _stacked(shown)
+
+
+def _cut(mask: Mask, random: np.random.Generator) -> Mask:
+    """Return a mask as it is cut or printed: a little different from what the bank believes."""
+    uneven = 1 + random.uniform(0, 0.05) * random.standard_normal(mask.transmission.shape)
+    return Mask(mask.name, np.clip(mask.transmission * uneven, 0, 1).astype(np.float32))
+
+
+def _shown(
+    frame: np.ndarray, sharp: np.ndarray, blur_px: np.ndarray, camera: Camera
+) -> dict[str, np.ndarray]:
+    """Return what the network is shown of a frame with a blur map that may have holes."""
     noise = float(channel_noise(frame, KnownNoise()))
-    parts = []
-    true_filled = filled_blur_map(true, frame)
-    for kind in range(KINDS):
-        if kind == 0:
-            given = estimate.blur_size_px * sign
-        else:
-            given = degraded(true_filled, random) if random.random() < 0.65 else true_filled
-            if random.random() < 0.3:
-                hole = cv2.resize(random.standard_normal((12, 12)).astype(np.float32), given.shape[::-1]) > 1.2
-                given = np.where(hole, np.nan, given)
-        if not np.isfinite(given).any():
-            given = true_filled
-        known = np.isfinite(given)
-        full = filled_blur_map(given, frame)
-        found = hypotheses.of(frame, hypotheses.steps(full), noise)
-        cells = in_cells(found)
-        mean, scale = level_and_scale(cells[-16:], noise)
-        parts.append((
-            ((cells - mean) / scale).astype(np.float16),
-            maps_in_cells(sizes_of(full), known, scale, noise).astype(np.float16),
-            ((in_cells(sharp[None]) - mean) / scale).astype(np.float16),
-            scale.astype(np.float32),
-            np.float32(noise),
-        ))
-    names = ("cells", "maps", "sharp", "scale", "noise")
-    return dict(zip(names, map(np.stack, zip(*parts))))
+    sizes = sizes_of(filled_blur_map(blur_px, frame))
+    steps = np.stack([camera.hypotheses.steps_of(each) for each in sizes])
+    cells = in_cells(camera.hypotheses.of(frame, steps, noise))
+    # The last hypothesis is the frame.
+    mean, scale = level_and_scale(cells[-(CELL_PX**2) :], noise)
+    maps = maps_in_cells(sizes, np.isfinite(blur_px), scale, noise)
+    return {
+        "cells": ((cells - mean) / scale).astype(np.float16),
+        "maps": maps.astype(np.float16),
+        "sharp": ((sharp - mean) / scale).astype(np.float16),
+        "scale": scale.astype(np.float32),
+        "noise": np.float32(noise),
+    }
 
 
-def shard_of(shard, folder):
-    made = [example(n, folder) for n in range(shard * FRAMES_PER_SHARD, (shard + 1) * FRAMES_PER_SHARD)]
-    return {name: np.stack([one[name] for one in made]) for name in made[0]}
+def _measured(blur_px: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Return true blur sizes as if they were measured: often worse, sometimes with holes."""
+    if random.random() < _WORSE_SHARE:
+        blur_px = _ERRORS[random.integers(len(_ERRORS))](blur_px, random)
+    if random.random() < _HOLES_SHARE:
+        holes = _enlarged(_HOLES_SIDE, blur_px.shape, random, cv2.INTER_LINEAR) > _HOLES_ABOVE
+        blur_px = np.where(holes, np.nan, blur_px)
+    return blur_px
+
+
+def _none(blur_px: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    return blur_px
+
+
+def _without_thin(blur_px: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Miss what is thin and near."""
+    return cv2.morphologyEx(blur_px, cv2.MORPH_CLOSE, _square(random.integers(1, 5)))
+
+
+def _wrong_squares(blur_px: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Take any of the scene's blur sizes in a few squares."""
+    found = blur_px.copy()
+    low, high = np.nanmin(blur_px), np.nanmax(blur_px)
+    for _ in range(int(blur_px.size * _SQUARES_COVER / _SQUARE_PX**2)):
+        y, x = random.integers(0, np.subtract(blur_px.shape, _SQUARE_PX))
+        found[y : y + _SQUARE_PX, x : x + _SQUARE_PX] = random.uniform(low, high)
+    return found
+
+
+def _fat_foregrounds(blur_px: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Let what is near reach beyond its edges."""
+    return cv2.erode(blur_px, _square(random.integers(1, 7)))
+
+
+def _smooth_edges(blur_px: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Take what is between both sides at depth edges."""
+    return cv2.GaussianBlur(blur_px, (0, 0), random.uniform(0.7, 4))
+
+
+def _wavy(blur_px: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Add errors that change slowly, and a wrong unit."""
+    rough = _enlarged(_ROUGH_SIDE, blur_px.shape, random, cv2.INTER_CUBIC)
+    return blur_px * np.float32(random.normal(1, 0.02)) + rough * np.float32(random.uniform(0, 0.6))
+
+
+# One of these is drawn; their order is that of the stored shards.
+_ERRORS: tuple[Callable[[np.ndarray, np.random.Generator], np.ndarray], ...] = (
+    _none,
+    _without_thin,
+    _wrong_squares,
+    _fat_foregrounds,
+    _smooth_edges,
+    _wavy,
+)
+
+
+def _square(reach: int) -> np.ndarray:
+    """Return what a morphological operator looks at: up to `reach` px away."""
+    return np.ones((2 * int(reach) + 1,) * 2, np.uint8)
+
+
+def _enlarged(
+    side: int, shape: tuple[int, ...], random: np.random.Generator, interpolation: int
+) -> np.ndarray:
+    """Return normal random numbers at `side` places each way, enlarged to a shape."""
+    coarse = random.standard_normal((side, side)).astype(np.float32)
+    return cv2.resize(coarse, shape[::-1], interpolation=interpolation)
+
+
+def _stacked(each: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    return {name: np.stack([one[name] for one in each]) for name in each[0]}
+
+
+def pictures_shard(shard: int, folder: Path | None) -> dict[str, np.ndarray]:
+    """Return all frames of a shard, stacked."""
+    folder = folder or Path(tempfile.gettempdir()) / "coded_aperture_training_banks"
+    numbers = range(shard * FRAMES_PER_SHARD, (shard + 1) * FRAMES_PER_SHARD)
+    return _stacked([pictures_of(number, folder) for number in numbers])
 
 
 def main() -> None:
+    """Make the shards that are not there yet."""
     parser = argparse.ArgumentParser(description=__doc__)
     add_shard_options(parser)
     args = parser.parse_args()
-    folder = args.output / "banks"
+    # Other machines keep the banks that they learn to themselves.
+    folder = None if args.scheduler else args.output / "banks"
     tasks = [
         (args.output / f"pictures_{shard:04d}.npz", lambda shard=shard: (shard, folder))
         for shard in range(*args.shards)
     ]
-    compute(shard_of, tasks, ("shards.py", "scenes.py", "costs.py", "pictures.py"), args.scheduler)
+    modules = ("shards.py", "scenes.py", "costs.py", "pictures.py")
+    compute(pictures_shard, tasks, modules, args.scheduler)
 
 
 if __name__ == "__main__":
+    # Workers know the functions of modules, not those of this program.
     from pictures import main
 
     main()
