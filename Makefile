@@ -27,7 +27,8 @@ READY_OLDEST := $(VENV_OLDEST)/finished-with-3.12
 SETUP := setup.py setup.cfg pyproject.toml scripts/create_environment.sh
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-installed test-oldest fuzz soak lint docs train environment clean
+.PHONY: help demo test test-all test-installed test-oldest fuzz soak lint docs train train-blend
+.PHONY: environment clean
 
 help: ## Show this list
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | \
@@ -96,6 +97,16 @@ train: $(VENV)/finished-train ## Learn the refinement anew: scenes, costs, weigh
 	@$(FIT) --output $(TRAIN)/teacher --large
 	@$(FIT) --output $(TRAIN)/fit --teacher $(TRAIN)/teacher/state.pt
 	@$(VENV)/bin/python training/export.py --state $(TRAIN)/fit/state.pt -o $(TRAIN)/$(WEIGHTS)
+
+# 3,000 frames, 50 of them to look at.
+train-blend: SHARDS = 120
+train-blend: MINUTES = 45
+train-blend: $(VENV)/finished-train ## Learn the blend of deblurring anew: pictures, weights
+	@$(call IN_TWO_PROCESSES,pictures.py --output $(TRAIN)/pictures)
+	@$(VENV)/bin/python training/blend_fit.py --pictures $(TRAIN)/pictures --output $(TRAIN)/blend \
+		--minutes $(MINUTES) --shards 2 $(SHARDS) --validate 0 2
+	@$(VENV)/bin/python training/blend_export.py --state $(TRAIN)/blend/state.pt \
+		-o $(TRAIN)/blend.npz
 
 environment: $(READY) ## Only make the virtual environment (.venv)
 
