@@ -1,9 +1,10 @@
-"""What the training scripts write, here and by the workers of a Dask scheduler."""
+"""What the training scripts write, here and by the workers of a Dask scheduler, and fit."""
 
 import dataclasses
 import importlib
 import sys
 
+import cv2
 import numpy as np
 import pytest
 
@@ -15,7 +16,9 @@ def training(checkout):
     """The scripts' modules, as they import each other."""
     folder = str(checkout / "training")
     sys.path.insert(0, folder)
-    yield {name: importlib.import_module(name) for name in ("shards", "scenes", "costs")}
+    yield {
+        name: importlib.import_module(name) for name in ("shards", "scenes", "costs", "pictures")
+    }
     sys.path.remove(folder)
 
 
@@ -89,6 +92,134 @@ def test_training_never_sees_the_scenes_of_the_benchmarks(training):
     for number in range(400):
         masks.add(training["scenes"].drawn(number).mask)
     assert {"levin", "zhou", "four_hole"} < masks <= set(training["scenes"].mask_names())
+
+
+@pytest.fixture
+def blend(training, monkeypatch):
+    """The scripts that fit the blend, with few and small frames."""
+    torch = pytest.importorskip("torch", reason="fitting needs torch")
+    names = ("blend_network", "blend_fit", "blend_export")
+    modules = {name: importlib.import_module(name) for name in names}
+    monkeypatch.setattr(training["pictures"], "FRAMES_PER_SHARD", 1)
+    monkeypatch.setattr(training["pictures"], "FRAME_PX", 128)
+    monkeypatch.setattr(modules["blend_fit"], "_BATCH", 2)
+    threads = torch.get_num_threads()
+    yield modules
+    torch.set_num_threads(threads)
+
+
+def test_errors_of_depth_are_drawn_for_each_frame(training):
+    measured = training["pictures"]._measured
+    true = np.linspace(2, 12, 128 * 128, dtype=np.float32).reshape(128, 128)
+    before = true.copy()
+    found = [measured(true, np.random.default_rng(seed)) for seed in range(60)]
+    assert np.array_equal(true, before)
+    assert np.array_equal(found[7], measured(true, np.random.default_rng(7)), equal_nan=True)
+    assert all(each.dtype == np.float32 and each.shape == true.shape for each in found)
+    assert 0.15 < np.mean([np.isnan(each).any() for each in found]) < 0.45
+    same = [np.array_equal(each, true) for each in found]
+    assert 0.15 < np.mean(same) < 0.5
+
+
+def test_pictures_are_turned_with_the_pixels_of_their_cells(blend):
+    from coded_aperture_ros.deblur.blend.features import in_cells
+
+    random = np.random.default_rng(0)
+    pixels = random.random((2, 32, 24)).astype(np.float32)
+
+    def picture(pixels):
+        cells = in_cells(pixels)
+        whole = cells.mean(axis=0)
+        return blend["blend_fit"].Picture(cells, whole[None], cells[:16], whole)
+
+    for flip in (False, True):
+        for turns in range(4):
+            expected = pixels[..., ::-1] if flip else pixels
+            expected = picture(np.rot90(expected, turns, axes=(1, 2)))
+            found = picture(pixels).turned(flip, turns)
+            for name in ("cells", "maps", "sharp", "scale"):
+                # Means of a cell's pixels in another order.
+                np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore")  # of torch, about its own way to write a network
+def test_the_blend_is_fitted_goes_on_and_is_what_the_package_runs(
+    training, blend, monkeypatch, tmp_path, capsys
+):
+    import torch
+
+    pytest.importorskip("onnx", reason="torch writes networks by it")
+    shards, folder = tmp_path / "pictures", tmp_path / "fit"
+    run(monkeypatch, training["pictures"], "--output", shards, "--shards", 2, 4)
+    assert sorted(path.name for path in shards.glob("*.npz")) == [
+        "pictures_0002.npz",
+        "pictures_0003.npz",
+    ]
+    stored = dict(np.load(shards / "pictures_0003.npz"))
+    for name, values in training["pictures"].pictures_of(3, shards / "banks").items():
+        np.testing.assert_array_equal(stored[name][0], values)
+        assert np.isfinite(values).all()
+
+    options = ("--pictures", shards, "--output", folder, "--shards", 2, 3, "--threads", 1)
+    with pytest.raises(SystemExit, match="0 pictures to look at: --validate needs at least 2"):
+        run(monkeypatch, blend["blend_fit"], *options, "--validate", 0, 2)
+    capsys.readouterr()
+    options += ("--validate", 3, 4, "--minutes")
+    steps = []
+    for minutes in (0.03, 0.03, 0.06):
+        run(monkeypatch, blend["blend_fit"], *options, minutes)
+        steps.append(torch.load(folder / "state.pt")["step"])
+    assert 0 < steps[0] == steps[1] < steps[2]
+    assert capsys.readouterr().out.count("2 pictures to learn from, 2 to look at\nheld out: {") == 3
+
+    assert_the_package_runs_what_was_fitted(blend, monkeypatch, folder / "state.pt")
+
+
+def assert_the_package_runs_what_was_fitted(blend, monkeypatch, path):
+    import torch
+
+    from coded_aperture_ros.core.archive import read_archive
+    from coded_aperture_ros.core.workers import Workers
+    from coded_aperture_ros.deblur.blend import Blend
+    from coded_aperture_ros.deblur.blend import blend as package
+    from coded_aperture_ros.deblur.blend.features import in_cells, out_of_cells
+    from coded_aperture_ros.optics import Mask, render_psf_stack
+
+    # As after a longer fit: the last layer begins with zeros.
+    state = torch.load(path)
+    last = state["average"]["last.weight"]
+    last += 0.02 * torch.randn(last.shape, generator=torch.Generator().manual_seed(0))
+    torch.save(state, path)
+    exported = path.with_name("blend.npz")
+    run(monkeypatch, blend["blend_export"], "--state", path, "-o", exported)
+    arrays = read_archive(exported, package.SCHEMA, package.SCHEMA_VERSION)
+    monkeypatch.setattr(package, "_arrays", lambda: arrays)
+
+    random = np.random.default_rng(0)
+    frame = cv2.GaussianBlur(random.random((93, 122)).astype(np.float32), (0, 0), 2)
+    blur = np.linspace(2, 8, 122, dtype=np.float32) * np.ones((93, 1), np.float32)
+    known, noise = random.random(blur.shape) < 0.9, 0.003
+    of_package = Blend(render_psf_stack(Mask.named("levin"), np.arange(1, 10, 0.5)), 10, Workers())
+    (found,) = of_package.restore([frame], blur, known, noise)
+
+    hypotheses = of_package._of_brightness
+    sizes = package.sizes_of(blur)
+    cells = in_cells(hypotheses.of(frame, np.stack([*map(hypotheses.steps_of, sizes)]), noise))
+    mean, scale = package.level_and_scale(cells[-16:], noise)
+    maps = package.maps_in_cells(sizes, known, scale, noise)
+    cells, maps = (torch.from_numpy(each)[None] for each in ((cells - mean) / scale, maps))
+    network = blend["blend_network"].Blend().eval()
+
+    def of_torch():
+        with torch.no_grad():
+            blended = blend["blend_network"].blended(network(torch.cat([cells, maps], 1)), cells)
+        return out_of_cells(blended[0].numpy() * scale + mean, frame.shape)
+
+    of_start = of_torch()
+    network.load_state_dict(state["average"])
+    expected = of_torch()
+    assert np.abs(expected - of_start).max() > 0.1
+    np.testing.assert_allclose(found, expected, atol=1e-3)
 
 
 @pytest.mark.slow
