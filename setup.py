@@ -72,7 +72,7 @@ setup(
         ],
         "gpu": ["torch>=2.2"],
         # Random scenes, and training of the refinement.
-        "train": ["torch>=2.2", "scikit-image>=0.22", "scikit-learn>=1.4"],
+        "train": ["torch>=2.2", "onnx>=1.15", "scikit-image>=0.22", "scikit-learn>=1.4"],
         "graphcut": [GRAPH_CUTS],
         "cluster": ["distributed>=2024.1"],
         # `make docs`.
