@@ -1,5 +1,8 @@
 """Blur with occlusion: foregrounds hide a part of what is behind them, and only a part."""
 
+import dataclasses
+from functools import cached_property
+
 import cv2
 import numpy as np
 
@@ -42,60 +45,31 @@ class OccludedBlur(OnProcessor):
         self.scene_shape = periodic_shape(self.shape, 2 * self.margin_px)
         self.workers = workers or Workers()
         self._basis = basis
-        front = scene_around(blur_size_px, self)
-        self._steps = basis.steps_of(front)
-        around = np.ones((3, 3), np.uint8)
-        lowest = cv2.erode(front, around)
-        edge = cv2.dilate(front, around) - lowest > _EDGE_PX
-        self.hidden, self._origin = _continued(front, front - lowest > _EDGE_PX, self.margin_px)
-        least = least_towards(front, self.margin_px)
-        behind = np.where(self.hidden, front.ravel()[self._origin], np.float32(NOTHING))
-        reach = np.ones((2 * self.margin_px + 3,) * 2, np.uint8)
-        near_edges = frame_within(cv2.dilate(edge.astype(np.uint8), reach), self) > 0
-        psfs = np.maximum(basis.psfs(), 0)
-        psfs[psfs < _FAINT * psfs.max(axis=(1, 2), keepdims=True)] = 0
-        # The ray that reaches x from x + offset comes from the PSF at -offset.
-        taps = np.moveaxis(psfs[:, ::-1, ::-1], 0, -1)
-        used = np.argwhere(taps.max(axis=-1))
-        taps = np.ascontiguousarray(taps[used[:, 0], used[:, 1]])
-        self._offsets = used - self.margin_px
-        self._weights = np.empty((len(used), rows, columns), np.uint8)
+        surfaces = _Surfaces.of(scene_around(blur_size_px, self), self.margin_px)
+        self.hidden, self._origin = surfaces.hidden, surfaces.origin
+        self._steps = basis.steps_of(surfaces.front)
+        self._offsets, taps = _taps(basis)
+        self._weights = np.empty((len(taps), rows, columns), np.uint8)
         self._scale = np.empty(self.shape, np.float32)
+        light = _Light(self, surfaces, taps, basis.steps_of(surfaces.behind))
         bands = range(0, rows, _BAND_ROWS)
-        hidden_steps = basis.steps_of(np.where(self.hidden, behind, 0))
         of_band: dict[int, tuple[IndexArray, ...]] = {}
 
         def weigh(top: int, _: int) -> None:
             band = slice(top, min(top + _BAND_ROWS, rows))
-            weights = np.empty((len(used), band.stop - top, columns), np.float32)
-            fixed = (
-                taps,
-                self._offsets,
-                near_edges,
-                float(front.min()),
-                top,
-                self.margin_px,
-                weights,
-            )
-            rays(front, least, behind, hidden_steps, *fixed)
-            weights *= near_edges[band]  # farther from edges nothing hidden is seen
-            seen = np.flatnonzero(weights)  # a third of the time of `nonzero`
-            share = weights.ravel()[seen]
-            offset, inside = np.divmod(seen, weights[0].size)
-            row, column = np.divmod(inside, columns)
-            rays(front, least, front, self._steps, *fixed)
+            of_hidden = light.of_hidden(band)
+            weights = light.of_front(band)
+            # As bytes, of the largest weight of each pixel.
             unit = np.float32(_WHOLE) / np.maximum(weights.max(axis=0), np.float32(1e-9))
             weights *= unit
-            share *= unit[row, column]
             np.rint(weights, out=weights)
             self._weights[:, band] = weights
             total = weights.sum(axis=0)
-            np.add.at(total, (row, column), share)
+            place, pixel, share = of_hidden
+            share = share * unit.ravel()[pixel]
+            np.add.at(total.ravel(), pixel, share)
             self._scale[band] = 1 / np.maximum(total, np.float32(1))
-            down, right = (self._offsets[offset] + self.margin_px).T
-            place = (row + top + down) * self.scene_shape[1] + column + right
-            pixel = (row + top) * columns + column
-            of_band[top] = place.astype(np.int32), pixel.astype(np.int32), share
+            of_band[top] = place, pixel + top * columns, share
 
         self.workers.each(weigh, bands)
         # Of what is behind: where it is, which pixel sees it, and how much of it.
@@ -145,19 +119,84 @@ class OccludedBlur(OnProcessor):
         return scene
 
 
-def _continued(
-    front: FloatArray, farther: BoolArray, reach_px: int
-) -> tuple[BoolArray, IndexArray]:
-    """Return where something is hidden behind a foreground, and the pixel that goes on there.
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Surfaces:
+    """Signed blur sizes of a scene [rows, columns]: of what is in front, and of what is behind."""
 
-    `farther` are the pixels beside nearer ones.
-    """
-    if not farther.any():
-        return np.zeros(front.shape, bool), np.zeros(front.shape, np.intp)
-    origin = np.flatnonzero(farther)[nearest_of(farther)]
-    away = cv2.distanceTransform((~farther).astype(np.uint8), cv2.DIST_L2, 5)
-    hidden = (front.ravel()[origin] > front + _EDGE_PX) & (away <= reach_px + 1)
-    return hidden, origin
+    front: FloatArray
+    behind: FloatArray  # NOTHING where nothing is hidden
+    hidden: BoolArray
+    origin: IndexArray  # which pixel of the front goes on there
+    near_edges: BoolArray  # where something may stand in the way
+
+    @classmethod
+    def of(cls, front: FloatArray, reach_px: int) -> "_Surfaces":
+        around = np.ones((3, 3), np.uint8)
+        least = cv2.erode(front, around)
+        farther = front - least > _EDGE_PX  # beside something nearer
+        if farther.any():
+            origin = np.flatnonzero(farther)[nearest_of(farther)]
+            away = cv2.distanceTransform((~farther).astype(np.uint8), cv2.DIST_L2, 5)
+            hidden = (front.ravel()[origin] > front + _EDGE_PX) & (away <= reach_px + 1)
+        else:
+            origin, hidden = np.zeros(front.shape, np.intp), np.zeros(front.shape, bool)
+        behind = np.where(hidden, front.ravel()[origin], np.float32(NOTHING))
+        edge = (cv2.dilate(front, around) - least > _EDGE_PX).astype(np.uint8)
+        near_edges = cv2.dilate(edge, np.ones((2 * reach_px + 3,) * 2, np.uint8)) > 0
+        return cls(front, behind, hidden, origin, near_edges)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Light:
+    """How much light reaches the pixels of bands of rows; see `rays`."""
+
+    operator: OccludedBlur
+    surfaces: _Surfaces
+    taps: FloatArray
+    steps_behind: IndexArray
+
+    @cached_property
+    def _least(self) -> FloatArray:
+        return least_towards(self.surfaces.front, self.operator.margin_px)
+
+    @cached_property
+    def _near_edges(self) -> BoolArray:
+        return np.ascontiguousarray(frame_within(self.surfaces.near_edges, self.operator))
+
+    def of_front(self, band: slice) -> FloatArray:
+        """Return the weights of what is in front [K, rows, columns]."""
+        return self._of(self.surfaces.front, self.operator._steps, band)
+
+    def of_hidden(self, band: slice) -> tuple[IndexArray, IndexArray, FloatArray]:
+        """Return where what is seen of the hidden is, by which of the band's pixels, how much."""
+        weights = self._of(self.surfaces.behind, self.steps_behind, band)
+        weights *= self._near_edges[band]  # farther from edges nothing hidden is seen
+        seen = np.flatnonzero(weights)  # a third of the time of `nonzero`
+        offset, pixel = np.divmod(seen, weights[0].size)
+        row, column = np.divmod(pixel, weights.shape[2])
+        down, right = (self.operator._offsets[offset] + self.operator.margin_px).T
+        place = (row + band.start + down) * self.operator.scene_shape[1] + column + right
+        return place.astype(np.int32), pixel.astype(np.int32), weights.ravel()[seen]
+
+    def _of(self, sizes: FloatArray, steps: IndexArray, band: slice) -> FloatArray:
+        front, offsets = self.surfaces.front, self.operator._offsets
+        shape = len(self.taps), band.stop - band.start, self.operator.shape[1]
+        weights = np.empty(shape, np.float32)
+        place = float(front.min()), band.start, self.operator.margin_px
+        rays(
+            front, self._least, sizes, steps, self.taps, offsets, self._near_edges, *place, weights
+        )
+        return weights
+
+
+def _taps(basis: PsfBasis) -> tuple[IndexArray, FloatArray]:
+    """Return offsets [K, 2] from a pixel to points, and the light from there [K, steps]."""
+    psfs = np.maximum(basis.psfs(), 0)
+    psfs[psfs < _FAINT * psfs.max(axis=(1, 2), keepdims=True)] = 0
+    # The ray that reaches x from x + offset comes from the PSF at -offset.
+    taps = np.moveaxis(psfs[:, ::-1, ::-1], 0, -1)
+    used = np.argwhere(taps.max(axis=-1))
+    return used - basis.margin_px, np.ascontiguousarray(taps[used[:, 0], used[:, 1]])
 
 
 def _collect_loop(
