@@ -127,11 +127,10 @@ def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
             explained = _explained(left, noise, allowed)
             trusted = fit.weight * (explained if exact else explained**2)
             found = _MEDIAN_TO_STD * float(np.median(np.abs(left[0])))
-            too_smooth = found > _DISCREPANCY * noise and done >= iterations // 2
-            if exact and too_smooth:
-                found = _LESS * unexplained
-            # Else the model may be better than it usually is.
-            unexplained = max(least, min(unexplained, found))
+            if not exact:  # the model may be better than it usually is
+                unexplained = max(least, min(unexplained, found))
+            elif found > _DISCREPANCY * noise and done >= iterations // 2:
+                unexplained = max(least, _LESS * unexplained)
         held = operator.around(cv2.blur(held_by * (1 - trusted), (_HELD_PX, _HELD_PX)))
         sparse = SparsePrior(scenes, operator.hidden)
         penalty = sparse.power(operator.scene_shape)
