@@ -28,6 +28,7 @@ setup(
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
         f"{NAME}.deblur.blend": ["*.npz"],
+        f"{NAME}.depth.fit": ["*.npz"],
         f"{NAME}.depth.refine": ["*.npz"],
         f"{NAME}.design": ["page.html"],
     },
@@ -47,6 +48,7 @@ setup(
         # Compiles the loops that NumPy would need many passes for; works without it, slower.
         "numba>=0.58",
         "PyYAML>=6.0",
+        "tqdm>=4.66",
         f'{GRAPH_CUTS}; platform_machine == "x86_64"',
     ],
     extras_require={
@@ -63,13 +65,7 @@ setup(
             "ros-lifecycle-msgs==2.0.3",
             "ros-ament-index-python==1.8.1",
         ],
-        "eval": [
-            "rosbags>=0.11.9",
-            "matplotlib>=3.8",
-            "scikit-image>=0.22",
-            "scikit-learn>=1.4",
-            "tqdm>=4.66",
-        ],
+        "eval": ["rosbags>=0.11.9", "matplotlib>=3.8", "scikit-image>=0.22", "scikit-learn>=1.4"],
         "gpu": ["torch>=2.2"],
         # Random scenes, and training of the refinement.
         "train": ["torch>=2.2", "onnx>=1.15", "scikit-image>=0.22", "scikit-learn>=1.4"],

@@ -12,7 +12,7 @@ from coded_aperture_ros.bags.record import Sample
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.figures import new_figure, save_figure
 from coded_aperture_ros.imaging import SRGB, Gamma, decode, pixels_from_linear
-from coded_aperture_ros.io import confidence_picture, depth_picture
+from coded_aperture_ros.io import confidence_picture, depth_picture, grey_picture
 from coded_aperture_ros.metrics.figures import reliability_diagram
 from coded_aperture_ros.metrics.reliability import Reliability
 
@@ -113,7 +113,7 @@ def _small(values: FloatArray) -> FloatArray:
 
 def _error_picture(error: FloatArray) -> NDArray[np.uint8]:
     """Draw relative errors from black to white; where there is none, blue."""
-    picture = np.repeat(confidence_picture(error / _WHITE_ERROR)[..., None], 3, axis=2)
+    picture = np.repeat(grey_picture(error / _WHITE_ERROR)[..., None], 3, axis=2)
     picture[~np.isfinite(error)] = _NO_ERROR_RGB
     return picture
 

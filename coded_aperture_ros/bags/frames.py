@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stages import Stages
+from coded_aperture_ros.depth import Health
 from coded_aperture_ros.imaging import Gamma
 from coded_aperture_ros.io.bags.codec import Picture, read_picture
 from coded_aperture_ros.io.messages import MessageError, frame_from_pixels, pixels_from_frame
@@ -25,6 +26,7 @@ class DepthMaps:
     std_dev_m: FloatArray
     noise: float
     motion_px: FloatArray | None = None
+    health: Health | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -85,7 +87,12 @@ class FrameProcessor:
             header=picture.header,
             encoding=picture.encoding,
             maps=DepthMaps(
-                depth.depth_m, depth.confidence, depth.std_dev_m, depth.noise, motion_px
+                depth.depth_m,
+                depth.confidence,
+                depth.std_dev_m,
+                depth.noise,
+                motion_px,
+                depth.health,
             ),
             seconds=stages.seconds,
         )

@@ -15,6 +15,7 @@ from coded_aperture_ros.bags.figures import (
     series_plot,
 )
 from coded_aperture_ros.bags.record import Record
+from coded_aperture_ros.depth.fit import CAUSES
 from coded_aperture_ros.imaging import Gamma
 from coded_aperture_ros.metrics.reliability import Reliability
 
@@ -78,6 +79,8 @@ def _warnings(results: Mapping[str, Any]) -> Iterable[str]:
         yield f"The bag was processed up to where it ends too early: {results['damage']}."
     for fault, reason in results["fault_reasons"].items():
         yield f"{results['faults'][fault]} frame(s) could not be used ({fault}): {reason}."
+    for cause, count in results["depth"]["misfits"].items():
+        yield f"{count} of {results['used']} frame(s) do not fit the bank: {CAUSES[cause]}."
 
 
 def _facts(results: Mapping[str, Any]) -> dict[str, str]:

@@ -84,6 +84,8 @@ class Record:
             "median_std_dev_m": median(maps.std_dev_m[known]) if depths.size else None,
             "mean_confidence": float(maps.confidence.mean()),
             "noise": maps.noise,
+            "health": None if maps.health is None else maps.health.value,
+            "misfit": "" if maps.health is None else maps.health.cause,
             **{f"{stage}_s": seconds for stage, seconds in result.seconds.items()},
         }
         if index % self._spacing == 0:
@@ -124,6 +126,8 @@ class Record:
             "median_depth_m": over_frames("median_depth_m"),
             "median_std_dev_m": over_frames("median_std_dev_m"),
             "noise": float(np.median([row["noise"] for row in rows])),
+            # Frames that do not fit the bank, by the likeliest cause.
+            "misfits": Counter(row["misfit"] for row in rows if row["misfit"]),
         }
 
     def reference(self, topic: str) -> dict[str, Any]:

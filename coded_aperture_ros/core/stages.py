@@ -18,9 +18,9 @@ class Stages:
         self._last_s = time.perf_counter()
 
     def lap(self, stage: str) -> None:
-        """End a stage: what has passed since the last one ended is its time."""
+        """End a stage, or a part of one: what has passed since the last lap adds to its time."""
         now = time.perf_counter()
-        self.seconds[stage] = now - self._last_s
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last_s
         self._last_s = now
 
     def take(self, seconds: Mapping[str, float]) -> None:

@@ -4,6 +4,7 @@ from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.edges import DEPTH_EDGE_PX
 from coded_aperture_ros.depth.estimate import MAP_SIZES, DepthEstimate, map_size
 from coded_aperture_ros.depth.estimator import DepthEstimator
+from coded_aperture_ros.depth.fit import CAUSES, Health
 from coded_aperture_ros.depth.levels import Levels, depths_are_measured
 from coded_aperture_ros.depth.points import nearest_obstacle_m, points_of_depth
 from coded_aperture_ros.depth.refine import refinement_note
@@ -12,12 +13,14 @@ from coded_aperture_ros.depth.sides import side_warning
 from coded_aperture_ros.depth.video import estimate_video
 
 __all__ = [
+    "CAUSES",
     "DEPTH_EDGE_PX",
     "MAP_SIZES",
     "REGULARIZERS",
     "DepthConfig",
     "DepthEstimate",
     "DepthEstimator",
+    "Health",
     "Levels",
     "Regularizer",
     "depths_are_measured",

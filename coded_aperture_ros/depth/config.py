@@ -57,6 +57,13 @@ class DepthConfig:
         within=(0.0, 0.1),
         parameter="noise.gain",
     )
+    least_noise: float = option(
+        0.0,
+        "The noise is not less than this, whatever a frame looks like: for cameras that compress "
+        "their pictures, which hides noise and loses texture. JPEG files and videos say it.",
+        within=(0.0, 0.5),
+        parameter="noise.least",
+    )
     saturation: float = option(
         0.995,
         "Brightness from which a pixel counts as saturated and is left out; above 1: none.",
@@ -77,7 +84,11 @@ class DepthConfig:
         choices=("nothing", "nearest"),
         parameter="confidence.unknown",
     )
-
+    check_fit: bool = option(
+        True,
+        "Check whether frames fit the bank at all, and lower the confidence where they do not.",
+        parameter="confidence.check_fit",
+    )
     temporal_frames: float = option(
         0.0,
         "Frames of a video after which what was seen has lost most of its weight; 0: every frame "

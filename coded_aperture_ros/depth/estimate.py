@@ -8,6 +8,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth.fit import Health
 from coded_aperture_ros.depth.posterior import is_unsure
 from coded_aperture_ros.likelihood import MotionField
 
@@ -46,6 +47,9 @@ class DepthEstimate:
         there are no depths.
     motion : MotionField or None
         Motion during the exposure, in maps of the same size; from methods that find it.
+    health : Health or None
+        How well the frame fits the bank; it is part of `confidence`. None where that cannot be
+        told: see `can_be_checked`.
     seconds : mapping of str to float
         How long every stage of the work took, in their order.
     """
@@ -58,6 +62,7 @@ class DepthEstimate:
     side_confidence: FloatArray | None = None
     std_dev_m: FloatArray | None = None
     motion: MotionField | None = None
+    health: Health | None = None
     seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     def where_confident(self, threshold: float) -> "DepthEstimate":

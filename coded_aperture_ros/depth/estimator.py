@@ -15,6 +15,7 @@ from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.decision import Decide, Regularized
 from coded_aperture_ros.depth.edges import edge_correction
 from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
+from coded_aperture_ros.depth.fit import FitCheck, can_be_checked
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.posterior import is_unsure
@@ -86,6 +87,9 @@ class DepthEstimator:
         frames = config.temporal_frames
         self._average = StaticAverage(2 * frames) if frames else None
         self._temporal = TemporalFilter(frames) if frames else None
+        self._fit: FitCheck | None = None
+        if config.check_fit and isinstance(model, FilterBank) and can_be_checked(model.stack):
+            self._fit = FitCheck(model.stack, frames > 0, model.guard_levels > 0)
         self._planned: _Planned | None = None
         if like is not None and like.model is model and "small_bank" in like.__dict__:
             self.small_bank = like.small_bank
@@ -99,7 +103,7 @@ class DepthEstimator:
 
     def reset(self) -> None:
         """Forget the frames so far: the next one begins another video."""
-        for memory in (self._average, self._temporal):
+        for memory in (self._average, self._temporal, self._fit):
             if memory is not None:
                 memory.reset()
 
@@ -161,7 +165,8 @@ class DepthEstimator:
         grey, unusable = grey_image(frame, self.config.saturation)
         channels = 1 if frame.ndim == 2 else frame.shape[2]
         grid = self._plan_for(grey.shape).likelihood.grid
-        return Observation.of(grey, unusable, grid, self.known_noise, channels)
+        least = self.config.least_noise
+        return Observation.of(grey, unusable, grid, self.known_noise, channels, least)
 
     def cost(
         self,
@@ -211,7 +216,13 @@ class DepthEstimator:
         levels, shape, config = self._levels, seen.grey.shape, self.config
         size = size or (shape[0], shape[1])
         decided = self._plan_for(shape).decide(seen, volume, own, size, stages)
-        level, confidence = decided.level, decided.confidence
+        level, confidence, health = decided.level, decided.confidence, None
+        stages.lap("map")
+        if self._fit is not None and own.misfit is not None:
+            health = self._fit(seen, own.misfit, level, confidence)
+            stages.lap("fit")
+        if health is not None:
+            confidence = health.trusted(confidence)
         unsure = is_unsure(confidence, config.confidence_threshold)
         if config.unknown == "nearest":  # so that nothing is run into
             level = np.where(unsure, levels.nearer(level, decided.nearest_plausible()), level)
@@ -224,6 +235,7 @@ class DepthEstimator:
             seen.channel_noise,
             decided.side_confidence,
             levels.std_dev_m(level, decided.deviation),
+            health=health,
         )
         if config.unknown == "nothing":
             estimate = estimate.without(unsure)

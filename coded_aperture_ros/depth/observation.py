@@ -21,7 +21,7 @@ class Observation:
 
     `grey` is the mean of the channels [height, width], without NaN, and `noise` is of it;
     `brightness` and `usable`, where there are next to no saturated and missing pixels, are of the
-    patches [rows, columns].
+    patches [rows, columns]. `unusable` are these pixels [height, width]; None if there are none.
     """
 
     grey: FloatArray
@@ -30,6 +30,7 @@ class Observation:
     usable: BoolArray
     noise: GreyNoise
     channels: int
+    unusable: BoolArray | None = None
 
     @classmethod
     def of(
@@ -39,14 +40,20 @@ class Observation:
         grid: PatchGrid,
         known: KnownNoise,
         channels: int,
+        least_noise: float = 0.0,
     ) -> "Observation":
-        """Look at a frame by itself: what `grey_image` gives, and its channels' known noise."""
+        """Look at a frame by itself: what `grey_image` gives, and its channels' known noise.
+
+        What compression has lost, `least_noise`, is in the mean of the channels as in each.
+        """
         brightness = brightness_at(grey, grid)
         usable = np.full(brightness.shape, True)
         if unusable is not None:
             usable = usable_windows(unusable, grid)
         noise = grey_noise(grey, grid, known, channels, brightness, usable)
-        return cls(grey, grid, brightness, usable, noise, channels)
+        if noise.sigma < least_noise:
+            noise = dataclasses.replace(noise, sigma=least_noise)
+        return cls(grey, grid, brightness, usable, noise, channels, unusable)
 
     @property
     def channel_noise(self) -> float:

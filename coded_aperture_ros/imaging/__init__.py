@@ -1,13 +1,20 @@
 """One frame as numbers: linear light, grey, patches, noise, averages over time."""
 
 from coded_aperture_ros.imaging.decoding import decode_picture
-from coded_aperture_ros.imaging.frame import channel_mean, check_frame, filled, grey_image
+from coded_aperture_ros.imaging.frame import (
+    channel_mean,
+    check_frame,
+    filled,
+    grey_image,
+    resampled,
+)
 from coded_aperture_ros.imaging.light import (
     SRGB,
     Gamma,
     decode,
     encode,
     gamma_from_text,
+    light_per_stored,
     linear_from_pixels,
     pixels_from_linear,
 )
@@ -42,10 +49,12 @@ __all__ = [
     "gamma_from_text",
     "grey_image",
     "grey_noise",
+    "light_per_stored",
     "linear_from_pixels",
     "periodic",
     "periodic_shape",
     "pixels_from_linear",
+    "resampled",
     "transfer_function",
     "usable_windows",
 ]

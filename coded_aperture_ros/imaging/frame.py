@@ -70,6 +70,21 @@ def grey_image(frame: FloatArray, saturation: float) -> tuple[FloatArray, BoolAr
     return filled(grey, usable), ~usable
 
 
+def resampled(image: FloatArray, scale: float) -> FloatArray:
+    """Return an image enlarged by `scale`; smaller ones are means of pixels.
+
+    Raises
+    ------
+    InputError
+        If next to nothing would be left of it.
+    """
+    height, width = (round(scale * length) for length in image.shape[:2])
+    if min(height, width) < 1:
+        raise InputError(f"frame scale {scale:g}: nothing is left of {image.shape[:2]} pixels")
+    way = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(image, (width, height), interpolation=way), np.float32)
+
+
 def filled(image: FloatArray, usable: BoolArray) -> FloatArray:
     """Return a grey image whose unusable pixels have the mean of the usable ones around them."""
     known = image.copy()

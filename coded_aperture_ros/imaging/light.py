@@ -50,6 +50,13 @@ def encode(light: ArrayLike, gamma: Gamma) -> FloatArray:
     return values if gamma == 1.0 else np.maximum(values, 0.0) ** np.float32(1.0 / gamma)
 
 
+def light_per_stored(light: float, gamma: Gamma) -> float:
+    """Return by how much linear light changes with the stored value, around some light."""
+    stored = float(np.clip(encode(light, gamma), 0.05, 0.95))
+    low, high = decode(np.array([stored - 0.01, stored + 0.01]), gamma)
+    return float((high - low) / 0.02)
+
+
 def linear_from_pixels(pixels: NDArray, gamma: Gamma = 1.0) -> FloatArray:
     """Turn pixels of any usual type into linear light.
 

@@ -55,7 +55,7 @@ class CameraDriverConfig:
         "simulator; a camera's index, device, URL or GStreamer pipeline; a video, picture or "
         "folder of pictures; rgbd: coded from the topics rgbd/image and rgbd/depth",
     )
-    camera_file: str = option("", "Camera file (YAML)")
+    camera_file: str = option("", "Camera file (YAML), needed")
     rate_hz: float = option(15.0, "Frames per second", unit="Hz", within=(0.1, 1000.0))
     frame_id: str = option("camera_optical_frame", "Optical frame of the images")
     encoding: str = option(

@@ -31,6 +31,7 @@ from coded_aperture_ros.methods.motion import MotionConfig
 from coded_aperture_ros.methods.two_pixel import SimpleConfig
 from coded_aperture_ros.pipeline import FramePipeline, LateFrameError
 from coded_aperture_ros.ros.camera_model import CameraModel
+from coded_aperture_ros.ros.diagnostics import Complaint
 from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
 from coded_aperture_ros.ros.frame_node import FrameNode
 from coded_aperture_ros.ros.gyro import Gyro, GyroConfig
@@ -209,8 +210,14 @@ class DepthNode(FrameNode[Image]):
             self._searched = estimate.motion.searched
             if self.wants("depth/motion"):
                 self.send("depth/motion", image_from_motion(estimate.motion.vectors_px, header))
-        obstacle_m = nearest_obstacle_m(depth_m, config.obstacle_share)
-        self.sent(header, estimate.seconds, {"nearest_obstacle_m": obstacle_m})
+        figures = {"nearest_obstacle_m": nearest_obstacle_m(depth_m, config.obstacle_share)}
+        misfit: Complaint | None = None
+        if (health := estimate.health) is not None:
+            figures["health"] = health.value
+            if not health.fits:
+                given = "no depth is given" if health.withheld else "little depth is sure"
+                misfit = Complaint(f"{given}, the frame {health}", health.withheld)
+        self.sent(header, estimate.seconds, figures, misfit)
 
     def _on_image(self, message: Image) -> None:
         self.statistics.count_received()

@@ -48,6 +48,17 @@ class DiagnosticsConfig:
 
 
 @dataclass(frozen=True)
+class Complaint:
+    """What is wrong with the last frame though it could be worked on.
+
+    `serious`: nothing that was made of it may be relied on.
+    """
+
+    text: str
+    serious: bool = False
+
+
+@dataclass(frozen=True)
 class Summary:
     """The state of a node's work at one moment; latencies and rate over the last 10 s."""
 
@@ -61,6 +72,7 @@ class Summary:
     stages_s: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     figures: dict[str, float] = field(default_factory=dict)
     last_error: str = ""
+    complaint: Complaint | None = None
 
     @property
     def dropped(self) -> int:
@@ -89,6 +101,7 @@ class Statistics:
         )
         self._started_s: float | None = None
         self._figures: Mapping[str, float] = {}
+        self._complaint: Complaint | None = None
         self._last_error = ""
 
     def count_received(self) -> None:
@@ -115,6 +128,7 @@ class Statistics:
         work_s: float,
         stages_s: Mapping[str, float] | None = None,
         figures: Mapping[str, float] | None = None,
+        complaint: Complaint | None = None,
     ) -> None:
         """Count a frame whose last result has been published.
 
@@ -125,7 +139,7 @@ class Statistics:
             latency_s = None
         with self._lock:
             self._processed += 1
-            self._figures = figures or {}
+            self._figures, self._complaint = figures or {}, complaint
             self._recent.append((self._now(), latency_s, work_s, stages_s or {}))
 
     def summary(self) -> Summary:
@@ -146,6 +160,7 @@ class Statistics:
                 _by_stage([stages for _, _, _, stages in recent]),
                 dict(self._figures),
                 self._last_error,
+                self._complaint,
             )
 
 
@@ -192,7 +207,9 @@ def status_of(
     status.message = f"{summary.rate_hz:.1f} frames/s" if active else "not active"
     warnings = list(_warnings(summary, last, config, waiting)) if active else []
     if warnings:
-        status.level, status.message = DiagnosticStatus.WARN, "; ".join(warnings)
+        serious = summary.complaint is not None and summary.complaint.serious
+        status.level = DiagnosticStatus.ERROR if serious else DiagnosticStatus.WARN
+        status.message = "; ".join(warnings)
     values = {
         "rate_hz": f"{summary.rate_hz:.2f}",
         "received": str(summary.received),
@@ -222,6 +239,8 @@ def _warnings(
     received = summary.received - last.received
     rejected = summary.rejected_total - last.rejected_total
     dropped = summary.dropped - last.dropped
+    if summary.complaint is not None:
+        yield summary.complaint.text
     if rejected:
         yield f"{rejected} unusable message(s) in the last second"
     if waiting and not received:

@@ -63,8 +63,8 @@ def prepare_ros_environment() -> None:
     """
     if find_spec("rclpy") is None:
         raise SystemExit(
-            "coded_aperture_ros: rclpy not found: source /opt/ros/jazzy/setup.bash, or without ROS "
-            "pip install 'coded_aperture_ros[ros]'"
+            "coded_aperture_ros: rclpy not found: source /opt/ros/jazzy/setup.bash, or without "
+            "ROS, in the folder of the checkout, pip install '.[ros]'"
         )
     if not _rclpy_is_a_wheel():
         return

@@ -8,7 +8,13 @@ from typing import Generic, TypeVar
 import numpy as np
 from rclpy.node import Node
 
-from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT, FilterBank, load_bank
+from coded_aperture_ros.bank import (
+    DEFAULT_LEVEL_COUNT,
+    FilterBank,
+    check_frame_size,
+    check_setting,
+    load_bank,
+)
 from coded_aperture_ros.bank.learning import guarded_range
 from coded_aperture_ros.bank.remap import remap_bank
 from coded_aperture_ros.core.arrays import FloatArray
@@ -28,7 +34,7 @@ Model = TypeVar("Model", bound=BlurLevels)
 class ModelConfig:
     """Camera, filter bank and depth range; only the camera can change while a node runs."""
 
-    camera_file: str = option("", "Camera file (YAML); may be changed while the node runs")
+    camera_file: str = option("", "Camera file (YAML), needed; may be changed while the node runs")
     bank: str = option(
         "", "Filter bank (.npz); empty: learn it at start from the camera file", read_only=True
     )
@@ -90,6 +96,7 @@ class FrameModel(Generic[Model]):
         if self._bank is None:
             model = self._learned(camera, config)
         else:
+            check_setting(self._bank, camera)
             self._warn_of_ends(self._bank, camera)
             model = make(camera=camera, bank=self._bank)
         self._state = _State(camera, camera, model)
@@ -141,9 +148,9 @@ class FrameModel(Generic[Model]):
     def fit(self, width: int, height: int) -> None:
         """Make `camera` and `model` those for frames of this size.
 
-        A model that was learned here is learned again for another size. A bank from a file stays:
-        its blur sizes are in pixels, so they mean other depths then. Raises `MessageError` of kind
-        "size", where frames of this size cannot be the camera's, or are too small.
+        A model that was learned here is learned again for another size. Raises `MessageError` of
+        kind "size", where frames of this size cannot be the camera's, are too small, or are not
+        those that a bank from a file is for.
         """
         if self._next is not None:
             self._state, self._next = self._next, None
@@ -154,6 +161,11 @@ class FrameModel(Generic[Model]):
                 f"the frame is {width}x{height}, the bank needs at least {least_px}x{least_px}",
             )
         file_camera = self._state.file_camera
+        if self._bank is not None:
+            try:
+                check_frame_size(self._bank, width, height)
+            except InputError as error:
+                raise MessageError("size", str(error)) from error
         camera = fitted_camera(file_camera, width, height)
         self._frame_size = width, height
         if camera == self.camera:
@@ -208,6 +220,8 @@ class FrameModel(Generic[Model]):
         )
         try:
             model = self._make(camera=camera, depth_range_m=guarded[:2], level_count=guarded[2])
+            if isinstance(model, FilterBank):
+                model = dataclasses.replace(model, guard_levels=1)
         except InputError:  # a level beyond the range that does not fit the window, say
             count = config.level_count
             model = self._make(camera=camera, depth_range_m=range_m, level_count=count)

@@ -14,6 +14,7 @@ from std_msgs.msg import Header
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.ros.diagnostics import (
+    Complaint,
     DiagnosticsConfig,
     DiagnosticsPublisher,
     Statistics,
@@ -214,6 +215,7 @@ class FrameNode(ManagedNode, Generic[Item]):
         header: Header,
         stages_s: Mapping[str, float] | None = None,
         figures: Mapping[str, float] | None = None,
+        complaint: Complaint | None = None,
     ) -> None:
         """Count the frame with this header as done; see `Statistics.count_processed`."""
         stamp = stamp_ns(header)
@@ -221,7 +223,7 @@ class FrameNode(ManagedNode, Generic[Item]):
         now = self.get_clock().now().nanoseconds
         latency_s = (now - stamp) * 1e-9 if stamp else None
         work_s = time.monotonic() - self._taken_up_s
-        self.statistics.count_processed(latency_s, work_s, stages_s, figures)
+        self.statistics.count_processed(latency_s, work_s, stages_s, figures, complaint)
 
     def reject(self, kind: str, reason: str) -> None:
         """Count a message that cannot be used, and say why at most every ten seconds a kind."""

@@ -18,12 +18,41 @@ NODES = {
 }
 
 
+_HELP = """usage: ros2 run coded_aperture_ros {name} --ros-args -p PARAMETER:=VALUE ...
+
+{what}
+
+Needed: camera_file, a camera file (YAML){range}. Example:
+  ros2 run coded_aperture_ros {name} --ros-args -p camera_file:=/path/to/camera.yaml{example}
+
+All parameters, with defaults and ranges, while it runs: ros2 param describe /{name} NAME; the most
+useful ones are in the README. Without the program ros2, {name} takes the same arguments.
+"""
+_WHAT = {
+    "camera_driver_node": "Publishes frames of a device, files, a bag or a simulator (source).",
+    "depth_node": "Publishes metric depth of coded frames, and how sure it is.",
+    "deblur_node": "Publishes all-in-focus frames, from coded frames and their depth.",
+}
+
+
+def _help(names: tuple[str, ...]) -> str:
+    name = names[0] if len(names) == 1 else "pipeline"
+    what = "\n".join(_WHAT[one] for one in names)
+    measures = name != "camera_driver_node"
+    needed = ", and near_m and far_m or a bank" if measures else ""
+    example = " -p near_m:=0.8 -p far_m:=3.0" if measures else " -p source:=/dev/video0"
+    return _HELP.format(name=name, what=what, range=needed, example=example)
+
+
 def _run(*names: str) -> int:
     """Run nodes in this process until told to stop; return the exit status.
 
     A parameter given as `-p camera_file:=...` goes to all of them, `-p depth_node:levels:=...`
     to one.
     """
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        sys.stdout.write(_help(names))
+        return 0
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _end_at_once)
     from coded_aperture_ros.ros.environment import share_large_messages

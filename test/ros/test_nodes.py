@@ -1,7 +1,9 @@
 """depth_node and deblur_node over real DDS."""
 
+import dataclasses
 import time
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -19,6 +21,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from small_camera import CAMERA, DEPTH_M, HEIGHT, NEAR_M, WIDTH
 from std_msgs.msg import Header
 
+from coded_aperture_ros.bank import load_bank, save_bank
 from coded_aperture_ros.bank.learning import guarded_range
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import map_size
@@ -26,6 +29,7 @@ from coded_aperture_ros.optics import load_camera, render_psf
 from coded_aperture_ros.ros import frame_node
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
+from coded_aperture_ros.ros.diagnostics import DiagnosticsConfig, status_of
 from coded_aperture_ros.ros.messages import (
     array_from_image,
     image_from_array,
@@ -197,9 +201,50 @@ def test_frames_without_information_give_no_depth(ros, model, value):
     assert np.isfinite(confidence).all() and confidence.max() < 0.5
 
 
-def test_a_resized_frame_is_accepted(ros, model, coded):
+def test_a_resized_frame_is_not_measured_with_a_bank_of_another_size(ros, model, coded, tmp_path):
     """Twice the size of the camera file: the same blur in pixels is another depth then."""
-    chain = Chain(ros, model)
+    bank = dataclasses.replace(load_bank(model["bank"]), image_width=128, image_height=96)
+    save_bank(bank, tmp_path / "bank.npz")
+    chain = Chain(ros, {**model, "bank": str(tmp_path / "bank.npz")})
+    chain.send(mono8(np.tile(coded, (2, 2))))
+    assert wait_until(lambda: chain.node.statistics.summary().rejected.get("size"))
+    reason = chain.node.statistics.summary().last_error
+    assert "the bank is for 128x96" in reason
+    assert "learn a bank for 256x192" in reason
+    assert "--frame-scale 0.5" in reason
+    assert not chain.received["depth/image"]
+    chain.result(mono8(coded))  # the node goes on
+
+
+def test_a_bank_for_another_setting_is_refused_at_start(ros, model, tmp_path):
+    bank = dataclasses.replace(load_bank(model["bank"]), setting_digest="another")
+    save_bank(bank, tmp_path / "bank.npz")
+    with pytest.raises(InputError, match=r"another setting of the camera.*learn --remap"):
+        Chain(ros, {**model, "bank": str(tmp_path / "bank.npz")})
+
+
+def test_frames_that_do_not_fit_are_told(ros, model, coded):
+    chain = Chain(ros, {**model, "temporal.frames": 0.0}, subscribe=("depth/image",))
+    chain.result(mono8(coded))
+    good = chain.node.statistics.summary()
+    assert good.figures["health"] > 0.5
+    assert good.complaint is None
+    large = cv2.resize(coded, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+    depth = array_from_image(chain.result(mono8(np.clip(large[:96, :128], 0, 1))))
+    bad = chain.node.statistics.summary()
+    assert bad.figures["health"] < 0.5
+    assert "does not fit" in bad.complaint.text
+    status = status_of("/depth_node", bad, good, DiagnosticsConfig())
+    assert status.level == (b"\2" if bad.complaint.serious else b"\1")
+    assert bad.complaint.text in status.message
+    assert not bad.complaint.serious or np.isnan(depth).all()
+
+
+@pytest.mark.parametrize("learned_here", [False, True])
+def test_a_resized_frame_is_accepted(ros, model, coded, learned_here):
+    """By a bank that does not know its size, and by one that is learned for it."""
+    learned = {"bank": "", "learn.level_count": 20, "learn.window_px": 32}
+    chain = Chain(ros, {**model, **(learned if learned_here else {})})
     depth = array_from_image(chain.result(mono8(np.tile(coded, (2, 2)))))
     camera = load_camera(model["camera_file"])
     expected = camera.scaled(2).depth_m(camera.blur_size_px(DEPTH_M))

@@ -1,0 +1,218 @@
+"""How well a frame fits its bank, as one number, and the likeliest cause where it does not."""
+
+import dataclasses
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from coded_aperture_ros.core.archive import read_archive
+from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.depth.fit.evidence import Witness
+from coded_aperture_ros.depth.fit.traces import traces
+from coded_aperture_ros.depth.observation import Observation
+from coded_aperture_ros.optics import PsfStack
+
+SCHEMA, SCHEMA_VERSION = "coded-aperture check of fit", 1
+# What a cause is called, and what to say of it; in the order of the network's outputs.
+CAUSES = {
+    "mask": "not this mask: another one, inverted, dirty, or a lens that blurs otherwise",
+    "none": "no mask in the lens",
+    "turned": "the mask is turned or mirrored",
+    "compression": "compressed pictures: record them without loss",
+    "motion": "motion blur: expose for less time, or use motion",
+    "clipped": "clipped light: expose for less time",
+    "noise": "noise unlike the camera file's, or with a pattern",
+    "range": "nearer or farther than the bank's levels, or all in focus",
+    "scale": "not this scale: the pictures were enlarged, binned or cropped",
+    "tone": "values are not linear light: set the gamma",
+    "processed": "sharpened, denoised or otherwise processed pictures",
+}
+# From here on a frame is said to fit.
+FITS = 0.5
+# Confidence falls from the first health to the second, down to what is right by chance where frames
+# do not fit. It is about as often right as it says, over frames that fit and others.
+_TRUSTED, WITHHELD, _BY_CHANCE = 0.7, 0.2, 0.2
+# What the network was trained for.
+LARGEST_PX = 22.5
+LIMIT, SCALED_LIMIT = 20.0, 5.0
+_LAYERS = 3
+# Of the frames that the network has learned from.
+_USUAL_PIXELS = 288 * 288
+_LEAST_NOISE = 2e-4
+_UNSURE_PX, _FAR_PX = 4.0, 1.5
+_CONFIDENT = 0.55
+# Of a video, one frame in so many is looked at, and counts by this share.
+_EVERY, _OF_NEW = 4, 0.4
+
+
+@dataclasses.dataclass(frozen=True)
+class Health:
+    """How well a frame fits its bank.
+
+    Attributes
+    ----------
+    value : float
+        In [0, 1]: how likely what is sure of its depth is right by and large. At least `FITS`: it
+        fits.
+    cause : str
+        The likeliest of `CAUSES` if it does not fit; empty if it does.
+    """
+
+    value: float
+    cause: str = ""
+
+    @property
+    def fits(self) -> bool:
+        """Whether the depth may be relied on."""
+        return self.value >= FITS
+
+    @property
+    def withheld(self) -> bool:
+        """Whether depth is so unlikely to be right that its confidence is next to nothing."""
+        return self.value < WITHHELD
+
+    def __str__(self) -> str:
+        """Say it in one line."""
+        if self.fits:
+            return f"fits ({self.value:.2f})"
+        return f"does not fit ({self.value:.2f}): {CAUSES[self.cause]}"
+
+    def trusted(self, confidence: FloatArray) -> FloatArray:
+        """Return what is left of a confidence."""
+        left = np.float32(np.clip((self.value - WITHHELD) / (_TRUSTED - WITHHELD), 0, 1))
+        if left >= 1:
+            return confidence
+        lowest = np.minimum(confidence, np.float32(_BY_CHANCE))
+        return np.asarray(left * confidence + (1 - left) * lowest, np.float32)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Weights:
+    """A small network: features, standardised, through two layers; health, then causes."""
+
+    mean: FloatArray
+    scale: FloatArray
+    layers: tuple[tuple[FloatArray, FloatArray], ...]
+
+    def __call__(self, features: FloatArray) -> FloatArray:
+        values = (np.clip(features, -LIMIT, LIMIT) - self.mean) / self.scale
+        values = np.clip(values, -SCALED_LIMIT, SCALED_LIMIT)
+        for weight, bias in self.layers[:-1]:
+            values = np.maximum(weight @ values + bias, 0)
+        weight, bias = self.layers[-1]
+        return weight @ values + bias
+
+
+@lru_cache(maxsize=1)
+def _weights() -> _Weights:
+    arrays = read_archive(Path(__file__).with_name("fit.npz"), SCHEMA, SCHEMA_VERSION)
+
+    def of(name: str) -> FloatArray:
+        return arrays[name].astype(np.float32)
+
+    layers = tuple((of(f"weight{n}"), of(f"bias{n}")) for n in range(_LAYERS))
+    return _Weights(of("mean"), of("scale"), layers)
+
+
+def can_be_checked(stack: PsfStack) -> bool:
+    """Return whether the levels are such as the network was trained for."""
+    if not stack.in_pixels or len(stack) < 3:
+        return False
+    return float(np.abs(stack.blur_sizes_px).max()) <= LARGEST_PX
+
+
+class FitCheck:
+    """Checks the frames of a video, or single ones, against a bank's PSFs.
+
+    Parameters
+    ----------
+    stack : PsfStack
+        Of the bank; `can_be_checked`.
+    remembers : bool
+        Whether frames are those of a video, in order: then only some are looked at, and what they
+        say is averaged.
+    guarded : bool
+        Whether the levels at the ends stand for what is beyond them.
+    """
+
+    def __init__(self, stack: PsfStack, remembers: bool = False, guarded: bool = False) -> None:
+        self._stack, self._remembers, self._guarded = stack, remembers, guarded
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the frames so far."""
+        self._frames = 0
+        self._outputs: FloatArray | None = None
+        self._health: Health | None = None
+
+    def __call__(
+        self, seen: Observation, misfit: FloatArray, level: FloatArray, confidence: FloatArray
+    ) -> Health | None:
+        """Return how well a frame fits; None if there is too little to see.
+
+        Parameters
+        ----------
+        misfit : ndarray, float32 [grid rows, grid columns]
+            See `Cost`.
+        level, confidence : ndarray, float32 [rows, columns]
+            Fractional level that was found, and how sure that is.
+        """
+        due = not self._remembers or self._frames % _EVERY == 0
+        self._frames += 1
+        if not due:
+            return self._health
+        features = self.features(seen, misfit, level, confidence)
+        if features is None:
+            return self._health
+        outputs = _weights()(features)
+        # What a smaller frame says is said by fewer windows.
+        outputs[0] += max(0.0, np.log(_USUAL_PIXELS / seen.grey.size))
+        if self._remembers and self._outputs is not None:
+            outputs = self._outputs + np.float32(_OF_NEW) * (outputs - self._outputs)
+        self._outputs, self._health = outputs, _health_of(outputs)
+        return self._health
+
+    def features(
+        self, seen: Observation, misfit: FloatArray, level: FloatArray, confidence: FloatArray
+    ) -> FloatArray | None:
+        """Return what the network is told of a frame; None if there is too little to see."""
+        noise = max(seen.noise.typical, _LEAST_NOISE)
+        known = seen.noise.sigma if seen.noise.highest is None else 0.0
+        evidence = self._witness.ask(seen.grey, noise, seen.unusable)
+        if evidence is None:
+            return None
+        telling = misfit[seen.usable] if seen.usable.any() else misfit
+        of_map = (
+            centres * length // whole
+            for centres, length, whole in zip(
+                (evidence.rows, evidence.columns), level.shape, seen.grey.shape, strict=True
+            )
+        )
+        # What one window says by itself, and what became of it among its neighbours.
+        sizes_px, own_px = self._stack.blur_sizes_px, evidence.size_px
+        if self._guarded:
+            own_px = np.clip(own_px, np.abs(sizes_px).min(), np.abs(sizes_px).max())
+        found_px = np.interp(level[tuple(of_map)], np.arange(len(sizes_px)), sizes_px)
+        apart = np.abs(np.abs(found_px) - own_px)
+        numbers = [
+            *evidence.features,
+            *traces(seen.grey, noise, known),
+            *np.quantile(telling, (0.1, 0.25, 0.5, 0.75, 0.9)),
+            confidence.mean(),
+            (confidence >= _CONFIDENT).mean(),
+            np.median(apart),
+            evidence.weight @ np.minimum(apart, _UNSURE_PX),
+            (apart > _FAR_PX).mean(),
+        ]
+        return np.nan_to_num(np.array(numbers, np.float32))
+
+    @cached_property
+    def _witness(self) -> Witness:
+        return Witness(self._stack, self._guarded)
+
+
+def _health_of(outputs: FloatArray) -> Health:
+    value = float(1 / (1 + np.exp(-outputs[0])))
+    cause = list(CAUSES)[int(outputs[1:].argmax())]
+    return Health(value, "" if value >= FITS else cause)

@@ -1,0 +1,220 @@
+"""Does a frame fit its bank at all: spectra, evidence, health."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+from coded_aperture_benchmarks.layered import random_scene
+
+from coded_aperture_ros.bank import LearnConfig, WindowedFourierBasis, learn_bank
+from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimator, Health
+from coded_aperture_ros.depth.fit import FitCheck, can_be_checked
+from coded_aperture_ros.depth.fit.alternatives import NAMES, alternatives
+from coded_aperture_ros.depth.fit.evidence import Witness
+from coded_aperture_ros.depth.fit.spectra import (
+    SLOPES,
+    TEXTURES,
+    WINDOW_PX,
+    Hypotheses,
+    frequencies,
+    powers,
+    surprise,
+)
+from coded_aperture_ros.depth.fit.traces import traces
+from coded_aperture_ros.optics import Mask, PsfStack, render_psf, render_psf_stack
+
+SIZES_PX = np.arange(2.0, 18.0, 0.55)
+NOISE = 0.001
+
+
+@pytest.fixture(scope="module")
+def levin():
+    return Mask.named("levin")
+
+
+@pytest.fixture(scope="module")
+def stack(levin):
+    return render_psf_stack(levin, SIZES_PX)
+
+
+@pytest.fixture(scope="module")
+def bank(stack):
+    return learn_bank(stack, LearnConfig(window_px=48))
+
+
+@pytest.fixture(scope="module")
+def scene(levin):
+    return random_scene(1_000_011, levin, shape=(288, 320))
+
+
+def recorded(light, seed=0, noise=NOISE):
+    random = np.random.default_rng(seed)
+    return (light + noise * random.standard_normal(light.shape)).astype(np.float32)
+
+
+def health_of(bank, frame, **config):
+    estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0.0, **config))
+    estimate = estimator.estimate(frame)
+    estimator.close()
+    return estimate
+
+
+def test_expected_spectra_are_those_of_the_bank_s_basis():
+    psf = render_psf(Mask.named("levin"), 9.3)
+    basis = WindowedFourierBasis(WINDOW_PX)
+    used = frequencies().used.ravel()
+    exact = np.array([basis.expected_power(psf, slope)[used] for slope in SLOPES])
+    found = Hypotheses.of([psf])
+    share = frequencies().share
+    # The strongest texture hides the noise.
+    power = share / found.weights.reshape(len(SLOPES), -1, len(share))[:, -1]
+    difference = np.abs(np.log(power / (1e5 * exact + 1)))
+    # Steep textures leak from low frequencies beyond what is convolved with.
+    assert difference.max() < 0.5
+    assert difference.mean() < 0.01
+
+
+def test_a_hypothesis_explains_its_own_texture_best(stack):
+    random = np.random.default_rng(3)
+    some = [4, 14, 24]
+    hypotheses = Hypotheses.of([stack.psfs[level] for level in some])
+    textures = cv2.GaussianBlur(random.standard_normal((400, 400)), (0, 0), 1.0)
+    for number, level in enumerate(some):
+        image = cv2.filter2D(textures, -1, stack.psfs[level])[60:-60, 60:-60]
+        image = (image / image.std() + 1e-3 * random.standard_normal(image.shape)).astype("f4")
+        windows = np.lib.stride_tricks.sliding_window_view(image, (WINDOW_PX,) * 2)[::60, ::60]
+        power = powers(windows.reshape(-1, WINDOW_PX, WINDOW_PX)) / 1e-6
+        chosen = surprise(power.astype(np.float32), hypotheses).argmin(1) // TEXTURES
+        assert (chosen == number).mean() > 0.9
+
+
+def test_powers_of_white_noise_are_its_variance():
+    random = np.random.default_rng(0)
+    windows = 0.3 * random.standard_normal((200, WINDOW_PX, WINDOW_PX)).astype(np.float32)
+    assert powers(windows).mean() == pytest.approx(0.09, rel=0.02)
+
+
+def test_alternatives_are_known_by_their_names(stack):
+    found = alternatives(stack)
+    assert set(found) <= set(NAMES)
+    assert {"disc", "sharp", "rot45", "inverted", "beyond"} <= set(found)
+    share = frequencies().share
+    for hypotheses in found.values():
+        assert hypotheses.weights.shape[1] == len(share)
+        assert np.isfinite(hypotheses.weights).all()
+        assert len(hypotheses.weights) == len(hypotheses.log_determinants)
+
+
+def test_a_bank_with_all_sizes_has_none_beyond():
+    sizes_px = np.arange(1.5, 22.4, 1.0)
+    assert "beyond" not in alternatives(render_psf_stack(Mask.named("zhou"), sizes_px))
+
+
+def test_evidence_is_of_textured_windows_without_unusable_pixels(stack, scene):
+    frame = recorded(scene.coded())
+    unusable = np.zeros(frame.shape, bool)
+    unusable[:, :160] = True
+    evidence = Witness(stack).ask(frame, NOISE, unusable)
+    assert evidence.columns.min() >= 160
+    assert evidence.weight.sum() == pytest.approx(1)
+    assert np.isfinite(evidence.features).all()
+    assert Witness(stack).ask(frame, NOISE, np.ones(frame.shape, bool)) is None
+    assert Witness(stack).ask(frame[:40, :40], NOISE, None) is None
+
+
+@pytest.mark.parametrize("frame", [np.zeros((60, 60)), np.full((96, 128), 0.5), np.eye(99)])
+def test_odd_frames_have_finite_traces(frame):
+    assert np.isfinite(traces(frame.astype(np.float32), NOISE, 0.0)).all()
+
+
+def test_a_fitting_frame_keeps_its_confidence(bank, scene):
+    frame = recorded(scene.coded())
+    checked, unchecked = (health_of(bank, frame, check_fit=check) for check in (True, False))
+    assert checked.health.fits
+    assert checked.health.cause == ""
+    assert unchecked.health is None
+    np.testing.assert_array_equal(checked.confidence, unchecked.confidence)
+    assert checked.seconds["fit"] > 0
+
+
+@pytest.mark.parametrize("mask", ["four_hole", "disc"])
+def test_frames_through_another_mask_do_not_fit(levin, bank, mask):
+    """Not all small frames tell."""
+    healths = []
+    for seed in range(1_000_030, 1_000_036):
+        scene = random_scene(seed, levin, shape=(288, 320))
+        own = health_of(bank, recorded(scene.coded())).health
+        frame = recorded(scene.coded(Mask.named(mask)))
+        other = health_of(bank, frame)
+        healths.append((own.value, other.health.value))
+        if not other.health.fits:
+            assert other.health.cause in CAUSES
+            unchecked = health_of(bank, frame, check_fit=False)
+            assert other.confidence.mean() < unchecked.confidence.mean()
+    own_values, other_values = np.array(healths).T
+    assert (own_values >= 0.5).mean() >= 0.8
+    assert (other_values < 0.5).mean() >= 0.5
+    assert np.median(own_values - other_values) > 0.3
+
+
+def test_enlarged_frames_do_not_fit_and_are_named(scene, bank):
+    frame = recorded(scene.coded())
+    large = cv2.resize(frame, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC)
+    estimate = health_of(bank, large)
+    assert not estimate.health.fits
+    assert estimate.health.cause == "scale"
+
+
+def test_a_video_is_checked_now_and_then_and_remembered(bank, scene):
+    check = FitCheck(bank.stack, remembers=True)
+    estimator = DepthEstimator(bank, DepthConfig(check_fit=False, confidence_threshold=0.0))
+    fitting, other = recorded(scene.coded()), recorded(scene.coded(Mask.named("zhou")))
+
+    def asked(frame):
+        seen = estimator.observe(frame)
+        cost = estimator.cost(seen, seen.grey)
+        decided = estimator.decide(seen, cost.volume, cost)
+        return check(seen, cost.misfit, decided.level, decided.confidence)
+
+    first = asked(fitting)
+    assert [asked(other) for _ in range(3)] == [first] * 3
+    fifth = asked(other)
+    assert fifth.value < first.value
+    for _ in range(3):
+        asked(other)
+    assert asked(other).value < fifth.value
+    check.reset()
+    assert asked(fitting) == first
+    estimator.close()
+
+
+@pytest.mark.parametrize(
+    ("value", "left"), [(0.9, 0.8), (0.7, 0.8), (0.45, 0.5), (0.2, 0.2), (0.0, 0.2)]
+)
+def test_what_health_leaves_of_a_confidence(value, left):
+    health = Health(value, "" if value >= 0.5 else "none")
+    confidence = np.array([0.8, 0.1], np.float32)
+    np.testing.assert_allclose(health.trusted(confidence), [left, 0.1], atol=1e-6)
+    assert health.withheld == (value < 0.2)
+
+
+def test_what_is_beyond_a_guarded_bank_is_its_own(stack, scene):
+    frame = recorded(scene.coded())
+    kept = np.abs(stack.blur_sizes_px) < 5
+    some = PsfStack(stack.blur_sizes_px[kept], stack.psfs[kept])
+    sizes = [Witness(some, guarded).ask(frame, NOISE, None).size_px.max() for guarded in (0, 1)]
+    assert sizes[0] < 5 < sizes[1]
+
+
+def test_health_in_words():
+    assert str(Health(0.97)) == "fits (0.97)"
+    assert str(Health(0.12, "none")) == "does not fit (0.12): no mask in the lens"
+
+
+def test_only_levels_that_the_network_was_trained_for_are_checked(stack):
+    assert can_be_checked(stack)
+    large = dataclasses.replace(stack, blur_sizes_px=2 * stack.blur_sizes_px)
+    assert not can_be_checked(large)
+    assert not can_be_checked(dataclasses.replace(stack, in_pixels=False))
+    assert not can_be_checked(PsfStack(stack.blur_sizes_px[:2], stack.psfs[:2]))
