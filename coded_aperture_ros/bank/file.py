@@ -31,6 +31,9 @@ _NEWER: dict[str, tuple[Callable[[Any], Any], Any]] = {
     "highest_frequency": (float, 1.0),
     "stride_px": (int, DEFAULT_STRIDE_PX),
     "level_error": (float, np.nan),
+    "image_width": (int, 0),
+    "image_height": (int, 0),
+    "setting_digest": (str, ""),
 }
 _OF_PATTERN: dict[str, Callable[[Any], Any]] = {
     "parts": np.asarray,

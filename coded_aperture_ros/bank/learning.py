@@ -27,6 +27,8 @@ _WINDOW_PX, _ENOUGH_FOR_PX, _WINDOWS_PER_BLUR = 48, 22.0, 3.2
 # Sharp pictures differ from nearly sharp ones at the highest frequencies only.
 _HIGHEST_FREQUENCY, _SHARP_PX, _LOWEST_LIMIT = 0.46, 1.0, 0.1
 _SMALLEST_WINDOW_PX, _LARGEST_WINDOW_PX = 16, 256
+# A difference of blur that is told apart.
+_LEAST_SPAN_PX = 1.0
 # The rank that all frequencies need.
 RANK_OF_ALL = 128
 # A window chosen by the blur has so many patches a side, no farther apart than this.
@@ -122,7 +124,18 @@ def learn_bank_for_camera(
     """
     stack = psf_stack_for_camera(camera, near_m, far_m, level_count)
     learned_from = f"mask {camera.mask.name}, {near_m:g} to {far_m:g} m, {textures_of(prior)}"
-    return learn_bank(stack, config, prior, learned_from, camera.mask, progress)
+    bank = learn_bank(stack, config, prior, learned_from, camera.mask, progress)
+    return for_camera(bank, camera)
+
+
+def for_camera(bank: FilterBank, camera: Camera) -> FilterBank:
+    """Return a bank that knows which camera it is for, and which size its frames have."""
+    return dataclasses.replace(
+        bank,
+        image_width=camera.image_width,
+        image_height=camera.image_height,
+        setting_digest=camera.setting_digest,
+    )
 
 
 def psf_stack_for_camera(
@@ -144,6 +157,7 @@ def psf_stack_for_camera(
         there are fewer than two levels.
     """
     check_levels(level_count)
+    check_range_can_be_told_apart(camera, near_m, far_m)
     blur_sizes = _blur_sizes(camera, near_m, far_m, level_count)
     depths_m = camera.depth_m(blur_sizes)
     if not np.isfinite(depths_m).all():
@@ -152,6 +166,25 @@ def psf_stack_for_camera(
             "differ little in blur, 100 times the distance of the focus is enough"
         )
     return dataclasses.replace(render_psf_stack(camera.mask, blur_sizes), depths_m=depths_m)
+
+
+def check_range_can_be_told_apart(camera: Camera, near_m: float, far_m: float) -> None:
+    """Refuse a depth range in which no two depths can be told apart.
+
+    Raises
+    ------
+    InputError
+        Saying what to change; also if the range does not suit the camera.
+    """
+    span_px = float(np.ptp(camera.blur_range_px(near_m, far_m)))
+    if span_px >= _LEAST_SPAN_PX:
+        return
+    raise InputError(
+        f"depth range {near_m:g} to {far_m:g} m: its ends differ by {span_px:.2g} px of blur with "
+        f"the focus at {camera.focus_distance_m:g} m, so no two depths can be told apart: check "
+        "the units (distances in m, mask_extent_mm in mm), or use a wider mask, a nearer focus, "
+        "or a longer lens"
+    )
 
 
 def _blur_sizes(camera: Camera, near_m: float, far_m: float, count: int) -> DoubleArray:
@@ -324,7 +357,14 @@ def _learned_like(bank: FilterBank, stack: PsfStack, config: LearnConfig) -> Fil
     """Learn another bank of a bank's mask, textures and pattern."""
     components = None if bank.pattern is None else bank.pattern.components(stack.blur_sizes_px)
     other = learn_bank(stack, config, bank.prior, bank.learned_from, components=components)
-    return dataclasses.replace(other, mask_digest=bank.mask_digest, pattern=bank.pattern)
+    return dataclasses.replace(
+        other,
+        mask_digest=bank.mask_digest,
+        image_width=bank.image_width,
+        image_height=bank.image_height,
+        setting_digest=bank.setting_digest,
+        pattern=bank.pattern,
+    )
 
 
 def textures_of(prior: NaturalImagePrior | None) -> str:

@@ -74,6 +74,13 @@ class FilterBank:
         Distance between patches that the bank was tuned for.
     level_error : float
         Mean error, in levels, on simulated planes with this distance; NaN if it was not tuned.
+    image_width, image_height : int
+        Size of the frames that the blur sizes are of, px; 0 where it is not known.
+    setting_digest : str
+        Digest of what makes depths of blur sizes: see `Camera.setting_digest`; empty where the
+        depths do not come from a camera file.
+    guard_levels : int
+        Levels at either end that stand for what is beyond the depth range.
     pattern : LearnedPattern or None
         Mask and thin lens as found from planes: what a bank for another focus is made of.
     """
@@ -92,6 +99,10 @@ class FilterBank:
     highest_frequency: float = 1.0
     stride_px: int = DEFAULT_STRIDE_PX
     level_error: float = float("nan")
+    image_width: int = 0
+    image_height: int = 0
+    setting_digest: str = ""
+    guard_levels: int = 0
     pattern: LearnedPattern | None = None
 
     @property

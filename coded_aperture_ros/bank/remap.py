@@ -11,6 +11,7 @@ import numpy as np
 
 from coded_aperture_ros.bank.learning import (
     LearnConfig,
+    for_camera,
     learn_bank_for_camera,
     learn_bank_for_pattern,
 )
@@ -79,7 +80,7 @@ def remap_bank(
             "the bank was learned from PSFs, and the mask that other blur sizes follow from is not "
             "known: leave out the depth range, and its levels get new depths"
         )
-    return dataclasses.replace(new, stride_px=bank.stride_px)
+    return dataclasses.replace(for_camera(new, camera), stride_px=bank.stride_px)
 
 
 def refocused(pattern: LearnedPattern, camera: Camera) -> LearnedPattern:
@@ -139,4 +140,5 @@ def _with_new_depths(
             f"at {camera.focus_distance_m:g} m: give a depth range, and levels are learned for it"
         )
     stack = dataclasses.replace(bank.stack, depths_m=depths_m)
-    return dataclasses.replace(bank, stack=stack, pattern=pattern, learned_from=learned_from)
+    remapped = dataclasses.replace(bank, stack=stack, pattern=pattern, learned_from=learned_from)
+    return for_camera(remapped, camera)

@@ -116,7 +116,8 @@ def check_backend(backend: str) -> None:
         return
     if find_spec("torch") is None:
         raise InputError(
-            f"backend: {backend} needs PyTorch: pip install 'coded_aperture_ros[gpu]', or use numpy"
+            f"backend: {backend} needs PyTorch: in the folder of the checkout, pip install "
+            "'.[gpu]', or use numpy"
         )
     if backend == "cuda" and not _has_cuda():
         raise InputError(

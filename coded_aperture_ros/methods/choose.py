@@ -74,6 +74,13 @@ def new_model(
     return MotionModel(motions, settings)
 
 
+def bank_of(model: LikelihoodModel) -> FilterBank | None:
+    """Return the filter bank of a model that has one."""
+    if isinstance(model, MotionModel):
+        return model.bank.defocus
+    return model if isinstance(model, FilterBank) else None
+
+
 def with_settings(model: LikelihoodModel, motion: MotionConfig) -> LikelihoodModel:
     """Return a model with other settings of its method, without learning it anew.
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import difflib
+import hashlib
 import math
 import os
 from collections.abc import Mapping
@@ -36,6 +37,8 @@ _NUMBERS: dict[str, tuple[type, Option]] = {
 _SIDE = Option("Side of the focal plane that the scene is on", choices=("far", "near", "both"))
 _PHYSICAL = ("focal_length_mm", "pixel_pitch_um")
 _OPTIONAL = ("lens_mask_distance_mm", "side", "camera_info", "noise", "noise_gain")
+# No lens is faster or, with a mask in it, slower.
+_F_NUMBERS = (0.4, 200.0)
 _KEYS = (*_NUMBERS, "side", "mask", "camera_info")
 
 
@@ -98,6 +101,7 @@ class Camera:
         if self.focal_length_mm is not None:
             check_option("focal_length_mm", self.focal_length_mm, *_NUMBERS["focal_length_mm"])
             _check_focus_is_possible(self.focal_length_mm, self.focus_distance_m)
+            _check_f_number(self.focal_length_mm, self.mask_extent_mm)
         check_option("side", self.side, str, _SIDE)
         if not isinstance(self.mask, Mask):
             raise InputError(f"mask: expected a Mask, got {self.mask!r}")
@@ -133,6 +137,14 @@ class Camera:
             focal_length_mm=focal_length_mm,
             **others,
         )
+
+    @property
+    def setting_digest(self) -> str:
+        """Digest of what makes depths of blur sizes: the same for every size of the same view."""
+        view = self.focal_length_px / self.image_width
+        numbers = view, self.focus_distance_m, self.mask_extent_mm, self.lens_mask_distance_mm
+        text = " ".join([*(f"{number:.6g}" for number in numbers), self.side])
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @property
     def _lens_mask_distance_m(self) -> float:
@@ -271,6 +283,16 @@ def image_distance(focal_length: float, focus_distance: float) -> float:
     All lengths in one unit; `focus_distance` must exceed `focal_length`.
     """
     return focal_length * focus_distance / (focus_distance - focal_length)
+
+
+def _check_f_number(focal_length_mm: float, extent_mm: float) -> None:
+    f_number = focal_length_mm / extent_mm
+    low, high = _F_NUMBERS
+    if not low <= f_number <= high:
+        raise InputError(
+            f"mask_extent_mm: {extent_mm:g} mm in a lens of {focal_length_mm:g} mm is "
+            f"f/{f_number:.3g}, and lenses have f/{low:g} to f/{high:g}: give both in millimetres"
+        )
 
 
 def _check_focus_is_possible(focal_length_mm: float, focus_distance_m: float) -> None:

@@ -180,7 +180,7 @@ def planned(backend):
 def test_missing_torch_is_refused_by_name(monkeypatch):
     monkeypatch.setattr("coded_aperture_ros.likelihood.backends.find_spec", lambda name: None)
     for name in ("torch", "cuda"):
-        with pytest.raises(InputError, match=rf"{name} needs PyTorch: pip install .*use numpy"):
+        with pytest.raises(InputError, match=rf"{name} needs PyTorch: .*pip install .*use numpy"):
             planned(name)
     assert planned("auto") == "numpy"
 

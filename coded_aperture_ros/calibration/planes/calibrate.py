@@ -126,10 +126,10 @@ def calibrate_planes(
     )
     wanted = depth_range_m or _depth_range(planes)
     _check_range(planes, pattern, wanted)
+    learned_from = _learned_from(planes, pattern)
+    bank = learn_bank_for_pattern(pattern, *wanted, level_count, config, learned_from=learned_from)
     return PlanesCalibration(
-        bank=learn_bank_for_pattern(
-            pattern, *wanted, level_count, config, learned_from=_learned_from(planes, pattern)
-        ),
+        bank=_of_size(bank, planes),
         pattern=pattern,
         mask_is_known=known,
         planes=planes,
@@ -175,7 +175,13 @@ def learn_bank_from_planes(
     mixture = search.mixture()
     pattern = pattern_of(mixture, *search.single(mixture), planes.images[0].shape[1])
     wanted, learned_from = _depth_range(planes), _learned_from(planes, pattern)
-    return learn_bank_for_pattern(pattern, *wanted, level_count, config, prior, learned_from)
+    bank = learn_bank_for_pattern(pattern, *wanted, level_count, config, prior, learned_from)
+    return _of_size(bank, planes)
+
+
+def _of_size(bank: FilterBank, planes: Planes) -> FilterBank:
+    height, width = planes.images[0].shape[:2]
+    return dataclasses.replace(bank, image_width=width, image_height=height)
 
 
 def _depth_range(planes: Planes) -> tuple[float, float]:

@@ -1,0 +1,51 @@
+"""Whether frames and a camera are those that a bank was learned for.
+
+Another size, another focus or another focal length behind the same mask leave no trace in a
+picture: only what the bank knows can tell.
+"""
+
+from coded_aperture_ros.bank.model import FilterBank
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.optics import Camera
+
+# Sizes whose proportions differ by less than this many pixels are of the same view.
+_SAME_VIEW_PX = 1.0
+
+
+def check_frame_size(bank: FilterBank, width: int, height: int) -> None:
+    """Refuse frames of another size than the bank's, where it knows that.
+
+    Raises
+    ------
+    InputError
+        Saying which size it is for, and what to do.
+    """
+    own_width, own_height = bank.image_width, bank.image_height
+    if not (own_width and own_height) or (width, height) == (own_width, own_height):
+        return
+    if min(width, height) < bank.window_px:
+        return  # which is what will be said of it
+    remedy = f"learn a bank for {width}x{height} (image_width and image_height of the camera file)"
+    if abs(own_height * width / own_width - height) <= _SAME_VIEW_PX:
+        remedy += f", or let depth --frame-scale {own_width / width:.6g} resample the same view"
+    raise InputError(
+        f"frame of {width}x{height}: the bank is for {own_width}x{own_height}, and the same blur "
+        f"in pixels would be another depth: {remedy}"
+    )
+
+
+def check_setting(bank: FilterBank, camera: Camera) -> None:
+    """Refuse a camera with another focus, focal length or mask size than the bank's.
+
+    Raises
+    ------
+    InputError
+        Saying what to do.
+    """
+    if bank.setting_digest in ("", camera.setting_digest):
+        return
+    raise InputError(
+        f"the bank was learned for another setting of the camera ({bank.learned_from}), with "
+        "another focus, focal length, mask size or side: learn the bank for this camera file, or "
+        "make one with learn --remap"
+    )
