@@ -130,7 +130,7 @@ def shown(number: int, light: np.ndarray, blur_px: np.ndarray, folder: Path) -> 
     frame = recorded(light, how, number)
     banks = banks_of(what.mask, what.side, how.bank, folder)
     keep = _levels_kept(banks[0].blur_sizes_px, blur_px, number)
-    bank, bank_of_small = (_with_levels(each, keep) for each in banks)
+    bank, bank_of_small = (with_levels(each, keep) for each in banks)
     noise = max(np.hypot(how.noise, 0.0011 * how.eight_bits), 2e-4) if how.known else 0.0
     estimator = DepthEstimator(bank, DepthConfig(noise=float(noise), regularize="semiglobal"))
     observed = estimator.observe(frame)
@@ -170,7 +170,8 @@ def _levels_kept(sizes: np.ndarray, blur_px: np.ndarray, number: int) -> np.ndar
     return np.flatnonzero(kept) if kept.sum() >= 8 else np.arange(len(sizes))
 
 
-def _with_levels(bank: FilterBank, kept: np.ndarray) -> FilterBank:
+def with_levels(bank: FilterBank, kept: np.ndarray) -> FilterBank:
+    """Return a bank with some of its levels."""
     stack = bank.stack
     return dataclasses.replace(
         bank,

@@ -7,10 +7,10 @@ import argparse
 import dataclasses
 
 import numpy as np
+from coded_aperture_benchmarks.layered import random_scene
 from shards import add_shard_options, compute
 
 from coded_aperture_ros.optics import Mask
-from coded_aperture_ros.simulation.layered import random_scene
 
 FRAMES_PER_SHARD = 50
 FRAME_PX = 288

@@ -2,6 +2,5 @@
 
 from coded_aperture_ros.metrics.errors import delta_shares, depth_error, psnr_db
 from coded_aperture_ros.metrics.reliability import Reliability
-from coded_aperture_ros.metrics.sparsification import Sparsification
 
-__all__ = ["Reliability", "Sparsification", "delta_shares", "depth_error", "psnr_db"]
+__all__ = ["Reliability", "delta_shares", "depth_error", "psnr_db"]

@@ -124,7 +124,7 @@ def _packed(layers: list[Layer]) -> tuple[Any, ...]:
 def _kernels() -> Any:
     """Return the compiled loops; only who renders layered scenes needs numba."""
     try:
-        from coded_aperture_ros.simulation.layered import kernels
+        from coded_aperture_benchmarks.layered import kernels
     except ImportError as error:
         raise InputError(
             "random scenes need numba: pip install numba (on Ubuntu: apt install python3-numba)"

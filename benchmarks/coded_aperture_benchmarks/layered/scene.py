@@ -7,12 +7,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics import Camera, Mask
-from coded_aperture_ros.simulation.layered.shapes import THINGS, leaf
-from coded_aperture_ros.simulation.layered.textures import TEXTURE_COUNT, TEXTURE_PX, texture
-from coded_aperture_ros.simulation.layered.tracing import (
+from coded_aperture_benchmarks.layered.shapes import THINGS, leaf
+from coded_aperture_benchmarks.layered.textures import TEXTURE_COUNT, TEXTURE_PX, texture
+from coded_aperture_benchmarks.layered.tracing import (
     FINENESS,
     Layer,
     lens_samples,
@@ -20,6 +17,9 @@ from coded_aperture_ros.simulation.layered.tracing import (
     seen_from_centre,
     traced,
 )
+from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.optics import Camera, Mask
 
 SIDES = ("far", "near", "both")
 _LARGEST_PX = 19.5

@@ -1,5 +1,5 @@
 """Random scenes of layers, for learning and for tests: exact occlusion and exact depth."""
 
-from coded_aperture_ros.simulation.layered.scene import SIDES, LayeredScene, random_scene, rod_scene
+from coded_aperture_benchmarks.layered.scene import SIDES, LayeredScene, random_scene, rod_scene
 
 __all__ = ["SIDES", "LayeredScene", "random_scene", "rod_scene"]

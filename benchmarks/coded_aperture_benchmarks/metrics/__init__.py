@@ -1,0 +1,1 @@
+"""Errors at depth edges and of thin structures, and of a confidence without a scale."""

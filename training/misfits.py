@@ -1,0 +1,273 @@
+"""What the check of fit is shown: fitting and misfitting frames, through the package's estimator.
+
+python training/misfits.py --scenes DIR --output DIR --shards 0 40
+"""
+
+import argparse
+import dataclasses
+import os
+import tempfile
+from collections.abc import Iterator
+from functools import cached_property, lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from coded_aperture_benchmarks.frames.misfits import MISFITS, Fitting, Recorded, recorded
+from coded_aperture_benchmarks.layered import random_scene
+from costs import with_levels
+from scenes import BLUR_STEP, FRAME_PX, FRAMES_PER_SHARD, LIGHT_STEP, drawn, mask_of
+from shards import add_shard_options, compute
+
+from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank
+from coded_aperture_ros.bank.file import load_bank, save_bank
+from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimator
+from coded_aperture_ros.depth.fit import FitCheck
+from coded_aperture_ros.depth.refine import small_bank
+from coded_aperture_ros.depth.refine.small import SMALL_PX
+from coded_aperture_ros.optics import Mask, PsfStack, render_psf_stack
+
+# Levels of all banks; each frame is shown to some of them.
+_SIZES_PX = np.arange(0.6, 22.01, 0.55)
+_FEWEST = 8
+# Of every kind of misfit, in how many frames it is tried; what changes PSFs needs banks of its own.
+_SHARE, _SHARE_OF_PSFS = 0.3, 0.25
+_OF_PSFS = (
+    "other mask",
+    "mask inverted",
+    "mask with an open margin",
+    "part of the mask covered",
+    "mask turned",
+    "mask mirrored",
+)
+_STEPS = 5
+_FITTING_FRAMES = 3
+_WINDOW_PX, _CONFIDENT, _ENOUGH = 48, 0.55, 200
+_NEAR_INFINITY_PX = 3.0
+FITS = "fits"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Shown:
+    """The levels of a bank that a frame is shown to."""
+
+    bank: FilterBank
+    small: FilterBank
+
+    @cached_property
+    def check(self) -> FitCheck:
+        """Compare frames with them."""
+        return FitCheck(self.bank.stack)
+
+
+@lru_cache(maxsize=64)
+def _banks_of(name: str, folder: Path) -> _Shown | None:
+    """Return the bank for all sizes of a mask, or of one changed: `mask+kind+step`."""
+    paths = folder / f"{name}.npz", folder / f"{name}_small.npz"
+    if not all(path.exists() for path in paths):
+        mask, _, change = name.partition("+")
+        stack: PsfStack | None = render_psf_stack(mask_of(mask), _SIZES_PX)
+        if change:
+            kind, _, step = change.partition("+")
+            stack = _changed(stack, kind, int(step))
+        if stack is None:
+            return None
+        bank = learn_bank(stack, LearnConfig(window_px=_WINDOW_PX))
+        folder.mkdir(parents=True, exist_ok=True)
+        for path, one in zip(paths, (bank, small_bank(bank)), strict=True):
+            # Two processes may learn the same bank at once.
+            part = path.with_suffix(f".{os.getpid()}.npz")
+            save_bank(one, part)
+            part.rename(path)
+    return _Shown(*(load_bank(path) for path in paths))
+
+
+def _changed(stack: PsfStack | None, kind: str, step: int) -> PsfStack | None:
+    dark = np.zeros((8, 8), np.float32)
+    fitting = Fitting(dark, lambda: dark, lambda _: dark, stack, dark, 0.0)
+    one = MISFITS[kind].change(fitting, step / (_STEPS - 1), np.random.default_rng(0))
+    if one is None:
+        return None
+    # Small patches have to hold the PSFs: of a mask with a margin, the largest do not fit.
+    middle = one.stack.psfs.shape[-1] // 2
+    reach = min(middle, (SMALL_PX - 1) // 2)
+    inner = np.s_[middle - reach : middle + reach + 1]
+    psfs = one.stack.psfs[:, inner, inner]
+    whole = psfs.sum(axis=(1, 2)) > 1 - 1e-6
+    return PsfStack(one.stack.blur_sizes_px[whole], psfs[whole])
+
+
+def _some_levels(shown: _Shown, low_px: float, high_px: float) -> _Shown:
+    sizes_px = shown.bank.blur_sizes_px
+    kept = np.flatnonzero((low_px <= sizes_px) & (high_px >= sizes_px))
+    return _Shown(with_levels(shown.bank, kept), with_levels(shown.small, kept))
+
+
+def _range(blur_px: np.ndarray, random: np.random.Generator) -> tuple[float, float]:
+    """Return the blur sizes of a bank for about the scene's depth range."""
+    low, high = np.nanmin(blur_px), np.nanmax(blur_px)
+    ends = np.array([low, high]) + random.exponential(1.0, 2) * [-1, 1]
+    if random.random() < 0.3:
+        ends += [-8, 8]
+    low = min(ends[0], low)
+    return low, max(ends[1], high, low + 3.5)
+
+
+def _frames(
+    number: int, light: np.ndarray, blur_px: np.ndarray, folder: Path
+) -> Iterator[tuple[str, float, Recorded, _Shown]]:
+    """Yield what is made of a frame: kind, strength, what is recorded, and the bank's levels."""
+    random = np.random.default_rng([21, number])
+    what = drawn(number)
+    own = _banks_of(what.mask, folder)
+    ends = _range(blur_px, random)
+    if own is None:
+        return
+    levels = _some_levels(own, *ends)
+    light = light * np.float32(random.uniform(0.35, 1))
+    if random.random() < 0.3:
+        light = cv2.GaussianBlur(light, (0, 0), random.uniform(0.15, 0.5))
+
+    @lru_cache(maxsize=1)
+    def scene() -> Any:
+        return random_scene(what.seed, mask_of(what.mask), what.side, (FRAME_PX, FRAME_PX))
+
+    def ordinary(extent: float) -> np.ndarray:
+        disc = Mask.named("disc").transmission
+        margin = int(len(disc) * max(1 / extent - 1, 0) / 2)
+        return scene().coded(Mask("lens", np.pad(disc, margin)))
+
+    noise = float(np.exp(random.uniform(np.log(3e-4), np.log(5e-3))))
+    fitting = Fitting(
+        light, lambda: scene().all_in_focus(), ordinary, own.bank.stack, blur_px, noise
+    )
+    for index in range(_FITTING_FRAMES):
+        share, factor = random.uniform(0.3, 1), np.exp(random.normal(0, 0.5))
+        other = dataclasses.replace(fitting, noise=noise * factor)
+        one = recorded(other, light * np.float32(share), random)
+        frame = one.frame
+        if index == 1:
+            side = int(random.integers(150, FRAME_PX + 1))
+            one = dataclasses.replace(
+                one, frame=frame[:side, -side:], blur_size_px=blur_px[:side, -side:]
+            )
+        elif index == 2 and random.random() < 0.5:
+            eighth = np.rint(frame * 255).astype(np.float32) / 255
+            one = dataclasses.replace(one, frame=eighth)
+        elif index == 2:
+            one = dataclasses.replace(
+                one, known_noise=noise * factor * np.exp(random.normal(0, 0.1))
+            )
+        yield FITS, 0.0, one, levels
+    for kind, misfit in MISFITS.items():
+        share = _SHARE_OF_PSFS if kind in _OF_PSFS else _SHARE
+        if not misfit.traced or random.random() > share:
+            continue
+        if kind in _OF_PSFS:
+            step = int(random.integers(_STEPS))
+            other_bank = _banks_of(f"{what.mask}+{kind}+{step}", folder)
+            if other_bank is not None:
+                of_bank = _some_levels(other_bank, *ends)
+                yield kind, step / (_STEPS - 1), recorded(fitting, light, random), of_bank
+            continue
+        strength = float(random.random())
+        one = misfit.change(fitting, strength, random)
+        if one is None:
+            continue
+        of_bank = levels
+        if len(one.stack) < len(_SIZES_PX):  # out of range
+            sizes = one.stack.blur_sizes_px
+            span = max(ends[1] - ends[0], 5.0)
+            low = sizes[0] if sizes[0] > ends[0] else max(sizes[-1] - span, sizes[0])
+            of_bank = _some_levels(own, low, min(low + span, sizes[-1]))
+        yield kind, strength, one, of_bank
+
+
+def _told(
+    one: Recorded, shown: _Shown, infinity_px: float
+) -> tuple[np.ndarray, float, float] | None:
+    """Return features, the error of what is sure, and how much of the frame that is."""
+    if min(one.frame.shape) < 2 * _WINDOW_PX or len(shown.bank.stack) < _FEWEST:
+        return None
+    config = DepthConfig(
+        confidence_threshold=0.0, noise=one.known_noise, threads=1, check_fit=False
+    )
+    estimator = DepthEstimator(shown.bank, config)
+    estimator.__dict__["small_bank"] = shown.small  # known already
+    seen = estimator.observe(one.frame)
+    own = estimator.cost(seen, seen.grey)
+    estimate = estimator.decide(seen, own.volume, own)
+    estimator.close()
+    size_px, confidence = estimate.blur_size_px, estimate.confidence
+    features = shown.check.features(seen, own.misfit, estimate.level, confidence)
+    if features is None:
+        return None
+    # The inverse depth is linear in the blur size; near infinity nothing is told apart.
+    left_px = np.maximum(np.abs(infinity_px - size_px), _NEAR_INFINITY_PX)
+    error = np.abs(size_px - one.blur_size_px) / left_px
+    known = np.isfinite(error)
+    sure = known & (confidence >= _CONFIDENT)
+    median = float(np.median(error[sure])) if sure.sum() > _ENOUGH else 0.0
+    return features, median, float(sure.sum() / max(known.sum(), 1))
+
+
+def shown_shard(
+    shard: int, light: np.ndarray, blur: np.ndarray, infinity: np.ndarray, folder: Path | None
+) -> dict[str, np.ndarray]:
+    """Return what is told of all frames of a shard."""
+    folder = folder or Path(tempfile.gettempdir()) / "coded_aperture_misfit_banks"
+    found: dict[str, list[Any]] = {name: [] for name in _ARRAYS}
+    for index, (frame, sizes) in enumerate(zip(light, blur, strict=True)):
+        number = shard * FRAMES_PER_SHARD + index
+        blur_px = np.abs(sizes * np.float32(BLUR_STEP))
+        blur_px[sizes == 0] = np.nan  # seams between two surfaces
+        if not np.isfinite(blur_px).any():
+            continue
+        far = -1 if drawn(number).side == "near" else 1
+        infinity_px = far * max(abs(float(infinity[index])), 1.2 * float(np.nanmax(blur_px)))
+        frame = frame * np.float32(LIGHT_STEP)
+        for kind, strength, one, shown in _frames(number, frame, blur_px, folder):
+            told = _told(one, shown, infinity_px)
+            if told is None:
+                continue
+            causes = MISFITS[kind].causes if kind != FITS else ()
+            cause = list(CAUSES).index(causes[0]) if causes else -1
+            row = (told[0], told[1], told[2], cause, kind, strength, number)
+            for name, value in zip(_ARRAYS, row, strict=True):
+                found[name].append(value)
+    return {name: np.array(values) for name, values in found.items()}
+
+
+_ARRAYS = ("features", "error", "coverage", "cause", "kind", "strength", "number")
+
+
+def main() -> None:
+    """Compute the shards that are not there yet, of the scenes that are."""
+    cv2.setNumThreads(1)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", type=Path, required=True)
+    add_shard_options(parser)
+    args = parser.parse_args()
+    # Other machines keep the banks that they learn to themselves.
+    folder = None if args.scheduler else args.output / "banks"
+
+    def read(shard: int, source: Path) -> tuple[Any, ...]:
+        with np.load(source) as scenes:
+            return shard, scenes["light"], scenes["blur"], scenes["infinity"], folder
+
+    tasks = [
+        (args.output / f"misfits_{shard:04d}.npz", partial(read, shard, source))
+        for shard in range(*args.shards)
+        if (source := args.scenes / f"scenes_{shard:04d}.npz").exists()
+    ]
+    compute(
+        shown_shard, tasks, ("shards.py", "scenes.py", "costs.py", "misfits.py"), args.scheduler
+    )
+
+
+if __name__ == "__main__":
+    # Workers know the functions of modules, not those of this program.
+    from misfits import main
+
+    main()
