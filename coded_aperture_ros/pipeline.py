@@ -67,6 +67,8 @@ class FramePipeline:
         Turns blur sizes into metres, and may know its noise.
     deblur : DeblurConfig or None, optional
         None: no all-in-focus pictures.
+    progress : callable, optional
+        See `Deblurrer`.
 
     Raises
     ------
@@ -80,9 +82,10 @@ class FramePipeline:
         camera: Camera | None = None,
         depth: DepthConfig | None = None,
         deblur: DeblurConfig | None = DeblurConfig(),  # noqa: B008  frozen
+        progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
     ) -> None:
-        self.estimator = DepthEstimator(model, depth, camera)
-        self._deblurrer = None if deblur is None else Deblurrer(model.stack, deblur)
+        self.estimator, self._progress = DepthEstimator(model, depth, camera), progress
+        self._deblurrer = None if deblur is None else Deblurrer(model.stack, deblur, progress)
         self._order = StampOrder()
 
     @property
@@ -180,7 +183,7 @@ class FramePipeline:
         if deblurrer is not None and deblurrer.stack is stack:
             deblurrer.reconfigure(config)
             return
-        self._deblurrer = Deblurrer(stack, config)
+        self._deblurrer = Deblurrer(stack, config, self._progress)
         if deblurrer is not None:
             deblurrer.close()
 

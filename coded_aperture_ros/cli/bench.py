@@ -25,18 +25,21 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
-    status: int = _benchmarks().main(args.arguments)
+    status: int = of_benchmarks("__main__", "bench").main(args.arguments)
     return status
 
 
-def _benchmarks() -> Any:
-    """Return the benchmarks' command line: installed, or those of the checkout we run from."""
+def of_benchmarks(module: str, what: str) -> Any:
+    """Return a module of the benchmarks: installed, or those of the checkout we run from.
+
+    `what` needs it, for messages. An `InputError` if they are not there.
+    """
     if find_spec(_PACKAGE) is None:
         folder = Path(__file__).resolve().parents[2] / "benchmarks"
         if not (folder / _PACKAGE).is_dir():
             raise InputError(
-                "bench: the benchmarks are not installed: in a checkout of the project, "
+                f"{what}: the benchmarks are not installed: in a checkout of the project, "
                 "'pip install ./benchmarks'"
             )
         sys.path.append(str(folder))
-    return import_module(f"{_PACKAGE}.__main__")
+    return import_module(f"{_PACKAGE}.{module}")

@@ -60,7 +60,7 @@ def add_parser(subparsers: Any) -> None:
     }
     add_options(parser, ranges, type=float)
     results = {
-        "--output DIR": f"folder for {_NUMBERS}, {_PAGE} and {_PICTURE}",
+        "-o --output DIR": f"folder for {_NUMBERS}, {_PAGE} and {_PICTURE}",
         "--json": "print the numbers as JSON",
     }
     add_options(parser, results)

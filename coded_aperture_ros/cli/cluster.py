@@ -20,7 +20,7 @@ def dask_client(address: str) -> Iterator[Any]:
         from distributed import Client
     except ImportError as error:
         raise InputError(
-            "--scheduler needs Dask: pip install 'coded_aperture_ros[cluster]'"
+            "--scheduler needs Dask: in the folder of the checkout, pip install '.[cluster]'"
         ) from error
     try:
         client = Client(address, timeout="10s")

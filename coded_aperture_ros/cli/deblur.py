@@ -4,18 +4,25 @@ import argparse
 import dataclasses
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from coded_aperture_ros.cli.checks import naming
 from coded_aperture_ros.cli.estimators import CAMERA_OPTION
-from coded_aperture_ros.cli.frames import NamedFrame, add_input_options, named_frames
+from coded_aperture_ros.cli.frames import (
+    NamedFrame,
+    Unusable,
+    add_input_options,
+    named_frames,
+    suitable,
+)
 from coded_aperture_ros.cli.options import (
     add_config_options,
     add_gamma_option,
     add_options,
     config_from,
 )
+from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.cli.stereo_output import StereoOutput, add_stereo_options
 from coded_aperture_ros.core.errors import InputError
 
@@ -75,11 +82,17 @@ def run(args: argparse.Namespace) -> int:
     restore = _restorer(args, bank)
     encoding: dict[str, Any] = {} if args.gamma == 1 else {"bits": 8, "gamma": args.gamma}
     summaries = []
-    for frame in named_frames(args, ".png", PICTURE_SUFFIXES, stereo.outputs):
+    unusable = Unusable()
+    for frame in named_frames(args, ".png", PICTURE_SUFFIXES, stereo.outputs, unusable):
         start = time.perf_counter()
-        with naming(frame.source):
-            stereo.check(frame.image)
-            sharp, blur_size_px = restore(frame)
+        try:
+            with naming(frame.source):
+                suitable(frame, bank, 1.0)
+                stereo.check(frame.image)
+                sharp, blur_size_px = restore(frame)
+        except InputError as error:
+            unusable.note(error)
+            continue
         seconds = time.perf_counter() - start
         write_image(frame.output, sharp, **encoding)
         written = stereo.write(frame.output, sharp, blur_size_px)
@@ -88,11 +101,12 @@ def run(args: argparse.Namespace) -> int:
             print(f"{frame.output}: deblurred in {seconds:.2f} s")
     if args.json:
         print(json.dumps(summaries))
-    return 0
+    return unusable.status()
 
 
 def _restorer(args: argparse.Namespace, bank: Any) -> Callable[[NamedFrame], tuple[Any, Any]]:
     """Return a function from a frame to the all-in-focus frame and its map of blur sizes."""
+    from coded_aperture_ros.bank import check_setting
     from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, covers_frame
     from coded_aperture_ros.depth import DepthConfig
     from coded_aperture_ros.imaging import KnownNoise
@@ -103,11 +117,15 @@ def _restorer(args: argparse.Namespace, bank: Any) -> Callable[[NamedFrame], tup
     config = config_from(args, DeblurConfig)
     noise = dataclasses.asdict(KnownNoise.of(config, camera, bank))
     config = dataclasses.replace(config, **noise)
-    deblurrer = Deblurrer(bank.stack, config)
+    deblurrer = Deblurrer(bank.stack, config, _iterations)
+    if camera is not None:
+        check_setting(bank, camera)
     given = None if args.depth == "auto" else _blur_sizes_of_file(args, bank, camera)
     if given is None:
+        # A picture from depth that is not sure shows that itself.
+        depth = DepthConfig(**noise, check_fit=False)
         with naming(args.camera or args.bank):
-            pipeline = FramePipeline(bank, camera, DepthConfig(**noise), config)
+            pipeline = FramePipeline(bank, camera, depth, config, _iterations)
 
     def restored(frame: NamedFrame) -> tuple[Any, Any]:
         blur_size_px: Any = given
@@ -125,6 +143,10 @@ def _restorer(args: argparse.Namespace, bank: Any) -> Callable[[NamedFrame], tup
         return deblurrer.deblur(frame.image, blur_size_px, motion_px=motion_px), blur_size_px
 
     return restored
+
+
+def _iterations(steps: Iterable[Any]) -> Iterable[Any]:
+    return progress(steps, unit="iteration")
 
 
 def _motion(args: argparse.Namespace) -> Any:

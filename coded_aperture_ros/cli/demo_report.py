@@ -90,7 +90,7 @@ def _comparison(snapshot: "dict[str, NDArray]") -> "NDArray":
                 ("all in focus", light(topics.DEBLURRED)),
             ],
             [
-                ("relative error of depth; grey: unknown", error_picture(error, _LARGEST_ERROR)),
+                ("relative error of depth; hatched: unknown", error_picture(error, _LARGEST_ERROR)),
                 ("true depth", depth_picture(truth, near_m, far_m)),
                 ("sharp scene", light(topics.TRUE_IMAGE)),
             ],

@@ -1,7 +1,9 @@
 """`coded_aperture depth`: depth maps from coded frames."""
 
 import argparse
+import dataclasses
 import json
+import logging
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -17,8 +19,19 @@ from coded_aperture_ros.cli.estimators import (
     expected_motion_of,
     pipeline_of,
 )
-from coded_aperture_ros.cli.frames import NamedFrame, add_input_options, named_frames
-from coded_aperture_ros.cli.options import add_deprecated_alias, add_gamma_option, add_options
+from coded_aperture_ros.cli.frames import (
+    NamedFrame,
+    Unusable,
+    add_input_options,
+    named_frames,
+    suitable,
+)
+from coded_aperture_ros.cli.options import (
+    add_deprecated_alias,
+    add_gamma_option,
+    add_options,
+    scale_factor,
+)
 from coded_aperture_ros.core.errors import InputError
 
 _SUFFIXES = (".npy", ".tif", ".tiff", ".png")
@@ -36,6 +49,10 @@ _EPILOG = """examples:
     coded_aperture depth --bank bank.npz --motion coded.png -o moving.npy
 """
 _NOT_ASKED = "nothing expected"
+_LOSSY = (
+    "compressed with loss: reckoned with noise of {:.4f} or more, and less depth is sure: record "
+    "pictures without loss, such as PNG"
+)
 # What has moved by this much during the exposure counts as moving.
 _MOVING_PX = 0.5
 
@@ -70,12 +87,18 @@ def add_parser(subparsers: Any) -> None:
     add_deprecated_alias(parser, "--levels", add_options(parser, as_levels))
     add_options(parser, {"--pictures": "write colour pictures of depth and confidence too"})
     add_gamma_option(parser)
+    scale = {
+        "--frame-scale S": "resample frames by S to the size that the bank is for; maps keep "
+        "the frames' own size (default %(default)s)"
+    }
+    add_options(parser, scale, type=scale_factor, default=1.0)
     add_options(parser, {"--json": "print a summary as JSON"})
     parser.add_late_options = add_estimator_settings
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
+    from coded_aperture_ros.methods.choose import bank_of
     from coded_aperture_ros.optics import load_camera
 
     check_estimator_options(args)
@@ -85,49 +108,71 @@ def run(args: argparse.Namespace) -> int:
         args.usage_error("--look-ahead: not with --angular-velocity, which is of one frame")
     if args.as_levels and args.output.lower().endswith(".png"):
         raise InputError(f"{args.output}: a PNG has depths in mm, write levels to .npy or .tiff")
+    if args.frame_scale != 1 and (args.look_ahead or args.motion):
+        args.usage_error("--frame-scale: not with --look-ahead or --motion")
     camera = load_camera(args.camera) if args.camera else None
+    if args.frame_scale != 1 and camera is not None:
+        # Resampling changes the noise: it is estimated.
+        camera = dataclasses.replace(camera, noise=0.0, noise_gain=0.0)
     pipeline = pipeline_of(args, camera)
     prior = expected_motion_of(args, camera)
+    levels = len(pipeline.estimator.model.stack)
     both_sides = pipeline.estimator.model.stack.has_both_sides
 
     def files(path: Path) -> dict[str, Path]:
         return _files(path, args, both_sides)
 
-    frames = named_frames(args, ".npy", _SUFFIXES, lambda path: files(path).values())
+    unusable, bank = Unusable(), bank_of(pipeline.estimator.model)
+    frames = named_frames(args, ".npy", _SUFFIXES, lambda path: files(path).values(), unusable)
     summaries: list[dict[str, Any]] = []
-    for _, video in groupby(frames, key=lambda frame: frame.video):
+    config = pipeline.estimator.config
+    for (_, lost), video in groupby(frames, key=lambda frame: (frame.video, frame.least_noise)):
+        least_noise = max(config.least_noise, lost)
+        pipeline.reconfigure(depth=dataclasses.replace(config, least_noise=least_noise))
+        if lost:
+            logging.warning(_LOSSY.format(least_noise))
         pipeline.reset()
         if args.look_ahead:
-            results = _with_look_ahead(pipeline, video)
+            results = _with_look_ahead(pipeline, video, bank)
         else:
-            results = _in_turn(pipeline, video, prior)
+            results = _in_turn(pipeline, video, prior, bank, args.frame_scale, unusable)
         for frame, estimate, seconds in results:
             values = estimate.depth_m
             if args.as_levels or values is None:
                 values = estimate.level
-            _write(files(frame.output), values, estimate, args)
+            _write(files(frame.output), values, estimate, args, levels)
             summary = _summary(frame, values, estimate, seconds, args)
             summaries.append(summary)
             if not args.json:
                 print(f"{frame.output}: {_in_words(summary)}")
     if args.json:
         print(json.dumps(summaries))
-    return 0
+    return unusable.status()
 
 
 def _in_turn(
-    pipeline: Any, frames: Iterator[NamedFrame], prior: Any
+    pipeline: Any,
+    frames: Iterator[NamedFrame],
+    prior: Any,
+    bank: Any,
+    scale: float,
+    unusable: Unusable,
 ) -> Iterator[tuple[NamedFrame, Any, float]]:
     """Yield every frame, what is estimated of it, and how long that took, s."""
-    for frame in frames:
+    for found in frames:
         start = time.perf_counter()
-        with naming(frame.source):
-            estimate = pipeline(frame.image, prior=prior).depth
+        try:
+            with naming(found.source):
+                frame = suitable(found, bank, scale)
+                estimate = pipeline(frame.image, size=frame.size, prior=prior).depth
+        except InputError as error:
+            unusable.note(error)
+            continue
         yield frame, estimate, time.perf_counter() - start
 
 
 def _with_look_ahead(
-    pipeline: Any, frames: Iterator[NamedFrame]
+    pipeline: Any, frames: Iterator[NamedFrame], bank: Any
 ) -> Iterator[tuple[NamedFrame, Any, float]]:
     """Do the same with frames that are estimated several at a time: the first takes the time."""
     waiting: deque[NamedFrame] = deque()
@@ -136,6 +181,8 @@ def _with_look_ahead(
     def images() -> Iterator[Any]:
         try:
             for frame in frames:
+                with naming(frame.source):
+                    suitable(frame, bank, 1.0)
                 waiting.append(frame)
                 yield frame.image
         except InputError as error:
@@ -168,6 +215,8 @@ def _summary(
         "median": round(float(np.median(values[known])), 4) if known.any() else None,
         "median_std_dev_m": None,
         "noise": round(estimate.noise, 6),
+        "health": None if estimate.health is None else round(estimate.health.value, 3),
+        "cause": "" if estimate.health is None else estimate.health.cause,
         "seconds": round(seconds, 3),
     }
     if not args.as_levels and known.any():
@@ -180,6 +229,8 @@ def _summary(
 
 
 def _in_words(summary: dict[str, Any]) -> str:
+    from coded_aperture_ros.depth import Health
+
     if summary["median"] is None:
         found = "depth unknown everywhere (too dark, saturated, or without texture)"
     else:
@@ -191,6 +242,8 @@ def _in_words(summary: dict[str, Any]) -> str:
         found += f", {100 * summary['moving']:.0f} % moving"
         if summary["searched"] not in ("", _NOT_ASKED):
             found += f" (all motions tried: {summary['searched']})"
+    if summary["cause"]:
+        found += f"; {Health(summary['health'], summary['cause'])}"
     return f"{found}; noise {summary['noise']:.4f}, {summary['seconds']:.2f} s"
 
 
@@ -210,7 +263,9 @@ def _files(path: Path, args: argparse.Namespace, both_sides: bool) -> dict[str, 
     return {"depth": path, **{name: path.with_suffix(end) for name, end in ends.items()}}
 
 
-def _write(files: dict[str, Path], values: Any, estimate: Any, args: argparse.Namespace) -> None:
+def _write(
+    files: dict[str, Path], values: Any, estimate: Any, args: argparse.Namespace, levels: int
+) -> None:
     from coded_aperture_ros.io import confidence_picture, depth_picture, write_depth, write_image
 
     results = {"depth": values, "confidence": estimate.confidence}
@@ -221,5 +276,9 @@ def _write(files: dict[str, Path], values: Any, estimate: Any, args: argparse.Na
     for name in results.keys() & files.keys():
         write_depth(files[name], results[name])
     if args.pictures:
-        write_image(files["picture"], depth_picture(values, unit="" if args.as_levels else "m"))
+        if args.as_levels:
+            picture = depth_picture(values, 0, levels - 1, unit="")
+        else:
+            picture = depth_picture(values)
+        write_image(files["picture"], picture)
         write_image(files["confidence picture"], confidence_picture(estimate.confidence))

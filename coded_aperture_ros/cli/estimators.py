@@ -86,7 +86,7 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
 
     `camera` is that of `--camera`, if any; `deblur` a `DeblurConfig`, None to deblur nothing.
     """
-    from coded_aperture_ros.bank import load_bank
+    from coded_aperture_ros.bank import check_setting, load_bank
     from coded_aperture_ros.depth import DepthConfig, refinement_note, side_warning
     from coded_aperture_ros.methods.choose import new_model
     from coded_aperture_ros.methods.motion import MotionConfig
@@ -101,6 +101,8 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
             "--as-levels for level indices"
         )
     with naming(args.camera or args.bank):
+        if bank is not None and camera is not None:
+            check_setting(bank, camera)
         model = new_model(
             "motion" if args.motion else args.method,
             camera=camera,

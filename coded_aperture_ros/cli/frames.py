@@ -1,8 +1,10 @@
 """Input frames and output names that `depth` and `deblur` share."""
 
 import argparse
+import contextlib
 import dataclasses
 import logging
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -18,7 +20,8 @@ class NamedFrame:
     """A frame, and what is known about it.
 
     `video` changes where other frames begin: with every folder, video and bag. Pictures that are
-    given one after the other belong together.
+    given one after the other belong together. `least_noise` is what lossy compression has hidden,
+    in linear light; `size` that of the maps, rows and columns, where the frame was resampled.
     """
 
     source: str  # what to call it in messages
@@ -26,6 +29,8 @@ class NamedFrame:
     image: Any  # linear light
     stamp_ns: int | None  # when it was taken
     video: int
+    least_noise: float = 0.0
+    size: tuple[int, int] | None = None
 
 
 def add_input_options(parser: argparse.ArgumentParser, output_help: str) -> None:
@@ -39,11 +44,61 @@ def add_input_options(parser: argparse.ArgumentParser, output_help: str) -> None
     parser.add_argument("-o", "--output", required=True, metavar="OUT", help=output_help)
 
 
+def suitable(frame: NamedFrame, bank: Any, scale: float) -> NamedFrame:
+    """Resample a frame by a scale; an `InputError` if it is then not of the bank's size."""
+    from coded_aperture_ros.bank import check_frame_size
+    from coded_aperture_ros.imaging import resampled
+
+    size = frame.image.shape[:2]
+    if scale != 1:
+        frame = dataclasses.replace(frame, image=resampled(frame.image, scale), size=size)
+    if bank is not None:
+        check_frame_size(bank, frame.image.shape[1], frame.image.shape[0])
+    return frame
+
+
+class Unusable:
+    """Takes down pictures that cannot be used; one by itself ends the command."""
+
+    def __init__(self) -> None:
+        self.alone = True
+        self._reasons: list[str] = []
+
+    def note(self, error: InputError) -> None:
+        """Go on after an error, or raise it."""
+        if self.alone:
+            raise error
+        self._reasons.append(str(error))
+
+    def status(self) -> int:
+        """Say what could not be used, and return the exit status."""
+        for reason in self._reasons:
+            print(f"coded_aperture: not used: {reason}", file=sys.stderr)
+        return int(bool(self._reasons))
+
+
+def readable(source: Any, unusable: Unusable | None) -> Iterator[Any]:
+    """Go through the frames of a source, and close it in the end."""
+    with contextlib.closing(source):
+        while True:
+            try:
+                capture = source.read()
+            except InputError as error:
+                if unusable is None:
+                    raise
+                unusable.note(error)
+                continue
+            if capture is None:
+                return
+            yield capture
+
+
 def named_frames(
     args: argparse.Namespace,
     suffix: str,
     suffixes: Sequence[str],
     outputs: Callable[[Path], Iterable[Path]] = lambda output: (output,),
+    unusable: Unusable | None = None,
 ) -> Iterator[NamedFrame]:
     """Go through every frame of every input.
 
@@ -52,10 +107,12 @@ def named_frames(
     that ends in `suffix`. `outputs` gives all the files that belong to an output. That they can be
     written is checked before a frame is handed out. Raises `InputError` if several frames would go
     to one file, an input cannot be read, or an output cannot be written or would overwrite an
-    input.
+    input. Of several pictures, those that cannot be read are left to `unusable`, if it is given.
     """
-    from coded_aperture_ros.imaging import linear_from_pixels
-    from coded_aperture_ros.io.sources import PictureSource, captures, open_files
+    import numpy as np
+
+    from coded_aperture_ros.imaging import light_per_stored, linear_from_pixels
+    from coded_aperture_ros.io.sources import PictureSource, open_files
 
     sources = [(given, open_files(given)) for given in args.inputs]
     lengths = [source.length for _, source in sources]
@@ -80,13 +137,16 @@ def named_frames(
             "use a folder for each"
         )
 
+    if unusable is not None:
+        unusable.alone = total == 1 or len(pictures) < len(sources)
+
     def frames() -> Iterator[tuple[str, Any, int]]:
         video, alone = 0, False
         for given, source in sources:
             before = alone
             alone = isinstance(source, PictureSource) and source.files == (Path(given),)
             video += not (before and alone)
-            for capture in captures(source):
+            for capture in readable(source, unusable):
                 yield given if alone else f"{given}, frame {capture.name}", capture, video
             if source.damage:
                 logging.warning(f"{given}: read up to the damage: {source.damage}")
@@ -96,4 +156,7 @@ def named_frames(
         for path in outputs(target):
             check_output(path, files)
         image = linear_from_pixels(capture.frame, args.gamma)
-        yield NamedFrame(given, target, image, capture.stamp_ns, video)
+        least_noise = capture.lost * light_per_stored(
+            float(np.nan_to_num(image).mean()), args.gamma
+        )
+        yield NamedFrame(given, target, image, capture.stamp_ns, video, round(least_noise, 4))

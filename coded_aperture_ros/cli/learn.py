@@ -127,6 +127,7 @@ def run(args: argparse.Namespace) -> int:
         "rank": bank.basis.shape[1],
         "truncation_error": round(bank.truncation_error, 6),
         "learned_from": bank.learned_from,
+        **_resolution(args, bank),
         "seconds": round(time.perf_counter() - start, 3),
     }
     if trials:
@@ -141,6 +142,12 @@ def _text(summary: dict[str, Any]) -> str:
             **summary
         )
     ]
+    if "resolution_near_m" in summary:
+        steps = [summary[f"resolution_{name}_m"] for name in ("near", "middle", "far")]
+        told = ["none" if step is None else f"{step:.2g} m" for step in steps]
+        lines.append(
+            f"  depth steps of 1 px of blur: {told[0]} near, {told[1]} amid, {told[2]} far"
+        )
     for trial in summary.get("tried", []):
         chosen = all(trial[name] == summary[name] for name in ("window_px", "stride_px"))
         lines.append(
@@ -255,6 +262,25 @@ def _tuned(args: argparse.Namespace) -> Any:
     config = DepthConfig(temporal_frames=VIDEO_FRAMES, threads=args.budget_threads)
     with naming(args.camera):
         return tune(learn, shape, args.budget_ms, config, progress)
+
+
+def _resolution(args: argparse.Namespace, bank: Any) -> dict[str, float | None]:
+    """Return which steps of depth the camera tells apart at the near end, amid, and at the far end.
+
+    None where infinity looks the same; nothing without a camera file.
+    """
+    from coded_aperture_ros.design.setting import resolution_m
+    from coded_aperture_ros.optics import load_camera
+
+    if args.camera is None or bank.stack.depths_m is None:
+        return {}
+    near_m, far_m = sorted(bank.stack.depths_m[[0, -1]].tolist())
+    depths_m = {"near": near_m, "middle": 2 / (1 / near_m + 1 / far_m), "far": far_m}
+    steps_m = resolution_m(load_camera(args.camera), list(depths_m.values())).tolist()
+    return {
+        f"resolution_{name}_m": round(step, 4) if math.isfinite(step) else None
+        for name, step in zip(depths_m, steps_m, strict=True)
+    }
 
 
 def _prior(args: argparse.Namespace) -> Any:

@@ -18,7 +18,18 @@ from coded_aperture_ros.core.blas import slow_blas_warning
 from coded_aperture_ros.core.errors import InputError
 
 PROGRAM = "coded_aperture"
-_NAMES = ("demo", "calibrate", "mask", "learn", "depth", "deblur", "simulate", "bag", "bench")
+_NAMES = (
+    "demo",
+    "check",
+    "calibrate",
+    "mask",
+    "learn",
+    "depth",
+    "deblur",
+    "simulate",
+    "bag",
+    "bench",
+)
 COMMANDS: dict[str, Any] = {
     name: import_module(f"coded_aperture_ros.cli.{name}") for name in _NAMES
 }

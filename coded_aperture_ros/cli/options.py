@@ -240,6 +240,14 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     )
 
 
+def scale_factor(text: str) -> float:
+    """Read a factor that frames are resampled by."""
+    factor = float(text)
+    if not 0.1 <= factor <= 10:
+        raise argparse.ArgumentTypeError(f"expected 0.1 to 10, got {text}")
+    return factor
+
+
 def noise_level(text: str) -> float:
     """Parse a standard deviation in linear light."""
     value = float(text)

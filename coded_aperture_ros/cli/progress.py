@@ -4,16 +4,13 @@ import sys
 from collections.abc import Iterable
 from typing import Any
 
+_DELAY_S = 2
+
 
 def progress(items: Iterable[Any], total: int | None = None, unit: str = "it") -> Iterable[Any]:
-    """Return `items`, with a progress bar on stderr if that is a terminal.
-
-    Needs tqdm, which the extra `[eval]` installs; without it there is no bar.
-    """
+    """Return `items`, with a progress bar on stderr if that is a terminal."""
     if not sys.stderr.isatty():
         return items
-    try:
-        from tqdm import tqdm
-    except ImportError:
-        return items
-    return tqdm(items, total=total, unit=unit, delay=2, leave=False)
+    from tqdm import tqdm
+
+    return tqdm(items, total=total, unit=unit, delay=_DELAY_S, leave=False)

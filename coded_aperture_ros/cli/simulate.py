@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from coded_aperture_ros.cli.bench import of_benchmarks
 from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
 from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import add_gamma_option, add_options, mask_of
@@ -110,7 +111,6 @@ def _random(args: argparse.Namespace, sensor: Any) -> int:
 
     from coded_aperture_ros.core.files import atomic_output
     from coded_aperture_ros.io import write_depth, write_image
-    from coded_aperture_ros.simulation.layered import random_scene
 
     output, mask = Path(args.output), args.mask or "levin"
     beside = {
@@ -125,7 +125,8 @@ def _random(args: argparse.Namespace, sensor: Any) -> int:
         check_output(path)
     width, height = args.size or _SIZE
     start = time.perf_counter()
-    scene = random_scene(args.random, mask_of(mask), args.side, (height, width))
+    make = of_benchmarks("layered", "--random").random_scene
+    scene = make(args.random, mask_of(mask), args.side, (height, width))
     coded, depth_m = scene.coded(), scene.depth_m()
     seconds = time.perf_counter() - start
     write_image(output, sensor.expose(coded, np.random.default_rng(args.seed)))

@@ -20,6 +20,7 @@ from coded_aperture_ros.deblur.least_squares import ConjugateGradients, Sparse
 from coded_aperture_ros.deblur.problem import (
     Method,
     Problem,
+    Progress,
     VideoState,
     measured_pixels,
     motion_of_frame,
@@ -40,10 +41,14 @@ class Deblurrer:
     ----------
     stack : PsfStack
         PSFs of the blur levels, as a filter bank has them.
+    progress : callable, optional
+        Wraps the iterations over one frame of `cg` and `sparse`, as ``tqdm.tqdm`` does.
     """
 
-    def __init__(self, stack: PsfStack, config: DeblurConfig | None = None) -> None:
-        self.stack, self.config = stack, config or DeblurConfig()
+    def __init__(
+        self, stack: PsfStack, config: DeblurConfig | None = None, progress: Progress = iter
+    ) -> None:
+        self.stack, self.config, self._progress = stack, config or DeblurConfig(), progress
         self._basis = cache(lambda: PsfBasis.of(stack))
         self._workers = Workers(thread_count(self.config.threads))
         self._closed_form = self._new_closed_form()
@@ -136,7 +141,8 @@ class Deblurrer:
         noise = noise or channel_noise(frame, KnownNoise.of(self.config))
         channels, frame_count = self._video.add(opponents(frame), noise)
         known = known_pixels(blur_size_px, frame.shape)
-        problem = Problem(channels, frame_count, measured, blur, known, motion, noise)
+        data = channels, frame_count, measured, blur, known, motion, noise
+        problem = Problem(*data, self._progress)
         sharp = self._method.restore(problem, self._video)
         if not self._method.sees_past_saturation and not measured.all():
             sharp = np.where(recorded >= self.config.saturation, recorded, sharp)

@@ -2,7 +2,8 @@
 
 import abc
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fast import ClosedForm
 from coded_aperture_ros.deblur.occlusion import OccludedBlur
 from coded_aperture_ros.deblur.operator import BlurOperator, SpreadingBlur, motion_parts
-from coded_aperture_ros.deblur.problem import Problem, VideoState, from_opponents
+from coded_aperture_ros.deblur.problem import Problem, Progress, VideoState, from_opponents
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.likelihood import torch_device
 
@@ -40,6 +41,7 @@ class Fit:
     expected: list[FloatArray]  # what the scene is about
     noise: float  # standard deviation
     config: DeblurConfig  # with a factor of alpha, and when to stop
+    progress: Progress = iter
 
 
 class Iterative(abc.ABC):
@@ -81,6 +83,7 @@ class Iterative(abc.ABC):
                 closed_forms,
                 noise,
                 self._config,
+                problem.progress,
             )
         )
         video.keep(restored)
@@ -151,19 +154,21 @@ def conjugate_gradients(
     preconditioner: Linear,
     tolerance: float,
     iterations: int,
+    steps: Iterable[Any] = repeat(None),
 ) -> tuple[Any, int]:
     """Solve ``system(x) = right_side``.
 
     Stops when the gradient (thesis eq. 6.28) is below `tolerance` times the right side's norm, or
     after so many iterations; returns the solution, and how many it took. `system`, and its near
-    inverse `preconditioner`, are linear, symmetric and positive definite. Arrays are float32.
+    inverse `preconditioner`, are linear, symmetric and positive definite. Arrays are float32. Every
+    iteration takes one of `steps`.
     """
     solution = start + 0
     residual = right_side - system(solution)
     enough = tolerance**2 * _product(right_side, right_side)
     direction = 0 * solution
     last = 1.0
-    for iteration in range(iterations):
+    for iteration, _ in zip(range(iterations), steps, strict=False):
         if _product(residual, residual) <= enough:
             return solution, iteration
         conditioned = preconditioner(residual)

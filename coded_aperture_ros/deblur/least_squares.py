@@ -76,6 +76,8 @@ def restore_quadratic(fit: Fit) -> tuple[list[FloatArray], int]:
     power = operator.array(quadratic_power(operator.scene_shape))
     ranges, trusted = operator.ranges(RANGES), operator.array(fit.weight)
     restored, most = [], 0
+    iterations = fit.config.iterations or _MOST
+    steps = iter(fit.progress(range(iterations * len(fit.channels))))
     for number, (coded, begin) in enumerate(zip(fit.channels, fit.start, strict=True)):
         penalty = (_COLOUR_OF_QUADRATIC if number else 1.0) * alpha * power
         scene, needed = conjugate_gradients(
@@ -84,7 +86,8 @@ def restore_quadratic(fit: Fit) -> tuple[list[FloatArray], int]:
             operator.around(begin),
             preconditioner(fit, ranges, float(fit.weight.mean()), penalty, penalty.max()),
             fit.config.tolerance,
-            fit.config.iterations or _MOST,
+            iterations,
+            steps,
         )
         restored.append(frame_within(operator.to_numpy(scene), operator)[0])
         most = max(most, needed)
@@ -120,6 +123,7 @@ def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
     exact = operator.hidden is None
     held_by = np.float32(0) if exact else _HELD
     trusted = fit.weight
+    steps = iter(fit.progress(range(iterations * len(channels))))
     for done in range(0, iterations, between):
         if done:
             pairs = zip(channels, scenes, strict=True)
@@ -153,6 +157,7 @@ def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
                 ),
                 config.tolerance * _OF_ONE_SET,
                 min(between, iterations - done),
+                steps,
             )
     return [frame_within(scene, operator)[0] for scene in scenes]
 

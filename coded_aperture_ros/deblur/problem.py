@@ -1,7 +1,8 @@
 """What a method of deblurring gets, of a frame and of a video, and what it has to do."""
 
 import dataclasses
-from typing import Protocol
+from collections.abc import Callable, Iterable
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ _DARKEST = -1.0
 _OPPONENTS = np.float32(np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]]))
 # A place that is the mean of more frames than this has not changed.
 _STATIC = 1.5
+Progress = Callable[[Iterable[Any]], Iterable[Any]]
 
 
 def measured_pixels(frame: FloatArray, saturation: float) -> tuple[FloatArray, BoolArray]:
@@ -136,6 +138,7 @@ class Problem:
     known: BoolArray  # where a blur size was given [rows, columns]
     motion_px: FloatArray | None  # [rows, columns, 2]; None if nothing moves
     noise: float  # standard deviation of one channel of one frame
+    progress: Progress = iter
 
 
 class Method(Protocol):

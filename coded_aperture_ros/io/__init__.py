@@ -1,6 +1,11 @@
 """Pictures and depth maps on disk; in `sources`, whatever gives frames."""
 
-from coded_aperture_ros.io.depth_picture import confidence_picture, depth_picture, error_picture
+from coded_aperture_ros.io.depth_picture import (
+    confidence_picture,
+    depth_picture,
+    error_picture,
+    grey_picture,
+)
 from coded_aperture_ros.io.picture_file import (
     PICTURE_SUFFIXES,
     picture_files,
@@ -15,6 +20,7 @@ __all__ = [
     "confidence_picture",
     "depth_picture",
     "error_picture",
+    "grey_picture",
     "picture_files",
     "read_depth",
     "read_image",

@@ -1,5 +1,7 @@
 """Pictures of depth and confidence for people to look at."""
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -7,7 +9,8 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 
-UNKNOWN_RGB = (70, 70, 70)
+# Unknown is hatched: no single colour is unlike all depths.
+UNKNOWN_RGB, _HATCH_RGB, _HATCH_PX = (225, 225, 225), (170, 170, 170), 6
 _BAR_HEIGHT = 14
 _STRIP_HEIGHT = 40
 _MARGIN = 12
@@ -22,7 +25,7 @@ def depth_picture(
     Parameters
     ----------
     depth_m : ndarray of float, shape [h, w]
-        Metres; NaN, drawn in grey, is unknown.
+        Metres; NaN, hatched in grey, is unknown.
     near_m, far_m : float, optional
         Ends of the scale; by default those of the finite depths, less 1 % outliers on each side.
     unit : str, optional
@@ -38,7 +41,7 @@ def depth_picture(
     near_m, far_m = _range(depth_m, near_m, far_m)
     nearness = (far_m - np.nan_to_num(depth_m, nan=far_m, posinf=far_m)) / (far_m - near_m)
     picture = _turbo(nearness)
-    picture[np.isnan(depth_m)] = UNKNOWN_RGB
+    _hatch(picture, np.isnan(depth_m))
     return np.vstack([picture, _scale_strip(depth_m.shape[1], near_m, far_m, unit)])
 
 
@@ -48,7 +51,7 @@ def error_picture(error: NDArray, largest: float) -> NDArray[np.uint8]:
     Parameters
     ----------
     error : ndarray of float, shape [h, w]
-        As a share; NaN, drawn in grey, is unknown.
+        As a share; NaN, hatched in grey, is unknown.
     largest : float
         The end of the scale.
 
@@ -58,14 +61,35 @@ def error_picture(error: NDArray, largest: float) -> NDArray[np.uint8]:
         RGB; as high as a `depth_picture`.
     """
     picture = _turbo(np.nan_to_num(error, posinf=largest) / largest)
-    picture[np.isnan(error)] = UNKNOWN_RGB
+    _hatch(picture, np.isnan(error))
     strip = _scale_strip(error.shape[1], 0.0, 100 * largest, "%", rising=True)
     return np.vstack([picture, strip])
 
 
 def confidence_picture(confidence: NDArray) -> NDArray[np.uint8]:
-    """Draw confidences 0 to 1 from black to white; unknown is black. Shape [h, w]."""
-    return np.rint(np.clip(np.nan_to_num(confidence), 0.0, 1.0) * 255.0).astype(np.uint8)
+    """Draw confidences 0 to 1 from black to white above a scale bar; unknown is black.
+
+    Shape [h + strip, w, 3].
+    """
+    picture = cv2.cvtColor(grey_picture(confidence), cv2.COLOR_GRAY2RGB)
+    strip = _scale_strip(confidence.shape[1], 0.0, 1.0, "", colours=_greys)
+    return np.vstack([picture, strip])
+
+
+def grey_picture(values: NDArray) -> NDArray[np.uint8]:
+    """Draw values 0 to 1 from black to white; unknown is black. Shape [h, w]."""
+    return np.rint(np.clip(np.nan_to_num(values), 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def _greys(values: NDArray) -> NDArray[np.uint8]:
+    # The scale of depths begins with the nearest.
+    return cv2.cvtColor(grey_picture(1 - values), cv2.COLOR_GRAY2RGB)
+
+
+def _hatch(picture: NDArray[np.uint8], unknown: NDArray) -> None:
+    rows, columns = np.nonzero(unknown)
+    striped = (rows + columns) // 2 % _HATCH_PX == 0
+    picture[rows, columns] = np.where(striped[:, None], _HATCH_RGB, UNKNOWN_RGB)
 
 
 def _range(depth_m: NDArray, near_m: float | None, far_m: float | None) -> tuple[float, float]:
@@ -83,7 +107,12 @@ def _turbo(values: NDArray) -> NDArray[np.uint8]:
 
 
 def _scale_strip(
-    width: int, near_m: float, far_m: float, unit: str, rising: bool = False
+    width: int,
+    near_m: float,
+    far_m: float,
+    unit: str,
+    rising: bool = False,
+    colours: Callable[[NDArray], NDArray[np.uint8]] | None = None,
 ) -> NDArray[np.uint8]:
     strip = np.full((_STRIP_HEIGHT, width, 3), 255, dtype=np.uint8)
     length = width - 2 * _MARGIN
@@ -91,7 +120,7 @@ def _scale_strip(
         # Too narrow for a legible scale: the strip keeps its size, so that pictures line up.
         return strip
     ends = (0.0, 1.0) if rising else (1.0, 0.0)
-    bar = _turbo(np.linspace(*ends, length)[None, :].repeat(_BAR_HEIGHT, axis=0))
+    bar = (colours or _turbo)(np.linspace(*ends, length)[None, :].repeat(_BAR_HEIGHT, axis=0))
     strip[4 : 4 + _BAR_HEIGHT, _MARGIN : _MARGIN + length] = bar
     for tick_m in _ticks(near_m, far_m, max(2, length // 70)):
         column = _MARGIN + round((tick_m - near_m) / (far_m - near_m) * (length - 1))

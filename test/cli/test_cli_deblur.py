@@ -1,9 +1,16 @@
 """The commands `deblur` and `simulate`: the two ends of the chain."""
 
 import dataclasses
+import fcntl
 import json
 import logging
+import os
+import pty
+import select
 import shutil
+import struct
+import sys
+import termios
 
 import cv2
 import numpy as np
@@ -23,6 +30,8 @@ from cli_scene import (
 )
 
 from coded_aperture_ros.bank import load_bank, save_bank
+from coded_aperture_ros.cli import progress
+from coded_aperture_ros.cli.main import main
 from coded_aperture_ros.deblur import Parallax, anaglyph, side_by_side, stereo_pair
 from coded_aperture_ros.imaging import SRGB
 from coded_aperture_ros.io import read_image
@@ -117,6 +126,54 @@ def test_8_bit_pictures_keep_their_encoding(scene, tmp_path, capsys):
     assert call(capsys, "deblur", *arguments, "--gamma", "srgb", "-o", output).status == 0
     assert cv2.imread(str(output), cv2.IMREAD_UNCHANGED).dtype == np.uint8
     assert gain_db(read_image(output, SRGB), scene) > 2
+
+
+@pytest.fixture
+def terminal():
+    """A terminal, and what has been written to it since one last asked."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("4H", 24, 80, 0, 0))
+    with open(theirs, "w") as stderr:  # noqa: PTH123  a number, no path
+
+        def written():
+            stderr.flush()
+            text = b""
+            while select.select([ours], [], [], 0.2)[0]:
+                text += os.read(ours, 4096)
+            return text.decode()
+
+        yield stderr, written
+    os.close(ours)
+
+
+@pytest.mark.parametrize(("method", "steps"), [("sparse", 3 * 3), ("cg", 3 * 3), ("fast", 0)])
+@pytest.mark.parametrize("depth", ["auto", "file"])
+def test_progress_of_one_picture_goes_over_its_iterations(
+    scene, tmp_path, terminal, monkeypatch, method, steps, depth
+):
+    stderr, written = terminal
+    monkeypatch.setattr(sys, "stderr", stderr)
+    depth = scene.depth_npy if depth == "file" else depth
+    arguments = ["deblur", "--bank", scene.bank, "--depth", depth, "-o", tmp_path / "a.png"]
+    arguments += ["--method", method, "--iterations", 3, scene.coded_npy]
+    assert main([str(argument) for argument in arguments]) == 0
+    assert "it" not in written()  # that takes less than two seconds
+    monkeypatch.setattr(progress, "_DELAY_S", 0)
+    assert main([str(argument) for argument in arguments]) == 0
+    assert (f"/{steps} [" in written()) == bool(steps)
+
+
+def test_progress_of_several_pictures_goes_over_them(scene, tmp_path, terminal, monkeypatch):
+    stderr, written = terminal
+    monkeypatch.setattr(sys, "stderr", stderr)
+    monkeypatch.setattr(progress, "_DELAY_S", 0)
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for name in "ab":
+        shutil.copy(scene.coded_npy, folder / f"{name}.npy")
+    arguments = ["deblur", "--bank", scene.bank, "--depth", "auto", folder, "-o", tmp_path / "b"]
+    assert main([str(argument) for argument in arguments]) == 0
+    assert "/2 [" in written()
 
 
 def test_smoothness_and_noise_reach_the_filter(scene, tmp_path, capsys):
@@ -514,7 +571,7 @@ def test_wrong_usage_of_simulate(scene, tmp_path, capsys, options, phrase):
 
 def test_a_random_scene_is_simulated_with_its_truth_beside_it(tmp_path, capsys):
     pytest.importorskip("numba", reason="random scenes need numba")
-    from coded_aperture_ros.simulation.layered import random_scene
+    from coded_aperture_benchmarks.layered import random_scene
 
     output = tmp_path / "out" / "coded.npy"
     cells = np.float32([[1, 1, 0], [0, 1, 0], [0, 1, 1]])

@@ -138,7 +138,18 @@ def test_every_command_explains_itself():
 
 def test_commands_are_listed_in_the_order_of_use():
     assert list(program.COMMANDS) == [
-        *("demo", "calibrate", "mask", "learn", "depth", "deblur", "simulate", "bag", "bench")
+        *(
+            "demo",
+            "check",
+            "calibrate",
+            "mask",
+            "learn",
+            "depth",
+            "deblur",
+            "simulate",
+            "bag",
+            "bench",
+        )
     ]
 
 

@@ -261,7 +261,10 @@ def test_depth_picture_colours_near_red_far_blue_unknown_grey():
     assert picture.dtype == np.uint8
     assert picture.shape[1:] == (200, 3)
     assert picture.shape[0] > 50
-    assert (picture[:10] == UNKNOWN_RGB).all()
+    unknown = picture[:10].reshape(-1, 3)
+    assert (np.ptp(unknown, axis=1) == 0).all()  # grey, which no depth is
+    assert {tuple(colour) for colour in unknown.tolist()} > {UNKNOWN_RGB}
+    assert (np.ptp(picture[10:50].astype(int), axis=2) > 20).all()
     near, far = picture[30, 5].astype(int), picture[30, 194].astype(int)
     assert near[0] > near[2]
     assert far[2] > far[0]
@@ -289,9 +292,13 @@ def test_depth_picture_with_a_fixed_range():
 
 
 def test_confidence_picture():
-    assert confidence_picture(np.array([[0, 0.5, 1, np.nan, 2]])).tolist() == [
-        [0, 128, 255, 0, 255]
-    ]
+    picture = confidence_picture(np.array([[0, 0.5, 1, np.nan, 2]]))
+    assert (picture[0] == np.array([0, 128, 255, 0, 255])[:, None]).all()
+    wide = confidence_picture(np.full((5, 300), 0.5))
+    bar = wide[13, :, 0].astype(int)
+    assert bar[20] < 40
+    assert bar[280] > 215
+    assert (np.diff(bar[15:285]) >= 0).all()
 
 
 def test_integer_pixels_span_their_type():

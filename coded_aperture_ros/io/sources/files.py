@@ -9,10 +9,15 @@ import cv2
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.imaging.decoding import lost_by_compression
 from coded_aperture_ros.io.picture_file import read_pixels
 from coded_aperture_ros.io.sources.source import Capture
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm", ".mpg", ".mpeg", ".mjpeg")
+
+# Codes of codecs that lose nothing, and what the others lose at usual rates.
+_LOSSLESS = (b"FFV1", b"HFYU", b"FFVH", b"LAGS", b"\0\0\0\0", b"DIB ", b"RAW ", b"I420", b"PNG ")
+_LOST_BY_VIDEO = 0.009
 
 Stored = TypeVar("Stored")
 
@@ -79,7 +84,8 @@ class PictureSource(FileSource[Path]):
         yield from self.files
 
     def _capture(self, stored: Path) -> Capture:
-        return Capture(read_pixels(stored), name=stored.stem)
+        lost = lost_by_compression(stored.read_bytes()) if _is_jpeg(stored) else 0.0
+        return Capture(read_pixels(stored), lost=lost, name=stored.stem)
 
 
 class VideoSource(FileSource[Capture]):
@@ -94,9 +100,11 @@ class VideoSource(FileSource[Capture]):
     def _stored(self) -> Generator[Capture, None, None]:
         (path,) = self.files
         video, index = _open_video(path), 0
+        code = int(video.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little")
+        lost = 0.0 if code.upper() in _LOSSLESS else _LOST_BY_VIDEO
         try:
             while (frame := _frame(video)) is not None:
-                yield Capture(frame, name=f"{path.stem}_{index:06d}")
+                yield Capture(frame, lost=lost, name=f"{path.stem}_{index:06d}")
                 index += 1
         finally:
             video.release()
@@ -105,6 +113,10 @@ class VideoSource(FileSource[Capture]):
 
     def _capture(self, stored: Capture) -> Capture:
         return stored
+
+
+def _is_jpeg(path: Path) -> bool:
+    return path.suffix.lower() in (".jpg", ".jpeg")
 
 
 def _open_video(path: Path) -> cv2.VideoCapture:

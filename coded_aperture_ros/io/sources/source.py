@@ -24,6 +24,8 @@ class Capture:
         The same view all in focus and without noise; of a simulator.
     stamp_ns : int, optional
         When it was taken, if that is known: nanoseconds of the clock of whoever took it.
+    lost : float
+        About how much noise lossy compression has hidden in it, in stored values from 0 to 1.
     name : str
         What to call it, and files made of it; empty where no file has it.
     """
@@ -32,6 +34,7 @@ class Capture:
     depth_m: FloatArray | None = None
     sharp: FloatArray | None = None
     stamp_ns: int | None = None
+    lost: float = 0.0
     name: str = ""
 
 

@@ -1,0 +1,206 @@
+"""Finds out what is wrong with a camera, a bank and frames before anybody relies on them."""
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+
+from coded_aperture_ros.bank import FilterBank, check_setting
+from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimate, DepthEstimator
+from coded_aperture_ros.design.setting import resolution_m, setting_of
+from coded_aperture_ros.optics import Camera
+
+OK, WARNING, FAILED = "ok", "warning", "failed"
+# A hole's blur below this, px, is no code any more; an Airy disc of this radius hides it.
+_LEAST_HOLE_PX, _AIRY_PX = 0.5, 1.0
+_FEWEST_LEVELS, _FEW_LEVELS = 2.0, 5.0
+_LITTLE_LIGHT = 0.15
+_SATURATED_SOME, _SATURATED_MUCH = 0.01, 0.1
+_NOISE_FACTOR = 2.0
+_COVERED = 0.2
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at.
+
+    Attributes
+    ----------
+    about : str
+        What, in a few words.
+    state : str
+        `OK`, `WARNING` or `FAILED`.
+    text : str
+        What was found.
+    remedy : str
+        What to do about it; empty if nothing.
+    numbers : dict of str to float
+        For machines.
+    """
+
+    about: str
+    state: str
+    text: str
+    remedy: str = ""
+    numbers: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+
+def camera_findings(camera: Camera, near_m: float, far_m: float) -> list[Finding]:
+    """Say what a camera can tell apart over a depth range, and at what price.
+
+    Raises
+    ------
+    InputError
+        If the range is not one of the camera's.
+    """
+    setting = setting_of(camera, near_m, far_m)
+    middle_m = 2 / (1 / near_m + 1 / far_m)
+    steps_m = resolution_m(camera, [near_m, middle_m, far_m])
+    numbers = dict(zip(("near_m", "middle_m", "far_m"), map(float, steps_m), strict=True))
+    steps = ", ".join(
+        f"{step:.2g} m at {depth:.3g} m" if math.isfinite(step) else f"none beyond {depth:.3g} m"
+        for step, depth in zip(steps_m, (near_m, middle_m, far_m), strict=True)
+    )
+    state = FAILED if setting.levels < _FEWEST_LEVELS else OK
+    if state == OK and setting.levels < _FEW_LEVELS:
+        state = WARNING
+    found = [
+        Finding(
+            "depth resolution",
+            state,
+            f"{setting.levels:.3g} depths can be told apart from {near_m:g} to {far_m:g} m, "
+            f"steps of {steps}",
+            "" if state == OK else "focus nearer to the scene, or use a wider mask: see calibrate",
+            {"levels": setting.levels, **numbers},
+        )
+    ]
+    holes_px = min(setting.hole_blur_near_px, setting.hole_blur_far_px)
+    largest_px = max(setting.hole_blur_near_px, setting.hole_blur_far_px)
+    state = FAILED if largest_px < _LEAST_HOLE_PX else OK if holes_px > _LEAST_HOLE_PX else WARNING
+    found.append(
+        Finding(
+            "blur",
+            state,
+            f"the mask blurs by {abs(setting.blur_size_near_px):.3g} px at the near end and "
+            f"{abs(setting.blur_size_far_px):.3g} px at the far end, its smallest hole by "
+            f"{holes_px:.2g} px or more",
+            ""
+            if state == OK
+            else "holes below half a pixel code nothing: use a wider mask, or "
+            "focus farther from the scene",
+            {"smallest_hole_px": holes_px},
+        )
+    )
+    diffracts = setting.airy_radius_px > _AIRY_PX
+    f_number = "" if setting.f_number is None else f"f/{setting.f_number:.2g} over the mask, "
+    found.append(
+        Finding(
+            "diffraction",
+            WARNING if diffracts else OK,
+            f"{f_number}the smallest hole of {setting.hole_width_mm:.2g} mm has an Airy disc of "
+            f"{setting.airy_radius_px:.2g} px radius",
+            f"use holes of {setting.diffraction_limit_mm:.2g} mm or more" if diffracts else "",
+            {"airy_radius_px": setting.airy_radius_px, "f_number": setting.f_number},
+        )
+    )
+    light = setting.open_fraction
+    found.append(
+        Finding(
+            "light",
+            WARNING if light < _LITTLE_LIGHT else OK,
+            f"the mask passes {100 * light:.0f} % of the light of its open square, "
+            f"{-math.log2(light):.1f} stops less",
+            "expose longer, or use a mask with more open area" if light < _LITTLE_LIGHT else "",
+            {"open_fraction": light},
+        )
+    )
+    return found
+
+
+class FrameCheckup:
+    """Looks at frames, one by one.
+
+    Parameters
+    ----------
+    camera : Camera
+        That took them.
+    bank : FilterBank
+        That is to be used for them.
+
+    Raises
+    ------
+    InputError
+        If the bank is not for the camera.
+    """
+
+    def __init__(self, camera: Camera, bank: FilterBank) -> None:
+        check_setting(bank, camera)
+        self._camera = camera
+        # The camera file's noise is what is compared with, not what is reckoned with.
+        blind = dataclasses.replace(camera, noise=0.0, noise_gain=0.0)
+        self._estimator = DepthEstimator(dataclasses.replace(bank, noise=0.0), DepthConfig(), blind)
+
+    def findings(self, frame: FloatArray) -> list[Finding]:
+        """Say what is wrong with a frame [rows, columns(, 3)], linear light."""
+        expected = self._camera.image_height, self._camera.image_width
+        size = "{1}x{0}".format(*frame.shape[:2])
+        if frame.shape[:2] != expected:
+            text = f"{size}, the camera file says {expected[1]}x{expected[0]}"
+            return [
+                Finding("size", FAILED, text, "correct the camera file and learn the bank again")
+            ]
+        found = [Finding("size", OK, size), _saturation(frame)]
+        try:
+            estimate = self._estimator.estimate(frame)
+        except InputError as error:
+            return [*found, Finding("frame", FAILED, str(error))]
+        return [*found, self._noise(estimate), _fit(estimate), _known(estimate)]
+
+    def close(self) -> None:
+        """End the estimator's threads."""
+        self._estimator.close()
+
+    def _noise(self, estimate: DepthEstimate) -> Finding:
+        said, found = self._camera.noise, estimate.noise
+        numbers = {"noise": found, "noise_of_the_file": said}
+        if not said:
+            return Finding("noise", OK, f"{found:.4f}; the camera file says nothing", "", numbers)
+        unlike = not 1 / _NOISE_FACTOR <= found / said <= _NOISE_FACTOR
+        return Finding(
+            "noise",
+            WARNING if unlike and not self._camera.noise_gain else OK,
+            f"{found:.4f}, the camera file says {said:.4f}",
+            "measure it with calibrate noise" if unlike else "",
+            numbers,
+        )
+
+
+def _saturation(frame: FloatArray) -> Finding:
+    share = float((~(frame < DepthConfig().saturation)).mean())
+    state = FAILED if share > _SATURATED_MUCH else WARNING if share > _SATURATED_SOME else OK
+    remedy = "" if state == OK else "expose for less time: saturated light has no depth"
+    return Finding("light", state, f"{100 * share:.1f} % saturated", remedy, {"saturated": share})
+
+
+def _fit(estimate: DepthEstimate) -> Finding:
+    health = estimate.health
+    if health is None:
+        return Finding("fit", OK, "cannot be told for this bank")
+    numbers = {"health": health.value, "cause": health.cause}
+    remedy = "" if health.fits else CAUSES[health.cause].partition(": ")[2]
+    return Finding("fit", OK if health.fits else FAILED, str(health), remedy, numbers)
+
+
+def _known(estimate: DepthEstimate) -> Finding:
+    share = float(np.isfinite(estimate.level).mean())
+    few = share < _COVERED
+    return Finding(
+        "depth",
+        WARNING if few else OK,
+        f"known at {100 * share:.0f} % of the pixels",
+        "more texture, light, or a shorter exposure is needed" if few else "",
+        {"known": share},
+    )

@@ -1,0 +1,106 @@
+"""`coded_aperture check`: what is wrong with a camera, a bank and frames, and what to do."""
+
+import argparse
+import dataclasses
+import itertools
+import json
+from typing import Any
+
+from coded_aperture_ros.cli.checks import naming
+from coded_aperture_ros.cli.options import add_gamma_option, add_options
+from coded_aperture_ros.core.errors import InputError
+
+# Of longer videos and bags, so many frames are enough.
+_MOST_FRAMES = 20
+_MARKS = {"ok": "  ok  ", "warning": " WARN ", "failed": " FAIL "}
+_EPILOG = """examples:
+  what a camera can tell apart:
+    coded_aperture check --camera config/example_camera.yaml --depth-range 6 28
+  whether frames fit the camera and its bank:
+    coded_aperture check --camera config/example_camera.yaml --bank bank.npz frames/
+
+The exit status is 1 where something fails.
+"""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the sub-command to the program's parser."""
+    parser = subparsers.add_parser(
+        "check",
+        help="find out what is wrong with a camera, a bank and frames",
+        description="Say on one page what a camera can tell apart and what that costs, whether its "
+        f"bank is for it, and whether frames fit both (up to {_MOST_FRAMES}): size, saturation, "
+        "noise, mask, scale, compression, motion, focus. Without a bank one is learned for the "
+        "depth range.",
+        epilog=_EPILOG,
+    )
+    parser.add_argument("inputs", nargs="*", metavar="FRAMES", help="as for the command depth")
+    add_options(parser, {"--camera YAML": "camera file"}, required=True)
+    add_options(parser, {"--bank NPZ": "filter bank; see learn"})
+    far = {"--depth-range NEAR FAR": "in m (default: that of the bank)"}
+    add_options(parser, far, type=float)
+    add_gamma_option(parser)
+    add_options(parser, {"--json": "print the findings as JSON"})
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the sub-command; return its exit status."""
+    from coded_aperture_ros.bank import load_bank
+    from coded_aperture_ros.checkup import FAILED, FrameCheckup, camera_findings
+    from coded_aperture_ros.optics import load_camera
+
+    camera = load_camera(args.camera)
+    bank = load_bank(args.bank) if args.bank else None
+    range_m = args.depth_range
+    if range_m is None and bank is not None and bank.stack.depths_m is not None:
+        range_m = sorted(bank.stack.depths_m[[0, -1]].tolist())
+    if range_m is None:
+        args.usage_error("--depth-range: needed, unless --bank names a bank that knows its depths")
+    with naming(args.camera):
+        found = {"camera": camera_findings(camera, *range_m)}
+    if args.inputs:
+        if bank is None:
+            bank = _learned(camera, range_m)
+        with naming(args.bank or args.camera):
+            checkup = FrameCheckup(camera, bank)
+        for name, frame in itertools.islice(_frames(args), _MOST_FRAMES):
+            found[name] = checkup.findings(frame)
+        checkup.close()
+    everything = [finding for findings in found.values() for finding in findings]
+    failed = any(finding.state == FAILED for finding in everything)
+    if args.json:
+        rows = {name: [dataclasses.asdict(one) for one in some] for name, some in found.items()}
+        print(json.dumps({"failed": failed, "findings": rows}, indent=1))
+        return int(failed)
+    for name, findings in found.items():
+        print(name)
+        for finding in findings:
+            print(f"  [{_MARKS[finding.state]}] {finding.about}: {finding.text}")
+    remedies = dict.fromkeys(finding.remedy for finding in everything if finding.remedy)
+    print("next:", *(remedies or ["nothing to mend"]), sep="\n  - ")
+    return int(failed)
+
+
+def _learned(camera: Any, range_m: Any) -> Any:
+    from coded_aperture_ros.bank import learn_bank_for_camera
+    from coded_aperture_ros.bank.learning import DEFAULT_LEVEL_COUNT
+    from coded_aperture_ros.cli.progress import progress
+
+    def watched(levels: Any) -> Any:
+        return progress(levels, DEFAULT_LEVEL_COUNT, "level")
+
+    near_m, far_m = range_m
+    return learn_bank_for_camera(camera, near_m, far_m, DEFAULT_LEVEL_COUNT, progress=watched)
+
+
+def _frames(args: argparse.Namespace) -> Any:
+    """Yield the name and the linear light of every frame."""
+    from coded_aperture_ros.imaging import linear_from_pixels
+    from coded_aperture_ros.io.sources import captures, open_files
+
+    for given in args.inputs:
+        try:
+            for capture in captures(open_files(given)):
+                yield capture.name or given, linear_from_pixels(capture.frame, args.gamma)
+        except InputError as error:
+            raise InputError(f"{given}: {error}") from error

@@ -1,0 +1,70 @@
+"""`coded_aperture check`: a camera, a bank and frames on one page."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from cli_scene import FAR_M, HEIGHT, NEAR_M, WIDTH, call, camera_file, refused, wrong_usage
+
+
+def findings(result):
+    found = json.loads(result.out)["findings"]
+    return {
+        name: {one["about"]: one["state"] for one in reversed(some)} for name, some in found.items()
+    }
+
+
+def test_a_camera_alone(scene, tmp_path, capsys):
+    arguments = ("check", "--camera", scene.camera, "--depth-range", NEAR_M, FAR_M)
+    result = call(capsys, *arguments)
+    assert result.status == 0
+    for phrase in ("depth resolution", "can be told apart from 1.6 to 3 m", "Airy disc", "next:"):
+        assert phrase in result.out
+    assert findings(call(capsys, *arguments, "--json"))["camera"]["depth resolution"] == "ok"
+
+
+def test_a_camera_that_tells_nothing_apart_fails(tmp_path, capsys):
+    camera = camera_file(tmp_path, mask_extent_mm=2.0)
+    result = call(capsys, "check", "--camera", camera, "--depth-range", 1.6, 3, "--json")
+    assert result.status == 1
+    assert findings(result)["camera"]["depth resolution"] == "failed"
+    assert "use a wider mask" in result.out
+
+
+@pytest.mark.parametrize("bank", [True, False])
+def test_a_frame_that_fits(scene, capsys, bank):
+    known = ("--bank", scene.bank) if bank else ("--depth-range", NEAR_M, FAR_M)
+    result = call(capsys, "check", "--camera", scene.camera, *known, scene.coded_npy, "--json")
+    assert result.status == 0
+    (frame,) = (found for name, found in findings(result).items() if name != "camera")
+    assert frame["size"] == frame["fit"] == "ok"
+
+
+def test_frames_with_faults(scene, tmp_path, capsys):
+    coded = np.load(scene.coded_npy)
+    large = cv2.resize(coded, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)[:HEIGHT, :WIDTH]
+    np.save(tmp_path / "enlarged.npy", large)
+    np.save(tmp_path / "small.npy", coded[::2, ::2])
+    np.save(tmp_path / "bright.npy", np.clip(2.2 * coded, 0, 1))
+    arguments = ("check", "--camera", scene.camera, "--bank", scene.bank, tmp_path)
+    result = call(capsys, *arguments, "--json")
+    assert result.status == 1
+    found = findings(result)
+    assert found["enlarged"]["fit"] == "failed"
+    assert found["small"] == {"size": "failed"}
+    assert found["bright"]["light"] in ("warning", "failed")
+    text = call(capsys, *arguments).out
+    assert "[ FAIL ] size: 88x64, the camera file says 176x128" in text
+    assert "expose for less time" in text.partition("next:")[2]
+
+
+def test_another_setting_is_refused(scene, tmp_path, capsys):
+    camera = camera_file(tmp_path, focus_distance_m=1.2)
+    result = call(capsys, "check", "--camera", camera, "--bank", scene.bank, scene.coded_npy)
+    refused(result, scene.bank, "another setting of the camera")
+
+
+def test_a_depth_range_is_needed(scene, capsys):
+    result = call(capsys, "check", "--camera", scene.camera)
+    wrong_usage(result, "check", "--depth-range: needed")
