@@ -95,6 +95,7 @@ BENCHMARKS: dict[str, Group | str] = {
     "motion": _MOTION,
     "masks": "predicted against measured errors of random masks",
     "sign": "the side of the focal plane: in front or behind",
+    "trust": "what is made of frames that do not fit their bank",
     "blind": "masks found from planes at unknown distances, and what deblurring loses by them",
 }
 _EPILOG = """examples:
@@ -112,6 +113,8 @@ _EPILOG = """examples:
     coded_aperture bench masks
   both sides of the focal plane:
     coded_aperture bench sign
+  frames that do not fit their bank:
+    coded_aperture bench trust desk/ chess/
   masks found from planes at unknown distances:
     coded_aperture bench blind
   what each benchmark is, and its options:

@@ -11,11 +11,12 @@ import time
 import numpy as np
 import pytest
 from cli_scene import CAMERA, HEIGHT, WIDTH, call
+from coded_aperture_benchmarks.frames.misfits import LIGHT, MISFITS, Fitting, recorded
 from coded_aperture_benchmarks.reference import REFERENCE_METHODS
 from coded_aperture_benchmarks.suites.stair import lost_cells
 
 from coded_aperture_ros.io import read_image, write_image
-from coded_aperture_ros.optics import Mask
+from coded_aperture_ros.optics import Mask, render_psf_stack
 
 SMALL = ("--levels", 3, "--repeats", 1, "--window", 32, "--masks", "levin", "--jobs", 1)
 STAIR = ("bench", "accuracy", "stair", "--textures", "random", "--side", 48, *SMALL)
@@ -167,6 +168,54 @@ def folder(scene, tmp_path):
     return scene_folder
 
 
+@pytest.mark.parametrize("kind", ["fits", *MISFITS, *LIGHT])
+def test_every_kind_of_misfit_changes_what_is_recorded(kind):
+    random = np.random.default_rng(0)
+    light = random.random((96, 96, 3)).astype(np.float32)
+    stack = render_psf_stack(Mask.named("three_wide"), np.arange(2.0, 14.0, 0.5))
+    blur = np.full((96, 96), 3.0, np.float32)
+    fitting = Fitting(light, lambda: light, lambda extent: extent * light, stack, blur, 0.002)
+    plain = recorded(fitting, light, np.random.default_rng(1))
+    if kind == "fits":
+        assert np.abs(plain.frame - light).mean() == pytest.approx(0.8 * 0.002, rel=0.1)
+        return
+    change = LIGHT[kind] if kind in LIGHT else MISFITS[kind].change
+    for strength in (0.0, 0.37, 1.0):
+        other = change(fitting, strength, np.random.default_rng(1))
+        if other is None:
+            assert strength in (0.0, 1.0)
+            continue
+        assert np.isfinite(other.frame).all()
+        assert other.frame.dtype == np.float32
+        same = other.frame.shape == plain.frame.shape and np.array_equal(other.frame, plain.frame)
+        changed = [
+            not same,
+            other.known_noise > 0,
+            not np.array_equal(other.stack.psfs, stack.psfs),
+            not np.array_equal(other.blur_size_px, blur),
+        ]
+        assert any(changed)
+        np.testing.assert_allclose(other.stack.psfs.sum(axis=(1, 2)), 1, atol=1e-4)
+
+
+def test_trust_is_measured(capsys, folder):
+    arguments = ("bench", "trust", folder, "--kinds", "enlarged", "shrunk", "less light")
+    result = call(capsys, *arguments, "--json")
+    assert (result.status, result.err) == (0, "")
+    results = json.loads(result.out)
+    rows = {(row["kind"], row["strength"]): row for row in results["rows"]}
+    assert len(rows) == 4 * 5
+    assert results["cells"] == 5  # what was shrunk leaves no trace
+    assert rows["fits", 0.0]["health"] > 0.5
+    assert rows["fits", 0.0]["error"] < 0.05
+    assert rows["enlarged", 1.0]["health"] < 0.5
+    wrong = [row["wrong"] for row in results["rows"] if row["kind"] == "enlarged"]
+    assert results["wrong"] == pytest.approx(np.mean(wrong))
+    text = call(capsys, *arguments).out
+    assert "of 5 cells that leave a trace" in text
+    assert call(capsys, "bench", "trust", folder, "--kinds", "magic").status == 2
+
+
 def test_depth_of_a_scene_is_scored(capsys, folder):
     (cell,) = json_of(
         capsys, *("bench", "accuracy", "scenes", folder, "--levels", 12, "--regularize", "tv")
@@ -244,8 +293,7 @@ def test_rods_of_random_scenes_are_counted(capsys):
 def test_rods_count_where_what_is_behind_is_clearly_farther():
     pytest.importorskip("numba", reason="random scenes need numba")
     from coded_aperture_benchmarks.frames.random_scenes import RandomScene
-
-    from coded_aperture_ros.simulation.layered import LayeredScene, rod_scene
+    from coded_aperture_benchmarks.layered import LayeredScene, rod_scene
 
     counted = all_of_them = 0
     for seed in range(1_000_000, 1_000_004):

@@ -24,6 +24,7 @@ ROOMS = (
     "calibration",
     "design",
     "mask_design",
+    "checkup",
     "pipeline",
     "__init__",
     "bags",

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, Rods
+from coded_aperture_benchmarks.layered import LayeredScene, random_scene, rod_scene
 from coded_aperture_ros.cli.options import mask_of
-from coded_aperture_ros.simulation.layered import LayeredScene, random_scene, rod_scene
 
 # Training has smaller ones.
 FIRST_SEED = 1_000_000

@@ -28,7 +28,7 @@ from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.bank import FilterBank, LearnConfig
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video
 from coded_aperture_ros.imaging import SRGB
-from coded_aperture_ros.io import confidence_picture, depth_picture, write_image
+from coded_aperture_ros.io import depth_picture, grey_picture, write_image
 
 # The frame that is drawn, counted from the end: a filter that looks ahead still does so there.
 _SHOWN_FRAME = -4
@@ -314,7 +314,7 @@ def _picture(cells: Sequence[Measured]) -> NDArray[np.uint8]:
 
 def _unrest_picture(unrest: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Draw deviations from black to white; pixels without one are blue."""
-    picture = np.repeat(confidence_picture(unrest / _WHITE_UNREST)[..., None], 3, axis=2)
+    picture = np.repeat(grey_picture(unrest / _WHITE_UNREST)[..., None], 3, axis=2)
     picture[np.isnan(unrest)] = _WITHOUT_UNREST_RGB
     return picture
 
