@@ -27,7 +27,7 @@ READY_OLDEST := $(VENV_OLDEST)/finished-with-3.12
 SETUP := setup.py setup.cfg pyproject.toml scripts/create_environment.sh
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-installed test-oldest fuzz soak lint docs train train-blend
+.PHONY: help demo test test-all test-installed test-oldest fuzz soak lint docs train train-blend train-check
 .PHONY: environment clean
 
 help: ## Show this list
@@ -86,7 +86,7 @@ TRAIN ?= build/training
 SHARDS ?= 80
 MINUTES ?= 75
 WEIGHTS = $(notdir $(wildcard coded_aperture_ros/depth/refine/refinement.*))
-TRAINING = OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python training
+TRAINING = PYTHONPATH=benchmarks OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python training
 IN_TWO_PROCESSES = trap 'kill 0' INT; part() { $(TRAINING)/$(1) --shards $$1 $(SHARDS) 2; }; \
 	part 0 & first=$$!; part 1; second=$$?; wait $$first && exit $$second
 FIT = $(VENV)/bin/python training/fit.py --scenes $(TRAIN)/scenes --costs $(TRAIN)/costs \
@@ -107,6 +107,11 @@ train-blend: $(VENV)/finished-train ## Learn the blend of deblurring anew: pictu
 		--minutes $(MINUTES) --shards 2 $(SHARDS) --validate 0 2
 	@$(VENV)/bin/python training/blend_export.py --state $(TRAIN)/blend/state.pt \
 		-o $(TRAIN)/blend.npz
+
+train-check: $(VENV)/finished-train ## Learn anew whether frames fit: scenes, misfits, weights
+	@$(call IN_TWO_PROCESSES,scenes.py --output $(TRAIN)/scenes)
+	@$(call IN_TWO_PROCESSES,misfits.py --scenes $(TRAIN)/scenes --output $(TRAIN)/misfits)
+	@$(VENV)/bin/python training/misfits_fit.py --misfits $(TRAIN)/misfits -o $(TRAIN)/fit.npz
 
 environment: $(READY) ## Only make the virtual environment (.venv)
 
