@@ -165,7 +165,8 @@ def psf_stack_for_camera(
             f"depth range {near_m:g} to {far_m:g} m: {whose} needs finite depths; far away they "
             "differ little in blur, 100 times the distance of the focus is enough"
         )
-    return dataclasses.replace(render_psf_stack(camera.mask, blur_sizes), depths_m=depths_m)
+    stack = render_psf_stack(camera.mask, blur_sizes, camera.psf_diffraction_px)
+    return dataclasses.replace(stack, depths_m=depths_m)
 
 
 def check_range_can_be_told_apart(camera: Camera, near_m: float, far_m: float) -> None:

@@ -102,8 +102,12 @@ def _add_late_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
+    import numpy as np
+
     from coded_aperture_ros.bank import save_bank
     from coded_aperture_ros.depth import side_warning
+    from coded_aperture_ros.design.diffraction import diffraction_warning
+    from coded_aperture_ros.optics import load_camera
 
     _check_usage(args)
     check_suffix(args.output, [".npz"])
@@ -132,7 +136,9 @@ def run(args: argparse.Namespace) -> int:
     }
     if trials:
         summary["tried"] = [dataclasses.asdict(trial) for trial in trials]
-    return tell(args, summary, _text, filter(None, [side_warning(bank)]))
+    largest_px = float(np.abs(bank.blur_sizes_px).max())
+    diffraction = args.camera and diffraction_warning(load_camera(args.camera), largest_px)
+    return tell(args, summary, _text, filter(None, [side_warning(bank), diffraction]))
 
 
 def _text(summary: dict[str, Any]) -> str:

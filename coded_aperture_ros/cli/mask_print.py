@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
-from coded_aperture_ros.cli.measuring import tell
+from coded_aperture_ros.cli.measuring import rounded, tell
 from coded_aperture_ros.cli.options import add_options, mask_of
 
 _EPILOG = """examples:
@@ -38,6 +38,11 @@ def add_parser(subparsers: Any) -> None:
         "rim around the openings)",
     }
     add_options(parser, lengths, type=float)
+    least = {
+        "--smallest-cut-mm MM": "warn of openings, and bars between them, that are narrower "
+        "(default %(default)s)"
+    }
+    add_options(parser, least, type=float, default=0.3)
     add_options(parser, {"--label TEXT": "a line to print on the page"}, default="")
     add_options(parser, {"-o --output FILE": "page to write (.pdf or .svg)"}, required=True)
     add_options(parser, {"--json": "print a summary as JSON"})
@@ -47,6 +52,8 @@ def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     from coded_aperture_ros.core.files import atomic_output
     from coded_aperture_ros.design import openings_of
+    from coded_aperture_ros.design.diffraction import airy_width_px, diffraction_warning
+    from coded_aperture_ros.design.openings import narrowest_bar
     from coded_aperture_ros.design.sheet import loose_parts_note, mask_sheet
     from coded_aperture_ros.design.sheet_files import pdf_of, svg_of
     from coded_aperture_ros.optics import load_camera
@@ -65,6 +72,17 @@ def run(args: argparse.Namespace) -> int:
     openings = openings_of(mask)
     if openings.loose_parts:
         logging.warning("mask %s: %s", mask.name, loose_parts_note(openings.loose_parts))
+    hole_mm, bar_mm = (extent_mm * one for one in (openings.smallest_width, narrowest_bar(mask)))
+    for what, width_mm in (("opening", hole_mm), ("bar between openings", bar_mm)):
+        if width_mm < args.smallest_cut_mm:
+            logging.warning(
+                "mask %s: the narrowest %s, %.2f mm, is less than the %g mm that can be cut: take "
+                "a larger mask, or have it printed on film",
+                *(mask.name, what, width_mm, args.smallest_cut_mm),
+            )
+    if camera and (warning := diffraction_warning(camera, camera.blur_at_infinity_px)):
+        logging.warning(warning)
+    airy_px = [round(airy_width_px(camera, one), 3) for one in openings.each] if camera else None
     summary = {
         "output": args.output,
         "mask": mask.name,
@@ -72,7 +90,10 @@ def run(args: argparse.Namespace) -> int:
         "outer_mm": sheet.outer_mm,
         "cell_mm": extent_mm / max(mask.transmission.shape),
         "openings": openings.count,
-        "smallest_hole_mm": openings.smallest_width * extent_mm,
+        "smallest_hole_mm": hole_mm,
+        "narrowest_bar_mm": rounded(bar_mm, 6),
+        "f_number": camera.f_number if camera else None,
+        "airy_widths_px": airy_px,
         "open_fraction": mask.open_fraction,
         "loose_parts": openings.loose_parts,
     }
@@ -92,7 +113,7 @@ def _check_usage(args: argparse.Namespace) -> None:
         args.usage_error("give either a mask's name or file, or --camera")
     if args.mask is not None and args.extent_mm is None:
         args.usage_error("--extent-mm is needed: how wide the mask is, in mm")
-    for name in ("extent_mm", "outer_mm"):
+    for name in ("extent_mm", "outer_mm", "smallest_cut_mm"):
         value = getattr(args, name)
         if value is not None and not 0 < value < math.inf:
             args.usage_error(f"--{name.replace('_', '-')}: expected more than 0 mm, got {value:g}")

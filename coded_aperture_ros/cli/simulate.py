@@ -165,6 +165,7 @@ def _given(args: argparse.Namespace, sensor: Any) -> int:
     """Render a scene that is given as picture and depth."""
     import numpy as np
 
+    from coded_aperture_ros.design.diffraction import diffraction_warning
     from coded_aperture_ros.io import read_depth, read_image, write_image
     from coded_aperture_ros.optics import load_camera
     from coded_aperture_ros.simulation import render_coded_frame
@@ -186,6 +187,8 @@ def _given(args: argparse.Namespace, sensor: Any) -> int:
     seconds = time.perf_counter() - start
     write_image(args.output, sensor.expose(coded, np.random.default_rng(args.seed)))
     blur = camera.blur_size_px(depth_m[np.isfinite(depth_m)])
+    if warning := diffraction_warning(camera, float(np.abs(blur).max())):
+        logging.warning(warning)
     return _tell(args, depth_m, blur, seconds, {})
 
 

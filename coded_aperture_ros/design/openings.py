@@ -5,6 +5,7 @@ import functools
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import BoolArray
 from coded_aperture_ros.core.errors import InputError
@@ -22,6 +23,15 @@ _LARGEST_LOSS = 0.02
 
 
 @dataclasses.dataclass(frozen=True)
+class Opening:
+    """One opening; lengths are shares of the mask's extent."""
+
+    width: float  # diameter of the largest disc within it
+    x: float  # of its middle, to the right of the mask's
+    y: float  # and below it
+
+
+@dataclasses.dataclass(frozen=True)
 class Openings:
     """What the openings of a mask are like."""
 
@@ -29,6 +39,7 @@ class Openings:
     # Diameter of the largest disc within the narrowest opening, as a share of the mask's extent:
     # `A / M` of the thesis.
     smallest_width: float
+    each: tuple[Opening, ...]
     loose_parts: int  # closed, hang on nothing, and would fall out of a mask cut from cardboard
 
 
@@ -47,15 +58,41 @@ def openings_of(mask: Mask) -> Openings:
     # closed one. The nearest point of a closed cell is always such a corner point too.
     inside = fine[:-1, :-1] & fine[1:, :-1] & fine[:-1, 1:] & fine[1:, 1:]
     radius = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    count, labels = cv2.connectedComponents(fine, connectivity=4)
+    count, labels, _, middles = cv2.connectedComponentsWithStats(fine, connectivity=4)
     widest = np.zeros(count)
     np.maximum.at(widest, labels[1:, 1:], radius)
+    widths = 2 * widest / _POINTS_PER_CELL / max(cells.shape)
+    middles = (middles + 0.5 - np.array(fine.shape[::-1]) / 2) / _POINTS_PER_CELL / max(cells.shape)
+    each = [Opening(*map(float, one)) for one in np.column_stack([widths, middles])]
     closed_count, _ = cv2.connectedComponents((~framed).astype(np.uint8), connectivity=4)
     return Openings(
         count=count - 1,
-        smallest_width=float(2 * widest[1:].min() / _POINTS_PER_CELL / max(cells.shape)),
+        smallest_width=float(widths[1:].min()),
+        each=tuple(each[1:]),
         loose_parts=closed_count - 2,  # less what OpenCV counts as background, and the rim
     )
+
+
+def narrowest_bar(mask: Mask) -> float:
+    """Return the least distance between two openings, as a share of the extent.
+
+    Infinite with one opening. Openings that touch at a corner have no bar between them.
+    """
+    framed = np.pad(open_cells(mask), 1).astype(np.uint8)
+    count, labels = cv2.connectedComponents(framed, connectivity=4)
+    narrowest = np.inf
+    for label in range(1, count):
+        # Corner points of the cells: the nearest ones of two openings are among them.
+        own, others = (_corners(cells) for cells in (labels == label, framed & (labels != label)))
+        away = cv2.distanceTransform(1 - own, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[others > 0]
+        narrowest = min(narrowest, away[away > 0].min(initial=np.inf))
+    return float(narrowest / max(mask.transmission.shape))
+
+
+def _corners(cells: BoolArray) -> NDArray[np.uint8]:
+    """Return which corner points within the grid are of one of some cells."""
+    inside = np.asarray(cells, np.uint8)
+    return inside[:-1, :-1] | inside[1:, :-1] | inside[:-1, 1:] | inside[1:, 1:]
 
 
 def outlines_of(mask: Mask) -> list[Outline]:

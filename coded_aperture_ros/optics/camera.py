@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import Option, check_option
+from coded_aperture_ros.optics.diffraction import scattering_px
 from coded_aperture_ros.optics.intrinsics import Intrinsics, load_intrinsics, read_yaml
 from coded_aperture_ros.optics.mask import Mask
 
@@ -31,15 +32,22 @@ _NUMBERS: dict[str, tuple[type, Option]] = {
         float,
         Option("How far the mask sits in front of the lens", "mm", -1_000, 1_000),
     ),
+    "wavelength_nm": (float, Option("Wavelength of the light", "nm", 200, 2_000)),
     "noise": (float, Option("Noise of one channel in the dark, linear light", "", 0, 0.5)),
     "noise_gain": (float, Option("Variance of shot noise per unit of light", "", 0, 0.1)),
 }
 _SIDE = Option("Side of the focal plane that the scene is on", choices=("far", "near", "both"))
 _PHYSICAL = ("focal_length_mm", "pixel_pitch_um")
-_OPTIONAL = ("lens_mask_distance_mm", "side", "camera_info", "noise", "noise_gain")
 # No lens is faster or, with a mask in it, slower.
 _F_NUMBERS = (0.4, 200.0)
-_KEYS = (*_NUMBERS, "side", "mask", "camera_info")
+_OPTIONAL = (
+    *("lens_mask_distance_mm", "side", "camera_info", "noise", "noise_gain"),
+    *("wavelength_nm", "diffraction"),
+)
+_KEYS = (*_NUMBERS, "side", "mask", "camera_info", "diffraction")
+# Diffraction is left out where less of the light than this, as a share, goes farther than a pixel
+# from where rays go: where the camera file does not ask for it, and where it does.
+_NEGLIGIBLE, _INVISIBLE = 0.03, 0.005
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,6 +82,10 @@ class Camera:
         Standard deviation of one channel's noise in the dark, linear light; 0 where not measured.
     noise_gain : float
         Variance of one channel's shot noise per unit of light; 0 where not measured.
+    wavelength_nm : float
+        Wavelength of the light that diffraction is reckoned for.
+    diffraction : bool or None
+        Whether PSFs include diffraction; None: where it matters, see `psf_diffraction_px`.
 
     Raises
     ------
@@ -93,6 +105,8 @@ class Camera:
     measured: Intrinsics | None = None
     noise: float = 0.0
     noise_gain: float = 0.0
+    wavelength_nm: float = 550.0
+    diffraction: bool | None = None
 
     def __post_init__(self) -> None:
         for name, (expected, described) in _NUMBERS.items():
@@ -103,6 +117,8 @@ class Camera:
             _check_focus_is_possible(self.focal_length_mm, self.focus_distance_m)
             _check_f_number(self.focal_length_mm, self.mask_extent_mm)
         check_option("side", self.side, str, _SIDE)
+        if not (self.diffraction is None or isinstance(self.diffraction, bool)):
+            raise InputError(f"diffraction: expected true or false, got {self.diffraction!r}")
         if not isinstance(self.mask, Mask):
             raise InputError(f"mask: expected a Mask, got {self.mask!r}")
         size = self.image_width, self.image_height
@@ -161,6 +177,28 @@ class Camera:
     def blur_at_infinity_px(self) -> float:
         """Blur size of a point infinitely far away: `M f / z_focus`."""
         return self.mask_extent_mm * 1e-3 * self.focal_length_px / self.focus_distance_m
+
+    @property
+    def f_number(self) -> float | None:
+        """Focal length over the mask's extent; None where the focal length is not known."""
+        return self.focal_length_mm and self.focal_length_mm / self.mask_extent_mm
+
+    @property
+    def diffraction_px(self) -> float:
+        """Wavelength times the f-number at the image distance, px: ``lambda f_px / M``."""
+        return self.wavelength_nm * 1e-6 * self.focal_length_px / self.mask_extent_mm
+
+    @property
+    def psf_diffraction_px(self) -> float:
+        """`diffraction_px` as PSFs include it: 0 where they are the geometric ones.
+
+        By default they are those while less than 3 % of the light goes farther than a pixel from
+        where rays go. Up to there at most 9 % of it fall on other pixels than without diffraction
+        (named masks, blur of 7 to 30 px; 12 % at 3 px).
+        """
+        beyond = scattering_px(self.mask, self.diffraction_px)
+        least = {None: _NEGLIGIBLE, True: _INVISIBLE, False: math.inf}[self.diffraction]
+        return self.diffraction_px if beyond >= least else 0.0
 
     def blur_size_px(self, depth_m: ArrayLike) -> DoubleArray:
         """Signed blur size of the full mask extent at each depth (thesis eq. 3.28).
@@ -319,9 +357,10 @@ def camera_from_mapping(
 
     They are `focal_length_mm` and `pixel_pitch_um`, or `focal_length_px`; `focus_distance_m`,
     `image_width`, `image_height`, `mask` (`{name: ...}` or `{file: ...}`), `mask_extent_mm`;
-    optionally `lens_mask_distance_mm`, `side`, `noise`, `noise_gain` and `camera_info` (a
-    calibration file, see `load_intrinsics`). File names are relative to `folder`. An `InputError`
-    is one line that names `where` and the key, and says what is allowed.
+    optionally `lens_mask_distance_mm`, `side`, `noise`, `noise_gain`, `wavelength_nm`,
+    `diffraction` and `camera_info` (a calibration file, see `load_intrinsics`). File names are
+    relative to `folder`. An `InputError` is one line that names `where` and the key, and says what
+    is allowed.
     """
     try:
         _check_keys(mapping)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from coded_aperture_ros.core.archive import read_archive, write_archive
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.optics.diffraction import diffracted, tail_px
 from coded_aperture_ros.optics.mask import Mask
 
 _SCHEMA = "coded-aperture PSF stack"
@@ -23,12 +24,13 @@ def render_psf(
     blur_size_px: float,
     width_px: int | None = None,
     centre_px: tuple[float, float] = (0.0, 0.0),
+    diffraction_px: float = 0.0,
 ) -> FloatArray:
     """Render the PSF of a mask whose extent is `blur_size_px` wide in the image.
 
     A pixel's value is the mask's transmission integrated over the pixel's square, divided by the
     sum. Cells and pixels are both rectangles, so the integral is the exact overlap, separable
-    into `A @ T @ B.T`, and smooth in the blur size.
+    into `A @ T @ B.T`, and smooth in the blur size. With diffraction see `diffracted`.
 
     Parameters
     ----------
@@ -36,9 +38,12 @@ def render_psf(
         Signed; a negative size, of a point in front of the focal plane, gives the mask rotated
         by 180 degrees.
     width_px : int, optional
-        Odd width of the result; by default the smallest that holds the centred PSF.
+        Odd width of the result; by default the smallest that holds the centred PSF, and of
+        diffraction all but 2 % of the light, or 8 px on each side.
     centre_px : tuple of float
         How far down and right of the middle of the result the middle of the mask's extent lies.
+    diffraction_px : float, optional
+        Wavelength times f-number, see `Camera.psf_diffraction_px`; 0: geometric optics.
 
     Returns
     -------
@@ -53,6 +58,10 @@ def render_psf(
     size = abs(float(blur_size_px))
     if not np.isfinite(size):
         raise InputError(f"blur size: expected a finite number of pixels, got {blur_size_px!r}")
+    if diffraction_px:
+        width_px = width_px or psf_width(size) + 2 * tail_px(mask, diffraction_px)
+        psf = diffracted(mask, blur_size_px, width_px, diffraction_px, centre_px)
+        return (psf / psf.sum()).astype(np.float32)
     cells = mask.transmission.astype(np.float64)
     if blur_size_px < 0:
         cells = cells[::-1, ::-1]
@@ -201,15 +210,15 @@ class PsfStack:
             raise InputError(f"{path}: {error}") from error
 
 
-def render_psf_stack(mask: Mask, blur_sizes_px: ArrayLike) -> PsfStack:
+def render_psf_stack(mask: Mask, blur_sizes_px: ArrayLike, diffraction_px: float = 0.0) -> PsfStack:
     """Render the PSFs of signed blur sizes [L] onto one common support; see `render_psf`."""
     sizes = np.atleast_1d(np.asarray(blur_sizes_px, dtype=np.float64))
     if sizes.size == 0:
         raise InputError("blur sizes: at least one is needed")
-    width = max(psf_width(size) for size in sizes)
+    rendered = [render_psf(mask, size, diffraction_px=diffraction_px) for size in sizes]
+    width = max(len(psf) for psf in rendered)
     psfs = np.zeros((len(sizes), width, width), dtype=np.float32)
-    for padded, size in zip(psfs, sizes, strict=True):
-        psf = render_psf(mask, size)
+    for padded, psf in zip(psfs, rendered, strict=True):
         margin = (width - len(psf)) // 2
         padded[margin : margin + len(psf), margin : margin + len(psf)] = psf
     return PsfStack(sizes, psfs)

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics import Camera, Mask, render_psf
+from coded_aperture_ros.optics import Camera, Mask, psf_width, render_psf
+from coded_aperture_ros.optics.diffraction import diffracted, tail_px
 from coded_aperture_ros.simulation.hidden import Surface, fill_unknown, hidden_surface
 
 # Layers closer than this in blur size belong to one surface and do not occlude one another. It
@@ -56,7 +57,8 @@ def render_coded_frame(
     -------
     ndarray of float32, shape of `image`
         Linear light, without noise. A scene in one plane is exactly the image convolved with
-        `render_psf`, with the image's edges replicated.
+        `render_psf`, with the image's edges replicated; with diffraction it is but for what the
+        blocks' PSFs lack of their tails.
 
     Raises
     ------
@@ -73,7 +75,7 @@ def render_coded_frame(
     layers = list(_layers(visible, hidden, layer_spacing_px))
     total = np.zeros((*depth_m.shape, colours.shape[2] + 1), dtype=np.float32)
     for block in _blocks(camera.mask, aperture_blocks):
-        total += _through_block(layers, block, camera.mask, depth_m.shape)
+        total += _through_block(layers, block, camera, depth_m.shape)
     # Where no light comes through a block, the others make up for it; where none comes at all,
     # the sharp scene is the best guess.
     found = total[..., -1:]
@@ -163,7 +165,7 @@ def _blocks(mask: Mask, count: int) -> Iterator[Mask]:
 
 
 def _through_block(
-    layers: list[_Layer], block: Mask, mask: Mask, shape: tuple[int, ...]
+    layers: list[_Layer], block: Mask, camera: Camera, shape: tuple[int, ...]
 ) -> FloatArray:
     """Compose the light that reaches the sensor through one block of the aperture.
 
@@ -173,7 +175,7 @@ def _through_block(
     behind it.
     """
     height, width = shape
-    weight = block.open_fraction / mask.open_fraction
+    weight = block.open_fraction / camera.mask.open_fraction
     total = np.zeros((height, width, layers[0].light.shape[2]), dtype=np.float32)
     # Coverage by the layers that are in front by more than the surface gap.
     occluded = np.zeros((height, width), dtype=np.float32)
@@ -182,7 +184,7 @@ def _through_block(
         while recent and recent[0][0] <= layer.number - layer.surface_gap:
             _, region, coverage = recent.popleft()
             occluded[region] += coverage
-        region, blurred = _blur(layer, block, height, width)
+        region, blurred = _blur(layer, block, camera, height, width)
         blurred *= np.maximum(0, 1 - occluded[region])[..., None]
         total[region] += blurred
         recent.append((layer.number, region, blurred[..., -1]))
@@ -191,11 +193,11 @@ def _through_block(
 
 
 def _blur(
-    layer: _Layer, block: Mask, height: int, width: int
+    layer: _Layer, block: Mask, camera: Camera, height: int, width: int
 ) -> tuple[tuple[slice, slice], FloatArray]:
     """Blur a layer; return where in the frame the result belongs, and the result."""
     # OpenCV correlates; turned by 180 degrees, the kernel convolves.
-    kernel = render_psf(block, layer.blur_size_px)[::-1, ::-1]
+    kernel = _kernel(block, camera, layer.blur_size_px)[::-1, ::-1]
     reach = len(kernel) // 2
     rows, columns = layer.light.shape[:2]
     bottom, right = layer.top + rows, layer.left + columns
@@ -205,6 +207,16 @@ def _blur(
     margins = (layer.top - top, region[0].stop - bottom, layer.left - left, region[1].stop - right)
     padded = cv2.copyMakeBorder(layer.light, *margins, cv2.BORDER_CONSTANT, value=0)
     return region, _correlate(padded, kernel)
+
+
+def _kernel(block: Mask, camera: Camera, blur_size_px: float) -> FloatArray:
+    """Return the PSF of a block; with diffraction what it adds to that of the whole mask."""
+    q = camera.psf_diffraction_px
+    if not q:
+        return render_psf(block, blur_size_px)
+    width = psf_width(blur_size_px) + 2 * tail_px(camera.mask, q)
+    psf = diffracted(camera.mask, blur_size_px, width, q, part=block)
+    return (psf / psf.sum()).astype(np.float32)
 
 
 def _correlate(light: FloatArray, kernel: FloatArray) -> FloatArray:

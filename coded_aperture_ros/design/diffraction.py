@@ -1,0 +1,35 @@
+"""Openings of a mask that are too small for their shape to reach the sensor."""
+
+from coded_aperture_ros.design.openings import Opening, openings_of
+from coded_aperture_ros.optics import Camera
+
+# Diameter of the Airy disc to its first dark ring, in wavelengths times the f-number.
+_AIRY_WIDTH = 2.44
+
+
+def airy_width_px(camera: Camera, opening: Opening) -> float:
+    """Return the width of an opening's Airy disc on the sensor, between its first zeros."""
+    return _AIRY_WIDTH * camera.diffraction_px / opening.width
+
+
+def diffraction_warning(camera: Camera, blur_size_px: float) -> str:
+    """Say which openings are lost, whose Airy disc is wider than their blur; empty if none is.
+
+    `blur_size_px` is the largest blur of the whole mask that the camera is used with.
+    """
+    openings = sorted(openings_of(camera.mask).each, key=lambda opening: opening.width)
+    size = abs(blur_size_px)
+    lost = [one for one in openings if airy_width_px(camera, one) > one.width * size]
+    if not lost:
+        return ""
+    first, extent_mm = lost[0], camera.mask_extent_mm
+    others = f" (and {len(lost) - 1} of the {len(openings)} openings more)" if lost[1:] else ""
+    airy_px = airy_width_px(camera, first)
+    f_number = f", f/{camera.f_number:.1f}" if camera.f_number else ""
+    return (
+        f"mask {camera.mask.name}: the opening {first.width * extent_mm:.2g} mm wide, "
+        f"{first.x * extent_mm:+.1f} mm right and {first.y * extent_mm:+.1f} mm below the middle"
+        f"{others}, has an Airy disc of {airy_px:.1f} px ({camera.wavelength_nm:g} nm{f_number}), "
+        f"wider than its blur of {first.width * size:.1f} px: diffraction hides its shape; take a "
+        "larger mask_extent_mm, a mask with wider openings, or a focus farther from the scene"
+    )

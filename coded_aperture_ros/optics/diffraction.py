@@ -1,0 +1,103 @@
+"""Point-spread functions of an ideal thin lens with diffraction, in light of one wavelength.
+
+With the mask's coordinate x in units of its extent M, the field at u pixels beside the chief ray is
+the scalar diffraction integral of the mask's amplitude t(x) and of the defocus (J. W. Goodman,
+Introduction to Fourier Optics, 3rd ed., eq. 6-33 and 6-34)::
+
+    U(u) = integral of t(x) exp(i pi (S |x|^2 - 2 x u) / q) dx,    PSF = |U|^2
+
+with the blur size S and ``q = wavelength f_px / M``, the wavelength times the f-number, both in
+pixels. The mask sits at the lens.
+"""
+
+import numpy as np
+import scipy.special
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.arrays import DoubleArray
+from coded_aperture_ros.optics.mask import Mask
+
+# Below this many half waves of defocus at the mask's edge the phase is that in focus.
+_IN_FOCUS = 1e-3
+# Beyond what a PSF keeps of its tails lies at most this share of the light, unless that is far.
+_LOST, _FARTHEST_PX = 0.02, 8
+# Points of the integral over a pixel beyond what the finest fringes need, for 6 digits.
+_MORE_POINTS = 5
+
+
+def scattering_px(mask: Mask, diffraction_px: float) -> float:
+    """Return how far a mask's edges throw light, px: beyond d px falls this divided by d of it.
+
+    It is ``q P / (2 pi^2 A)`` of perimeter P and area A of the openings, the tail of every
+    diffraction pattern: for a slit of width w, ``q / (pi^2 w)``. `diffraction_px` is q.
+    """
+    grid = np.pad(mask.transmission.astype(np.float64), 1)
+    perimeter = sum(np.abs(np.diff(grid, axis=axis)).sum() for axis in (0, 1))
+    # Cells are 1 / n of the extent wide.
+    per_area = perimeter / grid.sum() * max(mask.transmission.shape)
+    return float(diffraction_px * per_area / (2 * np.pi**2))
+
+
+def tail_px(mask: Mask, diffraction_px: float) -> int:
+    """Return how many pixels beyond the geometric one a PSF is wide on each side."""
+    return min(int(np.ceil(scattering_px(mask, diffraction_px) / _LOST)), _FARTHEST_PX)
+
+
+def diffracted(
+    mask: Mask,
+    blur_size_px: float,
+    width_px: int,
+    diffraction_px: float,
+    centre_px: tuple[float, float] = (0.0, 0.0),
+    part: Mask | None = None,
+) -> DoubleArray:
+    """Return the light on every pixel, float64 [width_px, width_px], as a share of all light.
+
+    The field of a square cell is a product of two Fresnel integrals, so that it is exact; the
+    intensity is integrated over the pixels by Gauss's rule, with points enough for its fringes.
+
+    Parameters
+    ----------
+    blur_size_px, width_px, centre_px
+        See `render_psf`.
+    diffraction_px : float
+        ``q`` above, more than 0.
+    part : Mask, optional
+        Some of the mask's cells. The result is then what comes through them, ``Re(U_part* U)``: of
+        all parts together it is the PSF, of one it has its light, and may be negative in places.
+    """
+    count = int(np.ceil(np.pi / (2 * diffraction_px))) + _MORE_POINTS
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    places = (np.arange(width_px)[:, None] - (width_px - 1) / 2 + nodes / 2).ravel()
+    amplitude = np.sqrt(mask.transmission.astype(np.float64))
+    # A row of the grid is not as long as the extent where the grid is higher than wide.
+    cell, (down, across) = 1 / max(amplitude.shape), amplitude.shape
+    rows, columns = (
+        _fields(
+            (np.arange(cells + 1) - cells / 2) * cell, places - beside, blur_size_px, diffraction_px
+        )
+        for cells, beside in zip((down, across), centre_px, strict=True)
+    )
+    chosen = amplitude if part is None else np.sqrt(part.transmission.astype(np.float64))
+    light = np.empty((width_px, width_px))
+    across_whole, across_chosen = amplitude @ columns.T, chosen @ columns.T
+    # A row of pixels at a time: all points together can take gigabytes.
+    for pixels, of_row in zip(light, rows.reshape(width_px, count, down), strict=True):
+        whole = of_row @ across_whole
+        passed = whole if part is None else of_row @ across_chosen
+        intensity = weights @ (passed.conj() * whole).real
+        pixels[:] = intensity.reshape(width_px, count) @ weights
+    # Parseval's theorem: the integral of |U|^2 is q^2 times that of t^2. A weight is of 2 px.
+    return light / 4 / (diffraction_px**2 * float((amplitude**2).sum()) * cell**2)
+
+
+def _fields(edges: DoubleArray, u: DoubleArray, size_px: float, q: float) -> NDArray[np.complex128]:
+    """Return the field of each slit between neighbouring edges [n + 1] at places u, [u, n]."""
+    frequency, curvature = u[:, None] / q, size_px / q
+    if abs(curvature) < _IN_FOCUS:
+        middle, width = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
+        return width * np.sinc(width * frequency) * np.exp(-2j * np.pi * middle * frequency)
+    scale = np.sqrt(2 * abs(curvature))
+    sine, cosine = scipy.special.fresnel(scale * (edges - frequency / curvature))
+    integral = np.diff(cosine + 1j * np.sign(curvature) * sine, axis=1)
+    return integral / scale * np.exp(-1j * np.pi * frequency**2 / curvature)
