@@ -193,8 +193,8 @@ class Camera:
         """`diffraction_px` as PSFs include it: 0 where they are the geometric ones.
 
         By default they are those while less than 3 % of the light goes farther than a pixel from
-        where rays go. Up to there at most 9 % of it fall on other pixels than without diffraction
-        (named masks, blur of 7 to 30 px; 12 % at 3 px).
+        where rays go. Up to there at most 15 % of it falls on other pixels than without diffraction
+        (named masks, blur of 3 to 30 px), where edges of cells lie on those of pixels, usually 6 %.
         """
         beyond = scattering_px(self.mask, self.diffraction_px)
         least = {None: _NEGLIGIBLE, True: _INVISIBLE, False: math.inf}[self.diffraction]
