@@ -92,12 +92,15 @@ def diffracted(
 
 
 def _fields(edges: DoubleArray, u: DoubleArray, size_px: float, q: float) -> NDArray[np.complex128]:
-    """Return the field of each slit between neighbouring edges [n + 1] at places u, [u, n]."""
+    """Return the field of each slit between neighbouring edges [n + 1] at places u, [u, n].
+
+    But for a phase that all slits share at a place, and, with negative sizes, its conjugate: the
+    intensity does not see them.
+    """
     frequency, curvature = u[:, None] / q, size_px / q
     if abs(curvature) < _IN_FOCUS:
         middle, width = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
         return width * np.sinc(width * frequency) * np.exp(-2j * np.pi * middle * frequency)
     scale = np.sqrt(2 * abs(curvature))
     sine, cosine = scipy.special.fresnel(scale * (edges - frequency / curvature))
-    integral = np.diff(cosine + 1j * np.sign(curvature) * sine, axis=1)
-    return integral / scale * np.exp(-1j * np.pi * frequency**2 / curvature)
+    return np.diff(cosine + 1j * sine, axis=1) / scale
