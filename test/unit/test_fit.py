@@ -138,6 +138,14 @@ def test_a_fitting_frame_keeps_its_confidence(bank, scene):
     assert checked.seconds["fit"] > 0
 
 
+def test_a_frame_without_noise_fits(scene, bank):
+    """As simulated ones are; what is enlarged has none at the highest frequencies, either."""
+    light = scene.coded()
+    assert health_of(bank, light).health.fits
+    large = cv2.resize(recorded(light), None, fx=2.5, fy=2.5, interpolation=cv2.INTER_CUBIC)
+    assert not health_of(bank, large).health.fits
+
+
 @pytest.mark.parametrize("mask", ["four_hole", "disc"])
 def test_frames_through_another_mask_do_not_fit(levin, bank, mask):
     """Not all small frames tell."""

@@ -39,7 +39,7 @@ LIMIT, SCALED_LIMIT = 20.0, 5.0
 _LAYERS = 3
 # Of the frames that the network has learned from.
 _USUAL_PIXELS = 288 * 288
-_LEAST_NOISE = 2e-4
+_LEAST_NOISE, _CLEANEST, _DITHER = 2e-4, 3e-4, 6e-4
 _UNSURE_PX, _FAR_PX = 4.0, 1.5
 _CONFIDENT = 0.55
 # Of a video, one frame in so many is looked at, and counts by this share.
@@ -177,9 +177,12 @@ class FitCheck:
         self, seen: Observation, misfit: FloatArray, level: FloatArray, confidence: FloatArray
     ) -> FloatArray | None:
         """Return what the network is told of a frame; None if there is too little to see."""
-        noise = max(seen.noise.typical, _LEAST_NOISE)
+        grey, noise = seen.grey, max(seen.noise.typical, _LEAST_NOISE)
+        if noise < _CLEANEST:  # as no camera's frames are: simulated ones
+            dither = np.random.default_rng(0).standard_normal(grey.shape, dtype=np.float32)
+            grey, noise = grey + np.float32(_DITHER) * dither, float(np.hypot(noise, _DITHER))
         known = seen.noise.sigma if seen.noise.highest is None else 0.0
-        evidence = self._witness.ask(seen.grey, noise, seen.unusable)
+        evidence = self._witness.ask(grey, noise, seen.unusable)
         if evidence is None:
             return None
         telling = misfit[seen.usable] if seen.usable.any() else misfit
@@ -197,7 +200,7 @@ class FitCheck:
         apart = np.abs(np.abs(found_px) - own_px)
         numbers = [
             *evidence.features,
-            *traces(seen.grey, noise, known),
+            *traces(grey, noise, known),
             *np.quantile(telling, (0.1, 0.25, 0.5, 0.75, 0.9)),
             confidence.mean(),
             (confidence >= _CONFIDENT).mean(),
