@@ -1,5 +1,7 @@
 """The filter bank: its energies, what they identify, and its file."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from textures import blurred_texture
@@ -7,6 +9,8 @@ from textures import blurred_texture
 from coded_aperture_ros.bank import (
     LearnConfig,
     NaturalImagePrior,
+    check_frame_size,
+    check_setting,
     learn_bank,
     learn_bank_for_camera,
     load_bank,
@@ -226,3 +230,27 @@ def test_levels_out_of_order_are_refused():
     depths = PsfStack(np.arange(3.0), ordered.psfs, np.array([1.0, 3.0, 2.0]))
     with pytest.raises(InputError, match="depths: levels must be in order"):
         learn_bank(depths)
+
+
+@pytest.mark.parametrize(("near_m", "far_m"), [(2100.0, 5100.0), (2.0, 2.001)])
+def test_a_range_in_which_nothing_is_told_apart_is_refused(near_m, far_m):
+    """Millimetres for metres, say."""
+    camera = Camera(800.0, 1.0, 640, 480, Mask.named("levin"), 20.0)
+    with pytest.raises(InputError, match=r"no two depths can be told apart: check the units"):
+        learn_bank_for_camera(camera, near_m, far_m, 30)
+
+
+def test_a_bank_knows_its_frames_and_its_camera(tmp_path):
+    camera = Camera(800.0, 1.0, 640, 480, Mask.named("levin"), 20.0)
+    save_bank(learn_bank_for_camera(camera, 1.5, 3.0, 4), tmp_path / "bank.npz")
+    bank = load_bank(tmp_path / "bank.npz")
+    assert (bank.image_width, bank.image_height) == (640, 480)
+    check_frame_size(bank, 640, 480)
+    check_setting(bank, camera.scaled(0.5))
+    with pytest.raises(InputError, match=r"frame of 320x240: the bank is for 640x480.*scale 2 "):
+        check_frame_size(bank, 320, 240)
+    with pytest.raises(InputError, match="another setting of the camera"):
+        check_setting(bank, dataclasses.replace(camera, focus_distance_m=1.1))
+    unknown = dataclasses.replace(bank, image_width=0, setting_digest="")
+    check_frame_size(unknown, 320, 240)
+    check_setting(unknown, dataclasses.replace(camera, focus_distance_m=1.1))

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics import Mask, camera_from_mapping, load_camera
+from coded_aperture_ros.optics import Camera, Mask, camera_from_mapping, load_camera
 
 # The camera of the thesis, section 3.4.3: Canon 50 mm lens, mask of 11 mm, 1920 pixels on 36 mm.
 
@@ -211,3 +211,33 @@ def test_camera_built_in_python_is_checked_too():
         pinhole(mask="levin")
     with pytest.raises(dataclasses.FrozenInstanceError):
         pinhole().side = "near"
+
+
+@pytest.mark.parametrize(("extent_mm", "said"), [(0.02, "f/2.5e"), (200.0, "f/0.25")])
+def test_no_lens_has_such_an_f_number(extent_mm, said):
+    """A mask of 20 mm that is given in metres, say."""
+    with pytest.raises(InputError, match=r"^mask_extent_mm: .*give both in millimetres$") as caught:
+        Camera.from_lens(
+            focal_length_mm=50.0,
+            pixel_pitch_um=5.0,
+            focus_distance_m=1.0,
+            image_width=640,
+            image_height=480,
+            mask=Mask.named("levin"),
+            mask_extent_mm=extent_mm,
+        )
+    assert said in str(caught.value)
+
+
+def test_another_setting_has_another_digest():
+    camera = Camera(800.0, 1.0, 640, 480, Mask.named("levin"), 20.0)
+    assert camera.setting_digest == camera.scaled(0.5).setting_digest
+    assert camera.setting_digest == dataclasses.replace(camera, noise=0.01).setting_digest
+    for change in (
+        {"focus_distance_m": 1.2},
+        {"focal_length_px": 900.0},
+        {"mask_extent_mm": 18.0},
+        {"side": "near"},
+        {"lens_mask_distance_mm": 5.0},
+    ):
+        assert dataclasses.replace(camera, **change).setting_digest != camera.setting_digest
