@@ -211,7 +211,20 @@ class PsfStack:
 
 
 def render_psf_stack(mask: Mask, blur_sizes_px: ArrayLike, diffraction_px: float = 0.0) -> PsfStack:
-    """Render the PSFs of signed blur sizes [L] onto one common support; see `render_psf`."""
+    """Render the PSFs of several blur sizes onto one common support; see `render_psf`.
+
+    Parameters
+    ----------
+    blur_sizes_px : ndarray of float [L]
+        Signed, px.
+    diffraction_px : float, optional
+        See `render_psf`; 0: none.
+
+    Raises
+    ------
+    InputError
+        If there is no size, or a PSF cannot be rendered.
+    """
     sizes = np.atleast_1d(np.asarray(blur_sizes_px, dtype=np.float64))
     if sizes.size == 0:
         raise InputError("blur sizes: at least one is needed")
