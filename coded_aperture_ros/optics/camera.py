@@ -46,8 +46,8 @@ _OPTIONAL = (
 )
 _KEYS = (*_NUMBERS, "side", "mask", "camera_info", "diffraction")
 # Diffraction is left out where less of the light than this, as a share, goes farther than a pixel
-# from where rays go: where the camera file does not ask for it, and where it does.
-_NEGLIGIBLE, _INVISIBLE = 0.03, 0.005
+# from where rays go.
+_INVISIBLE = 0.005
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Camera:
     wavelength_nm : float
         Wavelength of the light that diffraction is reckoned for.
     diffraction : bool or None
-        Whether PSFs include diffraction; None: where it matters, see `psf_diffraction_px`.
+        Whether PSFs include diffraction, where it can be seen; None: no, see `psf_diffraction_px`.
 
     Raises
     ------
@@ -192,12 +192,11 @@ class Camera:
     def psf_diffraction_px(self) -> float:
         """`diffraction_px` as PSFs include it: 0 where they are the geometric ones.
 
-        By default they are those while less than 3 % of the light goes farther than a pixel from
-        where rays go. Up to there at most 15 % of it falls on other pixels than without diffraction
-        (named masks, blur of 3 to 30 px), where edges of cells lie on those of pixels, usually 6 %.
+        They are unless the camera asks for diffraction, and where less than 0.5 % of the light goes
+        farther than a pixel from where rays go.
         """
         beyond = scattering_px(self.mask, self.diffraction_px)
-        least = {None: _NEGLIGIBLE, True: _INVISIBLE, False: math.inf}[self.diffraction]
+        least = _INVISIBLE if self.diffraction else math.inf
         return self.diffraction_px if beyond >= least else 0.0
 
     def blur_size_px(self, depth_m: ArrayLike) -> DoubleArray:

@@ -1,5 +1,6 @@
 """The examples that the commands' `--help` shows, typed as they stand."""
 
+import re
 import shutil
 from importlib.util import find_spec
 
@@ -18,7 +19,10 @@ DEPTH_M = 4.0
 @pytest.mark.slow
 def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checkout):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "config").symlink_to(checkout / "config")
+    shutil.copytree(checkout / "config", tmp_path / "config")
+    for file in (tmp_path / "config").glob("*.yaml"):  # smaller frames, which take less time
+        text = re.sub(r"^image_width: .*", "image_width: 250", file.read_text(), flags=re.M)
+        file.write_text(re.sub(r"^image_height: .*", "image_height: 200", text, flags=re.M))
     sharp = texture(200, 250)
     cv2.imwrite("sharp.png", np.rint(255 * sharp ** (1 / 2.2)).astype(np.uint8))
     cv2.imwrite("depth.png", np.full(sharp.shape, 1000 * DEPTH_M, np.uint16))

@@ -73,8 +73,9 @@ def test_manifest_names_every_package_that_the_code_imports(checkout, manifest):
         "cv2": "python3-opencv",
         "yaml": "python3-yaml",
         "numba": "python3-numba",
+        "tqdm": "python3-tqdm",
     }
-    optional = {"maxflow", "skimage", "matplotlib", "tqdm", "rosbags", "torch", "distributed"}
+    optional = {"maxflow", "skimage", "matplotlib", "rosbags", "torch", "distributed"}
     declared = {element.text for element in manifest.iter("exec_depend")}
     assert {"rclpy", "sensor_msgs", "diagnostic_msgs", *apt_names.values()} <= declared
     imported = set()
@@ -95,6 +96,7 @@ def test_runtime_requirements_admit_what_ubuntu_24_04_has(requirements):
         "opencv-python-headless": "4.6.0",
         "pyyaml": "6.0.1",
         "numba": "0.58.1",
+        "tqdm": "4.66.2",
     }
     runtime = {r.name.lower(): r for r in requirements if "extra" not in str(r.marker)}
     assert set(runtime) == {*apt, "pymaxflow"}
@@ -110,7 +112,7 @@ def test_extras(requirements):
     assert {"ros-rclpy", "ros-jazzy-sensor-msgs", "ros-jazzy-diagnostic-msgs"} <= names_in_extra(
         requirements, "ros"
     )
-    evaluation = {"rosbags", "matplotlib", "scikit-image", "scikit-learn", "tqdm"}
+    evaluation = {"rosbags", "matplotlib", "scikit-image", "scikit-learn"}
     assert evaluation == names_in_extra(requirements, "eval")
     assert {"torch"} == names_in_extra(requirements, "gpu")
     dev = {"pytest", "pytest-xdist", "hypothesis", "ruff", "mypy", "colcon-core", "colcon-ros"}
@@ -156,7 +158,11 @@ def test_every_other_file_is_installed(checkout):
         for path in package.rglob("*")
         if path.is_file() and path.suffix != ".py" and path.parent.name != "__pycache__"
     }
-    weights = {Path("depth/refine/refinement.npz"), Path("deblur/blend/blend.npz")}
+    weights = {
+        Path("depth/refine/refinement.npz"),
+        Path("depth/fit/fit.npz"),
+        Path("deblur/blend/blend.npz"),
+    }
     assert others == {Path("design/page.html"), *weights}
     setup = (checkout / "setup.py").read_text()
     assert 'f"{NAME}.design": ["page.html"]' in setup

@@ -162,8 +162,8 @@ def pinhole(extent_mm, **others):
 
 
 def test_diffraction_is_left_out_where_it_does_not_matter():
-    wide, narrow = pinhole(52), pinhole(12)
-    assert wide.psf_diffraction_px == 0
+    wide, narrow = pinhole(52), pinhole(12, diffraction=True)
+    assert wide.psf_diffraction_px == pinhole(12).psf_diffraction_px == 0
     assert narrow.psf_diffraction_px == narrow.diffraction_px > 0
     assert pinhole(52, diffraction=True).psf_diffraction_px == wide.diffraction_px
     assert pinhole(12, diffraction=False).psf_diffraction_px == 0
@@ -190,7 +190,7 @@ def test_what_is_left_out_by_default_is_below_the_stated_bound(name):
 
 def test_learn_takes_the_camera_s_diffraction(tmp_path, capsys):
     camera = {"mask_extent_mm": 8, "focal_length_px": 1200, "focus_distance_m": 1.5}
-    for name, extra in (("with", {}), ("without", {"diffraction": False})):
+    for name, extra in (("with", {"diffraction": True}), ("without", {})):
         file = camera_file(tmp_path, f"{name}.yaml", **camera, **extra)
         arguments = ("--camera", file, "--depth-range", 4, 50, "--level-count", 4, "--rank", 16)
         assert call(capsys, "learn", *arguments, "-o", tmp_path / f"{name}.npz").status == 0
@@ -203,7 +203,7 @@ def test_learn_takes_the_camera_s_diffraction(tmp_path, capsys):
 
 
 def test_a_simulated_plane_is_convolved_with_the_diffracted_psf():
-    camera = pinhole(12)
+    camera = pinhole(12, diffraction=True)
     image = np.random.default_rng(0).random((80, 96), dtype=np.float32)
     psf = render_psf(camera.mask, float(camera.blur_size_px(4.0)),
                      diffraction_px=camera.psf_diffraction_px)  # fmt: skip
