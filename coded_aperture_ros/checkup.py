@@ -10,7 +10,7 @@ from coded_aperture_ros.bank import FilterBank, check_setting
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimate, DepthEstimator
-from coded_aperture_ros.design.setting import resolution_m, setting_of
+from coded_aperture_ros.design.setting import resolutions_m, setting_of
 from coded_aperture_ros.optics import Camera
 
 OK, WARNING, FAILED = "ok", "warning", "failed"
@@ -57,12 +57,11 @@ def camera_findings(camera: Camera, near_m: float, far_m: float) -> list[Finding
         If the range is not one of the camera's.
     """
     setting = setting_of(camera, near_m, far_m)
-    middle_m = 2 / (1 / near_m + 1 / far_m)
-    steps_m = resolution_m(camera, [near_m, middle_m, far_m])
-    numbers = dict(zip(("near_m", "middle_m", "far_m"), map(float, steps_m), strict=True))
+    told_apart = resolutions_m(camera, near_m, far_m)
+    numbers = {f"{name}_m": step for name, (_, step) in told_apart.items()}
     steps = ", ".join(
         f"{step:.2g} m at {depth:.3g} m" if math.isfinite(step) else f"none beyond {depth:.3g} m"
-        for step, depth in zip(steps_m, (near_m, middle_m, far_m), strict=True)
+        for depth, step in told_apart.values()
     )
     state = FAILED if setting.levels < _FEWEST_LEVELS else OK
     if state == OK and setting.levels < _FEW_LEVELS:

@@ -1,7 +1,6 @@
 """Input frames and output names that `depth` and `deblur` share."""
 
 import argparse
-import contextlib
 import dataclasses
 import logging
 import sys
@@ -77,22 +76,6 @@ class Unusable:
         return int(bool(self._reasons))
 
 
-def readable(source: Any, unusable: Unusable | None) -> Iterator[Any]:
-    """Go through the frames of a source, and close it in the end."""
-    with contextlib.closing(source):
-        while True:
-            try:
-                capture = source.read()
-            except InputError as error:
-                if unusable is None:
-                    raise
-                unusable.note(error)
-                continue
-            if capture is None:
-                return
-            yield capture
-
-
 def named_frames(
     args: argparse.Namespace,
     suffix: str,
@@ -112,7 +95,7 @@ def named_frames(
     import numpy as np
 
     from coded_aperture_ros.imaging import light_per_stored, linear_from_pixels
-    from coded_aperture_ros.io.sources import PictureSource, open_files
+    from coded_aperture_ros.io.sources import PictureSource, captures, open_files
 
     sources = [(given, open_files(given)) for given in args.inputs]
     lengths = [source.length for _, source in sources]
@@ -137,6 +120,7 @@ def named_frames(
             "use a folder for each"
         )
 
+    on_error = None if unusable is None else unusable.note
     if unusable is not None:
         unusable.alone = total == 1 or len(pictures) < len(sources)
 
@@ -146,7 +130,7 @@ def named_frames(
             before = alone
             alone = isinstance(source, PictureSource) and source.files == (Path(given),)
             video += not (before and alone)
-            for capture in readable(source, unusable):
+            for capture in captures(source, on_error):
                 yield given if alone else f"{given}, frame {capture.name}", capture, video
             if source.damage:
                 logging.warning(f"{given}: read up to the damage: {source.damage}")

@@ -121,6 +121,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         bank = _learned(args)
     save_bank(bank, args.output)
+    camera = load_camera(args.camera) if args.camera else None
     summary = {
         "output": args.output,
         "levels": bank.levels,
@@ -131,13 +132,13 @@ def run(args: argparse.Namespace) -> int:
         "rank": bank.basis.shape[1],
         "truncation_error": round(bank.truncation_error, 6),
         "learned_from": bank.learned_from,
-        **_resolution(args, bank),
+        **_resolution(camera, bank),
         "seconds": round(time.perf_counter() - start, 3),
     }
     if trials:
         summary["tried"] = [dataclasses.asdict(trial) for trial in trials]
     largest_px = float(np.abs(bank.blur_sizes_px).max())
-    diffraction = args.camera and diffraction_warning(load_camera(args.camera), largest_px)
+    diffraction = diffraction_warning(camera, largest_px) if camera else ""
     return tell(args, summary, _text, filter(None, [side_warning(bank), diffraction]))
 
 
@@ -270,22 +271,19 @@ def _tuned(args: argparse.Namespace) -> Any:
         return tune(learn, shape, args.budget_ms, config, progress)
 
 
-def _resolution(args: argparse.Namespace, bank: Any) -> dict[str, float | None]:
+def _resolution(camera: Any, bank: Any) -> dict[str, float | None]:
     """Return which steps of depth the camera tells apart at the near end, amid, and at the far end.
 
     None where infinity looks the same; nothing without a camera file.
     """
-    from coded_aperture_ros.design.setting import resolution_m
-    from coded_aperture_ros.optics import load_camera
+    from coded_aperture_ros.design.setting import resolutions_m
 
-    if args.camera is None or bank.stack.depths_m is None:
+    if camera is None or bank.stack.depths_m is None:
         return {}
-    near_m, far_m = sorted(bank.stack.depths_m[[0, -1]].tolist())
-    depths_m = {"near": near_m, "middle": 2 / (1 / near_m + 1 / far_m), "far": far_m}
-    steps_m = resolution_m(load_camera(args.camera), list(depths_m.values())).tolist()
+    told_apart = resolutions_m(camera, *sorted(bank.stack.depths_m[[0, -1]].tolist()))
     return {
         f"resolution_{name}_m": round(step, 4) if math.isfinite(step) else None
-        for name, step in zip(depths_m, steps_m, strict=True)
+        for name, (_, step) in told_apart.items()
     }
 
 

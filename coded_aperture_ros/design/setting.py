@@ -114,7 +114,7 @@ def setting_of(
     open_fraction = camera.mask.open_fraction
     hole_mm = share * camera.mask_extent_mm
     resolutions_m = resolution_m(camera, [near_m, far_m], config.resolution_px)
-    f_number = camera.focal_length_mm and camera.focal_length_mm / camera.mask_extent_mm
+    f_number = camera.f_number
     limit_mm = _AIRY * config.wavelength_nm * 1e-6 * camera.focal_length_px
     return Setting(
         focus_distance_m=camera.focus_distance_m,
@@ -145,6 +145,16 @@ def resolution_m(camera: Camera, depth_m: ArrayLike, resolution_px: float = 1.0)
     of blur size that is told apart.
     """
     return camera.depth_m(camera.blur_size_px(depth_m) + resolution_px) - np.asarray(depth_m)
+
+
+def resolutions_m(camera: Camera, near_m: float, far_m: float) -> dict[str, tuple[float, float]]:
+    """Return depth and `resolution_m` at the near end, in the middle and at the far end of a range.
+
+    The middle is that of the inverse depths, as levels are spaced.
+    """
+    depths_m = {"near": near_m, "middle": 2 / (1 / near_m + 1 / far_m), "far": far_m}
+    steps_m = resolution_m(camera, list(depths_m.values())).tolist()
+    return {name: (depths_m[name], step) for name, step in zip(depths_m, steps_m, strict=True)}
 
 
 def mean_blur_size_px(camera: Camera, near_m: float, far_m: float) -> float:

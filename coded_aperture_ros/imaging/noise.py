@@ -17,10 +17,10 @@ from coded_aperture_ros.imaging.patches import PatchGrid, brightness_at, mean_at
 # Passes what alternates from pixel to pixel along rows and columns both, and white noise with its
 # variance unchanged: a texture, blurred or not, has next to nothing there. A sharper filter would
 # miss noise that a sensor's colour filters have smoothed.
-_ALTERNATING = (np.array([1, -2, 1]) / np.sqrt(6)).astype(np.float32)
+ALTERNATING = (np.array([1, -2, 1]) / np.sqrt(6)).astype(np.float32)
 # Passes half these frequencies, which colour filters leave, and more texture: less of it counts.
 # On the real photograph it finds three times as much noise, of a frame with white noise no more.
-_HALF_AS_FAST = (np.array([1, 0, -2, 0, 1]) / np.sqrt(6)).astype(np.float32)
+HALF_AS_FAST = (np.array([1, 0, -2, 0, 1]) / np.sqrt(6)).astype(np.float32)
 _OF_HALF_AS_FAST = 0.8
 
 # The least textured windows tell the noise best; the very least are there by chance.
@@ -40,7 +40,7 @@ def high_power(grey: FloatArray, grid: PatchGrid) -> FloatArray:
 
     It is the variance of the noise, and what little there is of texture.
     """
-    return _passed_power(grey, grid, _ALTERNATING)
+    return _passed_power(grey, grid, ALTERNATING)
 
 
 def _passed_power(grey: FloatArray, grid: PatchGrid, kernel: FloatArray) -> FloatArray:
@@ -173,7 +173,7 @@ def grey_noise(
     shot = None if shot_variance is None else shot_variance[telling]
     highest = estimate_noise(high_power(grey, grid)[telling], shot)
     # Noise that a sensor's colour filters have smoothed is missing from the highest frequencies.
-    lower = estimate_noise(_passed_power(grey, grid, _HALF_AS_FAST)[telling], shot)
+    lower = estimate_noise(_passed_power(grey, grid, HALF_AS_FAST)[telling], shot)
     return GreyNoise(max(highest, _OF_HALF_AS_FAST * lower), shot_variance, highest)
 
 

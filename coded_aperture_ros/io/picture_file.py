@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
-from coded_aperture_ros.imaging.decoding import decode_picture
+from coded_aperture_ros.imaging.decoding import decode_picture, lost_by_compression
 from coded_aperture_ros.imaging.light import Gamma, linear_from_pixels, pixels_from_linear
 
 PICTURE_SUFFIXES = (
@@ -58,7 +58,16 @@ def read_image(path: str | os.PathLike[str], gamma: Gamma = 1.0) -> FloatArray:
 
 def read_pixels(path: str | os.PathLike[str]) -> NDArray:
     """Read a picture as it is stored: uint8, uint16 or float32; see `read_image`."""
-    pixels = _read_pixels(Path(path))
+    return read_compressed(path)[0]
+
+
+def read_compressed(path: str | os.PathLike[str]) -> tuple[NDArray, float]:
+    """Read a picture as it is stored, and what compression has hidden in it.
+
+    See `read_pixels` and `lost_by_compression`.
+    """
+    data = _read_data(Path(path))
+    pixels = _pixels_of(Path(path), data)
     if pixels.ndim == 3 and pixels.shape[2] == 1:
         pixels = pixels[:, :, 0]
     if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3) or not pixels.size:
@@ -67,10 +76,10 @@ def read_pixels(path: str | os.PathLike[str]) -> NDArray:
             f"got the shape {list(pixels.shape)}"
         )
     if pixels.dtype.kind == "f":
-        return pixels.astype(np.float32, copy=False)
+        return pixels.astype(np.float32, copy=False), 0.0
     if pixels.dtype not in (np.uint8, np.uint16):
         raise InputError(f"{path}: expected 8-bit, 16-bit or float pixels, got {pixels.dtype}")
-    return pixels
+    return pixels, lost_by_compression(data)
 
 
 def write_image(
@@ -125,7 +134,7 @@ def read_depth(path: str | os.PathLike[str], metres_per_unit: float | None = Non
     InputError
         Naming the file, if it is missing, or not a depth map.
     """
-    pixels = _read_pixels(Path(path))
+    pixels = _pixels_of(Path(path), _read_data(Path(path)))
     if pixels.ndim != 2 or not pixels.size:
         raise InputError(
             f"{path}: expected a depth map [row, column], got the shape {list(pixels.shape)}"
@@ -161,14 +170,18 @@ def write_depth(path: str | os.PathLike[str], depth_m: NDArray) -> None:
         raise InputError(f"{path}: unknown depth format, use .npy, .tif or .png")
 
 
-def _read_pixels(path: Path) -> NDArray:
-    """Read a file's pixels as stored, colours in RGB order."""
+def _read_data(path: Path) -> bytes:
     try:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     if not data:
         raise InputError(f"cannot read {path}: the file is empty")
+    return data
+
+
+def _pixels_of(path: Path, data: bytes) -> NDArray:
+    """Return a file's pixels as stored, colours in RGB order."""
     if path.suffix.lower() == ".npy":
         return _read_array(path)
     pixels = decode_picture(data)

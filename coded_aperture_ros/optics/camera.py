@@ -195,9 +195,9 @@ class Camera:
         They are unless the camera asks for diffraction, and where less than 0.5 % of the light goes
         farther than a pixel from where rays go.
         """
-        beyond = scattering_px(self.mask, self.diffraction_px)
-        least = _INVISIBLE if self.diffraction else math.inf
-        return self.diffraction_px if beyond >= least else 0.0
+        if not self.diffraction or scattering_px(self.mask, self.diffraction_px) < _INVISIBLE:
+            return 0.0
+        return self.diffraction_px
 
     def blur_size_px(self, depth_m: ArrayLike) -> DoubleArray:
         """Signed blur size of the full mask extent at each depth (thesis eq. 3.28).

@@ -10,7 +10,7 @@ from coded_aperture_benchmarks.layered import random_scene
 from coded_aperture_ros.bank import LearnConfig, WindowedFourierBasis, learn_bank
 from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimator, Health
 from coded_aperture_ros.depth.fit import FitCheck, can_be_checked
-from coded_aperture_ros.depth.fit.alternatives import NAMES, alternatives
+from coded_aperture_ros.depth.fit.alternatives import NAMES, alternatives, levels_beyond, own_levels
 from coded_aperture_ros.depth.fit.evidence import Witness
 from coded_aperture_ros.depth.fit.spectra import (
     SLOPES,
@@ -96,9 +96,10 @@ def test_powers_of_white_noise_are_its_variance():
 
 
 def test_alternatives_are_known_by_their_names(stack):
-    found = alternatives(stack)
+    found = alternatives(own_levels(stack))
     assert set(found) <= set(NAMES)
-    assert {"disc", "sharp", "rot45", "inverted", "beyond"} <= set(found)
+    assert {"disc", "sharp", "rot45", "inverted"} <= set(found)
+    assert levels_beyond(own_levels(stack)).psfs
     share = frequencies().share
     for hypotheses in found.values():
         assert hypotheses.weights.shape[1] == len(share)
@@ -108,7 +109,7 @@ def test_alternatives_are_known_by_their_names(stack):
 
 def test_a_bank_with_all_sizes_has_none_beyond():
     sizes_px = np.arange(1.5, 22.4, 1.0)
-    assert "beyond" not in alternatives(render_psf_stack(Mask.named("zhou"), sizes_px))
+    assert not levels_beyond(own_levels(render_psf_stack(Mask.named("zhou"), sizes_px))).psfs
 
 
 def test_evidence_is_of_textured_windows_without_unusable_pixels(stack, scene):

@@ -13,6 +13,7 @@ from coded_aperture_ros.io import (
     write_image,
 )
 from coded_aperture_ros.io.depth_picture import UNKNOWN_RGB
+from coded_aperture_ros.io.picture_file import read_compressed, read_pixels
 from coded_aperture_ros.io.sources import captures, open_files
 
 
@@ -304,3 +305,31 @@ def test_confidence_picture():
 def test_integer_pixels_span_their_type():
     assert linear_from_pixels(np.array([0, 255], np.uint8)).tolist() == [0, 1]
     assert linear_from_pixels(np.array([0, 65535], np.uint16)) == pytest.approx([0, 1])
+
+
+@pytest.mark.parametrize("quality", [95, 75, 50])
+def test_a_picture_says_what_jpeg_has_lost(tmp_path, quality):
+    picture = np.random.default_rng(0).integers(0, 255, (64, 96, 3)).astype(np.uint8)
+    _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    path = tmp_path / "p.jpg"
+    path.write_bytes(data.tobytes())
+    pixels, lost = read_compressed(path)
+    np.testing.assert_array_equal(pixels, read_pixels(path))
+    # The median of the standard's luminance table is 56.5, at quality 50.
+    median = 56.5 * (2 - quality / 50)
+    assert lost == pytest.approx(0.35 * median / 255 / np.sqrt(12), rel=0.1)
+    cv2.imwrite(str(tmp_path / "p.png"), picture)
+    assert read_compressed(tmp_path / "p.png")[1] == 0
+
+
+def test_cut_jpeg_pictures_are_refused_or_read(tmp_path):
+    """At whatever byte they end."""
+    picture = np.random.default_rng(0).integers(0, 255, (24, 24), np.uint8)
+    data = cv2.imencode(".jpg", picture)[1].tobytes()
+    path = tmp_path / "cut.jpg"
+    for length in range(1, len(data), 7):
+        path.write_bytes(data[:length])
+        try:
+            assert read_compressed(path)[0].shape == picture.shape
+        except InputError as error:
+            assert "cut.jpg" in str(error)

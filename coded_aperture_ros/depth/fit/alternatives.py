@@ -1,5 +1,6 @@
 """What the lens may be instead: PSFs that are tried beside those of the bank."""
 
+import dataclasses
 from functools import lru_cache
 
 import cv2
@@ -20,8 +21,22 @@ _OTHERS = ("disc", "sharp", "levin", "four_hole", "zhou", "mura")
 NAMES = ("beyond", "inverted", "rot90", "mirror", "rot45", *_OTHERS)
 
 
-def own_levels(stack: PsfStack) -> tuple[DoubleArray, list[FloatArray]]:
-    """Return the blur sizes, without sign, and the PSFs of enough levels of a bank.
+@dataclasses.dataclass(frozen=True, eq=False)
+class Levels:
+    """Some PSFs, and their blur sizes, px, without sign."""
+
+    sizes_px: DoubleArray
+    psfs: list[FloatArray]
+
+    def with_others(self, other: "Levels") -> "Levels":
+        """Return the levels of both, by size."""
+        sizes_px = np.concatenate([self.sizes_px, other.sizes_px])
+        order, psfs = np.argsort(sizes_px), [*self.psfs, *other.psfs]
+        return Levels(sizes_px[order], [psfs[level] for level in order])
+
+
+def own_levels(stack: PsfStack) -> Levels:
+    """Return enough levels of a bank.
 
     Of a bank for both sides of the focus those of one side: spectra do not tell the sides.
     """
@@ -31,15 +46,17 @@ def own_levels(stack: PsfStack) -> tuple[DoubleArray, list[FloatArray]]:
     count = len(one_side)
     chosen = np.round(np.linspace(0, count - 1, min(count, _LEVELS))).astype(int)
     some = one_side[np.unique(chosen)]
-    return np.abs(sizes_px[some]), [stack.psfs[level] for level in some]
+    return Levels(np.abs(sizes_px[some]), [stack.psfs[level] for level in some])
 
 
-def alternatives(stack: PsfStack) -> dict[str, Hypotheses]:
-    """Return what may explain a frame better than the levels of a bank; of `NAMES`."""
-    sizes_px, psfs = own_levels(stack)
-    inverted = [_inverted(psf, size) for psf, size in zip(psfs, sizes_px, strict=True)]
+def alternatives(own: Levels) -> dict[str, Hypotheses]:
+    """Return what may explain a frame better than the levels of a bank.
+
+    Of `NAMES`, but for what is beyond the bank.
+    """
+    psfs = own.psfs
+    inverted = [_inverted(psf, size) for psf, size in zip(psfs, own.sizes_px, strict=True)]
     made = {
-        "beyond": levels_beyond(stack)[1],
         "inverted": [psf for psf in inverted if psf is not None],
         "rot90": [np.rot90(psf).copy() for psf in psfs],
         "mirror": [psf[:, ::-1] for psf in psfs],
@@ -65,17 +82,16 @@ def _widths(psfs: FloatArray) -> DoubleArray:
     return np.asarray(np.sqrt(6 * spread), np.float64)
 
 
-def levels_beyond(stack: PsfStack) -> tuple[list[float], list[FloatArray]]:
-    """Return sizes that a bank does not have, and its widest PSF at these."""
-    sizes_px, psfs = own_levels(stack)
-    widest, largest_px = psfs[int(np.argmax(sizes_px))], float(sizes_px.max())
+def levels_beyond(own: Levels) -> Levels:
+    """Return the widest of a bank's PSFs at the sizes that it does not have."""
+    widest, largest_px = own.psfs[int(own.sizes_px.argmax())], float(own.sizes_px.max())
     if largest_px <= 0:
-        return [], []
-    low, high = sizes_px.min() - _BEYOND_PX, largest_px + _BEYOND_PX
+        return Levels(np.zeros(0), [])
+    low, high = own.sizes_px.min() - _BEYOND_PX, largest_px + _BEYOND_PX
     others = [float(size) for size in _SIZES_PX if not low <= size <= high]
     scaled = [(size, _scaled(widest, size / largest_px)) for size in others]
     fitting = [(size, psf) for size, psf in scaled if len(psf) <= WINDOW_PX]
-    return [size for size, _ in fitting], [psf for _, psf in fitting]
+    return Levels(np.array([size for size, _ in fitting]), [psf for _, psf in fitting])
 
 
 def _scaled(psf: FloatArray, scale: float) -> FloatArray:

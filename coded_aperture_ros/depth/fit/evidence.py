@@ -64,15 +64,13 @@ class Witness:
     """
 
     def __init__(self, stack: PsfStack, guarded: bool = False) -> None:
-        self._sizes_px, psfs = own_levels(stack)
-        others = alternatives(stack)
-        if guarded and "beyond" in others:
-            beyond_px, more = levels_beyond(stack)
-            order = np.argsort([*self._sizes_px, *beyond_px])
-            psfs = [[*psfs, *more][level] for level in order]
-            self._sizes_px = np.array([*self._sizes_px, *beyond_px])[order]
-            del others["beyond"]
-        self._own = Hypotheses.of(psfs)
+        own = own_levels(stack)
+        beyond, others = levels_beyond(own), alternatives(own)
+        if guarded:
+            own = own.with_others(beyond)
+        elif beyond.psfs:
+            others["beyond"] = Hypotheses.of(beyond.psfs)
+        self._sizes_px, self._own = own.sizes_px, Hypotheses.of(own.psfs)
         groups = [self._own, *(others[name] for name in NAMES if name in others)]
         self._all = Hypotheses(
             np.concatenate([group.weights for group in groups]),

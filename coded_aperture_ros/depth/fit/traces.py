@@ -4,10 +4,8 @@ import cv2
 import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.imaging.noise import ALTERNATING, HALF_AS_FAST
 
-# Passes the highest frequencies, and half of them; see `coded_aperture_ros.imaging.noise`.
-_ALTERNATING = (np.array([1, -2, 1]) / np.sqrt(6)).astype(np.float32)
-_HALF_AS_FAST = (np.array([1, 0, -2, 0, 1]) / np.sqrt(6)).astype(np.float32)
 _USUAL_NOISE = 2e-3
 _NOISE_PX, _LEAST = 24, 2e-5
 _BLOCKS_PX = (8, 16)
@@ -37,7 +35,7 @@ def traces(grey: FloatArray, noise: float, known: float) -> list[float]:
 def _noise(grey: FloatArray, noise: float, known: float) -> list[float]:
     """Return its colour, its size, and how that compares with what was known."""
     found = []
-    for kernel in (_ALTERNATING, _HALF_AS_FAST):
+    for kernel in (ALTERNATING, HALF_AS_FAST):
         square = cv2.sepFilter2D(grey, -1, kernel, kernel) ** 2
         around = cv2.boxFilter(square, -1, (_NOISE_PX, _NOISE_PX))
         half = _NOISE_PX // 2

@@ -9,8 +9,7 @@ import cv2
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging.decoding import lost_by_compression
-from coded_aperture_ros.io.picture_file import read_pixels
+from coded_aperture_ros.io.picture_file import read_compressed
 from coded_aperture_ros.io.sources.source import Capture
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm", ".mpg", ".mpeg", ".mjpeg")
@@ -84,8 +83,8 @@ class PictureSource(FileSource[Path]):
         yield from self.files
 
     def _capture(self, stored: Path) -> Capture:
-        lost = lost_by_compression(stored.read_bytes()) if _is_jpeg(stored) else 0.0
-        return Capture(read_pixels(stored), lost=lost, name=stored.stem)
+        pixels, lost = read_compressed(stored)
+        return Capture(pixels, lost=lost, name=stored.stem)
 
 
 class VideoSource(FileSource[Capture]):
@@ -113,10 +112,6 @@ class VideoSource(FileSource[Capture]):
 
     def _capture(self, stored: Capture) -> Capture:
         return stored
-
-
-def _is_jpeg(path: Path) -> bool:
-    return path.suffix.lower() in (".jpg", ".jpeg")
 
 
 def _open_video(path: Path) -> cv2.VideoCapture:

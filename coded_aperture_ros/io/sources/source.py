@@ -1,12 +1,14 @@
 """What a source of frames is."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Protocol
 
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -56,10 +58,22 @@ class Source(Protocol):
         """Let go of the device or file; the next `read` begins again."""
 
 
-def captures(source: Source) -> Iterator[Capture]:
-    """Go through the frames of a source, and close it in the end."""
-    try:
-        while (capture := source.read()) is not None:
+def captures(
+    source: Source, on_error: Callable[[InputError], None] | None = None
+) -> Iterator[Capture]:
+    """Go through the frames of a source, and close it in the end.
+
+    A frame that cannot be read is left out if `on_error` takes the error; else that is raised.
+    """
+    with closing(source):
+        while True:
+            try:
+                capture = source.read()
+            except InputError as error:
+                if on_error is None:
+                    raise
+                on_error(error)
+                continue
+            if capture is None:
+                return
             yield capture
-    finally:
-        source.close()
