@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.bags.frames import FrameProcessor
-from coded_aperture_ros.bags.messages import Batch, batches, result_messages, result_topics, warm_up
+from coded_aperture_ros.bags.messages import (
+    Batch,
+    batches,
+    first_info,
+    result_messages,
+    result_topics,
+    warm_up,
+)
 from coded_aperture_ros.bags.page import PAGE, write_report
 from coded_aperture_ros.bags.record import Record
 from coded_aperture_ros.bags.score import References
@@ -17,7 +24,7 @@ from coded_aperture_ros.core.figures import new_figure
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import map_size
 from coded_aperture_ros.imaging import Gamma
-from coded_aperture_ros.io.bags.codec import read_picture
+from coded_aperture_ros.io.bags.codec import hidden_noise, read_picture
 from coded_aperture_ros.io.bags.reading import Bag
 from coded_aperture_ros.io.bags.recorded import Topic
 from coded_aperture_ros.io.bags.topics import (
@@ -29,8 +36,8 @@ from coded_aperture_ros.io.bags.topics import (
     namespace_of,
 )
 from coded_aperture_ros.io.bags.writing import bag_output
-from coded_aperture_ros.io.messages import MessageError
-from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.io.messages import MessageError, view_of
+from coded_aperture_ros.optics import Camera, View
 from coded_aperture_ros.optics.rotation import ExpectedMotion
 from coded_aperture_ros.pipeline import FramePipeline
 
@@ -48,7 +55,7 @@ class BagConversion:
     reference_topic: str | None  # of the depth to compare with
     namespace: str | None  # of the results; by default the camera's
     camera: Camera
-    new_pipeline: Callable[[Camera], FramePipeline]  # for the camera at the frames' size
+    new_pipeline: Callable[[Camera], FramePipeline]  # for the camera at the frames' scale
     gamma: Gamma = 1.0  # of 8-bit frames
     map_size: str = "full"  # of the depth images, see `depth.map_size`
     motion: bool = False  # whether the pipeline's method finds motion
@@ -87,9 +94,14 @@ class BagConversion:
         self, bag: Bag, target: Path, progress: Progress, started_s: float
     ) -> dict[str, Any]:
         image, references, outputs = self._topics(bag)
-        first, size, camera = first_frame(bag, image, self.camera)
+        first, view, camera = first_frame(bag, image, self.camera)
+        size = view.height, view.width
         depth_size = map_size(size, self.map_size)
         pipeline = self.new_pipeline(camera)
+        if hidden := hidden_noise(first, image.type_name, self.gamma):
+            config = pipeline.estimator.config
+            least = max(config.least_noise, hidden)
+            pipeline.reconfigure(depth=dataclasses.replace(config, least_noise=least))
         processor = FrameProcessor(
             pipeline, image.type_name, size, depth_size, self.gamma, self.prior
         )
@@ -104,7 +116,7 @@ class BagConversion:
                 return None if batch.index is None else submit(batch.copies[-1].data)
 
             record.start()
-            found = batches(bag, image.name, camera_info_topic(bag.topics, image), camera)
+            found = batches(bag, image.name, camera_info_topic(bag.topics, image), camera, view)
             steps = in_order(begin, found, _AHEAD * processors())
             for batch, result in progress(steps, image.count):
                 for message in batch.copies:
@@ -167,16 +179,18 @@ class BagConversion:
         return image, None if reference is None else References(reference), outputs
 
 
-def first_frame(bag: Bag, topic: Topic, camera: Camera) -> tuple[bytes, tuple[int, int], Camera]:
-    """Return the first message of a topic that can be used, its size, and the camera of that size.
+def first_frame(bag: Bag, topic: Topic, camera: Camera) -> tuple[bytes, View, Camera]:
+    """Return the first message of a topic that can be used, its view, and the camera of all of it.
 
     An `InputError` if there is none.
     """
+    info = first_info(bag, camera_info_topic(bag.topics, topic))
     reason = ""
     for message in bag.messages(topic.name):
         try:
             height, width = read_picture(message.data, topic.type_name).pixels.shape[:2]
-            return message.data, (height, width), camera.fitted(width, height)
+            view = (info and view_of(info, width, height, camera)) or View.whole(width, height)
+            return message.data, view, camera.fitted(view.whole_width, view.whole_height)
         except InputError as error:
             reason = reason or str(error)
     reason = reason or "there is none"

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -21,8 +22,8 @@ from coded_aperture_ros.io.bags.codec import (
 from coded_aperture_ros.io.bags.reading import Bag
 from coded_aperture_ros.io.bags.recorded import Recorded, Topic
 from coded_aperture_ros.io.bags.topics import Outputs
-from coded_aperture_ros.io.messages import MessageError
-from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.io.messages import MessageError, view_of
+from coded_aperture_ros.optics import Camera, View
 
 # Messages that are copied wait for the next frame, but not more of them than this.
 _WAITING_BYTES = 16 * 2**20
@@ -40,19 +41,21 @@ class Batch:
     info: Any
 
 
-def batches(bag: Bag, image_topic: str, info_topic: str | None, camera: Camera) -> Iterator[Batch]:
+def batches(
+    bag: Bag, image_topic: str, info_topic: str | None, camera: Camera, view: View
+) -> Iterator[Batch]:
     """Yield all messages of a bag, up to and with a frame at a time.
 
-    The camera file's model counts until the bag has one of the frames' size.
+    The camera file's model counts until the bag has one of the frames. `view` is theirs.
     """
-    info = info_of(camera.intrinsics)
+    info = info_of(camera.intrinsics.cut(view))
     copies: list[Recorded] = []
     waiting, frames = 0, 0
     for message in bag.messages():
         copies.append(message)
         waiting += len(message.data)
         if message.topic == info_topic:
-            info = _usable_info(message.data, camera) or info
+            info = _usable_info(message.data, view, camera) or info
         is_frame = message.topic == image_topic
         if is_frame or waiting > _WAITING_BYTES:
             yield Batch(tuple(copies), frames if is_frame else None, info)
@@ -61,14 +64,23 @@ def batches(bag: Bag, image_topic: str, info_topic: str | None, camera: Camera) 
     yield Batch(tuple(copies), None, info)
 
 
-def _usable_info(data: bytes, camera: Camera) -> Any:
-    """Return a camera model of the bag; None if it is empty or of another size."""
-    try:
+def first_info(bag: Bag, topic: str | None) -> Any:
+    """Return the first camera model of a topic with a calibration; None if there is none."""
+    for message in () if topic is None else bag.messages(topic):
+        with suppress(MessageError):
+            info = read_camera_info(message.data)
+            if min(info.k[0], info.k[4]) > 0:
+                return info
+    return None
+
+
+def _usable_info(data: bytes, view: View, camera: Camera) -> Any:
+    """Return a camera model of the bag; None if it is empty or not of the frames."""
+    with suppress(MessageError):
         info = read_camera_info(data)
-    except MessageError:
-        return None
-    of_the_frames = (info.height, info.width) == (camera.image_height, camera.image_width)
-    return info if of_the_frames and info.k[0] > 0 and info.k[4] > 0 else None
+        if view_of(info, view.width, view.height, camera) is not None:
+            return info
+    return None
 
 
 def result_topics(outputs: Outputs, deblurs: bool) -> list[Topic]:

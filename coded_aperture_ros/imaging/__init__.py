@@ -1,6 +1,6 @@
 """One frame as numbers: linear light, grey, patches, noise, averages over time."""
 
-from coded_aperture_ros.imaging.decoding import decode_picture
+from coded_aperture_ros.imaging.decoding import decode_picture, noise_hidden_by_compression
 from coded_aperture_ros.imaging.frame import (
     channel_mean,
     check_frame,
@@ -51,6 +51,7 @@ __all__ = [
     "grey_noise",
     "light_per_stored",
     "linear_from_pixels",
+    "noise_hidden_by_compression",
     "periodic",
     "periodic_shape",
     "pixels_from_linear",

@@ -9,6 +9,7 @@ from coded_aperture_ros.optics.camera import (
 from coded_aperture_ros.optics.intrinsics import Intrinsics, load_intrinsics
 from coded_aperture_ros.optics.mask import MASK_NAMES, Mask
 from coded_aperture_ros.optics.psf import PsfStack, psf_width, render_psf, render_psf_stack
+from coded_aperture_ros.optics.view import View
 
 __all__ = [
     "MASK_NAMES",
@@ -16,6 +17,7 @@ __all__ = [
     "Intrinsics",
     "Mask",
     "PsfStack",
+    "View",
     "camera_from_mapping",
     "image_distance",
     "load_camera",

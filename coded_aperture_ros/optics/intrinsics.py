@@ -15,6 +15,7 @@ import yaml
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.optics.view import View
 
 _IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 # How many coefficients the models of ROS have.
@@ -109,6 +110,20 @@ class Intrinsics:
             projection_matrix=scaled_matrix(self.projection_matrix, x, y),
         )
 
+    def cut(self, view: View) -> "Intrinsics":
+        """Return the model of a part of the view, of which this is the whole."""
+        k, p = (
+            scaled_matrix(matrix, 1.0, 1.0, view.left, view.top)
+            for matrix in (self.camera_matrix, self.projection_matrix)
+        )
+        return dataclasses.replace(
+            self,
+            image_width=view.width,
+            image_height=view.height,
+            camera_matrix=k,
+            projection_matrix=p,
+        )
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file, which appears whole or not at all; an `InputError` if it cannot be."""
         content = {
@@ -126,16 +141,18 @@ class Intrinsics:
             temporary.write_text(text, encoding="utf-8")
 
 
-def scaled_matrix(matrix: Sequence[float], x: float, y: float) -> tuple[float, ...]:
-    """Return K or P, row by row, of a view that is resized by x and y.
+def scaled_matrix(
+    matrix: Sequence[float], x: float, y: float, left: float = 0.0, top: float = 0.0
+) -> tuple[float, ...]:
+    """Return K or P, row by row, of a view from `left` and `top` on that is resized by x and y.
 
-    Pixel centres have whole coordinates: a scale s moves x to s (x + 1/2) - 1/2.
+    Pixel centres have whole coordinates: a scale s moves x to s (x - left + 1/2) - 1/2.
     """
     columns = len(matrix) // 3
     scales = (x,) * columns + (y,) * columns + (1.0,) * columns
     values = [float(value) * scale for value, scale in zip(matrix, scales, strict=True)]
-    values[2] = x * (float(matrix[2]) + 0.5) - 0.5
-    values[columns + 2] = y * (float(matrix[columns + 2]) + 0.5) - 0.5
+    values[2] = x * (float(matrix[2]) - left + 0.5) - 0.5
+    values[columns + 2] = y * (float(matrix[columns + 2]) - top + 0.5) - 0.5
     return tuple(values)
 
 

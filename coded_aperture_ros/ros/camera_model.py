@@ -4,11 +4,12 @@ from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics import Camera, load_camera
+from coded_aperture_ros.optics import Camera, View, load_camera
 from coded_aperture_ros.ros.messages import (
     MessageError,
     camera_info_from_camera,
     scaled_camera_info,
+    view_of,
 )
 
 
@@ -36,7 +37,8 @@ def fitted_camera(camera: Camera, width: int, height: int) -> Camera:
 class CameraModel:
     """The camera model to publish: the driver's own if it sends one, else the camera file's.
 
-    The driver's is scaled to the frames where it is for another size of the same proportions.
+    The driver's is scaled to the frames where it is for another size of the same proportions; its
+    region of interest and its binning say which part of the view they are.
     """
 
     def __init__(self) -> None:
@@ -56,17 +58,25 @@ class CameraModel:
     ) -> CameraInfo:
         """Return the model of what was made of a frame; sizes are (height, width)."""
         info = self._received
-        if info is None or self.complaint(frame_size):
+        if info is None or self._view(camera, frame_size) is None:
             info = camera_info_from_camera(camera, header)
         return scaled_camera_info(info, output_size[1], output_size[0], header)
 
-    def complaint(self, frame_size: tuple[int, int]) -> str:
+    def complaint(self, camera: Camera, frame_size: tuple[int, int]) -> str:
         """Say why the driver's model cannot be that of frames (height, width); empty if it can."""
         info, (height, width) = self._received, frame_size
-        # Frames of the same proportions are taken to be the same view, resized.
-        if info is None or abs(info.height * width / info.width - height) <= 1.0:
+        if info is None or self._view(camera, frame_size) is not None:
             return ""
+        size = f"{info.roi.width or info.width}x{info.roi.height or info.height}"
         return (
-            f"camera_info is for {info.width}x{info.height}, which does not have the proportions "
+            f"camera_info is for {size}, which does not have the proportions "
             f"of the {width}x{height} frames: that of the camera file is published"
         )
+
+    def view(self, camera: Camera, frame_size: tuple[int, int]) -> View:
+        """Return which part of the camera's view frames (height, width) show."""
+        return self._view(camera, frame_size) or View.whole(frame_size[1], frame_size[0])
+
+    def _view(self, camera: Camera, frame_size: tuple[int, int]) -> View | None:
+        height, width = frame_size
+        return self._received and view_of(self._received, width, height, camera)

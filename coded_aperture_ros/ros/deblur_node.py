@@ -99,7 +99,8 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         depth_m = depth_of_frame(depth, image)
         # Beyond the range is deblurred as the end of the range; NaN stays unknown.
         depth_m = np.clip(depth_m, self._range.near_m, self._range.far_m or math.inf)
-        self._model.fit(image.width, image.height)
+        size = image.height, image.width
+        self._model.fit(self._info.view(self._model.camera, size))
         camera, config = self._model.camera, self.configs[DeblurConfig]
         blur_size_px = self._model.blur_size_px(depth_m)
         if not np.isfinite(blur_size_px).any():
@@ -112,8 +113,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         if self.wants("deblurred/image"):
             pixels = pixels_from_frame(sharp, image.encoding, gamma)
             self.send("deblurred/image", image_from_array(pixels, image.encoding, header))
-        size = frame.shape[0], frame.shape[1]
-        if complaint := self._info.complaint(size):
+        if complaint := self._info.complaint(camera, size):
             self.reject("camera_info", complaint)
         if self.wants("deblurred/camera_info"):
             self.send("deblurred/camera_info", self._info.info(camera, size, size, header))

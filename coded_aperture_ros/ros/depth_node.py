@@ -172,10 +172,12 @@ class DepthNode(FrameNode[Image]):
         frame = frame_from_image(item, self.frame_config.gamma)
         frame_size = frame.shape[0], frame.shape[1]
         size = map_size(frame_size, config.output_size)
-        self._model.fit(item.width, item.height)
-        camera, prior = self._model.camera, None
+        view, prior = self._info.view(self._model.camera, frame_size), None
+        self._model.fit(view)
+        camera = self._model.camera
         if self._finds_motion:
-            prior = self._gyro.expected(header, self.configs[GyroConfig], camera.intrinsics)
+            intrinsics = camera.intrinsics.cut(view)
+            prior = self._gyro.expected(header, self.configs[GyroConfig], intrinsics)
         try:
             result = self._present_pipeline()(frame, stamp_ns(header), size=size, prior=prior)
         except LateFrameError as error:
@@ -195,7 +197,7 @@ class DepthNode(FrameNode[Image]):
         if estimate.std_dev_m is not None and self.wants("depth/std_dev"):
             std_dev_m = np.where(np.isinf(depth_m), np.float32(np.inf), estimate.std_dev_m)
             self.send("depth/std_dev", image_from_array(std_dev_m, "32FC1", header))
-        if complaint := self._info.complaint(frame_size):
+        if complaint := self._info.complaint(camera, frame_size):
             self.reject("camera_info", complaint)
         if self.wants("depth/camera_info") or self.wants("depth/points"):
             info = self._info.info(camera, frame_size, size, header)
@@ -234,7 +236,10 @@ class DepthNode(FrameNode[Image]):
         # OpenCV runs the network, which is too much for the one thread of `limit_threads`.
         if cv2.getNumThreads() != (threads := thread_count(self.configs[DepthConfig].threads)):
             cv2.setNumThreads(threads)
-        pipeline.reconfigure(model=model, camera=camera, depth=self.configs[DepthConfig])
+        depth = self.configs[DepthConfig]
+        if self.hidden_noise > depth.least_noise:
+            depth = dataclasses.replace(depth, least_noise=self.hidden_noise)
+        pipeline.reconfigure(model=model, camera=camera, depth=depth)
         if self._restarting.is_set():
             self._restarting.clear()
             pipeline.reset()

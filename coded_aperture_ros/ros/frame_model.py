@@ -22,7 +22,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.depth import depths_are_measured
 from coded_aperture_ros.likelihood import BlurLevels
-from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics import Camera, View
 from coded_aperture_ros.ros.camera_model import fitted_camera, required_camera
 from coded_aperture_ros.ros.messages import MessageError
 from coded_aperture_ros.ros.parameters import NodeParameters
@@ -93,13 +93,12 @@ class FrameModel(Generic[Model]):
         self._frame_size: tuple[int, int] | None = None
         self._first_camera = camera = required_camera(config.camera_file)
         self._bank = load_bank(config.bank) if config.bank else None
-        if self._bank is None:
-            model = self._learned(camera, config)
-        else:
+        if self._bank is not None:
             check_setting(self._bank, camera)
+            camera = self._seen(camera)
             self._warn_of_ends(self._bank, camera)
-            model = make(camera=camera, bank=self._bank)
-        self._state = _State(camera, camera, model)
+        model = self._made(self._first_camera, camera, config)
+        self._state = _State(self._first_camera, camera, model)
         self._prepared: _State[Model] | None = None
         self._next: _State[Model] | None = None
         parameters.on_change(ModelConfig, self._prepare, self._take_over)
@@ -126,57 +125,46 @@ class FrameModel(Generic[Model]):
     def _prepare(self, config: ModelConfig) -> None:
         """Make everything for a new camera file, or raise an `InputError`."""
         file_camera = required_camera(config.camera_file)
-        camera, model, bank = file_camera, self.model, self._bank
-        if self._frame_size is not None:
-            camera = fitted_camera(file_camera, *self._frame_size)
-        if bank is None:
-            model = self._learned(camera, config)
-        elif bank.pattern is not None and _setting(file_camera) != _setting(self._first_camera):
-            ranged = bool(config.near_m and config.far_m)
-            wanted = (config.near_m, config.far_m) if ranged else (None, None)
-            model = self._make(camera=camera, bank=remap_bank(bank, camera, *wanted))
-        elif bank.mask_digest and bank.mask_digest != camera.mask.digest:
-            raise InputError(
-                f"{config.camera_file}: the bank is for another mask than {camera.mask.name}"
-            )
-        self._prepared = _State(file_camera, camera, model)
+        camera = self._seen(file_camera)
+        self._prepared = _State(file_camera, camera, self._made(file_camera, camera, config))
 
     def _take_over(self, config: ModelConfig) -> None:
         self._config, self._next = config, self._prepared
         self._logger.info(f"camera file is {config.camera_file} from the next frame on")
 
-    def fit(self, width: int, height: int) -> None:
-        """Make `camera` and `model` those for frames of this size.
+    def fit(self, view: View) -> None:
+        """Make `camera` and `model` those for frames with this view; the camera's is all of it.
 
-        A model that was learned here is learned again for another size. Raises `MessageError` of
-        kind "size", where frames of this size cannot be the camera's, are too small, or are not
-        those that a bank from a file is for.
+        A model that was learned here is learned again for another size, and so is a bank from a
+        file where the driver says that it bins. Raises `MessageError` of kind "size", where frames
+        of this size cannot be the camera's, are too small, or are not those that the bank is for.
         """
         if self._next is not None:
             self._state, self._next = self._next, None
         least_px = self.model.window_px
-        if min(width, height) < least_px:  # before a bank is learned for it in vain
+        if min(view.width, view.height) < least_px:  # before a bank is learned for it in vain
             raise MessageError(
                 "size",
-                f"the frame is {width}x{height}, the bank needs at least {least_px}x{least_px}",
+                f"the frame is {view.width}x{view.height}, the bank needs at least "
+                f"{least_px}x{least_px}",
             )
-        file_camera = self._state.file_camera
-        if self._bank is not None:
+        size = view.whole_width, view.whole_height
+        file_camera, bank = self._state.file_camera, self._bank
+        camera = fitted_camera(file_camera, *size)
+        if bank is not None and not view.is_binned:
             try:
-                check_frame_size(self._bank, width, height)
+                check_frame_size(bank, *size)
             except InputError as error:
                 raise MessageError("size", str(error)) from error
-        camera = fitted_camera(file_camera, width, height)
-        self._frame_size = width, height
+        self._frame_size = size
         if camera == self.camera:
             return
         scaled = "" if camera == file_camera else ": the camera file is scaled to them"
         self._logger.info(
-            f"frames are {width}x{height} now, not {self.camera.image_width}x"
+            f"the whole view is {size[0]}x{size[1]} now, not {self.camera.image_width}x"
             f"{self.camera.image_height}{scaled}"
         )
-        model = self.model if self._bank is not None else self._learned(camera, self._config)
-        self._state = _State(file_camera, camera, model)
+        self._state = _State(file_camera, camera, self._made(file_camera, camera, self._config))
 
     def change(self, changed: Callable[[Model], Model]) -> None:
         """Go on with a changed model; not while a frame is worked on with it."""
@@ -188,6 +176,37 @@ class FrameModel(Generic[Model]):
         if depths_are_measured(self.model):
             sizes = self.model.stack.blur_size_at(depth_m)
         return self.camera.blur_size_px(depth_m).astype(np.float32) if sizes is None else sizes
+
+    def _seen(self, file_camera: Camera) -> Camera:
+        """Return the camera for the frames so far, or else for those that the bank is for."""
+        size, bank = self._frame_size, self._bank
+        if size is None and bank is not None and bank.image_width:
+            size = bank.image_width, bank.image_height
+        return file_camera if size is None else fitted_camera(file_camera, *size)
+
+    def _made(self, file_camera: Camera, camera: Camera, config: ModelConfig) -> Model:
+        """Return the model for a camera file and the size of the frames."""
+        bank, near_m, far_m = self._bank, config.near_m or None, config.far_m or None
+        if bank is None:
+            return self._learned(camera, config)
+        if not (near_m and far_m):
+            near_m = far_m = None
+        size = camera.image_width, camera.image_height
+        if bank.image_width and (bank.image_width, bank.image_height) != size:
+            if near_m is None:
+                depths_m = bank.stack.depths_m
+                if depths_m is None:
+                    own = fitted_camera(file_camera, bank.image_width, bank.image_height)
+                    depths_m = own.depth_m(bank.blur_sizes_px)
+                near_m, far_m = float(depths_m.min()), float(depths_m.max())
+            bank = remap_bank(bank, camera, near_m, far_m)
+        elif bank.pattern is not None and _setting(file_camera) != _setting(self._first_camera):
+            bank = remap_bank(bank, camera, near_m, far_m)
+        elif bank.mask_digest and bank.mask_digest != camera.mask.digest:
+            raise InputError(
+                f"{config.camera_file}: the bank is for another mask than {camera.mask.name}"
+            )
+        return self._make(camera=camera, bank=bank)
 
     def _warn_of_ends(self, bank: FilterBank, camera: Camera) -> None:
         depths_m = bank.stack.depths_m

@@ -13,6 +13,7 @@ from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
+from coded_aperture_ros.imaging import noise_hidden_by_compression
 from coded_aperture_ros.ros.diagnostics import (
     Complaint,
     DiagnosticsConfig,
@@ -21,7 +22,12 @@ from coded_aperture_ros.ros.diagnostics import (
     camera_of,
 )
 from coded_aperture_ros.ros.managed_node import ManagedNode
-from coded_aperture_ros.ros.messages import MessageError, image_from_compressed, stamp_ns
+from coded_aperture_ros.ros.messages import (
+    MessageError,
+    array_from_image,
+    image_from_compressed,
+    stamp_ns,
+)
 from coded_aperture_ros.ros.newest import NewestWorker
 from coded_aperture_ros.ros.pace import RateLimit
 from coded_aperture_ros.ros.topics import Inputs, LocalTopics, Outputs
@@ -82,6 +88,7 @@ class FrameNode(ManagedNode, Generic[Item]):
         offered = {topic: kind for topic, kind in self.outputs.items() if self.offers(topic)}
         self._outputs = Outputs(self, offered, local)
         self._inputs = Inputs(self, local)
+        self.hidden_noise = 0.0  # by the compression of the frames, linear light
         self._logged_s: dict[str, float] = {}
         self._taken_up_s = 0.0
         self._rate_limit = RateLimit()
@@ -111,8 +118,15 @@ class FrameNode(ManagedNode, Generic[Item]):
             except MessageError as error:
                 self.statistics.count_received()
                 self.reject(error.kind, str(error))
-            else:
-                callback(image)
+                return
+            pixels, data = array_from_image(image), bytes(message.data)
+            hidden = noise_hidden_by_compression(data, pixels, self.frame_config.gamma)
+            if hidden > self.hidden_noise:
+                self.get_logger().warning(
+                    f"frames are compressed: their noise is taken to be {hidden:.4f} at least"
+                )
+            self.hidden_noise = hidden
+            callback(image)
 
         self.listen(f"{topic}/compressed", CompressedImage, decompress)
 

@@ -24,6 +24,7 @@ from coded_aperture_ros.io.messages import (  # noqa: F401 (nodes take them from
     millimetres_from_depth,
     pixels_from_frame,
     scaled_matrices,
+    view_of,
 )
 from coded_aperture_ros.optics import Camera, Intrinsics
 
@@ -108,7 +109,7 @@ def camera_info_from_intrinsics(model: Intrinsics, header: Header) -> CameraInfo
 
 
 def scaled_camera_info(info: CameraInfo, width: int, height: int, header: Header) -> CameraInfo:
-    """Return the camera model of the same view resized to `width` x `height`.
+    """Return the camera model of its region resized to `width` x `height`.
 
     Pixel centres have whole coordinates: a scale s moves x to s (x + 1/2) - 1/2. Distortion
     coefficients act on normalised coordinates and stay. Raises `MessageError` of kind

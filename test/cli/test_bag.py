@@ -4,9 +4,11 @@ import json
 import math
 import re
 
+import cv2
 import numpy as np
 import pytest
 from bag_scene import (
+    CAMERA_INFO,
     COMPRESSED,
     DELAY_NS,
     FRAME_ID,
@@ -14,6 +16,7 @@ from bag_scene import (
     IMAGE,
     PERIOD_NS,
     START_NS,
+    camera_info,
     compressed,
     decoded,
     floats,
@@ -110,6 +113,45 @@ def test_the_camera_model_of_the_bag_is_resized(scene, recorded, tmp_path, capsy
     expected = [200, 0, 0.5 * 91.5 - 0.5, 0, 200, 0.5 * 59.5 - 0.5, 0, 0, 1]
     np.testing.assert_allclose(info.k, expected)
     assert not [name for name, *_ in messages if "deblurred" in name]
+
+
+def test_a_region_of_interest_has_the_blur_of_the_whole_view(scene, tmp_path, capsys):
+    height, width = scene.depth_m.shape
+    top, left, rows, columns = 16, 24, 96, 136
+    part = slice(top, top + rows), slice(left, left + columns)
+    messages = []
+    for index in range(2):
+        time_ns = START_NS + index * PERIOD_NS
+        info = camera_info(index, width, height, 400.0, (left, top, rows, columns))
+        pixels = frame_pixels(scene, "mono8", index)[part]
+        messages += [
+            ("/eye/camera_info", CAMERA_INFO, time_ns, info),
+            ("/eye/image_raw", IMAGE, time_ns + 1, image(pixels, "mono8", index)),
+        ]
+    bag = write_bag(tmp_path / "in", messages)
+    result = call(capsys, *command(scene, bag, tmp_path / "out", "--deblur", "none"))
+    assert result.status == 0, result.err
+    written = read(tmp_path / "out")
+    _, depth = decoded(written, "/eye/depth/image")[-1]
+    truth, inside = scene.depth_m[part], scene.away_from_the_edge()[part]
+    assert np.nanmedian(np.abs(floats(depth) - truth)[inside] / truth[inside]) < 0.05
+    _, info = decoded(written, "/eye/depth/camera_info")[-1]
+    assert (info.width, info.height, info.roi.width) == (columns, rows, 0)
+    np.testing.assert_allclose(info.k[[0, 2, 5]], [400, 91 - left, 59 - top])
+
+
+def test_compressed_frames_are_taken_to_be_noisier(scene, tmp_path, capsys):
+    noise = []
+    for suffix in (".png", ".jpg"):
+        quality = (cv2.IMWRITE_JPEG_QUALITY, 50) if suffix == ".jpg" else ()
+        frame = compressed(frame_pixels(scene, "mono8", 0), suffix, 0, *quality)
+        bag = write_bag(tmp_path / f"in{suffix}", [("/eye/image", COMPRESSED, START_NS, frame)])
+        target = tmp_path / f"out{suffix}"
+        assert call(capsys, *command(scene, bag, target, "--deblur", "none")).status == 0
+        report = json.loads((target / "report" / "report.json").read_text())
+        noise.append(report["series"][0]["noise"])
+    # The median step of the standard's luminance table is 56.5.
+    assert noise[1] >= 0.35 * 56.5 / 255 / np.sqrt(12) > 2 * noise[0]
 
 
 @pytest.mark.parametrize("storage", STORAGES)

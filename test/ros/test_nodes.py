@@ -17,11 +17,11 @@ from rclpy.parameter import Parameter
 from rclpy.qos import ReliabilityPolicy, qos_profile_sensor_data
 from ros_helpers import wait_until
 from scipy.signal import fftconvolve
-from sensor_msgs.msg import CameraInfo, Image
-from small_camera import CAMERA, DEPTH_M, HEIGHT, NEAR_M, WIDTH
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, RegionOfInterest
+from small_camera import CAMERA, DEPTH_M, FAR_M, HEIGHT, NEAR_M, WIDTH
 from std_msgs.msg import Header
 
-from coded_aperture_ros.bank import load_bank, save_bank
+from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera, load_bank, save_bank
 from coded_aperture_ros.bank.learning import guarded_range
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import map_size
@@ -32,6 +32,7 @@ from coded_aperture_ros.ros.depth_node import DepthNode
 from coded_aperture_ros.ros.diagnostics import DiagnosticsConfig, status_of
 from coded_aperture_ros.ros.messages import (
     array_from_image,
+    camera_info_from_camera,
     image_from_array,
     pixels_from_frame,
     stamp_ns,
@@ -252,6 +253,78 @@ def test_a_resized_frame_is_accepted(ros, model, coded, learned_here):
     assert abs(np.median(depth[np.isfinite(depth)]) - expected) < 0.06 * expected
     assert wait_until(lambda: chain.received["depth/camera_info"])
     assert chain.received["depth/camera_info"][0].k[0] == pytest.approx(800.0)
+
+
+def test_compressed_frames_are_taken_to_be_noisier(ros, model, coded):
+    node = ros.make(DepthNode, {**model, "image_transport": "compressed"})
+    depths = ros.subscribe("depth/image", Image)
+    frames = ros.publisher("image_raw/compressed", CompressedImage)
+    assert wait_until(frames.get_subscription_count)
+    for suffix, quality in ((".png", ()), (".jpg", (cv2.IMWRITE_JPEG_QUALITY, 50))):
+        data = cv2.imencode(suffix, np.rint(255 * coded), quality)[1].tobytes()
+        count = len(depths)
+        frames.publish(CompressedImage(header=stamped(), format=suffix[1:], data=data))
+        assert wait_until(lambda count=count: len(depths) > count)
+        assert node.statistics.summary().rejected == {}
+        # The median step of the standard's luminance table is 56.5; rounded up by a half at most.
+        lost = (suffix == ".jpg") * 0.35 * 56.5 / 255 / np.sqrt(12)
+        assert lost <= node.hidden_noise <= 1.5 * lost
+    assert node._pipeline.estimator.config.least_noise == node.hidden_noise
+
+
+def file_of_whole_view(folder, focal_length_px):
+    """Write the camera file of a sensor with twice as many columns and rows as a frame."""
+    whole = CAMERA | {
+        "focal_length_px": focal_length_px,
+        "image_width": 2 * WIDTH,
+        "image_height": 2 * HEIGHT,
+    }
+    path = folder / "whole.yaml"
+    path.write_text(yaml.safe_dump(whole))
+    return path
+
+
+@pytest.mark.parametrize("learned_here", [False, True])
+def test_a_region_of_interest_has_the_blur_of_the_whole_view(
+    ros, model, coded, tmp_path, learned_here
+):
+    path = file_of_whole_view(tmp_path, 400.0)
+    bank = dataclasses.replace(
+        load_bank(model["bank"]), image_width=2 * WIDTH, image_height=2 * HEIGHT
+    )
+    save_bank(bank, tmp_path / "bank.npz")
+    learned = {"bank": "", "learn.level_count": 20, "learn.window_px": 32}
+    chosen = learned if learned_here else {"bank": str(tmp_path / "bank.npz")}
+    chain = Chain(ros, {**model, **chosen, "camera_file": str(path)})
+    given = camera_info_from_camera(load_camera(path), Header())
+    given.roi = RegionOfInterest(x_offset=64, y_offset=32, width=WIDTH, height=HEIGHT)
+    chain.infos.publish(given)
+    time.sleep(0.2)
+    depth = array_from_image(chain.result(mono8(coded)))
+    assert abs(np.nanmedian(depth) - DEPTH_M) < 0.06 * DEPTH_M
+    assert wait_until(lambda: chain.received["depth/camera_info"])
+    (info,) = chain.received["depth/camera_info"]
+    assert (info.width, info.height, info.roi.width) == (WIDTH, HEIGHT, 0)
+    assert (info.k[0], info.k[2], info.k[5]) == (400.0, 127.5 - 64, 95.5 - 32)
+    assert chain.rejected == {}
+
+
+def test_a_bank_is_learned_again_for_pixels_that_the_driver_bins(ros, model, coded, tmp_path):
+    path = file_of_whole_view(tmp_path, 800.0)
+    camera = load_camera(path)
+    full = LearnConfig(window_px=64, rank=48)
+    bank = learn_bank_for_camera(camera, NEAR_M, FAR_M, level_count=16, config=full)
+    save_bank(bank, tmp_path / "bank.npz")
+    chosen = {"camera_file": str(path), "bank": str(tmp_path / "bank.npz")}
+    chain = Chain(ros, {**model, **chosen})
+    chain.send(mono8(coded))
+    assert wait_until(lambda: chain.node.statistics.summary().rejected.get("size"))
+    given = camera_info_from_camera(camera, Header())
+    given.binning_x = given.binning_y = 2
+    chain.infos.publish(given)
+    time.sleep(0.2)
+    depth = array_from_image(chain.result(mono8(coded)))
+    assert abs(np.nanmedian(depth) - DEPTH_M) < 0.06 * DEPTH_M
 
 
 @pytest.mark.parametrize(("near_m", "far_m"), [(1.3, 1.5), (1.3, DEPTH_M), (DEPTH_M, 4.0)])

@@ -45,17 +45,18 @@ def image(pixels, encoding, index, padding=0, **changes):
     return STORE.serialize_cdr(dataclasses.replace(message, **changes), IMAGE)
 
 
-def compressed(pixels, suffix, index):
-    data = cv2.imencode(suffix, pixels)[1].reshape(-1)
+def compressed(pixels, suffix, index, *how):
+    data = cv2.imencode(suffix, pixels, how)[1].reshape(-1)
     message = STORE.types[COMPRESSED](
         header=header(index), format=f"bgr8; {suffix[1:]} compressed bgr8", data=data
     )
     return STORE.serialize_cdr(message, COMPRESSED)
 
 
-def camera_info(index, width, height, focal_length_px):
+def camera_info(index, width, height, focal_length_px, roi=(0, 0, 0, 0)):
+    """Return a camera model; the region has x offset, y offset, height and width."""
     k = np.array([focal_length_px, 0, width / 2 + 3, 0, focal_length_px, height / 2 - 5, 0, 0, 1])
-    region = STORE.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+    region = STORE.types["sensor_msgs/msg/RegionOfInterest"](*roi, False)
     message = STORE.types[CAMERA_INFO](
         header=header(index), height=height, width=width, distortion_model="plumb_bob",
         d=np.array([0.1, -0.2, 0, 0, 0.05]), k=k, r=np.eye(3).reshape(-1), p=np.zeros(12),

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.imaging import Gamma, noise_hidden_by_compression
 from coded_aperture_ros.io.bags.recorded import Topic
 from coded_aperture_ros.io.messages import (
     MessageError,
@@ -45,6 +46,15 @@ def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
     if type_name == IMAGE:
         return Picture(message.header, array_from_image(message), message.encoding)
     return Picture(message.header, *array_from_compressed(message))
+
+
+def hidden_noise(data: bytes | memoryview, type_name: str, gamma: Gamma) -> float:
+    """Return what `noise_hidden_by_compression` says of an image message that can be read."""
+    if type_name == IMAGE:
+        return 0.0
+    message = _read(data, type_name)
+    pixels, _ = array_from_compressed(message)
+    return noise_hidden_by_compression(bytes(message.data), pixels, gamma)
 
 
 def read_depth_image(data: bytes | memoryview) -> Picture:

@@ -3,6 +3,7 @@
 A message is whatever has the fields of its type: those of rclpy and those read from a bag.
 """
 
+from coded_aperture_ros.io.messages.camera_info import scaled_matrices, view_of
 from coded_aperture_ros.io.messages.encodings import (
     ENCODINGS,
     Encoding,
@@ -20,7 +21,6 @@ from coded_aperture_ros.io.messages.frames import (
     luminance,
     millimetres_from_depth,
     pixels_from_frame,
-    scaled_matrices,
 )
 
 __all__ = [
@@ -39,4 +39,5 @@ __all__ = [
     "millimetres_from_depth",
     "pixels_from_frame",
     "scaled_matrices",
+    "view_of",
 ]

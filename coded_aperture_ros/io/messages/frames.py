@@ -1,4 +1,4 @@
-"""From messages to frames in linear light, depth and camera models, and back (REP 117, 118)."""
+"""From messages to frames in linear light and depth, and back (REP 117, 118)."""
 
 from typing import Any
 
@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.imaging import Gamma, linear_from_pixels, pixels_from_linear
-from coded_aperture_ros.io.messages.encodings import MessageError, array_from_image, encoding_of
-from coded_aperture_ros.optics.intrinsics import scaled_matrix
+from coded_aperture_ros.io.messages.encodings import array_from_image, encoding_of
 
 # Weights of linear red, green and blue in luminance (ITU-R BT.709).
 _LUMINANCE = np.array([[0.2126, 0.7152, 0.0722]], np.float32)
@@ -84,35 +83,6 @@ def pixels_from_frame(frame: NDArray, encoding: str, gamma: Gamma = 1.0) -> NDAr
         linear = linear_from_pixels(frame, gamma)
         pixels = pixels_from_linear(linear, 8 * np.dtype(target.dtype).itemsize, gamma)
     return pixels if target.from_rgb is None else cv2.cvtColor(pixels, target.from_rgb)
-
-
-def scaled_matrices(info: Any, width: int, height: int) -> tuple[list[float], list[float]]:
-    """Return K and P of a `sensor_msgs/CameraInfo` for its view resized to `width` x `height`.
-
-    Parameters
-    ----------
-    info : sensor_msgs/CameraInfo
-        Or anything with its fields `width`, `height`, `k` and `p`. Distortion coefficients act on
-        normalised coordinates and stay.
-
-    Returns
-    -------
-    k : list of 9 float
-    p : list of 12 float
-        Made from K where a driver left it empty.
-
-    Raises
-    ------
-    MessageError
-        Of kind "camera_info", where the message holds no camera model.
-    """
-    if info.width == 0 or info.height == 0 or info.k[0] <= 0 or info.k[4] <= 0:
-        raise MessageError("camera_info", "camera_info holds no camera model (size or K is 0)")
-    x, y = width / info.width, height / info.height
-    k = list(scaled_matrix(info.k, x, y))
-    if info.p[0] > 0:
-        return k, list(scaled_matrix(info.p, x, y))
-    return k, [*k[:3], 0.0, *k[3:6], 0.0, 0.0, 0.0, 1.0, 0.0]
 
 
 def limit_depth(depth_m: FloatArray, near_m: float = 0.0, far_m: float = np.inf) -> FloatArray:

@@ -1,0 +1,75 @@
+"""What a `sensor_msgs/CameraInfo` says about a frame: its part of the view, and K and P of that.
+
+A camera model is for the whole sensor. A driver that reads a region of it (`roi`) or adds
+neighbouring pixels up (`binning_x`, `binning_y`) says so there, and leaves K and P as they are.
+"""
+
+import math
+from typing import Any
+
+from coded_aperture_ros.io.messages.encodings import MessageError
+from coded_aperture_ros.optics.camera import Camera
+from coded_aperture_ros.optics.intrinsics import scaled_matrix
+from coded_aperture_ros.optics.view import View
+
+
+def view_of(info: Any, width: int, height: int, camera: Camera) -> View | None:
+    """Return which part of a camera's view a frame of this size is; None if it cannot be one.
+
+    A frame of the region's proportions, but of another size than its binning gives, is taken to be
+    the region resized. Where the focal length of the message is that of a camera file for frames
+    of the region, not for those of the whole sensor, the region is all of the file's view.
+    """
+    left, top, columns, rows = _region(info)
+    x, y = _scale(width, columns, info.binning_x), _scale(height, rows, info.binning_y)
+    inside = 0 < left + columns <= info.width and 0 < top + rows <= info.height
+    if not inside or min(info.k[0], info.k[4]) <= 0 or abs(rows * x - height) > 1.0:
+        return None
+    whole = int(info.width * x + 1e-6), int(info.height * y + 1e-6)
+    angle = camera.focal_length_px / camera.image_width
+    of_frames, of_whole = (abs(math.log(info.k[0] * x / (angle * n))) for n in (width, whole[0]))
+    if of_frames < of_whole:
+        return View.whole(width, height)
+    return View(width, height, *whole, left * x, top * y, max(info.binning_x, info.binning_y) > 1)
+
+
+def scaled_matrices(info: Any, width: int, height: int) -> tuple[list[float], list[float]]:
+    """Return K and P of a `sensor_msgs/CameraInfo` for its region at `width` x `height`.
+
+    Parameters
+    ----------
+    info : sensor_msgs/CameraInfo
+        Or anything with its fields `width`, `height`, `roi`, `k` and `p`. Distortion coefficients
+        act on normalised coordinates and stay.
+
+    Returns
+    -------
+    k : list of 9 float
+    p : list of 12 float
+        Made from K where a driver left it empty.
+
+    Raises
+    ------
+    MessageError
+        Of kind "camera_info", where the message holds no camera model.
+    """
+    if info.width == 0 or info.height == 0 or info.k[0] <= 0 or info.k[4] <= 0:
+        raise MessageError("camera_info", "camera_info holds no camera model (size or K is 0)")
+    left, top, columns, rows = _region(info)
+    x, y = width / columns, height / rows
+    k = list(scaled_matrix(info.k, x, y, left, top))
+    if info.p[0] > 0:
+        return k, list(scaled_matrix(info.p, x, y, left, top))
+    return k, [*k[:3], 0.0, *k[3:6], 0.0, 0.0, 0.0, 1.0, 0.0]
+
+
+def _region(info: Any) -> tuple[int, int, int, int]:
+    """Return left, top, width and height of the region of interest; 0 stands for all."""
+    roi = info.roi
+    return roi.x_offset, roi.y_offset, roi.width or info.width, roi.height or info.height
+
+
+def _scale(pixels: int, length: int, binning: int) -> float:
+    """Return pixels of the frame per pixel of the sensor."""
+    binned = max(binning, 1)
+    return 1 / binned if pixels == length // binned else pixels / max(length, 1)
