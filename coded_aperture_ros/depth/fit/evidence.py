@@ -157,20 +157,20 @@ def _chosen_windows(grey: FloatArray, unusable: BoolArray | None) -> tuple[Index
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
     at = np.ix_(grid.row_centres, grid.column_centres)
     half = WINDOW_PX // 2
-    fine = np.abs(grey - cv2.blur(grey, (_BLUR_PX, _BLUR_PX)))
+    fine = cv2.absdiff(grey, cv2.blur(grey, (_BLUR_PX, _BLUR_PX)))
     texture = cv2.blur(fine, (half, half))[at]
     if unusable is not None:
         side = WINDOW_PX * 3 // 4
         texture[cv2.blur(unusable.astype(np.float32), (side, side))[at] > _TOLERATED] = -1
-    tops, lefts = [], []
+    found = []
     for rows in np.array_split(np.arange(grid.rows), min(_CELLS, grid.rows)):
         for columns in np.array_split(np.arange(grid.columns), min(_CELLS, grid.columns)):
-            cell = texture[np.ix_(rows, columns)]
-            row, column = np.unravel_index(cell.argmax(), cell.shape)
+            cell = texture[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+            row, column = divmod(int(cell.argmax()), len(columns))
             if cell[row, column] > 0:
-                tops.append(grid.row_centres[rows[row]] - half)
-                lefts.append(grid.column_centres[columns[column]] - half)
-    return np.array(tops, np.intp), np.array(lefts, np.intp)
+                found.append((rows[row], columns[column]))
+    at_row, at_column = np.array(found, np.intp).reshape(-1, 2).T
+    return grid.row_centres[at_row] - half, grid.column_centres[at_column] - half
 
 
 def _residuals(residual: FloatArray, size_px: DoubleArray, weight: DoubleArray) -> list[float]:
