@@ -178,10 +178,13 @@ class FrameCheckup:
 
 
 def _saturation(frame: FloatArray) -> Finding:
-    share = float((~(frame < DepthConfig().saturation)).mean())
+    share, black = float((~(frame < DepthConfig().saturation)).mean()), float((frame <= 0).mean())
     state = FAILED if share > _SATURATED_MUCH else WARNING if share > _SATURATED_SOME else OK
     remedy = "" if state == OK else "expose for less time: saturated light has no depth"
-    return Finding("light", state, f"{100 * share:.1f} % saturated", remedy, {"saturated": share})
+    if state == OK and black > _SATURATED_SOME:
+        state, remedy = WARNING, "expose longer, or lower the black level: what is cut off is lost"
+    text = f"{100 * share:.1f} % saturated, {100 * black:.1f} % black"
+    return Finding("light", state, text, remedy, {"saturated": share, "black": black})
 
 
 def _fit(estimate: DepthEstimate) -> Finding:

@@ -47,6 +47,7 @@ def test_frames_with_faults(scene, tmp_path, capsys):
     np.save(tmp_path / "enlarged.npy", large)
     np.save(tmp_path / "small.npy", coded[::2, ::2])
     np.save(tmp_path / "bright.npy", np.clip(2.2 * coded, 0, 1))
+    np.save(tmp_path / "dark.npy", np.clip(coded - np.quantile(coded, 0.05), 0, 1))
     arguments = ("check", "--camera", scene.camera, "--bank", scene.bank, tmp_path)
     result = call(capsys, *arguments, "--json")
     assert result.status == 1
@@ -54,7 +55,9 @@ def test_frames_with_faults(scene, tmp_path, capsys):
     assert found["enlarged"]["fit"] == "failed"
     assert found["small"] == {"size": "failed"}
     assert found["bright"]["light"] in ("warning", "failed")
+    assert found["dark"]["light"] == "warning"
     text = call(capsys, *arguments).out
+    assert "5.0 % black" in text
     assert "[ FAIL ] size: 88x64, the camera file says 176x128" in text
     assert "expose for less time" in text.partition("next:")[2]
 
