@@ -98,6 +98,7 @@ class BagConversion:
         size = view.height, view.width
         depth_size = map_size(size, self.map_size)
         pipeline = self.new_pipeline(camera)
+        pipeline.reconfigure(camera=camera.cut(view))
         if hidden := hidden_noise(first, image.type_name, self.gamma):
             config = pipeline.estimator.config
             least = max(config.least_noise, hidden)

@@ -37,10 +37,7 @@ def check_frame_size(bank: FilterBank, width: int, height: int) -> None:
 def check_setting(bank: FilterBank, camera: Camera) -> None:
     """Refuse a camera with another focus, focal length or mask size than the bank's.
 
-    Raises
-    ------
-    InputError
-        Saying what to do.
+    An `InputError` says what to do.
     """
     if bank.setting_digest in ("", camera.setting_digest):
         return

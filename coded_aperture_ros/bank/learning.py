@@ -143,18 +143,15 @@ def psf_stack_for_camera(
 ) -> PsfStack:
     """Render the PSFs of a camera for a depth range, equally spaced in blur size.
 
+    Where the focus moves over the field the blur of all of it counts. An `InputError` is raised as
+    by `learn_bank_for_camera`.
+
     Parameters
     ----------
     camera, near_m, far_m, level_count
         See `learn_bank_for_camera`.
     whose : str, optional
         What they are for, for messages.
-
-    Raises
-    ------
-    InputError
-        If the range does not lie on the camera's side of the focal plane or ends at infinity, or
-        there are fewer than two levels.
     """
     check_levels(level_count)
     check_range_can_be_told_apart(camera, near_m, far_m)
@@ -170,12 +167,9 @@ def psf_stack_for_camera(
 
 
 def check_range_can_be_told_apart(camera: Camera, near_m: float, far_m: float) -> None:
-    """Refuse a depth range in which no two depths can be told apart.
+    """Refuse a depth range in which no two depths can be told apart, or not of the camera's side.
 
-    Raises
-    ------
-    InputError
-        Saying what to change; also if the range does not suit the camera.
+    An `InputError` says what to change.
     """
     span_px = float(np.ptp(camera.blur_range_px(near_m, far_m)))
     if span_px >= _LEAST_SPAN_PX:
@@ -194,7 +188,7 @@ def _blur_sizes(camera: Camera, near_m: float, far_m: float, count: int) -> Doub
     Else the side with a level just there would seem the likelier one. To have that, one end may lie
     a little beyond the range.
     """
-    smallest_px, largest_px = camera.blur_range_px(near_m, far_m)
+    smallest_px, largest_px = camera.field_range_px(near_m, far_m)
     if not smallest_px < 0 < largest_px:
         return np.linspace(smallest_px, largest_px, count)
     if count < 3:
@@ -330,12 +324,8 @@ def relearned(bank: FilterBank, window_px: int, levels: IndexArray) -> FilterBan
     """Return a bank for some levels of another, with patches of another size.
 
     It knows blur sizes without sign, and no depths. `levels` [n] are in the order of their sizes
-    without sign: the power of a PSF is that of the PSF turned around.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than two levels, or a PSF is larger than the window.
+    without sign: the power of a PSF is that of the PSF turned around. An `InputError` if there are
+    fewer than two levels, or a PSF is larger than the window.
     """
     stack = bank.stack
     some = PsfStack(
@@ -387,12 +377,8 @@ def guarded_range(
     """Return a depth range with one more level on either side, and its number of levels.
 
     What is too near or beyond the range is the most like one of these levels. Without them it
-    would be taken, with full confidence, for something at the end of the range.
-
-    Raises
-    ------
-    InputError
-        If the range does not suit the camera.
+    would be taken, with full confidence, for something at the end of the range. An `InputError` if
+    the range does not suit the camera.
     """
     ends = np.array(camera.blur_range_px(near_m, far_m))
     step = (ends[1] - ends[0]) / (level_count - 1)

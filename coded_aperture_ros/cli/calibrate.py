@@ -18,7 +18,7 @@ from coded_aperture_ros.cli.options import add_commands, add_config_options, add
 # What is measured from pictures; without an action, the command designs.
 ACTIONS: dict[str, Any] = {
     name: import_module(f"coded_aperture_ros.cli.calibrate_{name}")
-    for name in ("blind", "noise", "planes", "psf")
+    for name in ("blind", "field", "noise", "planes", "psf")
 }
 
 _EPILOG = """examples:

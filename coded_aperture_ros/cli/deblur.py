@@ -171,7 +171,7 @@ def _blur_sizes_of_file(args: argparse.Namespace, bank: Any, camera: Any) -> Any
     from coded_aperture_ros.io import read_depth
 
     depth_m = read_depth(args.depth)
-    blur_size_px = camera.blur_size_px(depth_m) if camera else bank.stack.blur_size_at(depth_m)
+    blur_size_px = camera.blur_map_px(depth_m) if camera else bank.stack.blur_size_at(depth_m)
     if blur_size_px is None:
         what = "the bank does not know how far its levels are: give --camera, or --depth auto"
         raise InputError(f"{args.bank}: {what}")

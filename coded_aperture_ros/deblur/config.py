@@ -4,7 +4,6 @@ import dataclasses
 
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.core.workers import thread_count
-from coded_aperture_ros.likelihood import BACKENDS, check_backend
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,13 +84,6 @@ class DeblurConfig:
         read_only=True,
         parameter="deblur.band",
     )
-    backend: str = option(
-        "numpy",
-        "What cg computes with: torch needs PyTorch, cuda a GPU beside; auto takes the GPU where "
-        "there is one.",
-        choices=BACKENDS,
-        parameter="compute.backend",
-    )
     threads: int = option(
         1,
         "Threads of the processor for the filters; at most as many as it has cores. 0: so many, "
@@ -103,5 +95,4 @@ class DeblurConfig:
 
     def __post_init__(self) -> None:
         check_options(self)
-        check_backend(self.backend)
         thread_count(self.threads)

@@ -7,6 +7,7 @@ from itertools import repeat
 from typing import Any
 
 import numpy as np
+import scipy.fft
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.workers import Workers
@@ -18,7 +19,6 @@ from coded_aperture_ros.deblur.occlusion import OccludedBlur
 from coded_aperture_ros.deblur.operator import BlurOperator, SpreadingBlur, motion_parts
 from coded_aperture_ros.deblur.problem import Problem, Progress, VideoState, from_opponents
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
-from coded_aperture_ros.likelihood import torch_device
 
 # Occlusion is reckoned with, unless asked otherwise, where its weights fit into so much memory.
 _OCCLUSION_BYTES = 512 * 2**20
@@ -51,7 +51,6 @@ class Iterative(abc.ABC):
     edge_reach_px = 0
     removes_motion = True
     sees_past_saturation = True
-    runs_on_torch = False
 
     def __init__(
         self,
@@ -106,11 +105,6 @@ class Iterative(abc.ABC):
         basis, blur, workers = self._basis(), problem.blur_size_px, self._workers
         if problem.motion_px is not None:
             return SpreadingBlur(basis, blur, workers, motion_parts(problem.motion_px))
-        device = torch_device(self._config.backend) if self.runs_on_torch else None
-        if device is not None:
-            from coded_aperture_ros.deblur.torch_blur import TorchBlur
-
-            return TorchBlur(basis, blur, device, workers.threads)
         # It needs to know what is in front, and memory.
         fits = basis.in_pixels and basis.kernels[0].size * blur.size <= _OCCLUSION_BYTES
         reckons = {"yes": True, "no": False, "auto": fits}
@@ -127,7 +121,7 @@ def preconditioner(
     In each range of blur sizes it is one Fourier transform; the second plane, of which little is
     seen, is divided by what it counts.
     """
-    fft, operator = fit.operator.fft, fit.operator
+    operator = fit.operator
     inverses = [(share, 1 / (weight * power + penalty)) for share, power in ranges]
 
     def solve(scene: Any) -> Any:
@@ -135,7 +129,8 @@ def preconditioner(
 
         def add(of_range: tuple[Any, Any], thread: int) -> None:
             share, inverse = of_range
-            solved = fft.irfft2(inverse * fft.rfft2(share * scene[0]), scene[0].shape)
+            spectrum = scipy.fft.rfft2(share * scene[0])
+            solved = scipy.fft.irfft2(inverse * spectrum, scene[0].shape)
             sums[thread] += share * solved
 
         operator.workers.each(add, inverses)

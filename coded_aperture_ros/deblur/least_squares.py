@@ -16,15 +16,11 @@ from coded_aperture_ros.deblur.iterative import (
     preconditioner,
 )
 from coded_aperture_ros.deblur.operator import BlurOperator, frame_within
-from coded_aperture_ros.deblur.prior import SparsePrior, quadratic_power
+from coded_aperture_ros.deblur.prior import SparsePrior
 
-# alpha of colour differences relative to that of brightness, with the quadratic and the sparse
-# prior: they have less texture.
-_COLOUR_OF_QUADRATIC, _COLOUR_OF_SPARSE = 4.0, 3.0
-# Of the quadratic prior: the variance of photographs in linear light. That of most places, which is
-# less than that of all, edges included. From the best of several on ray-traced scenes.
-_CONTRAST = 0.0025
-# Of the sparse one: alpha relative to the standard deviation of what the model leaves unexplained.
+# alpha of colour differences relative to that of brightness: they have less texture.
+_COLOUR = 3.0
+# alpha relative to the standard deviation of what the model leaves unexplained.
 # It was best like this from 0.001 to 0.01, not proportional to the variance: the weights of a
 # sparse prior already follow the noise that is left in the solution. More with occlusion, where the
 # depth is estimated: from the best on random scenes.
@@ -42,8 +38,6 @@ _MEDIAN_TO_STD = 1.4826
 _FEW, _MANY, _LOOKING = (4, 8), (8, 32), (8, 112)
 # The tolerance for one set of weights, relative to the configured one.
 _OF_ONE_SET = 0.01
-# Iterations of the quadratic prior.
-_MOST = 112
 # Residual, in units of the noise, from which a pixel's depth is taken for wrong, and how far around
 # a pixel it is looked at, px.
 _MISFIT, _MISFIT_REACH_PX = 2.5, 1.2
@@ -55,43 +49,9 @@ _HELD, _HELD_PX = np.float32(0.003), 9
 class ConjugateGradients(Iterative):
     """A few steps from the closed forms; see `Method`."""
 
-    runs_on_torch = True
-
     def minimise(self, fit: Fit) -> list[FloatArray]:
         """Return the channels of the sharp scene within the frame."""
-        if fit.operator.hidden is None:  # what moves, or is on a GPU
-            return restore_quadratic(fit)[0]
         return restore_sparse(fit, fit.config.iterations or _FEW[1], _FEW[0])
-
-
-def restore_quadratic(fit: Fit) -> tuple[list[FloatArray], int]:
-    """Minimise ``||g - H_d f||^2 + alpha ||Sigma f||^2`` by conjugate gradients.
-
-    ``alpha`` is the variance of the noise, and of the model's error, over that of photographs. The
-    preconditioner solves the problem in the Fourier domain, for each of some ranges of blur sizes.
-    Returns the channels, and the most iterations that one took.
-    """
-    operator = fit.operator
-    alpha = float(fit.config.smoothness * (fit.noise**2 + MODEL_ERROR**2) / _CONTRAST)
-    power = operator.array(quadratic_power(operator.scene_shape))
-    ranges, trusted = operator.ranges(RANGES), operator.array(fit.weight)
-    restored, most = [], 0
-    iterations = fit.config.iterations or _MOST
-    steps = iter(fit.progress(range(iterations * len(fit.channels))))
-    for number, (coded, begin) in enumerate(zip(fit.channels, fit.start, strict=True)):
-        penalty = (_COLOUR_OF_QUADRATIC if number else 1.0) * alpha * power
-        scene, needed = conjugate_gradients(
-            _system(operator, trusted, _smoothness(operator.fft, penalty)),
-            operator.adjoint(trusted * operator.array(coded)),
-            operator.around(begin),
-            preconditioner(fit, ranges, float(fit.weight.mean()), penalty, penalty.max()),
-            fit.config.tolerance,
-            iterations,
-            steps,
-        )
-        restored.append(frame_within(operator.to_numpy(scene), operator)[0])
-        most = max(most, needed)
-    return restored, most
 
 
 class Sparse(Iterative):
@@ -141,7 +101,7 @@ def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
         of_hidden = sparse.of_hidden() if operator.hidden is not None else 1.0
         for channel, coded in enumerate(channels):
             alpha = config.smoothness * (_ALPHA if exact else _ALPHA_OF_ESTIMATED) * unexplained
-            strength = np.float32(alpha * (_COLOUR_OF_SPARSE if channel else 1.0))
+            strength = np.float32(alpha * (_COLOUR if channel else 1.0))
             right_side = operator.adjoint(trusted * coded)
             right_side += held * expected[channel]
 
@@ -165,10 +125,6 @@ def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
 def _system(operator: BlurOperator, weight: Any, prior: Linear) -> Linear:
     """Return the gradient (thesis eq. 6.28), with that of the prior, less its constant part."""
     return lambda scene: operator.adjoint(weight * operator.forward(scene)) + prior(scene)
-
-
-def _smoothness(fft: Any, penalty: Any) -> Linear:
-    return lambda scene: fft.irfft2(penalty * fft.rfft2(scene), scene.shape[-2:])
 
 
 def _explained(residuals: list[FloatArray], noise: float, allowed: float) -> FloatArray:

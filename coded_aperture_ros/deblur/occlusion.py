@@ -10,7 +10,7 @@ from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blur_map import nearest_of
-from coded_aperture_ros.deblur.operator import OnProcessor, frame_within, scene_around
+from coded_aperture_ros.deblur.operator import BlurOperator, frame_within, scene_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.deblur.visibility import NOTHING, least_towards, rays
 from coded_aperture_ros.imaging import periodic_shape
@@ -23,7 +23,7 @@ _WHOLE = 255  # weights are kept as bytes
 _FAINT = 1e-3  # taps of a PSF that are less, of its largest
 
 
-class OccludedBlur(OnProcessor):
+class OccludedBlur(BlurOperator):
     """Every pixel collects the light of all rays through the aperture that nothing stops.
 
     The scene has two planes [2, rows, columns]: what the pinhole in the middle of the aperture

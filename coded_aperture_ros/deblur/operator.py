@@ -1,7 +1,8 @@
 """The blur of a whole frame, by depth and motion, as a linear operator, and its adjoint."""
 
+import abc
 import dataclasses
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,72 +21,41 @@ _MOST_MOTIONS = 8
 _STEP_PX = 0.25
 
 
-class BlurOperator(Protocol):
+class BlurOperator(abc.ABC):
     """``H_d`` of thesis eq. 3.27: from a sharp scene to the coded frame without noise.
 
     The scene is larger than the frame by a margin on every side, for light that comes from beyond
     the frame's border. The frame has only what was really measured: nothing wraps around. Scenes
-    have one plane, or two with what is hidden behind foregrounds [planes, *scene_shape].
+    have one plane, or two with what is `hidden` behind foregrounds [planes, *scene_shape].
     """
 
     shape: tuple[int, int]
     scene_shape: tuple[int, int]
     margin_px: int
-    workers: Workers
-    fft: Any
-
-    @property
-    def hidden(self) -> BoolArray | None:
-        """Where the second plane has something [*scene_shape]; None without one."""
-
-    def array(self, values: FloatArray) -> Any:
-        """Bring an array to where the operator computes."""
-
-    def to_numpy(self, values: Any) -> FloatArray:
-        """Bring a result back."""
-
-    def around(self, frame: FloatArray) -> Any:
-        """Extend a frame to a scene."""
-
-    def forward(self, scene: Any) -> Any:
-        """Blur a scene, float32 [planes, *scene_shape]; return the frame, float32 of `shape`."""
-
-    def adjoint(self, frame: Any) -> Any:
-        """Apply the transpose of `forward` to a frame; return a scene."""
-
-    def ranges(self, count: int) -> list[tuple[Any, Any]]:
-        """Divide the scene among ranges of blur sizes; see `PsfBasis.ranges`."""
-
-
-class OnProcessor:
-    """An operator on arrays of NumPy, with the Fourier transforms of SciPy."""
-
-    fft: Any = scipy.fft
-    shape: tuple[int, int]
-    scene_shape: tuple[int, int]
-    margin_px: int
-    hidden: BoolArray | None = None
+    hidden: BoolArray | None = None  # where the second plane has something [*scene_shape]
     workers: Workers
     _basis: PsfBasis
     _steps: IndexArray  # of the scene, see `PsfBasis.steps_of`
 
-    def array(self, values: FloatArray) -> FloatArray:
-        """Return the array itself."""
-        return values
+    @abc.abstractmethod
+    def forward(self, scene: FloatArray) -> FloatArray:
+        """Blur a scene, float32 [planes, *scene_shape]; return the frame, float32 of `shape`."""
 
-    to_numpy = array
+    @abc.abstractmethod
+    def adjoint(self, frame: FloatArray) -> FloatArray:
+        """Apply the transpose of `forward` to a frame; return a scene."""
 
     def around(self, frame: FloatArray) -> FloatArray:
         """Extend a frame to a scene."""
         return scene_around(frame, self)[None]
 
     def ranges(self, count: int) -> list[tuple[FloatArray, FloatArray]]:
-        """Divide the scene among ranges of blur sizes."""
+        """Divide the scene among ranges of blur sizes; see `PsfBasis.ranges`."""
         return self._basis.ranges(self._steps, count)
 
 
 def scene_around(
-    frame: FloatArray, operator: "BlurOperator | OnProcessor", border: int = cv2.BORDER_REPLICATE
+    frame: FloatArray, operator: BlurOperator, border: int = cv2.BORDER_REPLICATE
 ) -> FloatArray:
     """Extend a frame to one plane of a scene."""
     margin = operator.margin_px
@@ -138,7 +108,7 @@ def motion_parts(motion_px: FloatArray) -> MotionParts:
     return MotionParts((found[kept] * _STEP_PX).astype(np.float32), labels)
 
 
-class SpreadingBlur(OnProcessor):
+class SpreadingBlur(BlurOperator):
     """Every point of the scene spreads its light by the PSF of its own depth, and of its motion.
 
     The columns of the thesis' ``H_d`` (eq. 3.26) are those PSFs. They are combinations ``h_d =

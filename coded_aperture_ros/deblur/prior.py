@@ -1,62 +1,16 @@
-"""What sharp images look like: quadratic forms of small filters."""
-
-from functools import lru_cache
+"""What sharp images look like: small differences nearly everywhere."""
 
 import cv2
 import numpy as np
 
-from coded_aperture_ros.bank import power_spectrum
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.compiled import Compiled
-from coded_aperture_ros.imaging import transfer_function
 
-# Side of the patches that the high-order prior relates, px.
-_SIDE_PX = 5
-_SLOPE = 2.4
 # First and second differences of the sparse prior, and how much each counts.
 _SHARES = (1.0, 1.0, 0.25, 0.25, 0.25)
 # Exponent of the sparse prior, and the difference in linear light below which it is quadratic.
 _EXPONENT = 0.7
 _SMALL = 0.01
-
-
-def natural_covariance(side_px: int) -> DoubleArray:
-    """Return the covariance of sharp patches of unit contrast, less their mean, by the prior."""
-    period = 64
-    correlation = np.fft.irfft2(power_spectrum(_SLOPE, (period, period)), (period, period))
-    rows, columns = (index.ravel() for index in np.indices((side_px, side_px)))
-    covariance = correlation[
-        np.subtract.outer(rows, rows) % period, np.subtract.outer(columns, columns) % period
-    ]
-    no_mean = np.eye(side_px**2) - 1 / side_px**2
-    return no_mean @ covariance @ no_mean
-
-
-def high_order_filters(covariance: DoubleArray) -> FloatArray:
-    """Return the filters [side**2 - 1, side, side] to which sharp patches hardly respond.
-
-    ``Sigma`` of thesis eq. 6.3 is made of the singular directions of sharp patches that have small
-    singular values, all counted alike there. Here each is scaled to a response of variance one,
-    which spares the choice of a number of directions: the cost of a patch is its negative
-    log-likelihood. `covariance` is that of sharp patches less their mean.
-    """
-    variances, directions = np.linalg.eigh(covariance)
-    side = round(len(covariance) ** 0.5)
-    # The last but one: a constant patch has no variance here, and is no direction of Sigma.
-    flat = np.abs(directions.sum(axis=0)) > 0.5 * side
-    kept = directions[:, ~flat] / np.sqrt(np.maximum(variances[~flat], 1e-9 * variances.max()))
-    return kept.T.reshape(-1, side, side).astype(np.float32)
-
-
-@lru_cache(maxsize=2)
-def quadratic_power(shape: tuple[int, int]) -> FloatArray:
-    """Return the power spectrum of ``Sigma^T Sigma`` of natural images, as by ``rfft2``.
-
-    Every pixel is in as many patches as they have pixels: of these the mean. Do not write to it.
-    """
-    filters = high_order_filters(natural_covariance(_SIDE_PX))
-    power = sum(np.abs(transfer_function(each, shape)).astype(np.float64) ** 2 for each in filters)
-    return np.asarray(power / filters[0].size, np.float32)
 
 
 def differences(image: FloatArray) -> list[FloatArray]:

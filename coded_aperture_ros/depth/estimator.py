@@ -16,7 +16,7 @@ from coded_aperture_ros.depth.decision import Decide, Regularized
 from coded_aperture_ros.depth.edges import edge_correction
 from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
 from coded_aperture_ros.depth.fit import FitCheck, can_be_checked
-from coded_aperture_ros.depth.levels import Levels
+from coded_aperture_ros.depth.levels import Levels, depths_are_measured
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.posterior import is_unsure
 from coded_aperture_ros.depth.refine import Refined, SmallPatches, small_bank, untrained
@@ -79,6 +79,9 @@ class DepthEstimator:
         self.model, self.camera = model, camera
         self.known_noise = KnownNoise.of(config, camera, model)
         self._levels = Levels.of(model, camera)
+        # Planes were measured all over the image.
+        bends = camera is not None and camera.field_curvature and not depths_are_measured(model)
+        self._bends = camera if bends else None
         self._learned = regularize is None and config.regularize == LEARNED
         # What is not learned, or was not trained for, is regularised by classical means.
         classical = "semiglobal" if self._learned else config.regularize
@@ -227,6 +230,10 @@ class DepthEstimator:
         if config.unknown == "nearest":  # so that nothing is run into
             level = np.where(unsure, levels.nearer(level, decided.nearest_plausible()), level)
         blur_size_px, depth_m = levels.meaning(level)
+        std_dev_m = levels.std_dev_m(level, decided.deviation)
+        if self._bends and depth_m is not None and std_dev_m is not None:
+            axial_m, depth_m = depth_m, self._bends.depth_in_field(depth_m)
+            std_dev_m = std_dev_m * np.square(depth_m / axial_m)
         estimate = DepthEstimate(
             level,
             blur_size_px,
@@ -234,7 +241,7 @@ class DepthEstimator:
             confidence,
             seen.channel_noise,
             decided.side_confidence,
-            levels.std_dev_m(level, decided.deviation),
+            std_dev_m,
             health=health,
         )
         if config.unknown == "nothing":

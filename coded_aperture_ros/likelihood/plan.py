@@ -168,24 +168,6 @@ class Plan:
         width = (grid.columns - 1) * grid.stride_px + grid.window_px
         return grey[grid.top : grid.top + self.pixel_rows, grid.left : grid.left + width]
 
-    @property
-    def flop_per_frame(self) -> float:
-        """Floating-point operations of the matrix products of one frame, for all hypotheses."""
-        grid, n = self.grid, self.grid.window_px
-        patches = grid.rows * grid.columns
-        two_h = len(self.horizontal)
-        return 2.0 * (
-            self.pixel_rows * grid.columns * n * two_h
-            + patches * len(self.vertical) * n * two_h
-            + patches * self.features.size
-        )
-
-    @property
-    def flop_of_hypotheses(self) -> float:
-        """Floating-point operations of the energies of one frame."""
-        patches = self.grid.rows * self.grid.columns
-        return 2.0 * patches * self.hypotheses.size * len(self.contrasts) / len(self.ratios)
-
 
 def _of_products(
     functions: NDArray[np.floating], window_px: int, columns: int, paired: int, unpaired: list[int]

@@ -24,8 +24,3 @@ class Times:
     def over(self, other: "Times") -> dict[str, float]:
         """Return how many times another's times these are."""
         return {"p50": self.p50_ms / other.p50_ms, "p99": self.p99_ms / other.p99_ms}
-
-
-def fitted_slope(x: Sequence[float], y: Sequence[float]) -> float:
-    """Return the exponent ``s`` of ``y = c x^s``, by least squares of the logarithms."""
-    return float(np.polynomial.Polynomial.fit(np.log(x), np.log(y), 1).convert().coef[1])

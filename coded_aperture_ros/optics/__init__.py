@@ -6,6 +6,7 @@ from coded_aperture_ros.optics.camera import (
     image_distance,
     load_camera,
 )
+from coded_aperture_ros.optics.field import FieldCurvature
 from coded_aperture_ros.optics.intrinsics import Intrinsics, load_intrinsics
 from coded_aperture_ros.optics.mask import MASK_NAMES, Mask
 from coded_aperture_ros.optics.psf import PsfStack, psf_width, render_psf, render_psf_stack
@@ -14,6 +15,7 @@ from coded_aperture_ros.optics.view import View
 __all__ = [
     "MASK_NAMES",
     "Camera",
+    "FieldCurvature",
     "Intrinsics",
     "Mask",
     "PsfStack",

@@ -12,12 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from coded_aperture_ros.core.arrays import DoubleArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import Option, check_option
 from coded_aperture_ros.optics.diffraction import scattering_px
+from coded_aperture_ros.optics.field import FieldCurvature
 from coded_aperture_ros.optics.intrinsics import Intrinsics, load_intrinsics, read_yaml
 from coded_aperture_ros.optics.mask import Mask
+from coded_aperture_ros.optics.view import View
 
 # Every number of a camera file, with the values that a camera can have.
 _NUMBERS: dict[str, tuple[type, Option]] = {
@@ -42,12 +44,14 @@ _PHYSICAL = ("focal_length_mm", "pixel_pitch_um")
 _F_NUMBERS = (0.4, 200.0)
 _OPTIONAL = (
     *("lens_mask_distance_mm", "side", "camera_info", "noise", "noise_gain"),
-    *("wavelength_nm", "diffraction"),
+    *("wavelength_nm", "diffraction", "field_curvature"),
 )
-_KEYS = (*_NUMBERS, "side", "mask", "camera_info", "diffraction")
+_KEYS = (*_NUMBERS, "side", "mask", "camera_info", "diffraction", "field_curvature")
 # Diffraction is left out where less of the light than this, as a share, goes farther than a pixel
 # from where rays go.
 _INVISIBLE = 0.005
+# Less blur is hardly seen, least of all through a lens that has other errors, too.
+_LEAST_BLUR_PX = 1.5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,6 +88,8 @@ class Camera:
         Variance of one channel's shot noise per unit of light; 0 where not measured.
     wavelength_nm : float
         Wavelength of the light that diffraction is reckoned for.
+    field_curvature : FieldCurvature or None
+        How the focus moves away from the middle of the image; None: not at all.
     diffraction : bool or None
         Whether PSFs include diffraction, where it can be seen; None: no, see `psf_diffraction_px`.
 
@@ -107,6 +113,7 @@ class Camera:
     noise_gain: float = 0.0
     wavelength_nm: float = 550.0
     diffraction: bool | None = None
+    field_curvature: FieldCurvature | None = None
 
     def __post_init__(self) -> None:
         for name, (expected, described) in _NUMBERS.items():
@@ -227,6 +234,50 @@ class Camera:
             depth = np.where(relative >= 1.0, np.inf, depth)
             return np.where(depth > max(0.0, mask_m), depth, np.nan)
 
+    def blur_map_px(self, depth_m: FloatArray) -> DoubleArray:
+        """Return the signed blur size of a depth map [rows, columns] of the whole image.
+
+        That of `blur_size_px`, but for the field curvature.
+        """
+        size = self.blur_size_px(depth_m)
+        if self.field_curvature is None:
+            return size
+        missing = self.field_curvature.dioptres(self.intrinsics, depth_m.shape)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = self._blur_per_dioptre_px / (1 - self._lens_mask_distance_m / depth_m)
+        return np.asarray(size - slope * missing)
+
+    def depth_in_field(self, axial_m: FloatArray) -> FloatArray:
+        """Return the depth map [rows, columns] of blur that on the axis would mean `axial_m`.
+
+        +inf where the blur is that of infinity, or more; NaN stays.
+        """
+        if self.field_curvature is None:
+            return axial_m
+        missing = self.field_curvature.dioptres(self.intrinsics, axial_m.shape)
+        mask_m = self._lens_mask_distance_m
+        with np.errstate(divide="ignore"):
+            inverse = 1 / axial_m
+            inverse -= missing * (1 - mask_m * inverse) / (1 - mask_m / self.focus_distance_m)
+            return np.asarray(np.where(inverse <= 0, np.inf, 1 / inverse), np.float32)
+
+    def field_range_px(self, near_m: float, far_m: float) -> tuple[float, float]:
+        """Return `blur_range_px` over the whole image, as far as it is on one side of the focus."""
+        smallest, largest = self.blur_range_px(near_m, far_m)
+        if self.field_curvature is None:
+            return smallest, largest
+        shape = (self.image_height, self.image_width)
+        missing = self.field_curvature.dioptres(self.intrinsics, shape) * self._blur_per_dioptre_px
+        low, high = smallest - max(missing.max(), 0), largest - min(missing.min(), 0)
+        if smallest > 0:
+            return max(low, min(smallest, _LEAST_BLUR_PX)), high
+        return low, (min(high, max(largest, -_LEAST_BLUR_PX)) if largest < 0 else high)
+
+    @property
+    def _blur_per_dioptre_px(self) -> float:
+        """``M f``: how fast the blur grows as the inverse depth falls."""
+        return self.mask_extent_mm * 1e-3 * self.focal_length_px
+
     def blur_range_px(self, near_m: float, far_m: float) -> tuple[float, float]:
         """Signed blur sizes at the two ends of a depth range, the smaller one first.
 
@@ -304,6 +355,17 @@ class Camera:
             )
         return self._resized(factor, width, height)
 
+    def cut(self, view: View) -> "Camera":
+        """Return the camera of frames that are a part of its view: depth and blur are the same."""
+        if (view.width, view.height) == (self.image_width, self.image_height):
+            return self
+        return dataclasses.replace(
+            self,
+            image_width=view.width,
+            image_height=view.height,
+            measured=self.intrinsics.cut(view),
+        )
+
     def _resized(self, factor: float, width: int, height: int) -> "Camera":
         return dataclasses.replace(
             self,
@@ -357,14 +419,16 @@ def camera_from_mapping(
     They are `focal_length_mm` and `pixel_pitch_um`, or `focal_length_px`; `focus_distance_m`,
     `image_width`, `image_height`, `mask` (`{name: ...}` or `{file: ...}`), `mask_extent_mm`;
     optionally `lens_mask_distance_mm`, `side`, `noise`, `noise_gain`, `wavelength_nm`,
-    `diffraction` and `camera_info` (a calibration file, see `load_intrinsics`). File names are
-    relative to `folder`. An `InputError` is one line that names `where` and the key, and says what
-    is allowed.
+    `diffraction`, `field_curvature` (two numbers) and `camera_info` (a calibration file, see
+    `load_intrinsics`). File names are relative to `folder`. An `InputError` is one line that names
+    `where` and the key, and says what is allowed.
     """
     try:
         _check_keys(mapping)
         values = dict(mapping)
         values["mask"] = _mask_from(values["mask"], Path(folder))
+        if "field_curvature" in values:
+            values["field_curvature"] = FieldCurvature.of_entry(values["field_curvature"])
         info = values.pop("camera_info", None)
         if info is not None:
             if not isinstance(info, str):

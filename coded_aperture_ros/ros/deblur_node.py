@@ -100,8 +100,8 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         # Beyond the range is deblurred as the end of the range; NaN stays unknown.
         depth_m = np.clip(depth_m, self._range.near_m, self._range.far_m or math.inf)
         size = image.height, image.width
-        self._model.fit(self._info.view(self._model.camera, size))
-        camera, config = self._model.camera, self.configs[DeblurConfig]
+        self._model.fit(self._info.view(self._model.whole, size))
+        camera, config = self._model.whole, self.configs[DeblurConfig]
         blur_size_px = self._model.blur_size_px(depth_m)
         if not np.isfinite(blur_size_px).any():
             raise MessageError("depth", "no depth is known in the whole frame")

@@ -172,12 +172,10 @@ class DepthNode(FrameNode[Image]):
         frame = frame_from_image(item, self.frame_config.gamma)
         frame_size = frame.shape[0], frame.shape[1]
         size = map_size(frame_size, config.output_size)
-        view, prior = self._info.view(self._model.camera, frame_size), None
-        self._model.fit(view)
-        camera = self._model.camera
+        self._model.fit(self._info.view(self._model.whole, frame_size))
+        camera, prior = self._model.camera, None
         if self._finds_motion:
-            intrinsics = camera.intrinsics.cut(view)
-            prior = self._gyro.expected(header, self.configs[GyroConfig], intrinsics)
+            prior = self._gyro.expected(header, self.configs[GyroConfig], camera.intrinsics)
         try:
             result = self._present_pipeline()(frame, stamp_ns(header), size=size, prior=prior)
         except LateFrameError as error:
@@ -197,10 +195,10 @@ class DepthNode(FrameNode[Image]):
         if estimate.std_dev_m is not None and self.wants("depth/std_dev"):
             std_dev_m = np.where(np.isinf(depth_m), np.float32(np.inf), estimate.std_dev_m)
             self.send("depth/std_dev", image_from_array(std_dev_m, "32FC1", header))
-        if complaint := self._info.complaint(camera, frame_size):
+        if complaint := self._info.complaint(self._model.whole, frame_size):
             self.reject("camera_info", complaint)
         if self.wants("depth/camera_info") or self.wants("depth/points"):
-            info = self._info.info(camera, frame_size, size, header)
+            info = self._info.info(self._model.whole, frame_size, size, header)
             if self.wants("depth/camera_info"):
                 self.send("depth/camera_info", info)
             if self.wants("depth/points"):

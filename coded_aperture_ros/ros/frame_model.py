@@ -90,7 +90,7 @@ class FrameModel(Generic[Model]):
         self._logger = node.get_logger()
         self._config = config = parameters[ModelConfig]
         self._make = make
-        self._frame_size: tuple[int, int] | None = None
+        self._view: View | None = None
         self._first_camera = camera = required_camera(config.camera_file)
         self._bank = load_bank(config.bank) if config.bank else None
         if self._bank is not None:
@@ -106,6 +106,11 @@ class FrameModel(Generic[Model]):
     @property
     def camera(self) -> Camera:
         """The camera of the frames."""
+        return self.whole if self._view is None else self.whole.cut(self._view)
+
+    @property
+    def whole(self) -> Camera:
+        """The camera of its whole view, in pixels of the frames."""
         return self._state.camera
 
     @property
@@ -133,7 +138,7 @@ class FrameModel(Generic[Model]):
         self._logger.info(f"camera file is {config.camera_file} from the next frame on")
 
     def fit(self, view: View) -> None:
-        """Make `camera` and `model` those for frames with this view; the camera's is all of it.
+        """Make `camera` and `model` those for frames with this view.
 
         A model that was learned here is learned again for another size, and so is a bank from a
         file where the driver says that it bins. Raises `MessageError` of kind "size", where frames
@@ -156,13 +161,13 @@ class FrameModel(Generic[Model]):
                 check_frame_size(bank, *size)
             except InputError as error:
                 raise MessageError("size", str(error)) from error
-        self._frame_size = size
-        if camera == self.camera:
+        self._view = view
+        if camera == self.whole:
             return
         scaled = "" if camera == file_camera else ": the camera file is scaled to them"
         self._logger.info(
-            f"the whole view is {size[0]}x{size[1]} now, not {self.camera.image_width}x"
-            f"{self.camera.image_height}{scaled}"
+            f"the whole view is {size[0]}x{size[1]} now, not {self.whole.image_width}x"
+            f"{self.whole.image_height}{scaled}"
         )
         self._state = _State(file_camera, camera, self._made(file_camera, camera, self._config))
 
@@ -175,14 +180,16 @@ class FrameModel(Generic[Model]):
         sizes = None
         if depths_are_measured(self.model):
             sizes = self.model.stack.blur_size_at(depth_m)
-        return self.camera.blur_size_px(depth_m).astype(np.float32) if sizes is None else sizes
+        return self.camera.blur_map_px(depth_m).astype(np.float32) if sizes is None else sizes
 
     def _seen(self, file_camera: Camera) -> Camera:
         """Return the camera for the frames so far, or else for those that the bank is for."""
-        size, bank = self._frame_size, self._bank
-        if size is None and bank is not None and bank.image_width:
-            size = bank.image_width, bank.image_height
-        return file_camera if size is None else fitted_camera(file_camera, *size)
+        view, bank = self._view, self._bank
+        if view is not None:
+            return fitted_camera(file_camera, view.whole_width, view.whole_height)
+        if bank is not None and bank.image_width:
+            return fitted_camera(file_camera, bank.image_width, bank.image_height)
+        return file_camera
 
     def _made(self, file_camera: Camera, camera: Camera, config: ModelConfig) -> Model:
         """Return the model for a camera file and the size of the frames."""

@@ -113,7 +113,7 @@ def _check(image: NDArray, depth_m: NDArray, spacing_px: float, blocks: int) -> 
 
 
 def _blur_sizes(depth_m: NDArray, camera: Camera) -> FloatArray:
-    blur_size_px = camera.blur_size_px(depth_m)
+    blur_size_px = camera.blur_map_px(depth_m)
     # A NaN, of a point behind the mask, fails this comparison too.
     fits = np.abs(blur_size_px) <= max(depth_m.shape)
     if not fits.all():

@@ -60,8 +60,8 @@ def assert_adjoint(operator, seed=1):
     planes = 1 if operator.hidden is None else 2
     scene = random.normal(size=(planes, *operator.scene_shape)).astype(np.float32)
     frame = random.normal(size=operator.shape).astype(np.float32)
-    blurred_scene = operator.to_numpy(operator.forward(operator.array(scene)))
-    spread_frame = operator.to_numpy(operator.adjoint(operator.array(frame)))
+    blurred_scene = operator.forward(scene)
+    spread_frame = operator.adjoint(frame)
     forward = np.vdot(blurred_scene.astype(np.float64), frame)
     back = np.vdot(scene.astype(np.float64), spread_frame)
     scale = float(np.linalg.norm(blurred_scene) * np.linalg.norm(frame))

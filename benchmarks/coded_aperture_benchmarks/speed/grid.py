@@ -13,7 +13,7 @@ from coded_aperture_benchmarks.speed.frames import moving_frames
 from coded_aperture_benchmarks.speed.machine import Rates
 from coded_aperture_benchmarks.speed.setting import MASK, Setting, Size
 from coded_aperture_benchmarks.speed.video import VideoRun
-from coded_aperture_benchmarks.speed.work import ENGINE_STAGES
+from coded_aperture_benchmarks.speed.work import ENGINE_STAGES, flop_of_hypotheses, flop_of_spectra
 from coded_aperture_ros.bank import FilterBank, learn_bank
 from coded_aperture_ros.depth.refine import untrained
 from coded_aperture_ros.depth.regularize import LEARNED
@@ -95,7 +95,7 @@ class SpeedGrid:
                 "total": dataclasses.asdict(total),
                 "frames_per_second": 1000 / total.p50_ms,
                 "engine_p50_ms": run.stage_times(*ENGINE_STAGES).p50_ms,
-                "engine_gflop": (plan.flop_per_frame + plan.flop_of_hypotheses) / 1e9,
+                "engine_gflop": (flop_of_spectra(plan) + flop_of_hypotheses(plan)) / 1e9,
             }
         )
 

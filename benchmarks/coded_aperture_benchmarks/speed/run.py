@@ -25,10 +25,10 @@ from coded_aperture_benchmarks.speed.work import (
     LEVEL_STAGES,
     TEMPORAL_STAGES,
     FrameWork,
+    fitted_slope,
 )
 from coded_aperture_ros.bank import FilterBank, learn_bank
 from coded_aperture_ros.core.workers import processors
-from coded_aperture_ros.metrics.times import fitted_slope
 from coded_aperture_ros.optics import Mask
 
 _TURNS = 4

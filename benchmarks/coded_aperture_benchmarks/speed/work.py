@@ -24,6 +24,29 @@ TEMPORAL_STAGES = ("average", "temporal")
 LEVEL_STAGES = ("energies", "temporal", "regularise")
 
 
+def flop_of_spectra(plan: Plan) -> float:
+    """Return the operations of one frame's transforms and projections."""
+    grid, n = plan.grid, plan.grid.window_px
+    patches = grid.rows * grid.columns
+    two_h = len(plan.horizontal)
+    return 2.0 * (
+        plan.pixel_rows * grid.columns * n * two_h
+        + patches * len(plan.vertical) * n * two_h
+        + patches * plan.features.size
+    )
+
+
+def flop_of_hypotheses(plan: Plan) -> float:
+    """Return the operations of one frame's energies."""
+    patches = plan.grid.rows * plan.grid.columns
+    return 2.0 * patches * plan.hypotheses.size * len(plan.contrasts) / len(plan.ratios)
+
+
+def fitted_slope(x: Sequence[float], y: Sequence[float]) -> float:
+    """Return the exponent ``s`` of ``y = c x^s``, by least squares of the logarithms."""
+    return float(np.polynomial.Polynomial.fit(np.log(x), np.log(y), 1).convert().coef[1])
+
+
 @dataclasses.dataclass(frozen=True)
 class FrameWork:
     """Work on one frame, counted as the module says.
@@ -65,8 +88,8 @@ class FrameWork:
             stages = {name: count for name, count in stages.items() if name not in TEMPORAL_STAGES}
         return cls(
             pixels=shape[0] * shape[1],
-            flop_spectra=plan.flop_per_frame,
-            flop_hypotheses=plan.flop_of_hypotheses,
+            flop_spectra=flop_of_spectra(plan),
+            flop_hypotheses=flop_of_hypotheses(plan),
             stage_bytes={name: float(count) for name, count in stages.items()},
         )
 

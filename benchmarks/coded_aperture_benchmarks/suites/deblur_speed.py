@@ -13,7 +13,6 @@ from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.speed.frames import moving_frames
 from coded_aperture_benchmarks.speed.machine import opencv_threads
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
-from coded_aperture_ros.likelihood import check_backend
 from coded_aperture_ros.metrics.times import Times
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
@@ -43,10 +42,9 @@ class Cell:
 
 def _cells(args: options.Args) -> list[Cell]:
     options.check_known(args, "methods", args.methods, own_methods())
-    check_backend(args.backend)
     return [
         Cell(
-            DeblurConfig(method=method, threads=args.threads, backend=args.backend),
+            DeblurConfig(method=method, threads=args.threads),
             args.size,
             channels,
             args.count or _FRAMES.get(method, _FRAMES["cg"]),

@@ -1,0 +1,110 @@
+"""The field curvature of a lens, from planes at known depths."""
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from coded_aperture_ros.bank import learn_bank
+from coded_aperture_ros.calibration.planes.pictures import Planes
+from coded_aperture_ros.core.arrays import DoubleArray
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.optics import Camera, FieldCurvature, render_psf_stack
+
+# With less blur on the axis the corners may have none, or that of the other side of the focus.
+_LEAST_PX, _SMALLEST_PX, _STEP_PX = 4.0, 1.5, 0.4
+_FEWEST, _CONFIDENT, _EVERY_PX = 3, 0.55, 4
+_SCATTER_PX, _ROUNDS = 0.3, 30
+# A plane whose depth is off by more than the first, and by more than its own scatter, is elsewhere.
+_OFF, _OF_SCATTER = 0.05, 0.8
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FieldFit:
+    """Field curvature and mask extent as planes show them, and how well they fit.
+
+    Of each plane that is blurred enough: name, depth, the depth that a fit to the others gives, and
+    the median errors without curvature and by that fit. `misplaced` are those whose depth is wrong.
+    """
+
+    curvature: FieldCurvature
+    mask_extent_mm: float
+    names: tuple[str, ...]
+    depths_m: DoubleArray
+    found_m: DoubleArray
+    errors_without: DoubleArray
+    errors: DoubleArray
+    misplaced: tuple[int, ...]
+
+
+def fit_field(
+    camera: Camera, planes: Planes, progress: Callable[[Iterable[Any]], Iterable[Any]] = iter
+) -> FieldFit:
+    """Fit field curvature and mask extent to the blur that a bank of the axis finds everywhere.
+
+    Raises
+    ------
+    InputError
+        If too few planes are blurred enough, or the pictures do not have the camera's proportions.
+    """
+    rows, columns = planes.images[0].shape[:2]
+    camera = camera.fitted(columns, rows)
+    axial_px = np.abs(camera.blur_size_px(planes.depths_m))
+    used = [int(index) for index in np.flatnonzero(axial_px >= _LEAST_PX)]
+    if len(used) < _FEWEST:
+        raise InputError(
+            f"{len(used)} planes are blurred by {_LEAST_PX:g} px or more, {_FEWEST} are needed: "
+            "take planes farther from the focus"
+        )
+    true = planes.depths_m[used]
+    sign = 1 if true[-1] > camera.focus_distance_m else -1
+    sizes_px = sign * np.arange(_SMALLEST_PX, axial_px.max() * 1.1 + _STEP_PX, _STEP_PX)
+    bank = learn_bank(render_psf_stack(camera.mask, np.sort(sizes_px)))
+    estimator = DepthEstimator(bank, DepthConfig(check_fit=False, threads=0))
+    tangent2 = FieldCurvature(1.0).dioptres(camera.intrinsics, (rows, columns))
+    unit = camera.mask_extent_mm * 1e-3 * camera.focal_length_px  # px per dioptre
+    # Nearer to the border no window is centred.
+    points, margin = [], bank.window_px // 2
+    for index in progress(used):
+        found = estimator.estimate(planes.images[index])
+        some = np.s_[margin:-margin:_EVERY_PX, margin:-margin:_EVERY_PX]
+        sure = found.confidence[some] >= _CONFIDENT
+        blur = found.blur_size_px[some][sure] / unit
+        points.append(np.stack([blur, tangent2[some][sure], tangent2[some][sure] ** 2]))
+    estimator.close()
+    focus = 1 / camera.focus_distance_m
+
+    def fitted(of: list[int]) -> DoubleArray:
+        """Solve ``blur + second t^2 + fourth t^4 = scale (1 / z_focus - 1 / z)`` for all three."""
+        counts = [points[i].shape[1] for i in of]
+        blur, *bends = np.hstack([points[i] for i in of])
+        matrix = np.stack([np.repeat(focus - 1 / true[of], counts), *np.negative(bends)], axis=1)
+        weight = np.repeat(np.array(counts) ** -0.5, counts)
+        robust = weight
+        for _ in range(_ROUNDS):
+            solved = np.linalg.lstsq(matrix * robust[:, None], blur * robust, rcond=None)[0]
+            robust = weight / np.sqrt(1 + ((matrix @ solved - blur) * unit / _SCATTER_PX) ** 2)
+        return np.asarray(solved)
+
+    def apart(index: int, scale: float, second: float, fourth: float) -> DoubleArray:
+        """Return the logarithm of depth over true depth at every point of a plane."""
+        left = focus - np.array([1, second, fourth]) @ points[index] / scale
+        return -np.log(np.maximum(left, 1e-6) * true[index])
+
+    everything = list(range(len(used)))
+    left_out = [apart(i, *fitted([j for j in everything if j != i])) for i in everything]
+    middle = np.array([np.median(each) for each in left_out])
+    scatter = np.array([np.ptp(np.quantile(each, (0.1, 0.9))) for each in left_out])
+    scale, second, fourth = (float(value) for value in fitted(everything))
+    return FieldFit(
+        FieldCurvature(round(second / scale, 4), round(fourth / scale, 4)),
+        round(camera.mask_extent_mm * scale, 4),
+        tuple(planes.names[index] for index in used),
+        true,
+        true * np.exp(middle),
+        np.array([np.median(np.abs(np.expm1(apart(i, 1, 0, 0)))) for i in everything]),
+        np.array([np.median(np.abs(np.expm1(each))) for each in left_out]),
+        tuple(np.flatnonzero(np.abs(middle) > np.maximum(_OFF, _OF_SCATTER * scatter))),
+    )

@@ -1,0 +1,160 @@
+"""Field curvature: a lens that is focused at another distance away from the image's middle."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import yaml
+from cli_scene import call, refused, texture
+from hypothesis import given
+from hypothesis import strategies as st
+
+from coded_aperture_ros.bank import learn_bank_for_camera
+from coded_aperture_ros.calibration.planes.field import fit_field
+from coded_aperture_ros.calibration.planes.pictures import Planes
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.io import write_image
+from coded_aperture_ros.optics import Camera, FieldCurvature, Mask, View, camera_from_mapping
+from coded_aperture_ros.simulation.render import render_coded_frame
+
+SHAPE = (192, 256)
+DEPTHS_M = (1.25, 1.4, 1.6, 1.9, 2.4, 3.2)
+STRAIGHT = Camera(500.0, 0.9, 256, 192, Mask.named("levin"), 36.0)
+# In the corner the plane in focus is 0.98 m away.
+BENT = dataclasses.replace(STRAIGHT, field_curvature=FieldCurvature(1.2, -1.0))
+
+
+def plane(camera, depth_m, seed):
+    picture = texture(*SHAPE, seed=seed)
+    light = render_coded_frame(picture, np.full(SHAPE, depth_m, np.float32), camera)
+    random = np.random.default_rng(seed)
+    return (light + 0.001 * random.standard_normal(light.shape)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def planes():
+    images = tuple(plane(BENT, depth_m, seed) for seed, depth_m in enumerate(DEPTHS_M))
+    return Planes(images, np.array(DEPTHS_M), tuple(f"{depth:g} m" for depth in DEPTHS_M))
+
+
+@given(st.floats(0.95, 50), st.floats(-3, 3), st.floats(-3, 3), st.floats(-30, 30))
+def test_depth_and_blur_of_the_field_are_inverses(depth_m, second, fourth, mask_distance_mm):
+    camera = dataclasses.replace(
+        STRAIGHT,
+        field_curvature=FieldCurvature(second, fourth),
+        lens_mask_distance_mm=mask_distance_mm,
+    )
+    depth = np.full((6, 8), depth_m, np.float32)
+    axial_m = camera.depth_m(camera.blur_map_px(depth)).astype(np.float32)
+    seen = np.isfinite(axial_m)
+    np.testing.assert_allclose(camera.depth_in_field(axial_m)[seen], depth_m, rtol=1e-3)
+
+
+def test_curvature_is_of_angles():
+    """By hand: at 250 px from the middle with 500 px of focal length the tangent is 1/2."""
+    bent = dataclasses.replace(
+        STRAIGHT, image_width=501, image_height=1, field_curvature=FieldCurvature(2.0, -4.0)
+    )
+    missing = bent.field_curvature.dioptres(bent.intrinsics, (1, 501))
+    assert missing[0, [0, 250, 500]] == pytest.approx([0.25, 0, 0.25])
+    half = bent.field_curvature.dioptres(bent.intrinsics, (1, 251))
+    assert half[0, 125] == pytest.approx(0, abs=1e-5)
+    straight = dataclasses.replace(bent, field_curvature=None).blur_map_px(np.full((1, 501), 2.0))
+    assert (straight - bent.blur_map_px(np.full((1, 501), 2.0)))[0, 0] == pytest.approx(
+        0.25 * 0.036 * 500
+    )
+    # A region has its own part of the curvature.
+    cut = bent.cut(View(101, 1, 501, 1, left=400.0))
+    assert cut.field_curvature.dioptres(cut.intrinsics, (1, 101))[0, -1] == pytest.approx(0.25)
+
+
+def test_levels_reach_as_far_as_the_blur_of_the_field():
+    low, high = BENT.field_range_px(1.25, 3.2)
+    sizes = BENT.blur_map_px(np.full(SHAPE, 1.25)), BENT.blur_map_px(np.full(SHAPE, 3.2))
+    assert low == pytest.approx(sizes[0].min(), abs=0.05)
+    assert high == pytest.approx(sizes[1].max(), abs=0.05)
+    bank = learn_bank_for_camera(BENT, 1.25, 3.2, 12)
+    assert bank.blur_sizes_px[[0, -1]] == pytest.approx([low, high])
+    # Next to the focus it ends before there is next to no blur.
+    assert BENT.field_range_px(1.0, 3.2)[0] == 1.5
+
+
+@pytest.mark.parametrize("entry", [3, [1], [1, 2, 3], [1, "2"], [1, float("nan")], [1, 1e9]])
+def test_entries_that_are_no_curvature_are_refused(entry):
+    mapping = {
+        "focal_length_px": 500.0,
+        "focus_distance_m": 0.9,
+        "image_width": 256,
+        "image_height": 192,
+        "mask": {"name": "levin"},
+        "mask_extent_mm": 36.0,
+    }
+    assert camera_from_mapping({**mapping, "field_curvature": [1.5, -2]}).field_curvature
+    with pytest.raises(InputError, match=r"field_curvature: "):
+        camera_from_mapping({**mapping, "field_curvature": entry})
+
+
+def median_error(camera, frame, depth_m, part):
+    bank = learn_bank_for_camera(camera, 1.2, 3.4, 20)
+    estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0.0), camera)
+    estimate = estimator.estimate(frame)
+    estimator.close()
+    assert (estimate.std_dev_m[np.isfinite(estimate.depth_m)] > 0).all()
+    return np.nanmedian(np.abs(estimate.depth_m / depth_m - 1)[part])
+
+
+def test_depth_is_right_in_the_corners():
+    frame, corner = plane(BENT, 2.0, 31), np.s_[:40, :40]
+    assert median_error(STRAIGHT, frame, 2.0, corner) > 0.12
+    assert median_error(BENT, frame, 2.0, corner) < 0.04
+    assert median_error(BENT, frame, 2.0, np.s_[76:116, 108:148]) < 0.03
+
+
+def test_planes_show_the_curvature_and_the_extent_of_the_mask(planes):
+    wide = dataclasses.replace(STRAIGHT, mask_extent_mm=37.5)
+    found = fit_field(wide, planes)
+    assert found.mask_extent_mm == pytest.approx(36, rel=0.015)
+    is_, was = (c.dioptres(BENT.intrinsics, SHAPE) for c in (found.curvature, BENT.field_curvature))
+    assert np.abs(is_ - was).max() < 0.02
+    assert found.errors.max() < 0.04
+    assert found.errors.max() < 0.5 * found.errors_without.max()
+    assert found.misplaced == ()
+
+
+def test_a_wrong_distance_is_found(planes):
+    depths = planes.depths_m.copy()
+    depths[3] *= 1.1
+    found = fit_field(STRAIGHT, dataclasses.replace(planes, depths_m=depths))
+    assert [found.names[index] for index in found.misplaced] == ["1.9 m"]
+    assert found.found_m[list(found.misplaced)] == pytest.approx(1.9, rel=0.03)
+
+
+def test_the_command(planes, tmp_path, capsys, caplog):
+    for index, image in enumerate(planes.images):
+        write_image(tmp_path / f"{index}.png", image)
+    listed = [
+        {"file": f"{i}.png", "depth_m": z} for i, z in enumerate((1.25, 1.4, 1.6, 2.1, 2.4, 3.2))
+    ]
+    (tmp_path / "planes.json").write_text(json.dumps(listed))
+    content = {
+        "focal_length_px": 500.0,
+        "focus_distance_m": 0.9,
+        "image_width": 256,
+        "image_height": 192,
+        "mask": {"name": "levin"},
+        "mask_extent_mm": 36.0,
+    }
+    camera = tmp_path / "camera.yaml"
+    camera.write_text(yaml.safe_dump(content))
+    arguments = ("calibrate", "field", tmp_path, "--camera", camera)
+    told = json.loads(call(capsys, *arguments, "--json").out)
+    assert len(told["planes"]) == 6
+    assert "3.png: at 2.1 m, but blurred as at 1.9" in caplog.text
+    # What it prints is what the camera file takes.
+    printed = yaml.safe_load(call(capsys, *arguments).out)
+    assert printed == {key: told[key] for key in ("mask_extent_mm", "field_curvature")}
+    assert camera_from_mapping({**content, **printed}).field_curvature
+    camera.write_text(yaml.safe_dump({**content, "focus_distance_m": 3.4, "side": "near"}))
+    refused(call(capsys, *arguments, "--depths", "3.1,3.15,3.2,3.25,3.3,3.35"), "3 are needed")
