@@ -15,10 +15,7 @@ _SAME_VIEW_PX = 1.0
 def check_frame_size(bank: FilterBank, width: int, height: int) -> None:
     """Refuse frames of another size than the bank's, where it knows that.
 
-    Raises
-    ------
-    InputError
-        Saying which size it is for, and what to do.
+    An `InputError` says which size it is for, and what to do.
     """
     own_width, own_height = bank.image_width, bank.image_height
     if not (own_width and own_height) or (width, height) == (own_width, own_height):

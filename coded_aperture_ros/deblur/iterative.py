@@ -161,8 +161,7 @@ def conjugate_gradients(
     solution = start + 0
     residual = right_side - system(solution)
     enough = tolerance**2 * _product(right_side, right_side)
-    direction = 0 * solution
-    last = 1.0
+    direction, last = 0 * solution, 1.0
     for iteration, _ in zip(range(iterations), steps, strict=False):
         if _product(residual, residual) <= enough:
             return solution, iteration

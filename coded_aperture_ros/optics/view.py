@@ -5,9 +5,7 @@ import dataclasses
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """A frame's place in the whole view; all lengths are in pixels of the frame.
-
-    A region of the view has the blur of the whole: its width says nothing about its scale.
+    """A frame's place in the whole view, px of the frame: a region has the blur of the whole.
 
     Attributes
     ----------

@@ -193,11 +193,10 @@ class FrameModel(Generic[Model]):
 
     def _made(self, file_camera: Camera, camera: Camera, config: ModelConfig) -> Model:
         """Return the model for a camera file and the size of the frames."""
-        bank, near_m, far_m = self._bank, config.near_m or None, config.far_m or None
+        bank, ranged = self._bank, bool(config.near_m and config.far_m)
         if bank is None:
             return self._learned(camera, config)
-        if not (near_m and far_m):
-            near_m = far_m = None
+        near_m, far_m = (config.near_m, config.far_m) if ranged else (None, None)
         size = camera.image_width, camera.image_height
         if bank.image_width and (bank.image_width, bank.image_height) != size:
             if near_m is None:
