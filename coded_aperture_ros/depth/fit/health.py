@@ -39,7 +39,7 @@ LIMIT, SCALED_LIMIT = 20.0, 5.0
 _LAYERS = 3
 # Of the frames that the network has learned from.
 _USUAL_PIXELS = 288 * 288
-_LEAST_NOISE, _CLEANEST, _DITHER, _QUIET = 2e-4, 3e-4, 6e-4, 0.5
+_LEAST_NOISE, _CLEANEST, _DITHER = 2e-4, 3e-4, 6e-4
 _UNSURE_PX, _FAR_PX = 4.0, 1.5
 _CONFIDENT = 0.55
 # Of a video, one frame in so many is looked at, and counts by this share.
@@ -178,14 +178,10 @@ class FitCheck:
     ) -> FloatArray | None:
         """Return what the network is told of a frame; None if there is too little to see."""
         grey, noise = seen.grey, max(seen.noise.typical, _LEAST_NOISE)
-        known, highest = seen.noise.sigma, seen.noise.highest
-        # Cleaner than a camera's frames, as simulated ones are; or seems noisy by fine texture.
-        added = _DITHER if noise < _CLEANEST else 0.0
-        if highest is not None:
-            known, added = 0.0, _QUIET * noise if highest < _QUIET * known else added
-        if added:
+        if noise < _CLEANEST:  # as no camera's frames are: simulated ones
             dither = np.random.default_rng(0).standard_normal(grey.shape, dtype=np.float32)
-            grey, noise = grey + np.float32(added) * dither, float(np.hypot(noise, added))
+            grey, noise = grey + np.float32(_DITHER) * dither, float(np.hypot(noise, _DITHER))
+        known = seen.noise.sigma if seen.noise.highest is None else 0.0
         evidence = self._witness.ask(grey, noise, seen.unusable)
         if evidence is None:
             return None
