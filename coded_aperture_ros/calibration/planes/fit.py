@@ -136,7 +136,10 @@ def _refuse_depths(planes: Planes, fit: ThinLens, sizes: NDArray) -> None:
         like_m = float(fit.depth_m(signed[i]))
         like = f"{like_m:.3g} m" if np.isfinite(like_m) else "infinity"
         says.append(f"{names[i]}: blurred as at {like}, not as at {depths[i]:g} m")
-    raise InputError("; ".join(says) + ": correct the depth, or take the picture again")
+    raise InputError(
+        "; ".join(says) + ": correct the depth, or take the picture again; if the depths are "
+        "right, the lens is focused elsewhere in the corners: see calibrate field"
+    )
 
 
 def _side(fit: ThinLens, depths: NDArray) -> float:
