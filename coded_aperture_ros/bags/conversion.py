@@ -19,6 +19,7 @@ from coded_aperture_ros.bags.page import PAGE, write_report
 from coded_aperture_ros.bags.record import Record
 from coded_aperture_ros.bags.score import References
 from coded_aperture_ros.bags.workers import Wait, frame_workers, in_order
+from coded_aperture_ros.bank import check_frame_size
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.figures import new_figure
 from coded_aperture_ros.core.workers import processors
@@ -37,6 +38,7 @@ from coded_aperture_ros.io.bags.topics import (
 )
 from coded_aperture_ros.io.bags.writing import bag_output
 from coded_aperture_ros.io.messages import MessageError, view_of
+from coded_aperture_ros.methods.choose import bank_of
 from coded_aperture_ros.optics import Camera, View
 from coded_aperture_ros.optics.rotation import ExpectedMotion
 from coded_aperture_ros.pipeline import FramePipeline
@@ -98,6 +100,8 @@ class BagConversion:
         size = view.height, view.width
         depth_size = map_size(size, self.map_size)
         pipeline = self.new_pipeline(camera)
+        if (bank := bank_of(pipeline.estimator.model)) is not None:
+            check_frame_size(bank, view.whole_width, view.whole_height)
         pipeline.reconfigure(camera=camera.cut(view))
         if hidden := hidden_noise(first, image.type_name, self.gamma):
             config = pipeline.estimator.config

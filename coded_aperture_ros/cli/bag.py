@@ -91,10 +91,8 @@ def run(args: argparse.Namespace) -> int:
     if processors() > 1:
         load_in_fork_server("coded_aperture_ros.bags.workers")
     from coded_aperture_ros.bags.conversion import BagConversion
-    from coded_aperture_ros.bank import check_frame_size
     from coded_aperture_ros.deblur import DeblurConfig
     from coded_aperture_ros.io.bags import check_bag_output
-    from coded_aperture_ros.methods.choose import bank_of
     from coded_aperture_ros.optics import load_camera
 
     source, target = Path(args.input), Path(args.output)
@@ -104,19 +102,12 @@ def run(args: argparse.Namespace) -> int:
     if args.deblur != "none":
         deblur = DeblurConfig(method=args.deblur, rank=args.deblur_rank, band=args.deblur_band)
 
-    def new_pipeline(camera: Any) -> Any:
-        pipeline = pipeline_of(args, camera, deblur)
-        bank = bank_of(pipeline.estimator.model)
-        if bank is not None:
-            check_frame_size(bank, camera.image_width, camera.image_height)
-        return pipeline
-
     conversion = BagConversion(
         topic=args.topic,
         reference_topic=args.reference_depth,
         namespace=args.namespace,
         camera=camera,
-        new_pipeline=new_pipeline,
+        new_pipeline=lambda camera: pipeline_of(args, camera, deblur),
         gamma=args.gamma,
         map_size=args.output_size,
         motion=args.motion,

@@ -14,6 +14,7 @@ Then: put mask_extent_mm and field_curvature into the camera file, and learn the
 or more planes parallel to the sensor, with fine texture up to the corners, from the nearest to the
 farthest depth that matters; distances are from the entrance pupil of the lens.
 """
+_FIGURES = ("depth_m", "found_m", "error_without", "error")
 
 
 def add_parser(subparsers: Any) -> None:
@@ -39,6 +40,8 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the action; return its exit status."""
+    import numpy as np
+
     from coded_aperture_ros.calibration.planes.field import fit_field
     from coded_aperture_ros.calibration.planes.folder import load_planes
     from coded_aperture_ros.optics import load_camera
@@ -46,7 +49,6 @@ def run(args: argparse.Namespace) -> int:
     planes = load_planes(args.inputs, args.depths, args.gamma)
     camera = load_camera(args.camera)
     found = fit_field(camera, planes, progress)
-    names = ("depth_m", "found_m", "error_without", "error")
     columns = found.depths_m, found.found_m, found.errors_without, found.errors
     corner = float(found.curvature.dioptres(camera.intrinsics, planes.images[0].shape)[0, 0])
     summary = {
@@ -55,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         "corner_dioptres": round(corner, 4),
         "corner_px": round(corner * found.mask_extent_mm * 1e-3 * camera.focal_length_px, 2),
         "planes": [
-            {"name": name, **dict(zip(names, (round(float(x), 4) for x in row), strict=True))}
+            {"name": name, **dict(zip(_FIGURES, np.round(row, 4).tolist(), strict=True))}
             for name, *row in zip(found.names, *columns, strict=True)
         ],
     }

@@ -1,7 +1,6 @@
 """Points in space from a depth map, and the nearest thing in it."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from coded_aperture_ros.core.arrays import FloatArray
 def points_of_depth(
     depth_m: FloatArray,
     confidence: FloatArray,
-    projection: Sequence[float],
+    rays: FloatArray,
     near_m: float = 0.0,
     far_m: float = 0.0,
 ) -> FloatArray:
@@ -22,8 +21,8 @@ def points_of_depth(
     depth_m : ndarray, float32 [rows, columns]
         Metres along the optical axis; NaN where unknown, +inf beyond the range, -inf too near.
     confidence : ndarray, float32 [rows, columns]
-    projection : sequence of 12 floats
-        P of the map's camera model, row by row.
+    rays : ndarray, float32 [rows, columns, 2]
+        See `coded_aperture_ros.optics.intrinsics.rays`.
     near_m, far_m : float, optional
         Where to put what is too near and what is beyond the range, metres; 0: it has no point.
 
@@ -32,15 +31,11 @@ def points_of_depth(
     ndarray, float32 [rows, columns, 4]
         x, y, z in metres and the confidence; x, y and z are NaN where there is no point.
     """
-    rows, columns = depth_m.shape
-    right = (np.arange(columns, dtype=np.float32) - projection[2]) / projection[0]
-    down = (np.arange(rows, dtype=np.float32) - projection[6]) / projection[5]
     z = depth_m.copy()
     z[z == np.inf] = far_m if far_m > 0 else np.nan
     z[z == -np.inf] = near_m if near_m > 0 else np.nan
-    points = np.empty((rows, columns, 4), np.float32)
-    points[..., 0] = z * right.astype(np.float32)
-    points[..., 1] = z * down.astype(np.float32)[:, None]
+    points = np.empty((*z.shape, 4), np.float32)
+    points[..., :2] = z[..., None] * rays
     points[..., 2] = z
     points[..., 3] = confidence
     return points

@@ -54,10 +54,9 @@ def lost_by_compression(data: bytes) -> float:
 
 
 def noise_hidden_by_compression(data: bytes, pixels: NDArray, gamma: Gamma) -> float:
-    """Return about how much noise JPEG has hidden in the frames of a stream, in linear light.
+    """Return about how much noise JPEG has hidden in a frame, in linear light.
 
-    From one frame's data and pixels, in steps of a square root of 2: the same for all frames of a
-    steady quality. See `lost_by_compression`.
+    In steps of a square root of 2: the same for all frames of a stream of steady quality.
     """
     light = float(linear_from_pixels(pixels[::8, ::8], gamma).mean())
     lost = lost_by_compression(data) * light_per_stored(light, gamma)

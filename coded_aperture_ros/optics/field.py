@@ -19,19 +19,10 @@ _MOST = 1000.0
 class FieldCurvature:
     """By how much the inverse distance of the focus falls with the angle from the optical axis.
 
-    ``1 / z_focus`` is less by ``second t^2 + fourth t^4`` dioptres, where t is the tangent of the
-    angle: positive, if the lens is focused farther away there. So the blur of thesis eq. 3.28 falls
-    by M f times that. It is the mean of the radial and the tangential focus.
-
-    Attributes
-    ----------
-    second, fourth : float
-        Dioptres (1/m).
-
-    Raises
-    ------
-    InputError
-        If they are not finite, or more than a lens can have.
+    ``1 / z_focus`` is less by ``second t^2 + fourth t^4`` dioptres (1/m), where t is the tangent of
+    the angle: positive, if the lens is focused farther away there. So the blur of thesis eq. 3.28
+    falls by M f times that. It is the mean of the radial and the tangential focus. An `InputError`
+    if they are not finite, or more than a lens can have.
     """
 
     second: float = 0.0

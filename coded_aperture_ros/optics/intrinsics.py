@@ -8,11 +8,15 @@ import dataclasses
 import math
 import os
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import yaml
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.optics.view import View
@@ -20,6 +24,8 @@ from coded_aperture_ros.optics.view import View
 _IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 # How many coefficients the models of ROS have.
 _COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,)}
+# Of undoing distortion: OpenCV's five leave pixels.
+_ITERATIONS = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-7)
 _MATRICES = {"camera_matrix": (3, 3), "rectification_matrix": (3, 3), "projection_matrix": (3, 4)}
 
 
@@ -154,6 +160,28 @@ def scaled_matrix(
     values[2] = x * (float(matrix[2]) - left + 0.5) - 0.5
     values[columns + 2] = y * (float(matrix[columns + 2]) - top + 0.5) - 0.5
     return tuple(values)
+
+
+@lru_cache(maxsize=4)
+def rays(
+    model: str, k: tuple[float, ...], d: tuple[float, ...], rows: int, columns: int
+) -> FloatArray:
+    """Return x / z and y / z of what every pixel sees, float32 [rows, columns, 2].
+
+    The arguments are those of `sensor_msgs/CameraInfo`; its distortion is undone. An `InputError`
+    if it has too many or too few coefficients.
+    """
+    pixels = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).astype(np.float64)
+    matrix, shape = np.reshape(k, (3, 3)), pixels.shape
+    arguments = pixels.reshape(-1, 1, 2), matrix, np.array(d)
+    try:
+        if any(d) and model == "equidistant":
+            pixels = cv2.fisheye.undistortPoints(*arguments, P=matrix)
+        elif any(d):
+            pixels = cv2.undistortImagePoints(*arguments, None, _ITERATIONS)
+    except cv2.error as error:
+        raise InputError(f"camera_info: {len(d)} coefficients do not suit {model}") from error
+    return np.asarray((pixels.reshape(shape) - [k[2], k[5]]) / [k[0], k[4]], np.float32)
 
 
 def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:

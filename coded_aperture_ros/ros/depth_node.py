@@ -29,6 +29,7 @@ from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.methods.choose import METHODS, new_model, with_settings
 from coded_aperture_ros.methods.motion import MotionConfig
 from coded_aperture_ros.methods.two_pixel import SimpleConfig
+from coded_aperture_ros.optics.intrinsics import rays
 from coded_aperture_ros.pipeline import FramePipeline, LateFrameError
 from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.diagnostics import Complaint
@@ -202,9 +203,9 @@ class DepthNode(FrameNode[Image]):
             if self.wants("depth/camera_info"):
                 self.send("depth/camera_info", info)
             if self.wants("depth/points"):
-                points = points_of_depth(
-                    depth_m, estimate.confidence, info.p, self._range.near_m, config.points_far_m
-                )
+                through = rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
+                ends = self._range.near_m, config.points_far_m
+                points = points_of_depth(depth_m, estimate.confidence, through, *ends)
                 self.send("depth/points", cloud_from_points(points, header))
         if estimate.motion is not None:
             self._searched = estimate.motion.searched

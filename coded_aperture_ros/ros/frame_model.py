@@ -206,7 +206,7 @@ class FrameModel(Generic[Model]):
                     depths_m = own.depth_m(bank.blur_sizes_px)
                 near_m, far_m = float(depths_m.min()), float(depths_m.max())
             bank = remap_bank(bank, camera, near_m, far_m)
-        elif bank.pattern is not None and _setting(file_camera) != _setting(self._first_camera):
+        elif bank.pattern and file_camera.setting_digest != self._first_camera.setting_digest:
             bank = remap_bank(bank, camera, near_m, far_m)
         elif bank.mask_digest and bank.mask_digest != camera.mask.digest:
             raise InputError(
@@ -252,14 +252,3 @@ class FrameModel(Generic[Model]):
             model = self._make(camera=camera, depth_range_m=range_m, level_count=count)
         self._logger.info(f"prepared them in {time.monotonic() - started_s:.1f} s")
         return model
-
-
-def _setting(camera: Camera) -> tuple[object, ...]:
-    """Return what of a camera file tells at which depth a blur size occurs."""
-    return (
-        camera.focus_distance_m,
-        camera.focal_length_px,
-        camera.image_width,
-        camera.side,
-        camera.lens_mask_distance_mm,
-    )

@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import ReliabilityPolicy, qos_profile_sensor_data
 from ros_helpers import wait_until
 from scipy.signal import fftconvolve
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, RegionOfInterest
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, RegionOfInterest
 from small_camera import CAMERA, DEPTH_M, FAR_M, HEIGHT, NEAR_M, WIDTH
 from std_msgs.msg import Header
 
@@ -108,6 +108,24 @@ def test_a_camera_info_of_another_size_is_scaled_to_the_frames(ros, model, coded
     assert info.k[4] == pytest.approx(420 / factor)
     assert list(info.d) == [0.1, 0, 0, 0, 0]
     assert chain.rejected == {}
+
+
+def test_points_lie_where_distorted_pixels_look(ros, model, coded):
+    chain = Chain(ros, model, subscribe=("depth/image",))
+    clouds = ros.subscribe("depth/points", PointCloud2)
+    given = calibration(WIDTH, HEIGHT)
+    given.d = [-0.3, 0.1, 0.001, -0.002, 0.0]
+    chain.infos.publish(given)
+    time.sleep(0.2)
+    depth = array_from_image(chain.result(mono8(coded)))
+    assert wait_until(lambda: clouds)
+    points = np.frombuffer(clouds[0].data, np.float32).reshape(HEIGHT, WIDTH, 4)
+    row, column = np.argwhere(np.isfinite(depth))[0]
+    k, d = np.reshape(given.k, (3, 3)), np.array(given.d)
+    seen, _ = cv2.projectPoints(
+        points[row, column, :3].astype(np.float64), np.zeros(3), np.zeros(3), k, d
+    )
+    assert seen.ravel() == pytest.approx([column, row], abs=0.05)
 
 
 def warnings_of(reports, node):

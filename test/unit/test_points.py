@@ -2,11 +2,13 @@
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 from small_camera import CAMERA, DEPTH_M, FAR_M, NEAR_M, coded_wall
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import (
     DepthConfig,
     DepthEstimator,
@@ -14,22 +16,52 @@ from coded_aperture_ros.depth import (
     points_of_depth,
 )
 from coded_aperture_ros.optics import Camera, Mask
+from coded_aperture_ros.optics.intrinsics import rays
 
-P = (100.0, 0, 1.0, 0, 0, 50.0, 2.0, 0, 0, 0, 1, 0)
+K = (100.0, 0.0, 1.0, 0.0, 50.0, 2.0, 0.0, 0.0, 1.0)
+WIDE = (420.0, 0.0, 310.0, 0.0, 430.0, 235.0, 0.0, 0.0, 1.0)
 
 
 def test_points_lie_on_the_rays_of_their_pixels():
     depth = np.array([[2.0, np.nan, 4.0], [np.inf, -np.inf, 1.0]], np.float32)
     confidence = np.linspace(0, 1, 6, dtype=np.float32).reshape(2, 3)
-    points = points_of_depth(depth, confidence, P)
+    through = rays("plumb_bob", K, (0.0,) * 5, 2, 3)
+    points = points_of_depth(depth, confidence, through)
     np.testing.assert_allclose(points[0, 0, :3], [-0.02, -0.08, 2.0], rtol=1e-6)
     np.testing.assert_allclose(points[0, 2, :3], [0.04, -0.16, 4.0], rtol=1e-6)
     np.testing.assert_allclose(points[..., 3], confidence)
     assert np.isnan(points[[0, 1, 1], [1, 0, 1], :3]).all()
-    cleared = points_of_depth(depth, confidence, P, near_m=0.5, far_m=9.0)
+    cleared = points_of_depth(depth, confidence, through, near_m=0.5, far_m=9.0)
     np.testing.assert_allclose(cleared[1, 0, :3], [-0.09, -0.18, 9.0], rtol=1e-6)
     np.testing.assert_allclose(cleared[1, 1, :3], [0.0, -0.01, 0.5], rtol=1e-6)
     assert np.isnan(cleared[0, 1, :3]).all()  # unknown is neither near nor far
+
+
+@pytest.mark.parametrize(
+    ("model", "d"),
+    [
+        ("plumb_bob", (-0.3, 0.1, 0.001, -0.002, 0.0)),
+        ("rational_polynomial", (0.2, 0.05, 0.001, 0.0, 0.01, 0.4, 0.1, 0.02)),
+        ("equidistant", (0.02, -0.01, 0.003, -0.001)),
+    ],
+)
+def test_distortion_is_undone(model, d):
+    """Points on the rays are seen where OpenCV's own projection sees them."""
+    through = rays(model, WIDE, d, 480, 640)
+    seen = np.dstack([through, np.ones((480, 640), np.float32)]).reshape(-1, 1, 3)
+    k, none = np.reshape(WIDE, (3, 3)), np.zeros(3)
+    if model == "equidistant":
+        pixels, _ = cv2.fisheye.projectPoints(seen, none, none, k, np.array(d))
+    else:
+        pixels, _ = cv2.projectPoints(seen, none, none, k, np.array(d))
+    expected = np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=-1)
+    assert np.abs(pixels.reshape(480, 640, 2) - expected).max() < 0.01
+
+
+@pytest.mark.parametrize(("model", "count"), [("plumb_bob", 3), ("equidistant", 5)])
+def test_coefficients_that_no_model_has_are_refused(model, count):
+    with pytest.raises(InputError, match=f"{count} coefficients do not suit {model}"):
+        rays(model, WIDE, (0.1,) * count, 4, 5)
 
 
 def test_the_nearest_obstacle_is_not_a_speck():

@@ -44,10 +44,7 @@ def fit_field(
 ) -> FieldFit:
     """Fit field curvature and mask extent to the blur that a bank of the axis finds everywhere.
 
-    Raises
-    ------
-    InputError
-        If too few planes are blurred enough, or the pictures do not have the camera's proportions.
+    An `InputError` if too few planes are blurred enough, or pictures have other proportions.
     """
     rows, columns = planes.images[0].shape[:2]
     camera = camera.fitted(columns, rows)
