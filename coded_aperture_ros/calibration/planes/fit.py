@@ -13,7 +13,9 @@ from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.arrays import DoubleArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 
-# What lies farther from the line than this has another depth than it was said to have.
+# What lies farther from the line than this has another depth than it was said to have. Narrow blur
+# is often measured wrong by more, and tells little.
+_NARROW_PX, _NARROW_OUTLIER_PX = 4.5, 1.8
 _OUTLIER_PX, _OUTLIER_SHARE = 1.0, 0.08
 _ITERATIONS = 20
 _NO_LENS = ThinLens(1e-9, 0.0)
@@ -78,7 +80,8 @@ def _line(depths: NDArray, sizes: NDArray, errors: NDArray) -> tuple[ThinLens, i
 
 
 def _tolerance(sizes: NDArray) -> NDArray:
-    return np.maximum(_OUTLIER_PX, _OUTLIER_SHARE * np.abs(sizes))
+    usual = np.maximum(_OUTLIER_PX, _OUTLIER_SHARE * np.abs(sizes))
+    return np.where(np.abs(sizes) < _NARROW_PX, _NARROW_OUTLIER_PX, usual)
 
 
 def _outliers(fit: ThinLens, depths: NDArray, sizes: NDArray) -> IndexArray:
