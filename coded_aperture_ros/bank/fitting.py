@@ -1,7 +1,6 @@
 """Whether frames and a camera are those that a bank was learned for.
 
-Another size, another focus or another focal length behind the same mask leave no trace in a
-picture: only what the bank knows can tell.
+Another size, focus or focal length leave no trace in a picture: only what the bank knows can tell.
 """
 
 from coded_aperture_ros.bank.model import FilterBank

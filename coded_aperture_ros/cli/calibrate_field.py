@@ -11,8 +11,8 @@ _EPILOG = """example:
     coded_aperture calibrate field planes --camera camera.yaml
 
 Then: put mask_extent_mm and field_curvature into the camera file, and learn the bank again. Take 6
-or more planes parallel to the sensor, with fine texture up to the corners, from the nearest to the
-farthest depth that matters; distances are from the entrance pupil of the lens.
+or more planes parallel to the sensor, with fine texture up to the corners, over the range of depth
+that matters; distances are from the entrance pupil of the lens.
 """
 _FIGURES = ("depth_m", "found_m", "error_without", "error")
 

@@ -22,7 +22,7 @@ def points_of_depth(
         Metres along the optical axis; NaN where unknown, +inf beyond the range, -inf too near.
     confidence : ndarray, float32 [rows, columns]
     rays : ndarray, float32 [rows, columns, 2]
-        See `coded_aperture_ros.optics.intrinsics.rays`.
+        See `optics.intrinsics.rays`.
     near_m, far_m : float, optional
         Where to put what is too near and what is beyond the range, metres; 0: it has no point.
 

@@ -11,13 +11,12 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics.intrinsics import Intrinsics
 
-# More than any lens that takes pictures has at 45 degrees.
-_MOST = 1000.0
+_MOST = 1000.0  # than any lens that takes pictures has at 45 degrees
 
 
 @dataclasses.dataclass(frozen=True)
 class FieldCurvature:
-    """By how much the inverse distance of the focus falls with the angle from the optical axis.
+    """By how much the inverse distance of the focus falls with the angle from the axis.
 
     ``1 / z_focus`` is less by ``second t^2 + fourth t^4`` dioptres (1/m), where t is the tangent of
     the angle: positive, if the lens is focused farther away there. So the blur of thesis eq. 3.28

@@ -7,16 +7,9 @@ import dataclasses
 class View:
     """A frame's place in the whole view, px of the frame: a region has the blur of the whole.
 
-    Attributes
-    ----------
-    width, height : int
-        Of the frame.
-    whole_width, whole_height : int
-        Of the picture that the whole view would be.
-    left, top : float
-        Where the frame begins in it.
-    is_binned : bool
-        Whether the camera says that it adds up neighbouring pixels, and so knows the scale.
+    `whole_width` and `whole_height` are of the picture that the whole view would be, `left` and
+    `top` say where the frame begins in it, and `is_binned` whether the camera says that it adds up
+    neighbouring pixels, and so knows the scale.
     """
 
     width: int

@@ -37,8 +37,8 @@ def fitted_camera(camera: Camera, width: int, height: int) -> Camera:
 class CameraModel:
     """The camera model to publish: the driver's own if it sends one, else the camera file's.
 
-    The driver's is scaled to the frames where it is for another size of the same proportions; its
-    region of interest and its binning say which part of the view they are.
+    The driver's region of interest and binning, or else its proportions, say which part of its view
+    frames are.
     """
 
     def __init__(self) -> None:

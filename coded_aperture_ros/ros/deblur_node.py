@@ -23,6 +23,7 @@ from coded_aperture_ros.ros.messages import (
     image_from_array,
     pixels_from_frame,
     stamp_ns,
+    written_encoding,
 )
 from coded_aperture_ros.ros.pairing import StampPairs
 
@@ -111,8 +112,9 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         noise = channel_noise(frame, KnownNoise.of(config, camera, self._model.model))
         sharp = deblurrer.deblur(frame, blur_size_px, noise)
         if self.wants("deblurred/image"):
-            pixels = pixels_from_frame(sharp, image.encoding, gamma)
-            self.send("deblurred/image", image_from_array(pixels, image.encoding, header))
+            encoding = written_encoding(image.encoding)
+            pixels = pixels_from_frame(sharp, encoding, gamma)
+            self.send("deblurred/image", image_from_array(pixels, encoding, header))
         if complaint := self._info.complaint(camera, size):
             self.reject("camera_info", complaint)
         if self.wants("deblurred/camera_info"):

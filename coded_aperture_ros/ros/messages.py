@@ -25,6 +25,7 @@ from coded_aperture_ros.io.messages import (  # noqa: F401 (nodes take them from
     pixels_from_frame,
     scaled_matrices,
     view_of,
+    written_encoding,
 )
 from coded_aperture_ros.optics import Camera, Intrinsics
 

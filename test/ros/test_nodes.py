@@ -76,6 +76,27 @@ def test_every_encoding_gives_the_same_depth(ros, model, coded):
     assert chain.rejected == {}
 
 
+def yuv(frame):
+    """Return a frame as webcams send it."""
+    stored = np.full((HEIGHT, WIDTH, 2), 128, np.uint8)
+    stored[..., 0] = np.rint(16 + 219 * frame)
+    message = Image(header=stamped(), encoding="yuv422_yuy2", width=WIDTH, height=HEIGHT)
+    message.step, message.data = 2 * WIDTH, stored.tobytes()
+    return message
+
+
+def test_frames_of_webcams_give_depth(ros, model, coded):
+    chain = Chain(ros, model, subscribe=("depth/image",))
+    depth = array_from_image(chain.result(yuv(coded)))
+    assert abs(np.nanmedian(depth) - DEPTH_M) < 0.06 * DEPTH_M
+
+
+def test_frames_of_webcams_are_deblurred_as_rgb(ros, model, coded):
+    chain = DeblurChain(ros, model)
+    sharp = chain.result(yuv(coded))
+    assert (sharp.encoding, sharp.width) == ("rgb8", WIDTH)
+
+
 def test_the_drivers_camera_info_is_scaled_and_passed_on(ros, model, coded):
     chain = Chain(ros, model, **{"output.size": "half"})
     given = CameraInfo(width=WIDTH, height=HEIGHT, distortion_model="plumb_bob")

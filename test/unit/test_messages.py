@@ -63,6 +63,24 @@ def test_colours_come_out_as_rgb_and_go_back(encoding, data):
     np.testing.assert_array_equal(again[:, :, :3], stored[:, :, :3])
 
 
+@pytest.mark.parametrize(("encoding", "luma"), [("yuv422", 1), ("yuv422_yuy2", 0)])
+def test_yuv_comes_out_as_rgb_and_goes_on_as_rgb(encoding, luma):
+    """As cameras give it: 16 is black and 235 white, and two pixels share their colour."""
+    stored = np.full((2, 4, 2), 128, np.uint8)
+    stored[..., luma] = [[16, 235, 16, 235], [81, 81, 145, 145]]
+    stored[1, :, 1 - luma] = [90, 240, 54, 34]  # red, then green (BT.601)
+    message = image(encoding, 2, 4, 8, stored.tobytes())
+    rgb = messages.array_from_image(message)
+    expected = [[[0] * 3, [255] * 3] * 2, [[255, 0, 0]] * 2 + [[0, 255, 0]] * 2]
+    np.testing.assert_allclose(rgb, expected, atol=2)
+    written = messages.written_encoding(encoding)
+    assert written == "rgb8"
+    again = messages.pixels_from_frame(messages.frame_from_image(message), written)
+    np.testing.assert_array_equal(again, rgb)
+    with pytest.raises(messages.MessageError, match="pixels in pairs"):
+        messages.array_from_image(image(encoding, 2, 3, 6, bytes(12)))
+
+
 @given(pixels=hnp.arrays(np.uint16, SIZES), padding=st.integers(0, 5))
 def test_padding_and_byte_order_are_respected(pixels, padding):
     height, width = pixels.shape

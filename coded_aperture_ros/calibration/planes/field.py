@@ -15,8 +15,7 @@ from coded_aperture_ros.optics import Camera, FieldCurvature, render_psf_stack
 
 # With less blur on the axis the corners may have none, or that of the other side of the focus.
 _LEAST_PX, _SMALLEST_PX, _STEP_PX = 4.0, 1.5, 0.4
-_FEWEST, _CONFIDENT, _EVERY_PX = 3, 0.55, 4
-_SCATTER_PX, _ROUNDS = 0.3, 30
+_FEWEST, _CONFIDENT, _EVERY_PX, _SCATTER_PX, _ROUNDS = 3, 0.55, 4, 0.3, 30
 # A plane whose depth is off by more than the first, and by more than its own scatter, is elsewhere.
 _OFF, _OF_SCATTER = 0.05, 0.8
 
@@ -25,8 +24,8 @@ _OFF, _OF_SCATTER = 0.05, 0.8
 class FieldFit:
     """Field curvature and mask extent as planes show them, and how well they fit.
 
-    Of each plane that is blurred enough: name, depth, the depth that a fit to the others gives, and
-    the median errors without curvature and by that fit. `misplaced` are those whose depth is wrong.
+    Of each plane that is blurred enough: name, depth, depth and median error by a fit to the
+    others, and the error without curvature. `misplaced` are those whose depth is wrong.
     """
 
     curvature: FieldCurvature
@@ -64,9 +63,9 @@ def fit_field(
     unit = camera.mask_extent_mm * 1e-3 * camera.focal_length_px  # px per dioptre
     # Nearer to the border no window is centred.
     points, margin = [], bank.window_px // 2
+    some = np.s_[margin:-margin:_EVERY_PX, margin:-margin:_EVERY_PX]
     for index in progress(used):
         found = estimator.estimate(planes.images[index])
-        some = np.s_[margin:-margin:_EVERY_PX, margin:-margin:_EVERY_PX]
         sure = found.confidence[some] >= _CONFIDENT
         blur = found.blur_size_px[some][sure] / unit
         points.append(np.stack([blur, tangent2[some][sure], tangent2[some][sure] ** 2]))

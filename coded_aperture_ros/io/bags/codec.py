@@ -17,6 +17,7 @@ from coded_aperture_ros.io.messages import (
     array_from_image,
     check_pixels,
     scaled_matrices,
+    written_encoding,
 )
 from coded_aperture_ros.optics import Intrinsics
 
@@ -44,7 +45,8 @@ def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
     """Read a raw or compressed image; a `MessageError`, of kind "message" if it is none at all."""
     message = _read(data, type_name)
     if type_name == IMAGE:
-        return Picture(message.header, array_from_image(message), message.encoding)
+        encoding = written_encoding(message.encoding)
+        return Picture(message.header, array_from_image(message), encoding)
     return Picture(message.header, *array_from_compressed(message))
 
 

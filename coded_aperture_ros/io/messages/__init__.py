@@ -12,6 +12,7 @@ from coded_aperture_ros.io.messages.encodings import (
     array_from_image,
     check_pixels,
     encoding_of,
+    written_encoding,
 )
 from coded_aperture_ros.io.messages.frames import (
     depth_from_pixels,
@@ -40,4 +41,5 @@ __all__ = [
     "pixels_from_frame",
     "scaled_matrices",
     "view_of",
+    "written_encoding",
 ]

@@ -16,9 +16,9 @@ from coded_aperture_ros.optics.view import View
 def view_of(info: Any, width: int, height: int, camera: Camera) -> View | None:
     """Return which part of a camera's view a frame of this size is; None if it cannot be one.
 
-    A frame of the region's proportions, but of another size than its binning gives, is taken to be
-    the region resized. Where the focal length of the message is that of a camera file for frames
-    of the region, not for those of the whole sensor, the region is all of the file's view.
+    A frame of another size than binning gives is taken to be the region resized. Where the focal
+    length of the message is that of a camera file for frames of the region, not for those of the
+    whole sensor, the region is all of the file's view.
     """
     left, top, columns, rows = _region(info)
     x, y = _scale(width, columns, info.binning_x), _scale(height, rows, info.binning_y)

@@ -40,17 +40,22 @@ ENCODINGS = {
     "bgr8": Encoding("u1", 3, cv2.COLOR_BGR2RGB, cv2.COLOR_RGB2BGR),
     "rgba8": Encoding("u1", 4, cv2.COLOR_RGBA2RGB, cv2.COLOR_RGB2RGBA),
     "bgra8": Encoding("u1", 4, cv2.COLOR_BGRA2RGB, cv2.COLOR_RGB2BGRA),
+    "yuv422": Encoding("u1", 2, cv2.COLOR_YUV2RGB_UYVY),
+    "yuv422_yuy2": Encoding("u1", 2, cv2.COLOR_YUV2RGB_YUYV),
 }
 
 
 def encoding_of(name: str) -> Encoding:
     """Return the `Encoding` called `name`; a `MessageError` of kind "encoding" if unsupported."""
-    try:
-        return ENCODINGS[name]
-    except KeyError:
-        raise MessageError(
-            "encoding", f"image encoding {name!r} is not supported, use {', '.join(ENCODINGS)}"
-        ) from None
+    if name not in ENCODINGS:
+        known = ", ".join(ENCODINGS)
+        raise MessageError("encoding", f"image encoding {name!r} is not supported, use {known}")
+    return ENCODINGS[name]
+
+
+def written_encoding(name: str) -> str:
+    """Return the encoding for what is made of an image: its own, or RGB in place of YUV."""
+    return "rgb8" if encoding_of(name).channels == 2 else name
 
 
 def array_from_image(message: Any) -> NDArray:
@@ -93,6 +98,8 @@ def array_from_image(message: Any) -> NDArray:
         pixels = pixels.byteswap()
     if encoding.channels == 1:
         return pixels
+    if encoding.channels == 2 and width % 2:
+        raise MessageError("size", f"{message.encoding} has pixels in pairs, not {width} in a row")
     pixels = pixels.reshape(height, width, encoding.channels)
     return pixels if encoding.to_rgb is None else cv2.cvtColor(pixels, encoding.to_rgb)
 
