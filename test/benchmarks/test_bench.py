@@ -1,5 +1,6 @@
 """`coded_aperture bench accuracy`: what it prints, writes and refuses."""
 
+import dataclasses
 import json
 import os
 import shutil
@@ -10,13 +11,14 @@ import time
 
 import numpy as np
 import pytest
-from cli_scene import CAMERA, HEIGHT, WIDTH, call
+from cli_scene import CAMERA, HEIGHT, WIDTH, call, texture
 from coded_aperture_benchmarks.frames.misfits import LIGHT, MISFITS, Fitting, recorded
 from coded_aperture_benchmarks.reference import REFERENCE_METHODS
 from coded_aperture_benchmarks.suites.stair import lost_cells
 
 from coded_aperture_ros.io import read_image, write_image
-from coded_aperture_ros.optics import Mask, render_psf_stack
+from coded_aperture_ros.optics import Camera, FieldCurvature, Mask, render_psf_stack
+from coded_aperture_ros.simulation.render import render_coded_frame
 
 SMALL = ("--levels", 3, "--repeats", 1, "--window", 32, "--masks", "levin", "--jobs", 1)
 STAIR = ("bench", "accuracy", "stair", "--textures", "random", "--side", 48, *SMALL)
@@ -216,6 +218,24 @@ def test_trust_is_measured(capsys, folder):
     text = call(capsys, *arguments).out
     assert "of 5 cells that leave a trace" in text
     assert call(capsys, "bench", "trust", folder, "--kinds", "magic").status == 2
+
+
+def test_a_lens_is_measured_with_planes(capsys, folder, tmp_path):
+    straight = Camera(400.0, 1.0, WIDTH, HEIGHT, Mask.named("levin"), 40.0)
+    bent = dataclasses.replace(straight, field_curvature=FieldCurvature(1.0, 0.0))
+    listed = []
+    for seed, depth_m in enumerate((1.5, 1.8, 2.2, 3.0)):
+        flat = np.full((HEIGHT, WIDTH), depth_m, np.float32)
+        write_image(tmp_path / f"{seed}.png", render_coded_frame(texture(seed=seed), flat, bent))
+        listed.append({"file": f"{seed}.png", "depth_m": depth_m})
+    (tmp_path / "planes.json").write_text(json.dumps(listed))
+    arguments = ("bench", "lens", folder, "--planes", tmp_path, "--levels", 12)
+    without, with_ = json_of(capsys, *arguments)["cells"]
+    assert (without["field_curvature"], with_["field_curvature"]) == (False, True)
+    assert without["all"] < 0.05  # this scene has none
+    assert with_["outer"] > without["outer"]
+    assert "by thirds of the radius" in call(capsys, *arguments).out
+    assert call(capsys, "bench", "lens", folder).status == 2
 
 
 def test_depth_of_a_scene_is_scored(capsys, folder):

@@ -207,7 +207,7 @@ def bad_messages():
         return message
 
     return [
-        ("encoding", broken(encoding="yuv422")),
+        ("encoding", broken(encoding="bayer_rggb8")),
         ("data", broken(data=bytes(100))),
         ("data", broken(data=b"")),
         ("step", broken(step=WIDTH - 1)),

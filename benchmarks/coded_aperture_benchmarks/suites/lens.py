@@ -1,0 +1,145 @@
+"""`coded_aperture bench lens`: depth through a real lens, before and after `calibrate field`."""
+
+import argparse
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.frames.ray_traced import RANGE_MARGIN, RayTracedScene
+from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_ros.bank import learn_bank_for_camera
+from coded_aperture_ros.calibration.planes.field import fit_field
+from coded_aperture_ros.calibration.planes.folder import load_planes
+from coded_aperture_ros.cli.options import table
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.optics import Camera
+
+_MASK, _RIGHT = "levin", 0.05
+_THIRDS = ("inner", "middle", "outer")
+_HEADER = [
+    "scene", "seed", "field curvature", "error: all", *_THIRDS, "confident", "of it right", "said",
+]  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class Cell:
+    """A scene with noise of a seed, and the planes that its lens is measured with."""
+
+    scene: Path
+    planes: Path
+    sigma: float
+    levels: int
+    seed: int
+
+
+def _cells(args: argparse.Namespace) -> list[Cell]:
+    if args.planes is None:
+        args.usage_error("--planes: name the folder with planes of the lens")
+    options.check_names(args.folders, "scenes")
+    return [
+        Cell(scene, args.planes, args.noise, args.levels, seed)
+        for scene in args.folders
+        for seed in range(args.seed, args.seed + args.repeats)
+    ]
+
+
+def measure(cell: Cell) -> list[Row]:
+    """Measure a scene with the camera as it was, and with its field curvature."""
+    scene = RayTracedScene.load(cell.scene, _MASK)
+    found = fit_field(scene.camera, load_planes([cell.planes]))
+    bent = dataclasses.replace(
+        scene.camera, field_curvature=found.curvature, mask_extent_mm=found.mask_extent_mm
+    )
+    noise = np.random.default_rng(cell.seed).standard_normal(scene.coded.shape, dtype=np.float32)
+    frame = scene.coded + np.float32(cell.sigma) * noise
+    return [
+        {
+            "scene": cell.scene.resolve().name,
+            "seed": cell.seed,
+            "field_curvature": camera.field_curvature is not None,
+            **_scores(scene, camera, frame, cell.levels),
+        }
+        for camera in (scene.camera, bent)
+    ]
+
+
+def _scores(scene: RayTracedScene, camera: Camera, frame: np.ndarray, levels: int) -> Row:
+    true = scene.depth_m
+    near_m = float(np.nanmin(true)) * (1 - RANGE_MARGIN)
+    far_m = float(np.nanmax(true)) * (1 + RANGE_MARGIN)
+    bank = learn_bank_for_camera(camera, near_m, far_m, levels)
+    estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0.0), camera)
+    estimate = estimator.estimate(frame)
+    estimator.close()
+    assert estimate.depth_m is not None  # the camera tells it
+    error = np.abs(estimate.depth_m / true - 1)
+    known = np.isfinite(error)
+    rows, columns = (np.arange(length) - (length - 1) / 2 for length in true.shape)
+    radius = np.hypot(rows[:, None], columns) / np.hypot(rows[-1], columns[-1])
+    third = np.minimum((3 * radius).astype(int), 2)
+    sure = known & (estimate.confidence >= DepthConfig().confidence_threshold)
+    return {
+        "all": _median(error[known]),
+        **{name: _median(error[known & (third == i)]) for i, name in enumerate(_THIRDS)},
+        "confident": round(float(sure.mean()), 4),
+        "right": round(float((error[sure] <= _RIGHT).mean()), 4) if sure.any() else None,
+        "said": round(float(estimate.confidence[sure].mean()), 4) if sure.any() else None,
+    }
+
+
+def _median(values: np.ndarray) -> float | None:
+    return round(float(np.median(values)), 4) if values.size else None
+
+
+def _results(args: argparse.Namespace, measured: list[list[Row]], seconds: float) -> Row:
+    return {
+        "benchmark": "lens",
+        **options.header(args, "noise", "levels"),
+        "seconds": seconds,
+        "cells": [row for rows in measured for row in rows],
+    }
+
+
+def _text(results: Row) -> str:
+    names = ("all", *_THIRDS, "confident", "right", "said")
+    lines = [
+        [
+            row["scene"],
+            str(row["seed"]),
+            "with" if row["field_curvature"] else "without",
+            *("-" if row[name] is None else f"{100 * row[name]:.1f} %" for name in names),
+        ]
+        for row in results["cells"]
+    ]
+    return (
+        "error: median, relative, of every pixel and by thirds of the radius; confident: share of "
+        "the frame, how\nmany of these are right to 5 %, and how many it was said would be\n\n"
+        + table(_HEADER, lines)
+    )
+
+
+SUITE = Suite(
+    description="Measure depth of ray-traced scenes through a lens whose focus moves towards the "
+    "corners, with a camera file as from the data sheet, and with what calibrate field finds from "
+    "pictures of planes.",
+    examples="""examples:
+  coded_aperture bench lens desk/ --planes calib/
+""",
+    options=(
+        options.folders("ray-traced scenes of levin's mask"),
+        options.option(
+            "--planes", "folder with planes.json of the same lens", type=Path, metavar="DIR"
+        ),
+        options.added_noise(0.002),
+        options.number("--levels", 2, 30, "blur levels of the banks"),
+        options.number("--repeats", 1, 1, "seeds of the noise"),
+        options.number("--seed", 0, 0, "first seed"),
+        *options.RESULTS,
+    ),
+    cells=_cells,
+    measure=measure,
+    results=_results,
+    text=_text,
+)
