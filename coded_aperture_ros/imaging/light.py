@@ -72,6 +72,8 @@ def linear_from_pixels(pixels: NDArray, gamma: Gamma = 1.0) -> FloatArray:
     InputError
         If the type is another one.
     """
+    if pixels.dtype == np.uint8 and gamma == 1.0:
+        return pixels * np.float32(1 / 255)  # several times faster than a table
     if pixels.dtype == np.uint8:
         return decode(np.arange(256) / 255.0, gamma)[pixels]
     if pixels.dtype == np.uint16:

@@ -40,11 +40,7 @@ def frame_from_pixels(pixels: NDArray, gamma: Gamma = 1.0) -> FloatArray:
     float32, of the same shape
         Linear light; integers are scaled to [0, 1], floats are taken as they are.
     """
-    if pixels.dtype == np.float32:
-        return pixels
-    if pixels.dtype == np.uint8 and gamma == 1.0:
-        return pixels * np.float32(1 / 255)  # several times faster than a table
-    return linear_from_pixels(pixels, gamma)
+    return pixels if pixels.dtype == np.float32 else linear_from_pixels(pixels, gamma)
 
 
 def luminance(frame: NDArray) -> NDArray:
