@@ -8,6 +8,8 @@ from typing import TypeVar
 from coded_aperture_ros.core.errors import InputError
 
 Item = TypeVar("Item")
+First = TypeVar("First")
+Second = TypeVar("Second")
 
 # More of them than this share the work on one frame only if somebody says so.
 _AUTOMATIC_THREADS = 4
@@ -54,6 +56,15 @@ class Workers:
         share(0)
         for other in others:
             other.result()
+
+    def both(
+        self, first: Callable[[], First], second: Callable[[], Second]
+    ) -> tuple[First, Second]:
+        """Call two functions, in two threads if there are; return what they return."""
+        if self._others is None:
+            return first(), second()
+        other = self._others.submit(second)
+        return first(), other.result()
 
     def close(self) -> None:
         """End the threads."""

@@ -92,7 +92,8 @@ class DepthEstimator:
         self._temporal = TemporalFilter(frames) if frames else None
         self._fit: FitCheck | None = None
         if config.check_fit and isinstance(model, FilterBank) and can_be_checked(model.stack):
-            self._fit = FitCheck(model.stack, frames > 0, model.guard_levels > 0)
+            threads = thread_count(config.threads)
+            self._fit = FitCheck(model.stack, frames > 0, model.guard_levels > 0, threads)
         self._planned: _Planned | None = None
         if like is not None and like.model is model and "small_bank" in like.__dict__:
             self.small_bank = like.small_bank
@@ -112,6 +113,8 @@ class DepthEstimator:
 
     def close(self) -> None:
         """End the threads that the work was shared among."""
+        if self._fit is not None:
+            self._fit.close()
         if self._planned is not None:
             self._planned.likelihood.close()
             if self._planned.small is not None:

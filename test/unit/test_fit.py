@@ -14,7 +14,6 @@ from coded_aperture_ros.depth.fit.alternatives import NAMES, alternatives, level
 from coded_aperture_ros.depth.fit.evidence import Witness
 from coded_aperture_ros.depth.fit.spectra import (
     SLOPES,
-    TEXTURES,
     WINDOW_PX,
     Hypotheses,
     frequencies,
@@ -68,7 +67,7 @@ def test_expected_spectra_are_those_of_the_bank_s_basis():
     found = Hypotheses.of([psf])
     share = frequencies().share
     # The strongest texture hides the noise.
-    power = share / found.weights.reshape(len(SLOPES), -1, len(share))[:, -1]
+    power = share / found.weights[-1]
     difference = np.abs(np.log(power / (1e5 * exact + 1)))
     # Steep textures leak from low frequencies beyond what is convolved with.
     assert difference.max() < 0.5
@@ -85,7 +84,8 @@ def test_a_hypothesis_explains_its_own_texture_best(stack):
         image = (image / image.std() + 1e-3 * random.standard_normal(image.shape)).astype("f4")
         windows = np.lib.stride_tricks.sliding_window_view(image, (WINDOW_PX,) * 2)[::60, ::60]
         power = powers(windows.reshape(-1, WINDOW_PX, WINDOW_PX)) / 1e-6
-        chosen = surprise(power.astype(np.float32), hypotheses).argmin(1) // TEXTURES
+        found = surprise(power.astype(np.float32), hypotheses).min(axis=1)
+        chosen = found.argmin(axis=1) // len(SLOPES)
         assert (chosen == number).mean() > 0.9
 
 
@@ -102,9 +102,9 @@ def test_alternatives_are_known_by_their_names(stack):
     assert levels_beyond(own_levels(stack)).psfs
     share = frequencies().share
     for hypotheses in found.values():
-        assert hypotheses.weights.shape[1] == len(share)
+        assert hypotheses.weights.shape[2] == len(share)
         assert np.isfinite(hypotheses.weights).all()
-        assert len(hypotheses.weights) == len(hypotheses.log_determinants)
+        assert hypotheses.weights.shape[:2] == hypotheses.log_determinants.shape
 
 
 def test_a_bank_with_all_sizes_has_none_beyond():
@@ -116,12 +116,13 @@ def test_evidence_is_of_textured_windows_without_unusable_pixels(stack, scene):
     frame = recorded(scene.coded())
     unusable = np.zeros(frame.shape, bool)
     unusable[:, :160] = True
-    evidence = Witness(stack).ask(frame, NOISE, unusable)
-    assert evidence.columns.min() >= 160
-    assert evidence.weight.sum() == pytest.approx(1)
-    assert np.isfinite(evidence.features).all()
-    assert Witness(stack).ask(frame, NOISE, np.ones(frame.shape, bool)) is None
-    assert Witness(stack).ask(frame[:40, :40], NOISE, None) is None
+    witness = Witness(stack)
+    windows = witness.look(frame, NOISE, unusable, 10)
+    assert windows.columns.min() >= 160
+    assert windows.weight.sum() == pytest.approx(1)
+    assert np.isfinite(witness.of_alternatives(windows) + witness.of_levels(windows)).all()
+    assert witness.look(frame, NOISE, np.ones(frame.shape, bool), 10) is None
+    assert witness.look(frame[:40, :40], NOISE, None, 10) is None
 
 
 @pytest.mark.parametrize("frame", [np.zeros((60, 60)), np.full((96, 128), 0.5), np.eye(99)])

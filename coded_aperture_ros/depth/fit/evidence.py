@@ -6,22 +6,22 @@ import cv2
 import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
+from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.fit.alternatives import NAMES, alternatives, levels_beyond, own_levels
 from coded_aperture_ros.depth.fit.spectra import (
-    TEXTURES,
+    SLOPES,
     WINDOW_PX,
-    Frequencies,
     Hypotheses,
     frequencies,
     powers,
     surprise,
 )
-from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.imaging.patches import PatchGrid, mean_at
 from coded_aperture_ros.optics import PsfStack
 
-# Windows are chosen one to a cell of so many a side, those with the most texture.
-_CELLS, _STRIDE_PX, _FEWEST = 10, 8, 4
+# Windows are chosen one to a cell of the frame, those with the most texture.
+_STRIDE_PX, _FEWEST = 8, 4
 _BLUR_PX = 15
 _TOLERATED = 0.005
 # In hundredths of a unit of surprise: 1 is far more than chance for one window.
@@ -35,25 +35,33 @@ _MAP_ROWS, _MAP_COLUMNS, _MAP_STEPS, _MAP_LEAST = 31, 15, 2.5, 30
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Evidence:
-    """What the windows of a frame say.
+class Windows:
+    """Some windows of a frame, and the level and texture that explain each best.
 
     Attributes
     ----------
-    features : list of float
-        For the network.
     rows, columns : ndarray, intp [n]
-        Pixels at the windows' centres.
+        Pixels at their centres.
+    power : ndarray, float32 [n, K]
+        In units of the noise.
+    surprise : ndarray, float32 [n]
+        Of what explains them best.
+    contrast, kind : ndarray, intp [n]
+        Which of the `Hypotheses` that is.
     size_px : ndarray, float64 [n]
-        Blur size of the level that explains each best, without sign.
-    weight : ndarray, float [n]
-        How much each tells; the sum is 1.
+        Its blur size, without sign.
+    texture, weight : ndarray, float [n]
+        How much there is to see, and how much each tells; the sum of weights is 1.
     """
 
-    features: list[float]
     rows: IndexArray
     columns: IndexArray
+    power: FloatArray
+    surprise: FloatArray
+    contrast: IndexArray
+    kind: IndexArray
     size_px: DoubleArray
+    texture: FloatArray
     weight: DoubleArray
 
 
@@ -71,17 +79,15 @@ class Witness:
         elif beyond.psfs:
             others["beyond"] = Hypotheses.of(beyond.psfs)
         self._sizes_px, self._own = own.sizes_px, Hypotheses.of(own.psfs)
-        groups = [self._own, *(others[name] for name in NAMES if name in others)]
-        self._all = Hypotheses(
-            np.concatenate([group.weights for group in groups]),
-            np.concatenate([group.log_determinants for group in groups]),
-        )
-        ends = np.cumsum([len(group.weights) for group in groups])
-        self._groups = [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
-        self._present = [name in others for name in NAMES]
+        groups = [others[name] for name in NAMES if name in others]
+        self._others = Hypotheses.joined(groups)
+        self._starts = np.cumsum([0, *(group.weights.shape[1] for group in groups[:-1])])
+        self._present = np.flatnonzero([name in others for name in NAMES])
 
-    def ask(self, grey: FloatArray, noise: float, unusable: BoolArray | None) -> Evidence | None:
-        """Return what the windows of a frame say; None if there are too few.
+    def look(
+        self, grey: FloatArray, noise: float, unusable: BoolArray | None, cells: int
+    ) -> Windows | None:
+        """Choose windows of a frame and explain them by the bank; None if there are too few.
 
         Parameters
         ----------
@@ -91,80 +97,113 @@ class Witness:
             Its standard deviation, > 0.
         unusable : ndarray, bool [height, width], optional
             Pixels that were filled in.
+        cells : int
+            At most so many windows along each side of the frame.
         """
-        tops, lefts = _chosen_windows(grey, unusable)
+        tops, lefts = _chosen_windows(grey, unusable, cells)
         if len(tops) < _FEWEST:
             return None
         cuts = [
             np.s_[t : t + WINDOW_PX, x : x + WINDOW_PX] for t, x in zip(tops, lefts, strict=True)
         ]
         power = powers(np.stack([grey[cut] for cut in cuts])) / np.float32(noise**2)
-        surprises = surprise(power, self._all)
-        own = surprises[:, self._groups[0]]
-        best, each = own.argmin(axis=1), np.arange(len(own))
-        least = own[each, best]
-        better = self._better(surprises, least)
-        # What the best hypothesis leaves: 1 on the mean, and scattered like the power of noise.
-        own_noise = np.exp(least - self._own.log_determinants[best])
-        share = frequencies().share
-        residual = power * (self._own.weights[best] / share) / own_noise[:, None]
-        scatter = -(np.log(np.maximum(residual, 1e-6)) @ share)
-        texture = np.log10(np.maximum(power @ share, 1.0))
+        surprises = surprise(power, self._own)
+        best = surprises.reshape(len(power), -1).argmin(axis=1)
+        contrast, kind = np.unravel_index(best, surprises.shape[1:])
+        texture = np.log10(np.maximum(power @ frequencies().share, 1.0))
         weight = np.clip(texture - 0.15, 0.02, 1.5)
-        weight /= weight.sum()
-        level, kind = np.divmod(best, TEXTURES)
-        size_px = self._sizes_px[level]
-        logarithm = np.log(own_noise)
+        return Windows(
+            tops + WINDOW_PX // 2,
+            lefts + WINDOW_PX // 2,
+            power,
+            surprises[np.arange(len(power)), contrast, kind],
+            contrast,
+            kind,
+            self._sizes_px[kind // len(SLOPES)],
+            texture,
+            weight / weight.sum(),
+        )
+
+    def of_alternatives(self, seen: Windows) -> list[float]:
+        """Return how much better something else explains windows, for the network."""
+        better, weight = self._better(seen), seen.weight
         ordered = np.sort(better, axis=1)
         clipped = np.clip(better, -_MOST, _MOST)
-        features = [
+        extreme = np.clip(better, -_EXTREME, _EXTREME)
+        return [
             *(weight @ clipped),
-            *np.quantile(np.clip(better, -_EXTREME, _EXTREME), (0.25, 0.5, 0.75, 0.9), axis=0).flat,
+            *np.quantile(extreme, (0.25, 0.5, 0.75, 0.9), axis=0).flat,
             *(weight @ (better > _BETTER)),
             *(weight @ (better < -_BETTER)),
             *(weight @ np.clip(ordered[:, [-1, -2]], -_MOST, _MOST)),
+        ]
+
+    def of_levels(self, seen: Windows) -> list[float]:
+        """Return what levels leave unexplained, and which those are, for the network."""
+        weight, sizes_px, share = seen.weight, self._sizes_px, frequencies().share
+        # What the best hypothesis leaves: 1 on the mean, and scattered like the power of noise.
+        own_noise = np.exp(seen.surprise - self._own.log_determinants[seen.contrast, seen.kind])
+        residual = self._own.weights[seen.contrast, seen.kind] * seen.power
+        residual /= share
+        residual /= own_noise[:, None]
+        scatter = -(np.log(np.maximum(residual, 1e-6)) @ share)
+        level, slope = np.divmod(seen.kind, len(SLOPES))
+        logarithm = np.log(own_noise)
+        return [
             weight @ scatter,
             *np.quantile(scatter, (0.25, 0.75)),
             weight @ logarithm,
             np.quantile(logarithm, 0.25),
-            texture.mean(),
-            np.quantile(texture, 0.9),
+            seen.texture.mean(),
+            np.quantile(seen.texture, 0.9),
             weight @ (level == 0),
-            weight @ (level == len(self._sizes_px) - 1),
-            weight @ size_px / _SIZE_UNIT_PX,
-            self._sizes_px.min() / _SIZE_UNIT_PX,
-            self._sizes_px.max() / _SIZE_UNIT_PX,
-            weight @ (kind < TEXTURES // 2),
-            weight @ (kind % (TEXTURES // 2) == TEXTURES // 2 - 1),
-            *_residuals(np.minimum(residual, _LARGEST_RESIDUAL), size_px, weight),
+            weight @ (level == len(sizes_px) - 1),
+            weight @ seen.size_px / _SIZE_UNIT_PX,
+            sizes_px.min() / _SIZE_UNIT_PX,
+            sizes_px.max() / _SIZE_UNIT_PX,
+            weight @ (slope == 0),
+            weight @ (seen.contrast == len(self._own.weights) - 1),
+            *_residuals(np.minimum(residual, _LARGEST_RESIDUAL), seen.size_px, weight),
         ]
-        half = WINDOW_PX // 2
-        return Evidence([float(x) for x in features], tops + half, lefts + half, size_px, weight)
 
-    def _better(self, surprises: FloatArray, least: FloatArray) -> FloatArray:
-        """Return by how much each alternative explains each window better [n, len(NAMES)]."""
-        found = np.full((len(least), len(NAMES)), _ABSENT, np.float32)
-        for column, of in zip(np.flatnonzero(self._present), self._groups[1:], strict=True):
-            found[:, column] = 100 * (least - surprises[:, of].min(axis=1))
+    def _better(self, seen: Windows) -> FloatArray:
+        """Return by how much each alternative explains each window better [n, len(NAMES)].
+
+        With about the contrast that explains a window best: others cost time, and tell nothing.
+        """
+        found = np.full((len(seen.power), len(NAMES)), _ABSENT, np.float32)
+        for contrast in np.unique(seen.contrast):
+            of = np.flatnonzero(seen.contrast == contrast)
+            each = surprise(seen.power[of], self._others.of_contrasts(contrast)).min(axis=1)
+            best = np.minimum.reduceat(each, self._starts, axis=1)
+            found[np.ix_(of, self._present)] = 100 * (seen.surprise[of, None] - best)
         return found
 
 
-def _chosen_windows(grey: FloatArray, unusable: BoolArray | None) -> tuple[IndexArray, IndexArray]:
+def _chosen_windows(
+    grey: FloatArray, unusable: BoolArray | None, cells: int
+) -> tuple[IndexArray, IndexArray]:
     """Return the first row and column of the most textured window of every cell [n]."""
     try:
         grid = PatchGrid.covering(grey.shape, WINDOW_PX, _STRIDE_PX)
     except InputError:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
-    at = np.ix_(grid.row_centres, grid.column_centres)
     half = WINDOW_PX // 2
-    fine = cv2.absdiff(grey, cv2.blur(grey, (_BLUR_PX, _BLUR_PX)))
-    texture = cv2.blur(fine, (half, half))[at]
+    rows = grey[::2]  # as good as all
+    fine = cv2.absdiff(rows, cv2.blur(rows, (_BLUR_PX, _BLUR_PX // 2)))
+    blocks = [max(length // _STRIDE_PX, 1) for length in grey.shape[::-1]]
+    mean = cv2.blur(cv2.resize(fine, blocks, interpolation=cv2.INTER_AREA), (3, 3))
+    at = [
+        np.minimum(c // _STRIDE_PX, n - 1)
+        for c, n in zip((grid.row_centres, grid.column_centres), mean.shape, strict=True)
+    ]
+    texture = mean[np.ix_(*at)]
     if unusable is not None:
-        side = WINDOW_PX * 3 // 4
-        texture[cv2.blur(unusable.astype(np.float32), (side, side))[at] > _TOLERATED] = -1
+        share = mean_at(unusable.astype(np.float32), grid, WINDOW_PX * 3 // 4)
+        texture[share > _TOLERATED] = -1
     found = []
-    for rows in np.array_split(np.arange(grid.rows), min(_CELLS, grid.rows)):
-        for columns in np.array_split(np.arange(grid.columns), min(_CELLS, grid.columns)):
+    for rows in np.array_split(np.arange(grid.rows), min(cells, grid.rows)):
+        for columns in np.array_split(np.arange(grid.columns), min(cells, grid.columns)):
             cell = texture[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
             row, column = divmod(int(cell.argmax()), len(columns))
             if cell[row, column] > 0:
@@ -179,44 +218,79 @@ def _residuals(residual: FloatArray, size_px: DoubleArray, weight: DoubleArray) 
     By frequency and direction: what motion and processing do. And by frequency in units of the PSF,
     where another pattern leaves the same traces at all depths.
     """
-    at, found = frequencies(), []
+    at = frequencies()
     mean = np.maximum(weight @ residual, 1e-3)
     band, direction = np.digitize(at.radius, _BANDS), at.directions(_DIRECTIONS)
     cell = band * _DIRECTIONS + direction
     count = (len(_BANDS) + 1) * _DIRECTIONS
     sums, counts = (np.bincount(cell, values, count) for values in (mean, None))
-    found += list(np.log(sums / counts))
-    found += _of_rings(residual, size_px, weight, at)
-    column = np.clip(
-        (np.outer(size_px, at.horizontal) * _MAP_STEPS).astype(int), 0, _MAP_COLUMNS - 1
-    )
-    row = np.outer(size_px, at.vertical) * _MAP_STEPS + _MAP_ROWS // 2
-    cell = (column * _MAP_ROWS + np.clip(row.astype(int), 0, _MAP_ROWS - 1)).ravel()
-    weights, count = np.repeat(weight, residual.shape[1]), _MAP_ROWS * _MAP_COLUMNS
-    seen = np.bincount(cell, minlength=count)
-    enough = seen > min(_MAP_LEAST, seen.max() - 1)
-    sums, total = (
-        np.bincount(cell, values, count)[enough] for values in (weights * residual.ravel(), weights)
-    )
-    pattern = np.log(sums / total)
+    of_rings = np.zeros((2, (_RINGS + 1) * _SECTORS))
+    of_map = np.zeros((3, _MAP_ROWS * _MAP_COLUMNS))
+    arrays = at.radius, at.vertical, at.horizontal, at.directions(_SECTORS)
+    _tally(residual, size_px, weight, *arrays, of_rings, of_map)
+    enough = of_map[2] > min(_MAP_LEAST, of_map[2].max() - 1)
+    pattern = np.log(of_map[0, enough] / of_map[1, enough])
+    rings = of_rings.reshape(2, -1, _SECTORS)[:, :_RINGS]
+    rings = np.log((rings[0] + 0.002) / (rings[1] + 0.002))
+    ring_mean = rings.mean(axis=1)
     return [
-        *found,
+        *np.log(sums / counts),
+        *ring_mean,
+        rings.std(),
+        np.abs(rings - ring_mean[:, None]).mean(),
         np.sqrt(np.mean(pattern**2)),
         *np.quantile(pattern, (0.05, 0.95)),
         pattern.mean(),
     ]
 
 
-def _of_rings(
-    residual: FloatArray, size_px: DoubleArray, weight: DoubleArray, at: Frequencies
-) -> list[float]:
-    ring = np.minimum(np.outer(2 * size_px, at.radius).astype(int), _RINGS)
-    cell = ring * _SECTORS + at.directions(_SECTORS)
-    weights = np.repeat(weight, residual.shape[1])
-    sums, total = (
-        np.bincount(cell.ravel(), values, (_RINGS + 1) * _SECTORS).reshape(-1, _SECTORS)[:_RINGS]
-        for values in (weights * residual.ravel(), weights)
-    )
-    rings = np.log((sums + 0.002) / (total + 0.002))
-    mean = rings.mean(axis=1)
-    return [*mean, rings.std(), np.abs(rings - mean[:, None]).mean()]
+def _tally_loop(
+    residual: FloatArray,
+    size_px: DoubleArray,
+    weight: DoubleArray,
+    radius: DoubleArray,
+    vertical: DoubleArray,
+    horizontal: DoubleArray,
+    sector: IndexArray,
+    of_rings: DoubleArray,
+    of_map: DoubleArray,
+) -> None:
+    """Add up residuals and weights by ring and sector, and in a map of the PSFs' frequencies."""
+    for i in range(len(residual)):
+        size = size_px[i]
+        for k in range(len(radius)):
+            share = weight[i] * residual[i, k]
+            cell = min(int(2 * size * radius[k]), _RINGS) * _SECTORS + sector[k]
+            of_rings[0, cell] += share
+            of_rings[1, cell] += weight[i]
+            column = min(int(size * horizontal[k] * _MAP_STEPS), _MAP_COLUMNS - 1)
+            row = int(size * vertical[k] * _MAP_STEPS + _MAP_ROWS // 2)
+            cell = column * _MAP_ROWS + min(max(row, 0), _MAP_ROWS - 1)
+            of_map[0, cell] += share
+            of_map[1, cell] += weight[i]
+            of_map[2, cell] += 1
+
+
+def _tally_plain(
+    residual: FloatArray,
+    size_px: DoubleArray,
+    weight: DoubleArray,
+    radius: DoubleArray,
+    vertical: DoubleArray,
+    horizontal: DoubleArray,
+    sector: IndexArray,
+    of_rings: DoubleArray,
+    of_map: DoubleArray,
+) -> None:
+    weights = np.repeat(weight, len(radius))
+    values = weights * residual.ravel(), weights, None
+    ring = np.minimum(np.outer(2 * size_px, radius).astype(int), _RINGS)
+    column = np.minimum((np.outer(size_px, horizontal) * _MAP_STEPS).astype(int), _MAP_COLUMNS - 1)
+    row = (np.outer(size_px, vertical) * _MAP_STEPS + _MAP_ROWS // 2).astype(int)
+    in_map = column * _MAP_ROWS + np.clip(row, 0, _MAP_ROWS - 1)
+    for sums, cell in ((of_rings, ring * _SECTORS + sector), (of_map, in_map)):
+        for total, value in zip(sums, values, strict=False):
+            total += np.bincount(cell.ravel(), value, len(total))
+
+
+_tally = Compiled(_tally_loop, _tally_plain)

@@ -1,13 +1,14 @@
 """How well a frame fits its bank, as one number, and the likeliest cause where it does not."""
 
 import dataclasses
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 
 from coded_aperture_ros.core.archive import read_archive
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.fit.evidence import Witness
 from coded_aperture_ros.depth.fit.traces import traces
 from coded_aperture_ros.depth.observation import Observation
@@ -42,6 +43,9 @@ _USUAL_PIXELS = 288 * 288
 _LEAST_NOISE, _CLEANEST, _DITHER = 2e-4, 3e-4, 6e-4
 _UNSURE_PX, _FAR_PX = 4.0, 1.5
 _CONFIDENT = 0.55
+# At most so many windows along a side; where fewer leave no doubt (logarithm of the odds that a
+# frame fits), they are enough.
+_CELLS, _FEW_CELLS, _SURE = 10, 5, 1.4
 # Of a video, one frame in so many is looked at, and counts by this share.
 _EVERY, _OF_NEW = 4, 0.4
 
@@ -134,10 +138,15 @@ class FitCheck:
         say is averaged.
     guarded : bool
         Whether the levels at the ends stand for what is beyond them.
+    threads : int
+        Two look at a frame together.
     """
 
-    def __init__(self, stack: PsfStack, remembers: bool = False, guarded: bool = False) -> None:
+    def __init__(
+        self, stack: PsfStack, remembers: bool = False, guarded: bool = False, threads: int = 1
+    ) -> None:
         self._stack, self._remembers, self._guarded = stack, remembers, guarded
+        self._threads = min(threads, 2)
         self.reset()
 
     def reset(self) -> None:
@@ -162,19 +171,27 @@ class FitCheck:
         self._frames += 1
         if not due:
             return self._health
-        features = self.features(seen, misfit, level, confidence)
-        if features is None:
-            return self._health
-        outputs = _weights()(features)
-        # What a smaller frame says is said by fewer windows.
-        outputs[0] += max(0.0, np.log(_USUAL_PIXELS / seen.grey.size))
+        for cells in (_FEW_CELLS, _CELLS):
+            features = self.features(seen, misfit, level, confidence, cells)
+            if features is None:
+                return self._health
+            outputs = _weights()(features)
+            # What a smaller frame says is said by fewer windows.
+            outputs[0] += max(0.0, np.log(_USUAL_PIXELS / seen.grey.size))
+            if outputs[0] > _SURE:
+                break
         if self._remembers and self._outputs is not None:
             outputs = self._outputs + np.float32(_OF_NEW) * (outputs - self._outputs)
         self._outputs, self._health = outputs, _health_of(outputs)
         return self._health
 
     def features(
-        self, seen: Observation, misfit: FloatArray, level: FloatArray, confidence: FloatArray
+        self,
+        seen: Observation,
+        misfit: FloatArray,
+        level: FloatArray,
+        confidence: FloatArray,
+        cells: int = _CELLS,
     ) -> FloatArray | None:
         """Return what the network is told of a frame; None if there is too little to see."""
         grey, noise = seen.grey, max(seen.noise.typical, _LEAST_NOISE)
@@ -182,33 +199,50 @@ class FitCheck:
             dither = np.random.default_rng(0).standard_normal(grey.shape, dtype=np.float32)
             grey, noise = grey + np.float32(_DITHER) * dither, float(np.hypot(noise, _DITHER))
         known = seen.noise.sigma if seen.noise.highest is None else 0.0
-        evidence = self._witness.ask(grey, noise, seen.unusable)
-        if evidence is None:
+        windows, of_file = self._workers.both(
+            partial(self._witness.look, grey, noise, seen.unusable, cells),
+            partial(traces, grey, noise, known),
+        )
+        if windows is None:
             return None
+        of_alternatives, of_levels = self._workers.both(
+            partial(self._witness.of_alternatives, windows),
+            partial(self._witness.of_levels, windows),
+        )
         telling = misfit[seen.usable] if seen.usable.any() else misfit
         of_map = (
             centres * length // whole
             for centres, length, whole in zip(
-                (evidence.rows, evidence.columns), level.shape, seen.grey.shape, strict=True
+                (windows.rows, windows.columns), level.shape, seen.grey.shape, strict=True
             )
         )
         # What one window says by itself, and what became of it among its neighbours.
-        sizes_px, own_px = self._stack.blur_sizes_px, evidence.size_px
+        sizes_px, own_px = self._stack.blur_sizes_px, windows.size_px
         if self._guarded:
             own_px = np.clip(own_px, np.abs(sizes_px).min(), np.abs(sizes_px).max())
         found_px = np.interp(level[tuple(of_map)], np.arange(len(sizes_px)), sizes_px)
         apart = np.abs(np.abs(found_px) - own_px)
         numbers = [
-            *evidence.features,
-            *traces(grey, noise, known),
+            *of_alternatives,
+            *of_levels,
+            *of_file,
             *np.quantile(telling, (0.1, 0.25, 0.5, 0.75, 0.9)),
             confidence.mean(),
             (confidence >= _CONFIDENT).mean(),
             np.median(apart),
-            evidence.weight @ np.minimum(apart, _UNSURE_PX),
+            windows.weight @ np.minimum(apart, _UNSURE_PX),
             (apart > _FAR_PX).mean(),
         ]
         return np.nan_to_num(np.array(numbers, np.float32))
+
+    def close(self) -> None:
+        """End the threads; the next frame begins others."""
+        if "_workers" in self.__dict__:
+            self.__dict__.pop("_workers").close()
+
+    @cached_property
+    def _workers(self) -> Workers:
+        return Workers(self._threads)
 
     @cached_property
     def _witness(self) -> Witness:

@@ -16,8 +16,7 @@ WINDOW_PX = 48
 _HIGHEST_FREQUENCY = 0.5
 # Coarser than in a bank: many PSFs are tried, and the same textures with all of them.
 SLOPES = (2.0, 2.8)
-_RATIOS = 10.0 ** np.arange(6)
-TEXTURES = len(SLOPES) * len(_RATIOS)
+_CONTRASTS = 10.0 ** np.arange(6)
 _OWN_NOISE = 0.02
 # Texture is rendered four windows wide; its spectrum is spread by the window's over so many bins.
 _PERIOD, _REACH = 4 * WINDOW_PX, 10
@@ -80,13 +79,13 @@ def powers(windows: FloatArray) -> FloatArray:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Hypotheses:
-    """What windows look like through each of some PSFs, with each of some textures.
+    """What windows look like through each of P PSFs, with textures of each contrast and slope.
 
     Attributes
     ----------
-    weights : ndarray, float32 [P * TEXTURES, K]
+    weights : ndarray, float32 [contrasts, P * slopes, K]
         Inverse of the expected power, in units of the noise, times the frequencies' shares.
-    log_determinants : ndarray, float32 [P * TEXTURES]
+    log_determinants : ndarray, float32 [contrasts, P * slopes]
         Mean logarithm of the expected power.
     """
 
@@ -97,21 +96,37 @@ class Hypotheses:
     def of(cls, psfs: Sequence[FloatArray]) -> "Hypotheses":
         """Compute them for P PSFs."""
         share = frequencies().share
-        expected = np.array([_expected_power(psf) for psf in psfs])  # [P, slopes, K]
-        power = (_RATIOS[:, None] * expected[:, :, None] + 1).reshape(-1, len(share))
+        expected = np.concatenate([_expected_power(psf) for psf in psfs])
+        power = _CONTRASTS[:, None, None] * expected + 1
         weights = (share / power).astype(np.float32)
         return cls(weights, (np.log(power) @ share).astype(np.float32))
 
+    @classmethod
+    def joined(cls, some: Sequence["Hypotheses"]) -> "Hypotheses":
+        """Return those of all, one after the other."""
+        return cls(
+            np.concatenate([each.weights for each in some], axis=1),
+            np.concatenate([each.log_determinants for each in some], axis=1),
+        )
+
+    def of_contrasts(self, like: int) -> "Hypotheses":
+        """Return those of one contrast and its neighbours."""
+        some = slice(max(like - 1, 0), like + 2)
+        return Hypotheses(self.weights[some], self.log_determinants[some])
+
 
 def surprise(power: FloatArray, hypotheses: Hypotheses) -> FloatArray:
-    """Return how badly each hypothesis explains windows [n, hypotheses].
+    """Return how badly each hypothesis explains windows [n, contrasts, P * slopes].
 
     Twice the negative log-likelihood per coefficient, but for a constant, with a noise of the
     window's own at its best value: the energy of `FilterBank`. `power` [n, K] is in units of the
     noise.
     """
-    explained = power @ hypotheses.weights.T
-    return np.asarray(np.log(explained + np.float32(_OWN_NOISE)) + hypotheses.log_determinants)
+    explained = power @ hypotheses.weights.reshape(-1, power.shape[1]).T
+    explained += np.float32(_OWN_NOISE)
+    np.log(explained, out=explained)
+    explained += hypotheses.log_determinants.ravel()
+    return np.asarray(explained.reshape(-1, *hypotheses.log_determinants.shape))
 
 
 def _expected_power(psf: FloatArray) -> DoubleArray:

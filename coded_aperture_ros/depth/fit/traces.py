@@ -10,6 +10,7 @@ _USUAL_NOISE = 2e-3
 _NOISE_PX, _LEAST = 24, 2e-5
 _BLOCKS_PX = (8, 16)
 _CLIPPED = 0.985
+_BAND_PX, _BANDS = 48, 4
 
 
 def traces(grey: FloatArray, noise: float, known: float) -> list[float]:
@@ -22,25 +23,32 @@ def traces(grey: FloatArray, noise: float, known: float) -> list[float]:
     known : float
         What was known of it beforehand; 0: nothing.
     """
+    # Of a large frame some bands of rows tell enough.
+    step_px = max(len(grey) // _BANDS, _BAND_PX)
+    bands = [grey[top : top + _BAND_PX] for top in range(0, len(grey) - _NOISE_PX, step_px)]
     return [
-        *_noise(grey, noise, known),
+        *_noise(bands, noise, known),
         *_block_grid(grey, noise),
         *_values(grey),
         *_lines(grey, noise),
         _mosaic(grey),
-        _lonely(grey, noise),
+        _lonely(bands, noise),
     ]
 
 
-def _noise(grey: FloatArray, noise: float, known: float) -> list[float]:
+def _noise(bands: list[FloatArray], noise: float, known: float) -> list[float]:
     """Return its colour, its size, and how that compares with what was known."""
     found = []
     for kernel in (ALTERNATING, HALF_AS_FAST):
-        square = cv2.sepFilter2D(grey, -1, kernel, kernel) ** 2
-        around = cv2.boxFilter(square, -1, (_NOISE_PX, _NOISE_PX))
-        half = _NOISE_PX // 2
-        some = np.sqrt(np.maximum(around[half:-half:half, half:-half:half], 0))
-        found += list(np.quantile(some, (0.05, 0.5)) + _LEAST)
+        some = []
+        for band in bands:
+            square = cv2.sepFilter2D(band, -1, kernel, kernel)
+            cv2.multiply(square, square, square)
+            # Squares that overlap by half, of two by two blocks each.
+            size = [max(length // (_NOISE_PX // 2), 2) for length in band.shape[::-1]]
+            blocks = cv2.resize(square, size, interpolation=cv2.INTER_AREA)
+            some.append(cv2.blur(blocks, (2, 2))[1:, 1:].ravel())
+        found += list(np.sqrt(np.quantile(np.concatenate(some), (0.05, 0.5))) + _LEAST)
     high, high_median, half_high, half_median = found
     unlike = np.log(high / known) if known else 0.0
     return [
@@ -57,10 +65,10 @@ def _noise(grey: FloatArray, noise: float, known: float) -> list[float]:
 def _block_grid(grey: FloatArray, noise: float) -> list[float]:
     """Return how much more neighbours differ at one place in 8, and in 16, than at the others."""
     found = []
-    for axis, some in enumerate((grey[:, ::2], grey[::2])):
-        steps = np.abs(np.diff(some, axis=axis))
-        steps = np.minimum(steps, 4 * noise + np.quantile(steps[::3, ::3], 0.5))
-        profile = steps.mean(1 - axis)
+    step = _step(grey)
+    for lines in (np.ascontiguousarray(grey[:, ::step].T), grey[::step]):
+        steps = cv2.absdiff(lines[:, 1:], lines[:, :-1])
+        profile = np.minimum(steps, 4 * noise + np.median(steps[::3, ::3])).mean(axis=0)
         for block in _BLOCKS_PX:
             phases = profile[: len(profile) // block * block].reshape(-1, block).mean(0)
             found.append(np.log(max(phases.max(), 1e-9) / max(np.median(phases), 1e-9)))
@@ -69,8 +77,8 @@ def _block_grid(grey: FloatArray, noise: float) -> list[float]:
 
 def _values(grey: FloatArray) -> list[float]:
     """Return how many pixels are alike, clipped or black, and how many values there are."""
-    rows, some = grey[::2], grey[::3, ::3]
-    steps = np.abs(np.diff(rows, axis=1))
+    rows, some = np.ascontiguousarray(grey[:: _step(grey)]), grey[::3, ::3]
+    steps = cv2.absdiff(rows[:, 1:], rows[:, :-1])
     values = np.count_nonzero(np.bincount((np.clip(some.ravel(), 0, 2) * 65535 + 0.5).astype(int)))
     brightest = float(grey.max())
     return [
@@ -97,11 +105,17 @@ def _lines(grey: FloatArray, noise: float) -> list[float]:
 
 def _mosaic(grey: FloatArray) -> float:
     """Return how much the four places of every square of two by two pixels differ."""
-    means = [grey[row::2, column::2].mean() for row in (0, 1) for column in (0, 1)]
+    lines = [grey[row::2].mean(axis=0) for row in (0, 1)]
+    means = [line[column::2].mean() for line in lines for column in (0, 1)]
     return float(np.log(1e-4 + np.std(means) / max(np.mean(means), 1e-9)))
 
 
-def _lonely(grey: FloatArray, noise: float) -> float:
+def _lonely(bands: list[FloatArray], noise: float) -> float:
     """Return how many pixels are unlike all around them."""
-    away = np.abs(grey - cv2.medianBlur(grey, 3)) > 6 * noise + 0.02
-    return float(np.log(1e-5 + away.mean()))
+    away = [cv2.absdiff(band, cv2.medianBlur(band, 3)) > 6 * noise + 0.02 for band in bands]
+    return float(np.log(1e-5 + np.mean([each.mean() for each in away])))
+
+
+def _step(grey: FloatArray) -> int:
+    """Return at which distance rows and columns are enough of them: of a larger frame, fewer."""
+    return max(2, min(grey.shape) // 120)
