@@ -200,7 +200,7 @@ def _told(
     estimate = estimator.decide(seen, own.volume, own)
     estimator.close()
     size_px, confidence = estimate.blur_size_px, estimate.confidence
-    features = shown.check.features(seen, own.misfit, estimate.level, confidence)
+    *_, features = [None, *shown.check.looks(seen, own.misfit, estimate.level, confidence)]
     if features is None:
         return None
     # The inverse depth is linear in the blur size; near infinity nothing is told apart.

@@ -9,9 +9,10 @@ from coded_aperture_benchmarks.layered import random_scene
 
 from coded_aperture_ros.bank import LearnConfig, WindowedFourierBasis, learn_bank
 from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimator, Health
-from coded_aperture_ros.depth.fit import FitCheck, can_be_checked
+from coded_aperture_ros.depth.fit import FitCheck, can_be_checked, evidence
 from coded_aperture_ros.depth.fit.alternatives import NAMES, alternatives, levels_beyond, own_levels
 from coded_aperture_ros.depth.fit.evidence import Witness
+from coded_aperture_ros.depth.fit.quantiles import quantiles
 from coded_aperture_ros.depth.fit.spectra import (
     SLOPES,
     WINDOW_PX,
@@ -116,13 +117,55 @@ def test_evidence_is_of_textured_windows_without_unusable_pixels(stack, scene):
     frame = recorded(scene.coded())
     unusable = np.zeros(frame.shape, bool)
     unusable[:, :160] = True
-    witness = Witness(stack)
-    windows = witness.look(frame, NOISE, unusable, 10)
-    assert windows.columns.min() >= 160
-    assert windows.weight.sum() == pytest.approx(1)
-    assert np.isfinite(witness.of_alternatives(windows) + witness.of_levels(windows)).all()
-    assert witness.look(frame, NOISE, np.ones(frame.shape, bool), 10) is None
-    assert witness.look(frame[:40, :40], NOISE, None, 10) is None
+    found = Witness(stack).ask(frame, NOISE, unusable)
+    assert found.columns.min() >= 160
+    assert found.weight.sum() == pytest.approx(1)
+    assert np.isfinite(found.features).all()
+    assert Witness(stack).ask(frame, NOISE, np.ones(frame.shape, bool)) is None
+    assert Witness(stack).ask(frame[:40, :40], NOISE, None) is None
+
+
+def test_fewer_windows_are_asked_first_and_more_where_these_leave_doubt(stack, scene, monkeypatch):
+    asked = []
+    ask = Witness.ask
+
+    def counted(self, grey, noise, unusable, cells):
+        asked.append(cells)
+        return ask(self, grey, noise, unusable, cells)
+
+    monkeypatch.setattr(Witness, "ask", counted)
+    bank = learn_bank(stack, LearnConfig(window_px=48))
+    assert health_of(bank, recorded(scene.coded())).health.fits
+    assert len(asked) == 1
+    asked.clear()
+    assert not health_of(bank, recorded(scene.all_in_focus())).health.fits
+    assert asked == sorted(set(asked))
+    assert len(asked) == 2
+
+
+def test_loops_and_numpy_tally_residuals_alike():
+    random, at = np.random.default_rng(0), frequencies()
+    count = len(at.radius)
+    residual = random.exponential(size=(30, count)).astype(np.float32)
+    weight = random.random(30)
+    sizes_px = random.uniform(1, 22, 30)
+    found = []
+    for tally in (evidence._tally_loop, evidence._tally_plain, evidence._tally):
+        sums = np.zeros((2, 13 * 4)), np.zeros((3, 31 * 15))
+        arrays = at.radius, at.vertical, at.horizontal, at.directions(4)
+        tally(residual, sizes_px, weight, *arrays, *sums)
+        found.append(sums)
+    for sums in found[1:]:
+        for one, other in zip(sums, found[0], strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9)
+    assert found[0][1][2].sum() == 30 * count
+
+
+@pytest.mark.parametrize("shape", [(7,), (25, 3), (1,)])
+def test_quantiles_are_those_of_numpy(shape):
+    values = np.random.default_rng(0).standard_normal(shape)
+    shares = 0.05, 0.5, 0.9, 1.0
+    np.testing.assert_allclose(quantiles(values, *shares), np.quantile(values, shares, axis=0))
 
 
 @pytest.mark.parametrize("frame", [np.zeros((60, 60)), np.full((96, 128), 0.5), np.eye(99)])

@@ -1,6 +1,7 @@
 """How well a frame's windows are explained by the bank, and how much better by something else."""
 
 import dataclasses
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -9,6 +10,7 @@ from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, I
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.fit.alternatives import NAMES, alternatives, levels_beyond, own_levels
+from coded_aperture_ros.depth.fit.quantiles import quantiles
 from coded_aperture_ros.depth.fit.spectra import (
     SLOPES,
     WINDOW_PX,
@@ -35,33 +37,25 @@ _MAP_ROWS, _MAP_COLUMNS, _MAP_STEPS, _MAP_LEAST = 31, 15, 2.5, 30
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Windows:
-    """Some windows of a frame, and the level and texture that explain each best.
+class Evidence:
+    """What the windows of a frame say.
 
     Attributes
     ----------
+    features : list of float
+        For the network.
     rows, columns : ndarray, intp [n]
-        Pixels at their centres.
-    power : ndarray, float32 [n, K]
-        In units of the noise.
-    surprise : ndarray, float32 [n]
-        Of what explains them best.
-    contrast, kind : ndarray, intp [n]
-        Which of the `Hypotheses` that is.
+        Pixels at the windows' centres.
     size_px : ndarray, float64 [n]
-        Its blur size, without sign.
-    texture, weight : ndarray, float [n]
-        How much there is to see, and how much each tells; the sum of weights is 1.
+        Blur size of the level that explains each best, without sign.
+    weight : ndarray, float [n]
+        How much each tells; the sum is 1.
     """
 
+    features: list[float]
     rows: IndexArray
     columns: IndexArray
-    power: FloatArray
-    surprise: FloatArray
-    contrast: IndexArray
-    kind: IndexArray
     size_px: DoubleArray
-    texture: FloatArray
     weight: DoubleArray
 
 
@@ -84,10 +78,10 @@ class Witness:
         self._starts = np.cumsum([0, *(group.weights.shape[1] for group in groups[:-1])])
         self._present = np.flatnonzero([name in others for name in NAMES])
 
-    def look(
-        self, grey: FloatArray, noise: float, unusable: BoolArray | None, cells: int
-    ) -> Windows | None:
-        """Choose windows of a frame and explain them by the bank; None if there are too few.
+    def ask(
+        self, grey: FloatArray, noise: float, unusable: BoolArray | None, cells: int = 10
+    ) -> Evidence | None:
+        """Return what the windows of a frame say; None if there are too few.
 
         Parameters
         ----------
@@ -110,73 +104,58 @@ class Witness:
         surprises = surprise(power, self._own)
         best = surprises.reshape(len(power), -1).argmin(axis=1)
         contrast, kind = np.unravel_index(best, surprises.shape[1:])
-        texture = np.log10(np.maximum(power @ frequencies().share, 1.0))
-        weight = np.clip(texture - 0.15, 0.02, 1.5)
-        return Windows(
-            tops + WINDOW_PX // 2,
-            lefts + WINDOW_PX // 2,
-            power,
-            surprises[np.arange(len(power)), contrast, kind],
-            contrast,
-            kind,
-            self._sizes_px[kind // len(SLOPES)],
-            texture,
-            weight / weight.sum(),
-        )
-
-    def of_alternatives(self, seen: Windows) -> list[float]:
-        """Return how much better something else explains windows, for the network."""
-        better, weight = self._better(seen), seen.weight
-        ordered = np.sort(better, axis=1)
-        clipped = np.clip(better, -_MOST, _MOST)
-        extreme = np.clip(better, -_EXTREME, _EXTREME)
-        return [
-            *(weight @ clipped),
-            *np.quantile(extreme, (0.25, 0.5, 0.75, 0.9), axis=0).flat,
-            *(weight @ (better > _BETTER)),
-            *(weight @ (better < -_BETTER)),
-            *(weight @ np.clip(ordered[:, [-1, -2]], -_MOST, _MOST)),
-        ]
-
-    def of_levels(self, seen: Windows) -> list[float]:
-        """Return what levels leave unexplained, and which those are, for the network."""
-        weight, sizes_px, share = seen.weight, self._sizes_px, frequencies().share
+        level, slope = np.divmod(kind, len(SLOPES))
+        least = surprises[np.arange(len(power)), contrast, kind]
+        better = self._better(power, least, contrast)
         # What the best hypothesis leaves: 1 on the mean, and scattered like the power of noise.
-        own_noise = np.exp(seen.surprise - self._own.log_determinants[seen.contrast, seen.kind])
-        residual = self._own.weights[seen.contrast, seen.kind] * seen.power
+        share = frequencies().share
+        own_noise = np.exp(least - self._own.log_determinants[contrast, kind])
+        residual = self._own.weights[contrast, kind] * power
         residual /= share
         residual /= own_noise[:, None]
         scatter = -(np.log(np.maximum(residual, 1e-6)) @ share)
-        level, slope = np.divmod(seen.kind, len(SLOPES))
-        logarithm = np.log(own_noise)
-        return [
+        texture = np.log10(np.maximum(power @ share, 1.0))
+        weight = np.clip(texture - 0.15, 0.02, 1.5)
+        weight /= weight.sum()
+        sizes_px, logarithm = self._sizes_px, np.log(own_noise)
+        ordered = np.sort(better, axis=1)
+        clipped = np.clip(better, -_MOST, _MOST)
+        extreme = np.clip(better, -_EXTREME, _EXTREME)
+        features = [
+            *(weight @ clipped),
+            *quantiles(extreme, 0.25, 0.5, 0.75, 0.9).flat,
+            *(weight @ (better > _BETTER)),
+            *(weight @ (better < -_BETTER)),
+            *(weight @ np.clip(ordered[:, [-1, -2]], -_MOST, _MOST)),
             weight @ scatter,
-            *np.quantile(scatter, (0.25, 0.75)),
+            *quantiles(scatter, 0.25, 0.75),
             weight @ logarithm,
-            np.quantile(logarithm, 0.25),
-            seen.texture.mean(),
-            np.quantile(seen.texture, 0.9),
+            *quantiles(logarithm, 0.25),
+            texture.mean(),
+            *quantiles(texture, 0.9),
             weight @ (level == 0),
             weight @ (level == len(sizes_px) - 1),
-            weight @ seen.size_px / _SIZE_UNIT_PX,
+            weight @ sizes_px[level] / _SIZE_UNIT_PX,
             sizes_px.min() / _SIZE_UNIT_PX,
             sizes_px.max() / _SIZE_UNIT_PX,
             weight @ (slope == 0),
-            weight @ (seen.contrast == len(self._own.weights) - 1),
-            *_residuals(np.minimum(residual, _LARGEST_RESIDUAL), seen.size_px, weight),
+            weight @ (contrast == len(self._own.weights) - 1),
+            *_residuals(np.minimum(residual, _LARGEST_RESIDUAL), sizes_px[level], weight),
         ]
+        half = WINDOW_PX // 2
+        return Evidence(
+            [float(x) for x in features], tops + half, lefts + half, sizes_px[level], weight
+        )
 
-    def _better(self, seen: Windows) -> FloatArray:
+    def _better(self, power: FloatArray, least: FloatArray, contrast: IndexArray) -> FloatArray:
         """Return by how much each alternative explains each window better [n, len(NAMES)].
 
-        With about the contrast that explains a window best: others cost time, and tell nothing.
+        With about the contrasts that explain windows best: others cost time, and tell nothing.
         """
-        found = np.full((len(seen.power), len(NAMES)), _ABSENT, np.float32)
-        for contrast in np.unique(seen.contrast):
-            of = np.flatnonzero(seen.contrast == contrast)
-            each = surprise(seen.power[of], self._others.of_contrasts(contrast)).min(axis=1)
-            best = np.minimum.reduceat(each, self._starts, axis=1)
-            found[np.ix_(of, self._present)] = 100 * (seen.surprise[of, None] - best)
+        found = np.full((len(power), len(NAMES)), _ABSENT, np.float32)
+        each = surprise(power, self._others.about(contrast)).min(axis=1)
+        best = np.minimum.reduceat(each, self._starts, axis=1)
+        found[:, self._present] = 100 * (least[:, None] - best)
         return found
 
 
@@ -189,15 +168,13 @@ def _chosen_windows(
     except InputError:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
     half = WINDOW_PX // 2
-    rows = grey[::2]  # as good as all
-    fine = cv2.absdiff(rows, cv2.blur(rows, (_BLUR_PX, _BLUR_PX // 2)))
+    some = grey[::2]  # every other row tells as much as all
+    fine = cv2.absdiff(some, cv2.blur(some, (_BLUR_PX, _BLUR_PX // 2)))
     blocks = [max(length // _STRIDE_PX, 1) for length in grey.shape[::-1]]
     mean = cv2.blur(cv2.resize(fine, blocks, interpolation=cv2.INTER_AREA), (3, 3))
-    at = [
-        np.minimum(c // _STRIDE_PX, n - 1)
-        for c, n in zip((grid.row_centres, grid.column_centres), mean.shape, strict=True)
-    ]
-    texture = mean[np.ix_(*at)]
+    at_rows = np.minimum(grid.row_centres // _STRIDE_PX, len(mean) - 1)
+    at_columns = np.minimum(grid.column_centres // _STRIDE_PX, mean.shape[1] - 1)
+    texture = mean[np.ix_(at_rows, at_columns)]
     if unusable is not None:
         share = mean_at(unusable.astype(np.float32), grid, WINDOW_PX * 3 // 4)
         texture[share > _TOLERATED] = -1
@@ -220,13 +197,10 @@ def _residuals(residual: FloatArray, size_px: DoubleArray, weight: DoubleArray) 
     """
     at = frequencies()
     mean = np.maximum(weight @ residual, 1e-3)
-    band, direction = np.digitize(at.radius, _BANDS), at.directions(_DIRECTIONS)
-    cell = band * _DIRECTIONS + direction
-    count = (len(_BANDS) + 1) * _DIRECTIONS
-    sums, counts = (np.bincount(cell, values, count) for values in (mean, None))
+    band_sums, band_counts = (np.bincount(_band_cells(), values) for values in (mean, None))
     of_rings = np.zeros((2, (_RINGS + 1) * _SECTORS))
     of_map = np.zeros((3, _MAP_ROWS * _MAP_COLUMNS))
-    arrays = at.radius, at.vertical, at.horizontal, at.directions(_SECTORS)
+    arrays = at.radius, at.vertical, at.horizontal, _sectors()
     _tally(residual, size_px, weight, *arrays, of_rings, of_map)
     enough = of_map[2] > min(_MAP_LEAST, of_map[2].max() - 1)
     pattern = np.log(of_map[0, enough] / of_map[1, enough])
@@ -234,14 +208,25 @@ def _residuals(residual: FloatArray, size_px: DoubleArray, weight: DoubleArray) 
     rings = np.log((rings[0] + 0.002) / (rings[1] + 0.002))
     ring_mean = rings.mean(axis=1)
     return [
-        *np.log(sums / counts),
+        *np.log(band_sums / band_counts),
         *ring_mean,
         rings.std(),
         np.abs(rings - ring_mean[:, None]).mean(),
         np.sqrt(np.mean(pattern**2)),
-        *np.quantile(pattern, (0.05, 0.95)),
+        *quantiles(pattern, 0.05, 0.95),
         pattern.mean(),
     ]
+
+
+@lru_cache(maxsize=1)
+def _band_cells() -> IndexArray:
+    at = frequencies()
+    return np.digitize(at.radius, _BANDS) * _DIRECTIONS + at.directions(_DIRECTIONS)
+
+
+@lru_cache(maxsize=1)
+def _sectors() -> IndexArray:
+    return frequencies().directions(_SECTORS)
 
 
 def _tally_loop(

@@ -1,7 +1,8 @@
 """How well a frame fits its bank, as one number, and the likeliest cause where it does not."""
 
 import dataclasses
-from functools import cached_property, lru_cache, partial
+from collections.abc import Iterator
+from functools import cache, cached_property, lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,8 @@ import numpy as np
 from coded_aperture_ros.core.archive import read_archive
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.depth.fit.evidence import Witness
+from coded_aperture_ros.depth.fit.evidence import Evidence, Witness
+from coded_aperture_ros.depth.fit.quantiles import quantiles
 from coded_aperture_ros.depth.fit.traces import traces
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.optics import PsfStack
@@ -42,10 +44,10 @@ _LAYERS = 3
 _USUAL_PIXELS = 288 * 288
 _LEAST_NOISE, _CLEANEST, _DITHER = 2e-4, 3e-4, 6e-4
 _UNSURE_PX, _FAR_PX = 4.0, 1.5
-_CONFIDENT = 0.55
-# At most so many windows along a side; where fewer leave no doubt (logarithm of the odds that a
-# frame fits), they are enough.
-_CELLS, _FEW_CELLS, _SURE = 10, 5, 1.4
+_CONFIDENT, _SPARSE = 0.55, 3
+# At most so many windows along a side at the first look, which is enough where confidence is left
+# as it is, and at the second.
+_CELLS = 5, 10
 # Of a video, one frame in so many is looked at, and counts by this share.
 _EVERY, _OF_NEW = 4, 0.4
 
@@ -171,44 +173,50 @@ class FitCheck:
         self._frames += 1
         if not due:
             return self._health
-        for cells in (_FEW_CELLS, _CELLS):
-            features = self.features(seen, misfit, level, confidence, cells)
-            if features is None:
-                return self._health
+        outputs = None
+        for features in self.looks(seen, misfit, level, confidence):
             outputs = _weights()(features)
             # What a smaller frame says is said by fewer windows.
             outputs[0] += max(0.0, np.log(_USUAL_PIXELS / seen.grey.size))
-            if outputs[0] > _SURE:
+            if _health_of(outputs).value > _TRUSTED:
                 break
+        if outputs is None:
+            return self._health
         if self._remembers and self._outputs is not None:
             outputs = self._outputs + np.float32(_OF_NEW) * (outputs - self._outputs)
         self._outputs, self._health = outputs, _health_of(outputs)
         return self._health
 
-    def features(
-        self,
-        seen: Observation,
-        misfit: FloatArray,
-        level: FloatArray,
-        confidence: FloatArray,
-        cells: int = _CELLS,
-    ) -> FloatArray | None:
-        """Return what the network is told of a frame; None if there is too little to see."""
+    def looks(
+        self, seen: Observation, misfit: FloatArray, level: FloatArray, confidence: FloatArray
+    ) -> Iterator[FloatArray]:
+        """Yield what the network is told of a frame: of few windows, and, if asked, of more.
+
+        Nothing if there is too little to see. Arguments are those of a call.
+        """
         grey, noise = seen.grey, max(seen.noise.typical, _LEAST_NOISE)
         if noise < _CLEANEST:  # as no camera's frames are: simulated ones
             dither = np.random.default_rng(0).standard_normal(grey.shape, dtype=np.float32)
             grey, noise = grey + np.float32(_DITHER) * dither, float(np.hypot(noise, _DITHER))
         known = seen.noise.sigma if seen.noise.highest is None else 0.0
-        windows, of_file = self._workers.both(
-            partial(self._witness.look, grey, noise, seen.unusable, cells),
-            partial(traces, grey, noise, known),
-        )
-        if windows is None:
-            return None
-        of_alternatives, of_levels = self._workers.both(
-            partial(self._witness.of_alternatives, windows),
-            partial(self._witness.of_levels, windows),
-        )
+        once = cache(partial(traces, grey, noise, known))
+        for cells in _CELLS:
+            ask = partial(self._witness.ask, grey, noise, seen.unusable, cells)
+            windows, of_file = self._workers.both(ask, once)
+            if windows is not None:
+                of_maps = self._of_maps(windows, seen, misfit, level, confidence)
+                numbers = [*windows.features, *of_file, *of_maps]
+                yield np.nan_to_num(np.array(numbers, np.float32))
+
+    def _of_maps(
+        self,
+        windows: Evidence,
+        seen: Observation,
+        misfit: FloatArray,
+        level: FloatArray,
+        confidence: FloatArray,
+    ) -> list[float]:
+        """Return what was made of the windows by the estimate, for the network."""
         telling = misfit[seen.usable] if seen.usable.any() else misfit
         of_map = (
             centres * length // whole
@@ -222,18 +230,15 @@ class FitCheck:
             own_px = np.clip(own_px, np.abs(sizes_px).min(), np.abs(sizes_px).max())
         found_px = np.interp(level[tuple(of_map)], np.arange(len(sizes_px)), sizes_px)
         apart = np.abs(np.abs(found_px) - own_px)
-        numbers = [
-            *of_alternatives,
-            *of_levels,
-            *of_file,
-            *np.quantile(telling, (0.1, 0.25, 0.5, 0.75, 0.9)),
-            confidence.mean(),
-            (confidence >= _CONFIDENT).mean(),
+        some = np.ascontiguousarray(confidence[::_SPARSE, ::_SPARSE])
+        return [
+            *quantiles(telling.ravel(), 0.1, 0.25, 0.5, 0.75, 0.9),
+            some.mean(),
+            (some >= _CONFIDENT).mean(),
             np.median(apart),
             windows.weight @ np.minimum(apart, _UNSURE_PX),
             (apart > _FAR_PX).mean(),
         ]
-        return np.nan_to_num(np.array(numbers, np.float32))
 
     def close(self) -> None:
         """End the threads; the next frame begins others."""

@@ -10,7 +10,7 @@ import scipy.fft
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.prior import power_spectrum
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
 
 WINDOW_PX = 48
 _HIGHEST_FREQUENCY = 0.5
@@ -49,10 +49,10 @@ class Frequencies:
         """Cycles per pixel in any direction [K]."""
         return np.asarray(np.hypot(self.vertical, self.horizontal))
 
-    def directions(self, count: int) -> DoubleArray:
+    def directions(self, count: int) -> IndexArray:
         """Return which of `count` directions, of half a turn, each is nearest to [K]."""
         angle = np.arctan2(self.vertical, self.horizontal) % np.pi
-        return (angle / np.pi * count + 0.5).astype(int) % count
+        return (angle / np.pi * count + 0.5).astype(np.intp) % count
 
 
 @lru_cache(maxsize=1)
@@ -109,9 +109,9 @@ class Hypotheses:
             np.concatenate([each.log_determinants for each in some], axis=1),
         )
 
-    def of_contrasts(self, like: int) -> "Hypotheses":
-        """Return those of one contrast and its neighbours."""
-        some = slice(max(like - 1, 0), like + 2)
+    def about(self, contrasts: IndexArray) -> "Hypotheses":
+        """Return those of some contrasts and their neighbours."""
+        some = slice(max(int(contrasts.min()) - 1, 0), int(contrasts.max()) + 2)
         return Hypotheses(self.weights[some], self.log_determinants[some])
 
 

@@ -4,13 +4,14 @@ import cv2
 import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.depth.fit.quantiles import quantiles
 from coded_aperture_ros.imaging.noise import ALTERNATING, HALF_AS_FAST
 
 _USUAL_NOISE = 2e-3
 _NOISE_PX, _LEAST = 24, 2e-5
 _BLOCKS_PX = (8, 16)
 _CLIPPED = 0.985
-_BAND_PX, _BANDS = 48, 4
+_BAND_PX, _BANDS = 48, 3
 
 
 def traces(grey: FloatArray, noise: float, known: float) -> list[float]:
@@ -48,7 +49,7 @@ def _noise(bands: list[FloatArray], noise: float, known: float) -> list[float]:
             size = [max(length // (_NOISE_PX // 2), 2) for length in band.shape[::-1]]
             blocks = cv2.resize(square, size, interpolation=cv2.INTER_AREA)
             some.append(cv2.blur(blocks, (2, 2))[1:, 1:].ravel())
-        found += list(np.sqrt(np.quantile(np.concatenate(some), (0.05, 0.5))) + _LEAST)
+        found += list(np.sqrt(quantiles(np.concatenate(some), 0.05, 0.5)) + _LEAST)
     high, high_median, half_high, half_median = found
     unlike = np.log(high / known) if known else 0.0
     return [
@@ -68,7 +69,7 @@ def _block_grid(grey: FloatArray, noise: float) -> list[float]:
     step = _step(grey)
     for lines in (np.ascontiguousarray(grey[:, ::step].T), grey[::step]):
         steps = cv2.absdiff(lines[:, 1:], lines[:, :-1])
-        profile = np.minimum(steps, 4 * noise + np.median(steps[::3, ::3])).mean(axis=0)
+        profile = np.minimum(steps, 4 * noise + np.median(steps[::4, ::4])).mean(axis=0)
         for block in _BLOCKS_PX:
             phases = profile[: len(profile) // block * block].reshape(-1, block).mean(0)
             found.append(np.log(max(phases.max(), 1e-9) / max(np.median(phases), 1e-9)))
@@ -77,7 +78,8 @@ def _block_grid(grey: FloatArray, noise: float) -> list[float]:
 
 def _values(grey: FloatArray) -> list[float]:
     """Return how many pixels are alike, clipped or black, and how many values there are."""
-    rows, some = np.ascontiguousarray(grey[:: _step(grey)]), grey[::3, ::3]
+    step = _step(grey)
+    rows, some = np.ascontiguousarray(grey[::step]), grey[:: step + step // 2, :: step + step // 2]
     steps = cv2.absdiff(rows[:, 1:], rows[:, :-1])
     values = np.count_nonzero(np.bincount((np.clip(some.ravel(), 0, 2) * 65535 + 0.5).astype(int)))
     brightest = float(grey.max())
@@ -118,4 +120,4 @@ def _lonely(bands: list[FloatArray], noise: float) -> float:
 
 def _step(grey: FloatArray) -> int:
     """Return at which distance rows and columns are enough of them: of a larger frame, fewer."""
-    return max(2, min(grey.shape) // 120)
+    return max(2, min(grey.shape) // 96)
