@@ -106,6 +106,7 @@ class FramePipeline:
         *,
         size: tuple[int, int] | None = None,
         prior: ExpectedMotion | None = None,
+        coloured: FloatArray | None = None,
     ) -> FrameResult:
         """Work on one frame.
 
@@ -119,6 +120,8 @@ class FramePipeline:
             Rows and columns of the maps, which cover the whole frame; the frame's by default.
         prior : ExpectedMotion, optional
             What a gyroscope says; for methods that find motion.
+        coloured : ndarray, float32 [rows, columns, 3], optional
+            What is deblurred in place of a grey frame; see `colour_from_mosaic`.
 
         Raises
         ------
@@ -129,7 +132,7 @@ class FramePipeline:
         """
         self._follow(stamp)
         estimate = self.estimator.estimate(frame, size, prior)
-        return self._result(frame, estimate, stamp)
+        return self._result(frame if coloured is None else coloured, estimate, stamp)
 
     def video(
         self, frames: Iterable[FloatArray], size: tuple[int, int] | None = None

@@ -73,9 +73,9 @@ class FrameProcessor:
     def _result(self, data: bytes) -> ProcessedFrame:
         stages = Stages()
         try:
-            picture, frame = self._decoded(data)
+            picture, frame, coloured = self._decoded(data)
             stages.lap("decode")
-            result = self.pipeline(frame, size=self.map_size, prior=self.prior)
+            result = self.pipeline(frame, size=self.map_size, prior=self.prior, coloured=coloured)
             stages.lap("depth")
         except InputError as error:
             return ProcessedFrame(*_fault(error, "frame"))
@@ -106,14 +106,17 @@ class FrameProcessor:
         stages.lap("deblur")
         return dataclasses.replace(processed, sharp=sharp, seconds=stages.seconds)
 
-    def _decoded(self, data: bytes) -> tuple[Picture, FloatArray]:
+    def _decoded(self, data: bytes) -> tuple[Picture, FloatArray, FloatArray | None]:
         picture = read_picture(data, self.type_name)
         rows, columns = picture.pixels.shape[:2]
         if (rows, columns) != self.size:
             raise MessageError(
                 "size", f"the frame is {columns}x{rows}, others are {self.size[1]}x{self.size[0]}"
             )
-        return picture, frame_from_pixels(picture.pixels, self.gamma)
+        pixels, mosaic, coloured = picture.pixels, picture.mosaic, None
+        if mosaic and self.pipeline.deblurs:
+            coloured = frame_from_pixels(pixels, self.gamma, mosaic, coloured=True)
+        return picture, frame_from_pixels(pixels, self.gamma, mosaic), coloured
 
 
 def _fault(error: InputError, otherwise: str) -> tuple[str, str]:

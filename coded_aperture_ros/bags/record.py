@@ -162,9 +162,10 @@ class Record:
         self, index: int, recorded: Recorded, result: ProcessedFrame, maps: DepthMaps
     ) -> None:
         """Keep a sample; every other one goes whenever there are too many."""
+        picture = read_picture(recorded.data, self._type_name)
         self.samples[index] = Sample(
             index,
-            frame_from_pixels(read_picture(recorded.data, self._type_name).pixels),
+            frame_from_pixels(picture.pixels, mosaic=picture.mosaic, coloured=True),
             None if result.sharp is None else _shown(result.sharp, result.encoding),
             maps,
         )

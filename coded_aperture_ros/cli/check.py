@@ -95,12 +95,13 @@ def _learned(camera: Any, range_m: Any) -> Any:
 
 def _frames(args: argparse.Namespace) -> Any:
     """Yield the name and the linear light of every frame."""
-    from coded_aperture_ros.imaging import linear_from_pixels
+    from coded_aperture_ros.io.messages import frame_from_pixels
     from coded_aperture_ros.io.sources import captures, open_files
 
     for given in args.inputs:
         try:
             for capture in captures(open_files(given)):
-                yield capture.name or given, linear_from_pixels(capture.frame, args.gamma)
+                frame = frame_from_pixels(capture.frame, args.gamma, capture.mosaic)
+                yield capture.name or given, frame
         except InputError as error:
             raise InputError(f"{given}: {error}") from error

@@ -130,7 +130,7 @@ def _restorer(args: argparse.Namespace, bank: Any) -> Callable[[NamedFrame], tup
     def restored(frame: NamedFrame) -> tuple[Any, Any]:
         blur_size_px: Any = given
         if given is None:
-            result = pipeline(frame.image, frame.stamp_ns)
+            result = pipeline(frame.image, frame.stamp_ns, coloured=frame.coloured)
             blur_size_px = result.depth.blur_size_px
             if motion_px is None:
                 return result.all_in_focus, blur_size_px
@@ -140,7 +140,7 @@ def _restorer(args: argparse.Namespace, bank: Any) -> Callable[[NamedFrame], tup
                 f"the depth map {args.depth} has {of_map} pixels, this frame {of_frame}: it must "
                 "be of this size, or of this shape and smaller"
             )
-        return deblurrer.deblur(frame.image, blur_size_px, motion_px=motion_px), blur_size_px
+        return deblurrer.deblur(frame.coloured, blur_size_px, motion_px=motion_px), blur_size_px
 
     return restored
 

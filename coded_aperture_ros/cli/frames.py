@@ -20,7 +20,8 @@ class NamedFrame:
 
     `video` changes where other frames begin: with every folder, video and bag. Pictures that are
     given one after the other belong together. `least_noise` is what lossy compression has hidden,
-    in linear light; `size` that of the maps, rows and columns, where the frame was resampled.
+    in linear light; `size` that of the maps, rows and columns, where the frame was resampled;
+    `coloured` the picture to be deblurred where that is not the frame itself.
     """
 
     source: str  # what to call it in messages
@@ -30,6 +31,7 @@ class NamedFrame:
     video: int
     least_noise: float = 0.0
     size: tuple[int, int] | None = None
+    coloured: Any = None
 
 
 def add_input_options(parser: argparse.ArgumentParser, output_help: str) -> None:
@@ -39,6 +41,13 @@ def add_input_options(parser: argparse.ArgumentParser, output_help: str) -> None
         nargs="+",
         metavar="INPUT",
         help="picture, .npy, folder of pictures, video, or bag (with #TOPIC: bag:PATH#TOPIC)",
+    )
+    parser.add_argument(
+        "--bayer",
+        default="",
+        choices=("rggb", "bggr", "gbrg", "grbg"),
+        help="pictures are the grey mosaics of a sensor with these colour filters in every two by "
+        "two pixels; bags know it themselves",
     )
     parser.add_argument("-o", "--output", required=True, metavar="OUT", help=output_help)
 
@@ -94,7 +103,8 @@ def named_frames(
     """
     import numpy as np
 
-    from coded_aperture_ros.imaging import light_per_stored, linear_from_pixels
+    from coded_aperture_ros.imaging import light_per_stored
+    from coded_aperture_ros.io.messages import frame_from_pixels
     from coded_aperture_ros.io.sources import PictureSource, captures, open_files
 
     sources = [(given, open_files(given)) for given in args.inputs]
@@ -139,8 +149,14 @@ def named_frames(
         target = output if to_file else output / f"{capture.name}{suffix}"
         for path in outputs(target):
             check_output(path, files)
-        image = linear_from_pixels(capture.frame, args.gamma)
+        mosaic = capture.mosaic or args.bayer
+        image = coloured = frame_from_pixels(capture.frame, args.gamma, mosaic)
+        if mosaic:
+            coloured = frame_from_pixels(capture.frame, args.gamma, mosaic, coloured=True)
         least_noise = capture.lost * light_per_stored(
             float(np.nan_to_num(image).mean()), args.gamma
         )
-        yield NamedFrame(given, target, image, capture.stamp_ns, video, round(least_noise, 4))
+        least_noise = round(least_noise, 4)
+        yield NamedFrame(
+            given, target, image, capture.stamp_ns, video, least_noise, coloured=coloured
+        )

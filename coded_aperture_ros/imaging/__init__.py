@@ -18,6 +18,12 @@ from coded_aperture_ros.imaging.light import (
     linear_from_pixels,
     pixels_from_linear,
 )
+from coded_aperture_ros.imaging.mosaic import (
+    MOSAICS,
+    colour_from_mosaic,
+    grey_from_mosaic,
+    mosaic_from_colour,
+)
 from coded_aperture_ros.imaging.noise import (
     GreyNoise,
     KnownNoise,
@@ -30,6 +36,7 @@ from coded_aperture_ros.imaging.periodic import periodic, periodic_shape, transf
 from coded_aperture_ros.imaging.static_average import StaticAverage, frames_of_patches
 
 __all__ = [
+    "MOSAICS",
     "SRGB",
     "Gamma",
     "GreyNoise",
@@ -40,6 +47,7 @@ __all__ = [
     "channel_mean",
     "channel_noise",
     "check_frame",
+    "colour_from_mosaic",
     "decode",
     "decode_picture",
     "encode",
@@ -47,10 +55,12 @@ __all__ = [
     "filled",
     "frames_of_patches",
     "gamma_from_text",
+    "grey_from_mosaic",
     "grey_image",
     "grey_noise",
     "light_per_stored",
     "linear_from_pixels",
+    "mosaic_from_colour",
     "noise_hidden_by_compression",
     "periodic",
     "periodic_shape",

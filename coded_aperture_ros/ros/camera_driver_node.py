@@ -33,6 +33,7 @@ from coded_aperture_ros.ros.messages import (
     MessageError,
     camera_info_from_camera,
     camera_info_from_intrinsics,
+    frame_from_pixels,
     image_from_array,
     pixels_from_frame,
     scaled_camera_info,
@@ -59,7 +60,9 @@ class CameraDriverConfig:
     rate_hz: float = option(15.0, "Frames per second", unit="Hz", within=(0.1, 1000.0))
     frame_id: str = option("camera_optical_frame", "Optical frame of the images")
     encoding: str = option(
-        "bgr8", "Encoding of image_raw", choices=("mono8", "rgb8", "bgr8", "mono16")
+        "bgr8",
+        "Encoding of image_raw",
+        choices=("mono8", "rgb8", "bgr8", "mono16", "bayer_rggb8", "bayer_rggb16"),
     )
     loop: bool = option(True, "Begin files again after their last frame")
     noise: float = option(
@@ -260,11 +263,13 @@ class CameraDriverNode(ManagedNode):
         now, stamp_ns = self.get_clock().now(), capture.stamp_ns
         stamp = (now if stamp_ns is None else Time(nanoseconds=stamp_ns)).to_msg()
         header = Header(frame_id=self._config.frame_id, stamp=stamp)
-        encoding = self._config.encoding
+        encoding, frame = self._config.encoding, capture.frame
+        if capture.mosaic:
+            frame = frame_from_pixels(frame, mosaic=capture.mosaic, coloured=True)
         if "/clock" in self._outputs.topics:
             self._outputs.send("/clock", ClockMessage(clock=header.stamp))
         if self._outputs.listened("image_raw"):
-            pixels = pixels_from_frame(capture.frame, encoding)
+            pixels = pixels_from_frame(frame, encoding)
             self._outputs.send("image_raw", image_from_array(pixels, encoding, header))
         if self._outputs.listened("camera_info"):
             height, width = capture.frame.shape[:2]

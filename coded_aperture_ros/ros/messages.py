@@ -19,6 +19,7 @@ from coded_aperture_ros.io.messages import (  # noqa: F401 (nodes take them from
     check_pixels,
     encoding_of,
     frame_from_image,
+    frame_from_pixels,
     limit_depth,
     luminance,
     millimetres_from_depth,

@@ -183,7 +183,7 @@ def test_a_missing_device_is_an_input_error():
         ({"source": "/nowhere/pictures"}, "/nowhere/pictures"),
         ({"source": ""}, "source is empty"),
         ({"camera_file": ""}, "camera_file is empty"),
-        ({"encoding": "yuv422"}, "one of mono8, rgb8, bgr8, mono16"),
+        ({"encoding": "yuv422"}, "one of mono8, rgb8, bgr8, mono16, bayer_rggb8, bayer_rggb16"),
         ({"rate_hz": 0.0}, "rate_hz"),
     ],
 )

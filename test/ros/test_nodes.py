@@ -69,7 +69,7 @@ def test_a_frame_in_gives_depth_out(ros, model, coded):
 
 def test_every_encoding_gives_the_same_depth(ros, model, coded):
     chain = Chain(ros, model, subscribe=("depth/image",))
-    for encoding in ("mono8", "bgr8", "rgba8", "mono16", "32FC1"):
+    for encoding in ("mono8", "bgr8", "rgba8", "mono16", "32FC1", "bayer_gbrg8", "bayer_rggb16"):
         pixels = pixels_from_frame(coded, encoding)
         depth = array_from_image(chain.result(image_from_array(pixels, encoding, stamped())))
         assert abs(np.nanmedian(depth) - DEPTH_M) < 0.06 * DEPTH_M, encoding
@@ -91,10 +91,16 @@ def test_frames_of_webcams_give_depth(ros, model, coded):
     assert abs(np.nanmedian(depth) - DEPTH_M) < 0.06 * DEPTH_M
 
 
-def test_frames_of_webcams_are_deblurred_as_rgb(ros, model, coded):
+@pytest.mark.parametrize(
+    ("encoding", "made"), [("", "rgb8"), ("bayer_grbg8", "rgb8"), ("bayer_bggr16", "rgb16")]
+)
+def test_frames_of_webcams_and_mosaics_are_deblurred_as_rgb(ros, model, coded, encoding, made):
     chain = DeblurChain(ros, model)
-    sharp = chain.result(yuv(coded))
-    assert (sharp.encoding, sharp.width) == ("rgb8", WIDTH)
+    frame = yuv(coded)
+    if encoding:
+        frame = image_from_array(pixels_from_frame(coded, encoding), encoding, stamped())
+    sharp = chain.result(frame)
+    assert (sharp.encoding, sharp.width) == (made, WIDTH)
 
 
 def test_the_drivers_camera_info_is_scaled_and_passed_on(ros, model, coded):
@@ -207,7 +213,7 @@ def bad_messages():
         return message
 
     return [
-        ("encoding", broken(encoding="bayer_rggb8")),
+        ("encoding", broken(encoding="nv21")),
         ("data", broken(data=bytes(100))),
         ("data", broken(data=b"")),
         ("step", broken(step=WIDTH - 1)),

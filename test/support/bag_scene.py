@@ -9,6 +9,8 @@ import numpy as np
 from rosbags.rosbag2 import CompressionFormat, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from coded_aperture_ros.io.messages import pixels_from_frame
+
 STORE = get_typestore(Stores.ROS2_JAZZY)
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO, STRING = "sensor_msgs/msg/CameraInfo", "std_msgs/msg/String"
@@ -110,6 +112,8 @@ def _pixels(path, encoding, index):
         "32FC1": lambda: grey,
         "rgb8": lambda: np.rint(255 * coded).astype(np.uint8),
         "bgr8": lambda: np.rint(255 * coded[..., ::-1]).astype(np.uint8),
+        "bayer_grbg8": lambda: pixels_from_frame(coded, encoding),
+        "bayer_bggr16": lambda: pixels_from_frame(coded, encoding),
     }[encoding]()
 
 

@@ -95,7 +95,7 @@ def test_padding_and_byte_order_are_respected(pixels, padding):
 @pytest.mark.parametrize(
     ("kind", "message"),
     [
-        ("encoding", image("bayer_rggb8")),
+        ("encoding", image("nv21")),
         ("encoding", image("")),
         ("size", image(height=0)),
         ("size", image(width=0)),

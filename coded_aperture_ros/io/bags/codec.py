@@ -16,6 +16,7 @@ from coded_aperture_ros.io.messages import (
     array_from_compressed,
     array_from_image,
     check_pixels,
+    encoding_of,
     scaled_matrices,
     written_encoding,
 )
@@ -29,11 +30,15 @@ _NS = 1_000_000_000
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Picture:
-    """An image message: pixels [row, column(, RGB)] as stored, and an encoding for such ones."""
+    """An image message: pixels [row, column(, RGB)] as stored, and an encoding for such ones.
+
+    With `mosaic`, pixels have a colour filter each; the encoding is for pictures made of them.
+    """
 
     header: Any
     pixels: NDArray
     encoding: str
+    mosaic: str = ""
 
     @property
     def stamp_ns(self) -> int:
@@ -45,8 +50,8 @@ def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
     """Read a raw or compressed image; a `MessageError`, of kind "message" if it is none at all."""
     message = _read(data, type_name)
     if type_name == IMAGE:
-        encoding = written_encoding(message.encoding)
-        return Picture(message.header, array_from_image(message), encoding)
+        encoding, mosaic = written_encoding(message.encoding), encoding_of(message.encoding).mosaic
+        return Picture(message.header, array_from_image(message), encoding, mosaic)
     return Picture(message.header, *array_from_compressed(message))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import decode_picture
+from coded_aperture_ros.imaging import MOSAICS, decode_picture
 
 
 class MessageError(InputError):
@@ -28,6 +28,7 @@ class Encoding:
     channels: int
     to_rgb: int | None = None  # OpenCV's colour conversions; None where there is nothing to do
     from_rgb: int | None = None
+    mosaic: str = ""  # of colour filters, if pixels have one each; see `grey_from_mosaic`
 
 
 ENCODINGS = {
@@ -38,10 +39,16 @@ ENCODINGS = {
     "32FC1": Encoding("f4", 1),
     "rgb8": Encoding("u1", 3),
     "bgr8": Encoding("u1", 3, cv2.COLOR_BGR2RGB, cv2.COLOR_RGB2BGR),
+    "rgb16": Encoding("u2", 3),
+    "bgr16": Encoding("u2", 3, cv2.COLOR_BGR2RGB, cv2.COLOR_RGB2BGR),
     "rgba8": Encoding("u1", 4, cv2.COLOR_RGBA2RGB, cv2.COLOR_RGB2RGBA),
     "bgra8": Encoding("u1", 4, cv2.COLOR_BGRA2RGB, cv2.COLOR_RGB2BGRA),
     "yuv422": Encoding("u1", 2, cv2.COLOR_YUV2RGB_UYVY),
     "yuv422_yuy2": Encoding("u1", 2, cv2.COLOR_YUV2RGB_YUYV),
+} | {
+    f"bayer_{order}{8 * size}": Encoding(f"u{size}", 1, mosaic=order)
+    for size in (1, 2)
+    for order in MOSAICS
 }
 
 
@@ -54,8 +61,11 @@ def encoding_of(name: str) -> Encoding:
 
 
 def written_encoding(name: str) -> str:
-    """Return the encoding for what is made of an image: its own, or RGB in place of YUV."""
-    return "rgb8" if encoding_of(name).channels == 2 else name
+    """Return the encoding for what is made of an image: its own, or RGB for YUV and Bayer."""
+    encoding = encoding_of(name)
+    if encoding.channels != 2 and not encoding.mosaic:
+        return name
+    return "rgb16" if encoding.dtype == "u2" else "rgb8"
 
 
 def array_from_image(message: Any) -> NDArray:
@@ -70,8 +80,9 @@ def array_from_image(message: Any) -> NDArray:
     Returns
     -------
     array, [row, column] or [row, column, RGB]
-        dtype as stored. Channels are in the order red, green, blue; alpha is left out. It may be
-        a view of the message's data: do not write to it.
+        dtype as stored. A mosaic of colour filters is left as it is. Channels are in the order
+        red, green, blue; alpha is left out. It may be a view of the message's data: do not write
+        to it.
 
     Raises
     ------

@@ -7,7 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.imaging import Gamma, linear_from_pixels, pixels_from_linear
+from coded_aperture_ros.imaging import (
+    Gamma,
+    colour_from_mosaic,
+    grey_from_mosaic,
+    linear_from_pixels,
+    mosaic_from_colour,
+    pixels_from_linear,
+)
 from coded_aperture_ros.io.messages.encodings import array_from_image, encoding_of
 
 # Weights of linear red, green and blue in luminance (ITU-R BT.709).
@@ -17,15 +24,18 @@ _DEPTH_ROUNDING = 1e-4
 _MILLIMETRE = np.float32(1e-3)
 
 
-def frame_from_image(message: Any, gamma: Gamma = 1.0) -> FloatArray:
+def frame_from_image(message: Any, gamma: Gamma = 1.0, coloured: bool = False) -> FloatArray:
     """Return an image message as the frame that the library works on.
 
     See `array_from_image` and `frame_from_pixels`.
     """
-    return frame_from_pixels(array_from_image(message), gamma)
+    mosaic = encoding_of(message.encoding).mosaic
+    return frame_from_pixels(array_from_image(message), gamma, mosaic, coloured)
 
 
-def frame_from_pixels(pixels: NDArray, gamma: Gamma = 1.0) -> FloatArray:
+def frame_from_pixels(
+    pixels: NDArray, gamma: Gamma = 1.0, mosaic: str = "", coloured: bool = False
+) -> FloatArray:
     """Return stored pixels as the frame that the library works on.
 
     Parameters
@@ -34,13 +44,20 @@ def frame_from_pixels(pixels: NDArray, gamma: Gamma = 1.0) -> FloatArray:
     gamma : float or "srgb"
         Turns 8-bit values into linear light; 1 for a linear sensor. 16-bit and
         float images are linear by definition.
+    mosaic : str
+        Of colour filters before the pixels; see `grey_from_mosaic`.
+    coloured : bool
+        Whether a mosaic is to become a picture in colours, and not a grey frame for depth.
 
     Returns
     -------
-    float32, of the same shape
+    float32, of the same shape, or with colours
         Linear light; integers are scaled to [0, 1], floats are taken as they are.
     """
-    return pixels if pixels.dtype == np.float32 else linear_from_pixels(pixels, gamma)
+    frame = pixels if pixels.dtype == np.float32 else linear_from_pixels(pixels, gamma)
+    if not mosaic:
+        return frame
+    return (colour_from_mosaic if coloured else grey_from_mosaic)(frame, mosaic)
 
 
 def luminance(frame: NDArray) -> NDArray:
@@ -59,7 +76,8 @@ def pixels_from_frame(frame: NDArray, encoding: str, gamma: Gamma = 1.0) -> NDAr
         Linear light. Integer encodings clip it to [0, 1]; unknown (NaN) pixels become 0.
         Integers of the encoding's own type are kept as they are.
     encoding : str
-        One of `ENCODINGS`; grey encodings of a colour frame hold its luminance.
+        One of `ENCODINGS`; grey encodings of a colour frame hold its luminance, mosaics what each
+        pixel's filter lets through.
     gamma : float or "srgb"
 
     Returns
@@ -67,7 +85,9 @@ def pixels_from_frame(frame: NDArray, encoding: str, gamma: Gamma = 1.0) -> NDAr
     array, [row, column] or [row, column, stored channel]
     """
     target = encoding_of(encoding)
-    if target.channels == 1:
+    if target.mosaic and frame.ndim == 3:
+        frame = mosaic_from_colour(frame, target.mosaic)
+    elif target.channels == 1:
         frame = luminance(frame)
     elif frame.ndim == 2:
         frame = cv2.cvtColor(np.ascontiguousarray(frame), cv2.COLOR_GRAY2RGB)

@@ -30,6 +30,8 @@ class Capture:
         About how much noise lossy compression has hidden in it, in stored values from 0 to 1.
     name : str
         What to call it, and files made of it; empty where no file has it.
+    mosaic : str
+        Of the colour filters of a grey frame's pixels; see `grey_from_mosaic`.
     """
 
     frame: NDArray
@@ -38,6 +40,7 @@ class Capture:
     stamp_ns: int | None = None
     lost: float = 0.0
     name: str = ""
+    mosaic: str = ""
 
 
 class Source(Protocol):
