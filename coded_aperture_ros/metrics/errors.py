@@ -9,7 +9,6 @@ from coded_aperture_ros.core.arrays import BoolArray
 from coded_aperture_ros.core.errors import InputError
 
 _RIGHT_WITHIN = 0.10
-DELTA_BOUNDS = (1.05, 1.15, 1.25)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,37 +60,6 @@ def depth_error(
     relative = np.abs(depth_m[scored] - true_depth_m[scored]) / true_depth_m[scored]
     coverage = np.count_nonzero(known) / np.count_nonzero(with_truth)
     return DepthError(float(np.median(relative)) if relative.size else float("nan"), coverage)
-
-
-def delta_shares(
-    depth_m: NDArray[np.floating],
-    true_depth_m: NDArray[np.floating],
-    bounds: tuple[float, ...] = DELTA_BOUNDS,
-) -> dict[float, float]:
-    """Return the share of pixels whose depth is off by less than a factor, for several factors.
-
-    Parameters
-    ----------
-    depth_m, true_depth_m : ndarray of float, of one shape
-        Metres. Pixels without a true depth are left out; a depth that is unknown, infinite or not
-        positive is wrong.
-    bounds : tuple of float
-        delta = max(depth / truth, truth / depth) is below this.
-
-    Raises
-    ------
-    InputError
-        If the shapes differ.
-    """
-    _check_shapes(depth_m, true_depth_m)
-    with_truth = np.isfinite(true_depth_m) & (true_depth_m > 0)
-    depth, truth = depth_m[with_truth], true_depth_m[with_truth]
-    if not truth.size:
-        return dict.fromkeys(bounds, float("nan"))
-    usable = np.isfinite(depth) & (depth > 0)
-    ratio = np.divide(depth, truth, out=np.full(truth.shape, np.inf), where=usable)
-    delta = np.maximum(ratio, 1 / ratio)
-    return {bound: float(np.mean(delta < bound)) for bound in bounds}
 
 
 def median(values: NDArray[np.floating]) -> float:

@@ -1,1 +1,1 @@
-"""Errors at depth edges and of thin structures, and of a confidence without a scale."""
+"""Errors of depth maps, at edges and of thin structures, and of a confidence without a scale."""
