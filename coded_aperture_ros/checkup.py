@@ -25,27 +25,13 @@ _COVERED = 0.2
 
 @dataclasses.dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at.
+    """One thing that was looked at."""
 
-    Attributes
-    ----------
-    about : str
-        What, in a few words.
-    state : str
-        `OK`, `WARNING` or `FAILED`.
-    text : str
-        What was found.
-    remedy : str
-        What to do about it; empty if nothing.
-    numbers : dict of str to float
-        For machines.
-    """
-
-    about: str
-    state: str
-    text: str
-    remedy: str = ""
-    numbers: dict[str, Any] = dataclasses.field(default_factory=dict)
+    about: str  # what, in a few words
+    state: str  # `OK`, `WARNING` or `FAILED`
+    text: str  # what was found
+    remedy: str = ""  # what to do about it; empty if nothing
+    numbers: dict[str, Any] = dataclasses.field(default_factory=dict)  # for machines
 
 
 def camera_findings(camera: Camera, near_m: float, far_m: float) -> list[Finding]:

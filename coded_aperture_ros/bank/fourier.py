@@ -26,16 +26,10 @@ class WindowedFourierBasis:
     """Power spectra of Hann-windowed patches.
 
     A spectrum has K values: the frequencies of ``scipy.fft.rfft2`` in order.
-
-    Attributes
-    ----------
-    window_px : int
-        Side of the square window; even.
-    highest_frequency : float
-        Frequencies above this, in cycles per pixel, do not count; by default all do.
     """
 
-    window_px: int
+    window_px: int  # side of the square window; even
+    # Frequencies above this, in cycles per pixel, do not count; by default all do.
     highest_frequency: float = 1.0
 
     def __post_init__(self) -> None:

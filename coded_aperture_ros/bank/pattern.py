@@ -12,18 +12,12 @@ from coded_aperture_ros.optics import Mask, render_psf_stack
 
 @dataclasses.dataclass(frozen=True)
 class ThinLens:
-    """The line ``S = slope (1 / z_focus - 1 / z)`` of signed blur sizes (thesis eq. 3.28).
+    """The line ``S = slope (1 / z_focus - 1 / z)`` of signed blur sizes (thesis eq. 3.28)."""
 
-    Attributes
-    ----------
-    slope_px_m : float
-        ``M f_px``, pixels times metres, positive. Mask extent and focal length occur in this
-        product only, so planes alone cannot tell the one from the other.
-    inverse_focus : float
-        ``1 / z_focus``, 1/m; 0 or less where the blur vanishes nowhere in front of the camera.
-    """
-
+    # ``M f_px``, pixels times metres, positive. Mask extent and focal length occur in this product
+    # only, so planes alone cannot tell the one from the other.
     slope_px_m: float
+    # ``1 / z_focus``, 1/m; 0 or less where the blur vanishes nowhere in front of the camera.
     inverse_focus: float
 
     @property
@@ -72,27 +66,14 @@ class ThinLens:
 class LearnedPattern(ThinLens):
     """A mask as learned from planes, with the line of the thin lens.
 
-    Attributes
-    ----------
-    mask : Mask
-        A single mask: the PSFs are its. Blur sizes are the extent of its grid.
-    parts : ndarray, float64 [R, m, m]
-        Masks whose autocorrelations add up to that of the mask; the filters are theirs.
-    parts_extent : float
-        Width of the parts' grid over that of the mask's.
-    image_width : int
-        Width of the pictures, px.
-
-    Raises
-    ------
-    InputError
-        If an attribute has another shape or range.
+    Raises `InputError` if an attribute has another shape or range.
     """
 
-    mask: Mask
+    mask: Mask  # a single mask: the PSFs are its. Blur sizes are the extent of its grid.
+    # [R, m, m]; masks whose autocorrelations add up to that of the mask; the filters are theirs.
     parts: DoubleArray
-    parts_extent: float
-    image_width: int
+    parts_extent: float  # width of the parts' grid over that of the mask's
+    image_width: int  # width of the pictures, px
 
     def __post_init__(self) -> None:
         parts = np.asarray(self.parts, np.float64)

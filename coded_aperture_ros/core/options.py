@@ -22,33 +22,17 @@ from coded_aperture_ros.core.errors import InputError
 
 @dataclasses.dataclass(frozen=True)
 class Option:
-    """What is known about one setting, kept in its dataclass field's metadata.
+    """What is known about one setting, kept in its dataclass field's metadata."""
 
-    Attributes
-    ----------
-    description : str
-        For help texts and ROS descriptors.
-    unit : str
-        Of the value, of `minimum` and of `maximum`.
-    minimum, maximum : float or None
-        Inclusive bounds.
-    choices : tuple of str, or None
-        The only values allowed.
-    read_only : bool
-        Whether a running node cannot change it.
-    formerly : tuple of str
-        Names that the field had in earlier releases.
-    parameter : str
-        Name of the ROS parameter, such as ``regularize.method``; empty if it is the field's.
-    """
-
-    description: str
-    unit: str = ""
+    description: str  # for help texts and ROS descriptors
+    unit: str = ""  # of the value, of `minimum` and of `maximum`
+    # Inclusive bounds.
     minimum: float | None = None
     maximum: float | None = None
-    choices: tuple[str, ...] | None = None
-    read_only: bool = False
-    formerly: tuple[str, ...] = ()
+    choices: tuple[str, ...] | None = None  # the only values allowed
+    read_only: bool = False  # whether a running node cannot change it
+    formerly: tuple[str, ...] = ()  # names that the field had in earlier releases
+    # Name of the ROS parameter, such as ``regularize.method``; empty if it is the field's.
     parameter: str = ""
 
     @property

@@ -26,26 +26,13 @@ from coded_aperture_ros.likelihood import Cost
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Decision:
-    """What was decided of every pixel of a map; all maps are float32 of one shape.
+    """What was decided of every pixel of a map; all maps are float32 of one shape."""
 
-    Attributes
-    ----------
-    level : ndarray
-        Fractional index into the model's levels.
-    deviation : ndarray
-        Its standard deviation, in levels.
-    confidence : ndarray
-        Probability, in [0, 1], that the level is right; see `DepthEstimate`.
-    side_confidence : ndarray or None
-        See `DepthEstimate`.
-    nearest_plausible : callable
-        Returns the level that the true one is hardly nearer than.
-    """
-
-    level: FloatArray
-    deviation: FloatArray
-    confidence: FloatArray
-    side_confidence: FloatArray | None
+    level: FloatArray  # fractional index into the model's levels
+    deviation: FloatArray  # its standard deviation, in levels
+    confidence: FloatArray  # probability, in [0, 1], that the level is right; see `DepthEstimate`
+    side_confidence: FloatArray | None  # see `DepthEstimate`
+    # Returns the level that the true one is hardly nearer than.
     nearest_plausible: Callable[[], FloatArray]
 
 

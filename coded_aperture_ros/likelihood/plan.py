@@ -57,45 +57,25 @@ class Filters(Protocol):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Plan:
-    """Matrices of the transforms, the common basis and the hypotheses.
+    """Matrices of the transforms, the common basis and the hypotheses."""
 
-    Attributes
-    ----------
-    grid : PatchGrid
-        Where the patches lie, ``rows`` by ``columns``.
-    horizontal : ndarray, float32 [2 H, N]
-        Windowed cosines, then sines, of 0 to H - 1 cycles.
-    vertical : ndarray, float32 [2 V + U, N]
-        Windowed cosines, then sines, of 1 to V cycles; then the U cosines without a sine.
-    paired : int
-        V.
-    features : ndarray, float32 [R + 1, (2 V + U) H]
-        The common basis and the multiplicity, as functions of ``q`` of 1 to V
-        cycles, of ``x`` of these, and of the power of those without a sine.
-    hypotheses : ndarray, float32 [S * slopes * L, R + 1]
-        Weights of every hypothesis in the common basis, and `OWN_NOISE`, which adds to them, all
-        times ``exp(log_determinant / sum m)``: so the best hypothesis is that of the least product,
-        and one logarithm does for all.
-    count : float
-        ``sum m``.
-    levels : int
-        L.
-    ratios : ndarray, float64 [S]
-        Contrast over noise variance of the hypotheses.
-    contrasts : sequence of float
-        The variances of texture that are tried under any noise.
-    """
-
-    grid: PatchGrid
-    horizontal: FloatArray
+    grid: PatchGrid  # where the patches lie, ``rows`` by ``columns``
+    horizontal: FloatArray  # [2 H, N]; windowed cosines, then sines, of 0 to H - 1 cycles
+    # [2 V + U, N]; windowed cosines, then sines, of 1 to V cycles; then the U cosines without a
+    # sine.
     vertical: FloatArray
-    paired: int
+    paired: int  # V
+    # [R + 1, (2 V + U) H]; the common basis and the multiplicity, as functions of ``q`` of 1 to V
+    # cycles, of ``x`` of these, and of the power of those without a sine.
     features: FloatArray
+    # [S * slopes * L, R + 1]; weights of every hypothesis in the common basis, and `OWN_NOISE`,
+    # which adds to them, all times ``exp(log_determinant / sum m)``: so the best hypothesis is that
+    # of the least product, and one logarithm does for all.
     hypotheses: FloatArray
-    count: float
-    levels: int
-    ratios: DoubleArray
-    contrasts: Sequence[float]
+    count: float  # ``sum m``
+    levels: int  # L
+    ratios: DoubleArray  # [S]; contrast over noise variance of the hypotheses
+    contrasts: Sequence[float]  # the variances of texture that are tried under any noise
 
     @classmethod
     def of(cls, bank: Filters, shape: tuple[int, ...], stride_px: int) -> "Plan":

@@ -13,18 +13,11 @@ _RIGHT_WITHIN = 0.10
 
 @dataclasses.dataclass(frozen=True)
 class DepthError:
-    """How far a depth map is from the truth.
+    """How far a depth map is from the truth."""
 
-    Attributes
-    ----------
-    median_relative : float
-        Median of |depth - truth| / truth over the most confident pixels; NaN if none is known.
-    coverage : float
-        Share of the pixels with a true depth that have a depth.
-    """
-
+    # Median of |depth - truth| / truth over the most confident pixels; NaN if none is known.
     median_relative: float
-    coverage: float
+    coverage: float  # share of the pixels with a true depth that have a depth
 
 
 def depth_error(
@@ -100,25 +93,14 @@ def _check_shapes(first: NDArray, *others: NDArray) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class RelativeError:
-    """How far depths are from the truth, relative to it; NaN if no pixel has both.
+    """How far depths are from the truth, relative to it; NaN if no pixel has both."""
 
-    Attributes
-    ----------
-    median, mean : float
-        Of |depth - truth| / truth.
-    within_10_percent : float
-        Share of those pixels.
-    coverage : float
-        Share of the pixels with a true depth that have a depth.
-    pixels : int
-        Number of pixels with a true depth.
-    """
-
+    # Median and mean of |depth - truth| / truth.
     median: float
     mean: float
-    within_10_percent: float
-    coverage: float
-    pixels: int
+    within_10_percent: float  # share of those pixels
+    coverage: float  # share of the pixels with a true depth that have a depth
+    pixels: int  # number of pixels with a true depth
 
     @staticmethod
     def of(relative: NDArray[np.floating], part: BoolArray) -> "RelativeError":

@@ -19,20 +19,11 @@ class Reliability:
     """Reliability diagram: estimates sorted into equal bins of confidence from 0 to 1.
 
     Diagrams of several frames add up.
-
-    Attributes
-    ----------
-    count : ndarray of int, shape [bins]
-        Estimates in each bin.
-    confidence_sum : ndarray of float64, shape [bins]
-        Sum of their confidences.
-    right : ndarray of int, shape [bins]
-        How many of them are right.
     """
 
-    count: NDArray[np.int64]
-    confidence_sum: DoubleArray
-    right: NDArray[np.int64]
+    count: NDArray[np.int64]  # [bins]; estimates in each bin
+    confidence_sum: DoubleArray  # [bins]; sum of their confidences
+    right: NDArray[np.int64]  # [bins]; how many of them are right
 
     @classmethod
     def of(

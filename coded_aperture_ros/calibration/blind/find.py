@@ -67,29 +67,18 @@ _LEAST_EXPLAINED = 0.25
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class BlindMask:
-    """A mask found from planes at unknown distances.
+    """A mask found from planes at unknown distances."""
 
-    Attributes
-    ----------
-    mask : Mask
-        Binary, cropped to where it is open. As found, or turned by 180 degrees: spectra do not
-        tell.
-    blur_sizes_px : ndarray, float64 [planes]
-        Width of the mask's extent in each picture, unsigned.
-    explained : float
-        What of the structure of the spectra the mask explains, 0 to 1; an open square explains
-        nothing.
-    spectra : ndarray, float64 [planes, 2, n, n // 2 + 1]
-        Logarithm of the power of each picture's windows, as it is and as the mask explains it, at
-        the frequencies of ``rfft2``; NaN at those that were not looked at.
-    reaches_limit : bool
-        Whether a picture is blurred by more than was reckoned with; by how much is uncertain then.
-    """
-
+    # Binary, cropped to where it is open. As found, or turned by 180 degrees: spectra do not tell.
     mask: Mask
-    blur_sizes_px: DoubleArray
+    blur_sizes_px: DoubleArray  # [planes]; width of the mask's extent in each picture, unsigned
+    # What of the structure of the spectra the mask explains, 0 to 1; an open square explains
+    # nothing.
     explained: float
+    # [planes, 2, n, n // 2 + 1]; logarithm of the power of each picture's windows, as it is and as
+    # the mask explains it, at the frequencies of ``rfft2``; NaN at those that were not looked at.
     spectra: DoubleArray
+    # Whether a picture is blurred by more than was reckoned with; by how much is uncertain then.
     reaches_limit: bool
 
 

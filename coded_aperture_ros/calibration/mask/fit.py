@@ -15,24 +15,15 @@ Sizes = TypeVar("Sizes", bound=BlurSizes)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MaskFit(Generic[Sizes]):
-    """A mask, as a mixture, and blur sizes that may explain the pictures of planes.
+    """A mask, as a mixture, and blur sizes that may explain the pictures of planes."""
 
-    Attributes
-    ----------
-    parts : ndarray, float64 [R, m, m]
-        Masks whose autocorrelations add up to that of the mask; their squared sums add up to one.
-    sizes : BlurSizes
-        Width of the parts' grid at each of the I planes.
-    log_noise : ndarray, float64 [I]
-        Logarithm of the variance of every plane's noise, with what the model leaves unexplained.
-    score : float
-        Twice the negative log-likelihood of a window, on average.
-    """
-
+    # [R, m, m]; masks whose autocorrelations add up to that of the mask; their squared sums add up
+    # to one.
     parts: DoubleArray
-    sizes: Sizes
+    sizes: Sizes  # width of the parts' grid at each of the I planes
+    # [I]; logarithm of the variance of every plane's noise, with what the model leaves unexplained.
     log_noise: DoubleArray
-    score: float = np.inf
+    score: float = np.inf  # twice the negative log-likelihood of a window, on average
 
     @property
     def sizes_px(self) -> DoubleArray:

@@ -65,24 +65,13 @@ class FreeSizes:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class LensSizes:
-    """All on the line of a thin lens (thesis eq. 3.28), whose focus may vary.
+    """All on the line of a thin lens (thesis eq. 3.28), whose focus may vary."""
 
-    Attributes
-    ----------
-    near_ratio : float
-        Blur size of the least blurred plane over that of the most blurred one, in [0, 1).
-    sign : int
-        1 if the planes lie beyond the focal plane, -1 if in front of it.
-    extent_px : float
-        Width of the mask's grid at the most blurred plane, px.
-    inverse_depths : ndarray, float64 [I]
-        Of the planes, 1/m, in the order of their depths.
-    """
-
+    # Blur size of the least blurred plane over that of the most blurred one, in [0, 1).
     near_ratio: float
-    sign: int
-    extent_px: float
-    inverse_depths: DoubleArray
+    sign: int  # 1 if the planes lie beyond the focal plane, -1 if in front of it
+    extent_px: float  # width of the mask's grid at the most blurred plane, px
+    inverse_depths: DoubleArray  # [I]; of the planes, 1/m, in the order of their depths
 
     @property
     def px(self) -> DoubleArray:

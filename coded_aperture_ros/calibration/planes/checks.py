@@ -25,29 +25,16 @@ _WIDEST_GAP = 2.5
 
 @dataclasses.dataclass(frozen=True)
 class PlaneCheck:
-    """What a single picture is like.
-
-    Attributes
-    ----------
-    file : str
-    depth_m : float
-        NaN where it is not known.
-    brightness, brightest : float
-        Mean, and what 99 % of the pixels are below; linear light in [0, 1].
-    saturated, textured : float
-        Share of the pixels, and of the windows whose contrast is above the noise.
-    noise, contrast : float
-        Standard deviation of one channel, and of a window with noise taken off (median).
-    """
+    """What a single picture is like."""
 
     file: str
-    depth_m: float
-    brightness: float
-    brightest: float
-    saturated: float
-    noise: float
-    contrast: float
-    textured: float
+    depth_m: float  # NaN where it is not known
+    brightness: float  # mean, linear light in [0, 1]
+    brightest: float  # what 99 % of the pixels are below
+    saturated: float  # share of the pixels
+    noise: float  # standard deviation of one channel
+    contrast: float  # that of a window with noise taken off (median)
+    textured: float  # share of the windows whose contrast is above the noise
 
 
 @dataclasses.dataclass(frozen=True)

@@ -30,26 +30,15 @@ _SURE, _TILT_PX = 4.0, 0.6
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MeasuredPlane:
-    """The blur of one plane, without regard to its depth.
+    """The blur of one plane, without regard to its depth."""
 
-    Attributes
-    ----------
-    size_px : float
-        Unsigned blur size of the mask, from all windows together.
-    sizes_px : ndarray, float32 [rows, columns]
-        That of every window.
-    error_px, tilt_error_px : float
-        Standard errors of size and tilt, from the scatter of the windows.
-    tilt_px : (float, float)
-        How much more the blur is at the right end than at the left, and at the bottom than at the
-        top.
-    """
-
-    size_px: float
-    sizes_px: FloatArray
-    error_px: float
+    size_px: float  # unsigned blur size of the mask, from all windows together
+    sizes_px: FloatArray  # [rows, columns]; that of every window
+    error_px: float  # standard error of the size, from the scatter of the windows
+    # How much more the blur is at the right end than at the left, and at the bottom than at the
+    # top.
     tilt_px: tuple[float, float]
-    tilt_error_px: float
+    tilt_error_px: float  # standard error of the tilt, likewise
 
     @property
     def is_tilted(self) -> bool:

@@ -17,25 +17,16 @@ _MOST_SATURATED = 0.01
 class Planes:
     """Pictures of textured planes parallel to the sensor, one for each depth.
 
-    Attributes
-    ----------
-    images : tuple of ndarray, float32 [rows, columns] or [rows, columns, 3]
-        Linear light in [0, 1], all of one size.
-    depths_m : ndarray, float64 [I]
-        Depth of each plane, nearest first; where they come farthest first, they are turned round.
-    names : tuple of str
-        What to call each picture in messages.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than four planes, sizes differ, a depth is not positive, not the only
-        one of its value or out of order, or a picture is saturated or not finite.
+    Raises `InputError` if there are fewer than four planes, sizes differ, a depth is not positive,
+    not the only one of its value or out of order, or a picture is saturated or not finite.
     """
 
+    # [rows, columns] or [rows, columns, 3]; linear light in [0, 1], all of one size.
     images: tuple[FloatArray, ...]
+    # [I]; depth of each plane, nearest first; where they come farthest first, they are turned
+    # round.
     depths_m: DoubleArray
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # what to call each picture in messages
 
     def __post_init__(self) -> None:
         depths = np.asarray(self.depths_m, np.float64)

@@ -35,27 +35,16 @@ _TURNED = 0.95
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CentredPsf:
-    """A measured PSF whose middle and width are known.
-
-    Attributes
-    ----------
-    fine : FinePsf
-    place : ndarray of float64, shape [2]
-        Where its origin has to be (down, right), in px, so that the mask's extent is centred.
-    width_px : int
-        Odd; it is not wider.
-    blur_size_px : float
-        Signed width of the mask's extent. Without a mask, that of an even square with the same
-        spread, positive: right in proportion.
-    misfit : float
-        Relative difference (norm) from the mask's rendered PSF; NaN without a mask.
-    """
+    """A measured PSF whose middle and width are known."""
 
     fine: FinePsf
+    # [2]; where its origin has to be (down, right), in px, so that the mask's extent is centred.
     place: DoubleArray
-    width_px: int
+    width_px: int  # odd; it is not wider
+    # Signed width of the mask's extent. Without a mask, that of an even square with the same
+    # spread, positive: right in proportion.
     blur_size_px: float
-    misfit: float
+    misfit: float  # relative difference (norm) from the mask's rendered PSF; NaN without a mask
 
     def psf(self, width: int, scale: float = 1.0) -> DoubleArray:
         """Return the PSF as pixels record it [width, width], `scale` times as wide as measured."""

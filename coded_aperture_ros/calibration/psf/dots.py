@@ -47,29 +47,18 @@ _PARTS = 3
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DotPsf:
-    """A PSF measured from dots, not yet centred.
-
-    Attributes
-    ----------
-    fine : FinePsf
-    width_px : int
-        Odd; the PSF is not wider.
-    snr : float
-        Norm of the PSF over that of its noise, from two halves of the dots: its reciprocal is
-        the relative error that noise leaves.
-    field_variation : float
-        Largest relative difference (norm) of the PSF in a ninth of the picture from that of all,
-        without noise. NaN where no ninth has three dots.
-    spacing_px : float
-    used, saturated, rejected, missing : int
-        Dots: taken; saturated; unlike the others; not in their places of the grid.
-    """
+    """A PSF measured from dots, not yet centred."""
 
     fine: FinePsf
-    width_px: int
+    width_px: int  # odd; the PSF is not wider
+    # Norm of the PSF over that of its noise, from two halves of the dots: its reciprocal is the
+    # relative error that noise leaves.
     snr: float
+    # Largest relative difference (norm) of the PSF in a ninth of the picture from that of all,
+    # without noise. NaN where no ninth has three dots.
     field_variation: float
     spacing_px: float
+    # Dots: taken; saturated; unlike the others; not in their places of the grid.
     used: int
     saturated: int
     rejected: int

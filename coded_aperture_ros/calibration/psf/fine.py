@@ -21,18 +21,10 @@ _FAINT = 0.04
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FinePsf:
-    """Light on square cells around an origin.
+    """Light on square cells around an origin."""
 
-    Attributes
-    ----------
-    light : ndarray of float64, shape [n, n]
-        Sum 1; the origin is the middle.
-    cell_px : float
-        Width of a cell in px.
-    """
-
-    light: DoubleArray
-    cell_px: float
+    light: DoubleArray  # [n, n]; sum 1; the origin is the middle
+    cell_px: float  # width of a cell in px
 
     def at(self, width: int, centre: ArrayLike = (0.0, 0.0), scale: float = 1.0) -> DoubleArray:
         """Return what pixels record [width, width] if the origin lies `centre` off their middle.

@@ -42,21 +42,12 @@ _ADVICE = (
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DotLattice:
-    """A grid of dots in a picture.
+    """A grid of dots in a picture."""
 
-    Attributes
-    ----------
-    positions : ndarray of float64, shape [N, 2]
-        Row and column in px of each dot found, to about a tenth of a step.
-    spacing_px : float
-        Shortest step of the grid.
-    missing : int
-        Places within the grid where no dot was found.
-    """
-
+    # [N, 2]; row and column in px of each dot found, to about a tenth of a step.
     positions: DoubleArray
-    spacing_px: float
-    missing: int
+    spacing_px: float  # shortest step of the grid
+    missing: int  # places within the grid where no dot was found
 
 
 def find_lattice(picture: NDArray[np.floating]) -> DotLattice:

@@ -29,28 +29,16 @@ _REGISTERED_PX = 256
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PairPsf:
-    """A PSF measured from a sharp and a coded picture, not yet centred.
+    """A PSF measured from a sharp and a coded picture, not yet centred."""
 
-    Attributes
-    ----------
-    sharp, coded : ndarray of float64, shape [rows, columns]
-        What both pictures show, evenly lit.
-    width_px : int
-        Odd; the PSF is not wider.
-    snr : float
-        Norm of the PSF over that of its noise.
-    explained : float
-        Share of the coded picture's texture (its variance) that the sharp one explains, 0 to 1.
-    shift_px : tuple of int
-        Down and right: how far the coded picture lies off the sharp one.
-    """
-
+    # [rows, columns]; what both pictures show, evenly lit.
     sharp: DoubleArray
     coded: DoubleArray
-    width_px: int
-    snr: float
+    width_px: int  # odd; the PSF is not wider
+    snr: float  # norm of the PSF over that of its noise
+    # Share of the coded picture's texture (its variance) that the sharp one explains, 0 to 1.
     explained: float
-    shift_px: tuple[int, int]
+    shift_px: tuple[int, int]  # down and right: how far the coded picture lies off the sharp one
 
     def at(self, place: DoubleArray) -> DoubleArray:
         """Return the PSF at whole pixels, its origin moved by `place` (down, right), in px."""

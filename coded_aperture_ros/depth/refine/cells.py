@@ -17,26 +17,16 @@ HALVINGS = 2
 
 @dataclasses.dataclass(frozen=True)
 class Cells:
-    """Square cells that cover a frame, one around every patch's centre where there are patches.
+    """Square cells that cover a frame, one around every patch's centre where there are patches."""
 
-    Attributes
-    ----------
-    top, left : int
-        First pixel row and column of the first cell; 0 or less, as the cells cover the frame.
-    rows, columns : int
-        Number of cells, a multiple of ``2**HALVINGS``.
-    frame_shape : (int, int)
-        Rows and columns of the frame.
-    grid : PatchGrid
-        Where the patches lie.
-    """
-
+    # First pixel row and column of the first cell; 0 or less, as the cells cover the frame.
     top: int
     left: int
+    # Number of cells, a multiple of ``2**HALVINGS``.
     rows: int
     columns: int
-    frame_shape: tuple[int, int]
-    grid: PatchGrid
+    frame_shape: tuple[int, int]  # rows and columns of the frame
+    grid: PatchGrid  # where the patches lie
 
     @classmethod
     def covering(cls, frame_shape: tuple[int, ...], grid: PatchGrid) -> "Cells":

@@ -53,21 +53,11 @@ def resampling(sizes_px: DoubleArray) -> FloatArray:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Look:
-    """What the patches of one size tell about a frame.
+    """What the patches of one size tell about a frame."""
 
-    Attributes
-    ----------
-    volume : ndarray, float32 [grid rows, grid columns, L]
-        Cost of every level; see `Cost`.
-    misfit : ndarray, float32 [grid rows, grid columns]
-        See `Cost`.
-    grid : PatchGrid
-        Where the patches lie.
-    """
-
-    volume: FloatArray
-    misfit: FloatArray
-    grid: PatchGrid
+    volume: FloatArray  # [grid rows, grid columns, L]; cost of every level; see `Cost`
+    misfit: FloatArray  # [grid rows, grid columns]; see `Cost`
+    grid: PatchGrid  # where the patches lie
 
     @classmethod
     def of(cls, cost: Cost, grid: PatchGrid, volume: FloatArray | None = None) -> "Look":

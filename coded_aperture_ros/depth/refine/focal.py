@@ -9,17 +9,11 @@ from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Folding:
-    """Levels of both sides of the focal plane as blur sizes without sign.
+    """Levels of both sides of the focal plane as blur sizes without sign."""
 
-    Attributes
-    ----------
-    sizes_px : ndarray, float64 [n]
-        Blur sizes without sign, increasing.
-    far, near : ndarray, intp [n]
-        The level of each size beyond and before the focal plane; if there is none, the other one.
-    """
-
-    sizes_px: DoubleArray
+    sizes_px: DoubleArray  # [n]; blur sizes without sign, increasing
+    # [n]; the level of each size beyond and before the focal plane; if there is none, the other
+    # one.
     far: IndexArray
     near: IndexArray
 

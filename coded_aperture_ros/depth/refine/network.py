@@ -25,21 +25,13 @@ SCHEMA, SCHEMA_VERSION = "coded-aperture refinement network", 3
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Logits:
-    """What the network says of every half-cell; float32.
+    """What the network says of every half-cell; float32."""
 
-    Attributes
-    ----------
-    size : ndarray [tried, rows, columns]
-        Logits of the blur sizes that were tried.
-    log_width : ndarray [rows, columns]
-        Logarithm of the mean error in px, if the likeliest blur size is about right.
-    neighbour : ndarray of int [4, rows, columns]
-        For each quarter of a half-cell, which of the nine half-cells around has its blur size; row
-        by row, 4 is itself.
-    """
-
-    size: FloatArray
+    size: FloatArray  # [tried, rows, columns]; logits of the blur sizes that were tried
+    # [rows, columns]; logarithm of the mean error in px, if the likeliest blur size is about right.
     log_width: FloatArray
+    # [4, rows, columns]; for each quarter of a half-cell, which of the nine half-cells around has
+    # its blur size; row by row, 4 is itself.
     neighbour: IndexArray
 
 

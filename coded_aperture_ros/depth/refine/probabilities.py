@@ -17,30 +17,15 @@ _LOG_WIDTHS = (-4.0, 2.0)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class HalfCells:
-    """What is found of every half-cell [rows, columns]; float32.
+    """What is found of every half-cell [rows, columns]; float32."""
 
-    Attributes
-    ----------
-    size_px : ndarray
-        Blur size without sign: the mean around the likeliest three.
-    width_px : ndarray
-        Mean error of it, if it is about right.
-    about : ndarray
-        Probability that it is about right: that of the bins that it is the mean of.
-    probability : ndarray [tried, rows, columns]
-        Of every blur size that was tried, but for a factor `scale` [rows, columns].
-    scale : ndarray
-        See `probability`.
-    tried_px : ndarray [tried]
-        The blur sizes that were tried.
-    """
-
-    size_px: FloatArray
-    width_px: FloatArray
-    about: FloatArray
+    size_px: FloatArray  # blur size without sign: the mean around the likeliest three
+    width_px: FloatArray  # mean error of it, if it is about right
+    about: FloatArray  # probability that it is about right: that of the bins that it is the mean of
+    # [tried, rows, columns]; of every blur size that was tried, but for the factor `scale`.
     probability: FloatArray
-    scale: FloatArray
-    tried_px: FloatArray
+    scale: FloatArray  # [rows, columns]; see `probability`
+    tried_px: FloatArray  # [tried]; the blur sizes that were tried
 
     @classmethod
     def of(cls, logits: Logits, tried_px: FloatArray) -> "HalfCells":

@@ -80,15 +80,11 @@ def blurred_psf(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Motions:
-    """The motions that are distinguished.
+    """The motions that are distinguished."""
 
-    Attributes
-    ----------
-    vectors_px : ndarray of float64, shape [M, 2]
-        Way during the exposure, px: to the right, and down. Blur does not tell which way along
-        its line a point has gone, so no two of them are opposite. A vector of zeros is no motion.
-    """
-
+    # [M, 2]; way during the exposure, px: to the right, and down. Blur does not tell which way
+    # along its line a point has gone, so no two of them are opposite. A vector of zeros is no
+    # motion.
     vectors_px: DoubleArray
 
     def __post_init__(self) -> None:

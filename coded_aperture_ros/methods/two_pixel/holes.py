@@ -19,19 +19,12 @@ _USE_BANK = "use --method bank, which takes any mask"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Holes:
-    """Equal openings of a mask.
+    """Equal openings of a mask."""
 
-    Attributes
-    ----------
-    centres : ndarray, float64 [N, 2]
-        Row and column of every opening's centre from the middle of the mask, in units of the
-        mask's extent (``Delta_i`` of thesis eq. 5.1).
-    side : float
-        Side of an opening's bounding square, in the same units.
-    """
-
+    # [N, 2]; row and column of every opening's centre from the middle of the mask, in units of the
+    # mask's extent (``Delta_i`` of thesis eq. 5.1).
     centres: DoubleArray
-    side: float
+    side: float  # side of an opening's bounding square, in the same units
 
     @property
     def count(self) -> int:

@@ -49,57 +49,29 @@ class NeighbourModel:
     window shows at the lags. By the chain rule this is eq. 5.14 with the conditional mean and
     variance of eq. 5.15 and 5.16, one pixel of the line after the other. As in `FilterBank`, only
     ``a / s^2`` enters the weights, and the best noise of a hypothesis is found in closed form.
-
-    Attributes
-    ----------
-    stack : PsfStack
-        The L levels.
-    holes : Holes
-    lines : tuple of NeighbourLine
-    window_px : int
-        Side of the window of the statistics.
-    derivatives : int
-        Number P of channels.
-    lags : ndarray, intp [F, 2]
-        The lags of all lines, one after the other; measured for every channel.
-    kernels : tuple of tuples of ndarray, float32 [k, k]
-        That of every channel, for every line: smoothed across the line.
-    contrasts : tuple of float
-        The variances of texture that are tried under any noise.
-    ratios : ndarray, float64 [S]
-        Grid of ``a / s^2``, in half decades.
-    weights : ndarray, float32 [S, slopes, L, P * F]
-        What multiplies the measured covariances over ``s^2``, for the mean of ``v^T V^-1 v``.
-    log_determinants : ndarray, float32 [S, slopes, L]
-        Of ``a / s^2 S_d N^-1 + 1``, per number of the vectors.
-    noise_weights : ndarray, float32 [P * F]
-        As `weights`, without texture.
-    mask_digest : str
-        Digest of the mask's pattern.
-    learned_from : str
-        What the model is of, for a person to read.
-    noise : float
-        0: the noise of a frame is estimated, unless it is given.
-    stride_px : int
-        Distance between the windows, unless another is asked for.
     """
 
-    stack: PsfStack
+    stack: PsfStack  # the L levels
     holes: Holes
     lines: tuple[NeighbourLine, ...]
-    window_px: int
-    derivatives: int
+    window_px: int  # side of the window of the statistics
+    derivatives: int  # number P of channels
+    # [F, 2]; the lags of all lines, one after the other; measured for every channel.
     lags: IndexArray
+    # Each [k, k]; that of every channel, for every line: smoothed across the line.
     kernels: tuple[tuple[FloatArray, ...], ...]
-    contrasts: tuple[float, ...]
-    ratios: DoubleArray
+    contrasts: tuple[float, ...]  # the variances of texture that are tried under any noise
+    ratios: DoubleArray  # [S]; grid of ``a / s^2``, in half decades
+    # [S, slopes, L, P * F]; what multiplies the measured covariances over ``s^2``, for the mean of
+    # ``v^T V^-1 v``.
     weights: FloatArray
+    # [S, slopes, L]; of ``a / s^2 S_d N^-1 + 1``, per number of the vectors.
     log_determinants: FloatArray
-    noise_weights: FloatArray
-    mask_digest: str
-    learned_from: str
-    noise: float = 0.0
-    stride_px: int = DEFAULT_STRIDE_PX
+    noise_weights: FloatArray  # [P * F]; as `weights`, without texture
+    mask_digest: str  # digest of the mask's pattern
+    learned_from: str  # what the model is of, for a person to read
+    noise: float = 0.0  # 0: the noise of a frame is estimated, unless it is given
+    stride_px: int = DEFAULT_STRIDE_PX  # distance between the windows, unless another is asked for
 
     @property
     def fattening(self) -> float:

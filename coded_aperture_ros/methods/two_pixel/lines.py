@@ -17,26 +17,14 @@ class NeighbourLine:
 
     The disparity of a level need not be whole: the covariances at the whole lags around it, which
     are exact, say where between two of them it is.
-
-    Attributes
-    ----------
-    direction : ndarray, float64 [2]
-        Row and column, the longer of them 1.
-    pairs : int
-        How many pairs of holes lie in its direction.
-    positions : ndarray, intp [n, 2]
-        Row and column of the pixels, from the first one, a pixel apart along the longer axis.
-    lags : ndarray, intp [m, 2]
-        The different lags between two of them; rows >= 0. At most 2 n - 1.
-    lag_of_pair : ndarray, intp [n, n]
-        Index of every pair's lag.
     """
 
-    direction: DoubleArray
-    pairs: int
+    direction: DoubleArray  # [2]; row and column, the longer of them 1
+    pairs: int  # how many pairs of holes lie in its direction
+    # [n, 2]; row and column of the pixels, from the first one, a pixel apart along the longer axis.
     positions: IndexArray
-    lags: IndexArray
-    lag_of_pair: IndexArray
+    lags: IndexArray  # [m, 2]; the different lags between two of them; rows >= 0. At most 2 n - 1.
+    lag_of_pair: IndexArray  # [n, n]; index of every pair's lag
 
     @classmethod
     def along(cls, direction: DoubleArray, length_px: int, pairs: int = 1) -> "NeighbourLine":
