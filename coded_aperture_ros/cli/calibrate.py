@@ -13,7 +13,12 @@ from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, naming
 from coded_aperture_ros.cli.measuring import checked_config, tell
-from coded_aperture_ros.cli.options import add_commands, add_config_options, add_options
+from coded_aperture_ros.cli.options import (
+    add_commands,
+    add_config_options,
+    add_options,
+    written_name,
+)
 
 # What is measured from pictures; without an action, the command designs.
 ACTIONS: dict[str, Any] = {
@@ -95,11 +100,8 @@ def _design(args: argparse.Namespace) -> int:
     from coded_aperture_ros.optics import load_camera
 
     # Not required by the parser, which would also ask the actions for them.
-    missing = [
-        f"--{name.replace('_', '-')}"
-        for name in ("camera", "depth_range")
-        if getattr(args, name) is None
-    ]
+    needed = ("camera", "depth_range")
+    missing = [written_name(name) for name in needed if getattr(args, name) is None]
     if missing:
         args.usage_error(f"the following arguments are required: {', '.join(missing)}")
     near_m, far_m = args.depth_range

@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from coded_aperture_ros.cli.measuring import add_depths_option, tell
+from coded_aperture_ros.cli.measuring import add_planes_arguments, tell
 from coded_aperture_ros.cli.options import add_gamma_option, add_options
 from coded_aperture_ros.cli.progress import progress
 
@@ -26,13 +26,7 @@ def add_parser(subparsers: Any) -> None:
         "would pass for another depth, from pictures of textured planes at known depths.",
         epilog=_EPILOG,
     )
-    parser.add_argument(
-        "inputs",
-        nargs="+",
-        metavar="FOLDER|PICTURE",
-        help="folder with planes.json or planes.csv, or pictures with --depths",
-    )
-    add_depths_option(parser, "depth in m of each picture, by name in a folder")
+    add_planes_arguments(parser)
     add_options(parser, {"--camera YAML": "camera file, with mask and focus"}, required=True)
     add_gamma_option(parser)
     add_options(parser, {"--json": "print the numbers as JSON"})

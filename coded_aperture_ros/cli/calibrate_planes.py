@@ -11,8 +11,8 @@ from typing import Any
 from coded_aperture_ros.cli.checks import check_output, check_suffix
 from coded_aperture_ros.cli.measuring import (
     above,
-    add_depths_option,
     add_level_count_option,
+    add_planes_arguments,
     checked_config,
     rounded,
     tell,
@@ -59,13 +59,7 @@ def add_parser(subparsers: Any) -> None:
         "depth error by leaving out one plane after the other. The mask need not be known.",
         epilog=_EPILOG,
     )
-    parser.add_argument(
-        "inputs",
-        nargs="+",
-        metavar="FOLDER|PICTURE",
-        help="folder with planes.json or planes.csv, or pictures with --depths",
-    )
-    add_depths_option(parser, "depth in m of each picture, by name in a folder")
+    add_planes_arguments(parser)
     depth_range = "of the bank, in m (default: nearest to farthest plane)"
     add_options(parser, {"--depth-range NEAR FAR": depth_range}, type=float)
     add_level_count_option(parser, _LEVEL_COUNT, f"levels of the bank (default {_LEVEL_COUNT})")

@@ -20,7 +20,7 @@ from coded_aperture_ros.cli.demo_report import (
     table,
     write_results,
 )
-from coded_aperture_ros.cli.options import add_options
+from coded_aperture_ros.cli.options import add_options, between
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.share import SHARED_MEMORY_MB, share_directory, shared_memory_suffices
 
@@ -67,7 +67,7 @@ def add_parser(subparsers: Any) -> None:
     output = {"--output DIR": "where to put the results (default: %(default)s)"}
     seconds = {"--seconds N": "how long to measure (default: %(default)g)"}
     add_options(parser, output, type=Path, default=Path("demo_output"))
-    add_options(parser, seconds, type=_seconds, default=20.0)
+    add_options(parser, seconds, type=between(1, 86_400), default=20.0)
     add_options(parser, {"--json": "print the summary as JSON instead of the table"})
 
 
@@ -159,10 +159,3 @@ def _measure(monitor: "DemoMonitor", children: Children, say: Speaker, seconds: 
             say.table([f"{elapsed_s:.0f} of {seconds:g} s", *table(summarise(monitor, elapsed_s))])
         time.sleep(0.05)
     say.table([f"{seconds:g} s", *table(summarise(monitor, seconds))])
-
-
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not 1.0 <= value <= 86_400.0:
-        raise argparse.ArgumentTypeError("expected 1 to 86400 seconds")
-    return value

@@ -30,7 +30,7 @@ from coded_aperture_ros.cli.options import (
     add_deprecated_alias,
     add_gamma_option,
     add_options,
-    scale_factor,
+    between,
 )
 from coded_aperture_ros.core.errors import InputError
 
@@ -91,7 +91,7 @@ def add_parser(subparsers: Any) -> None:
         "--frame-scale S": "resample frames by S to the size that the bank is for; maps keep "
         "the frames' own size (default %(default)s)"
     }
-    add_options(parser, scale, type=scale_factor, default=1.0)
+    add_options(parser, scale, type=between(0.1, 10), default=1.0)
     add_options(parser, {"--json": "print a summary as JSON"})
     parser.add_late_options = add_estimator_settings
 

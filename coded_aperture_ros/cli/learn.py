@@ -20,6 +20,7 @@ from coded_aperture_ros.cli.options import (
     add_gamma_option,
     add_options,
     mask_of,
+    written_name,
 )
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError
@@ -175,7 +176,8 @@ def _check_usage(args: argparse.Namespace) -> None:
     ):
         given = any(getattr(args, source) is not None for source in sources)
         if getattr(args, name) is not None and not given:
-            args.usage_error(f"{_option(name)} only goes with {' or '.join(map(_option, sources))}")
+            needed = " or ".join(map(written_name, sources))
+            args.usage_error(f"{written_name(name)} only goes with {needed}")
     remap = args.remap is not None
     for wrong, message in (
         (remap and not args.camera, "--remap needs --camera, which says what the new setting is"),
@@ -200,10 +202,6 @@ def _check_usage(args: argparse.Namespace) -> None:
     ):
         if wrong:
             args.usage_error(message)
-
-
-def _option(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
 
 
 def _learned(args: argparse.Namespace) -> Any:

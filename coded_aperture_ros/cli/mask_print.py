@@ -8,7 +8,7 @@ from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
 from coded_aperture_ros.cli.measuring import rounded, tell
-from coded_aperture_ros.cli.options import add_options, mask_of
+from coded_aperture_ros.cli.options import add_options, mask_of, written_name
 
 _EPILOG = """examples:
   the mask of a camera file, in its size, on a round piece that fits a filter ring of 77 mm:
@@ -116,4 +116,4 @@ def _check_usage(args: argparse.Namespace) -> None:
     for name in ("extent_mm", "outer_mm", "smallest_cut_mm"):
         value = getattr(args, name)
         if value is not None and not 0 < value < math.inf:
-            args.usage_error(f"--{name.replace('_', '-')}: expected more than 0 mm, got {value:g}")
+            args.usage_error(f"{written_name(name)}: expected more than 0 mm, got {value:g}")

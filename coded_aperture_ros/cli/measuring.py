@@ -46,6 +46,13 @@ def add_depths_option(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument("--depths", type=_numbers, metavar="Z1,Z2,...", help=what)
 
 
+def add_planes_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the pictures of planes, and their depths."""
+    where = "folder with planes.json or planes.csv, or pictures with --depths"
+    parser.add_argument("inputs", nargs="+", metavar="FOLDER|PICTURE", help=where)
+    add_depths_option(parser, "depth in m of each picture, by name in a folder")
+
+
 def checked_config(args: argparse.Namespace, config: type) -> Any:
     """Return `config_from` the command line; values that do not go together are wrong usage."""
     try:

@@ -102,7 +102,7 @@ def add_config_options(
         default = defaults.get(name, field.default)
         allowed = f"{described.allowed}; " if described.allowed and not described.choices else ""
         present = group.add_argument(
-            _written(name),
+            written_name(name),
             type=_parser_of(type(field.default), described),
             choices=described.choices,
             default=default,
@@ -110,12 +110,12 @@ def add_config_options(
             help=f"{described.description} ({allowed}default {default})",
         )
         for former in described.formerly:
-            add_deprecated_alias(parser, _written(former), present)
+            add_deprecated_alias(parser, written_name(former), present)
     return group
 
 
-def _written(name: str) -> str:
-    """Return a setting's name as an option."""
+def written_name(name: str) -> str:
+    """Return the name of a setting, or of an attribute of the arguments, as an option."""
     return f"--{name.replace('_', '-')}"
 
 
@@ -187,6 +187,14 @@ def at_least(least: int) -> Callable[[str], int]:
     return checked(int, lambda value: value >= least, f"at least {least}")
 
 
+def between(least: float, most: float) -> Callable[[str], float]:
+    """Return a parser of numbers from `least` to `most`, both included."""
+    return checked(float, lambda value: least <= value <= most, f"{least:g} to {most:g}")
+
+
+noise_level = between(0, 0.5)  # parses a standard deviation in linear light
+
+
 def add_options(
     parser: argparse._ActionsContainer, options: Mapping[str, str], **others: Any
 ) -> argparse.Action:
@@ -238,19 +246,3 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
         ).rstrip()
         for line in lines
     )
-
-
-def scale_factor(text: str) -> float:
-    """Read a factor that frames are resampled by."""
-    factor = float(text)
-    if not 0.1 <= factor <= 10:
-        raise argparse.ArgumentTypeError(f"expected 0.1 to 10, got {text}")
-    return factor
-
-
-def noise_level(text: str) -> float:
-    """Parse a standard deviation in linear light."""
-    value = float(text)
-    if not 0 <= value <= 0.5:
-        raise argparse.ArgumentTypeError(f"expected 0 to 0.5, got {text}")
-    return value
