@@ -20,7 +20,7 @@ from coded_aperture_ros.cli.demo_report import (
     table,
     write_results,
 )
-from coded_aperture_ros.cli.options import add_options, between
+from coded_aperture_ros.cli.options import add_options, checked
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.share import SHARED_MEMORY_MB, share_directory, shared_memory_suffices
 
@@ -67,7 +67,8 @@ def add_parser(subparsers: Any) -> None:
     output = {"--output DIR": "where to put the results (default: %(default)s)"}
     seconds = {"--seconds N": "how long to measure (default: %(default)g)"}
     add_options(parser, output, type=Path, default=Path("demo_output"))
-    add_options(parser, seconds, type=between(1, 86_400), default=20.0)
+    allowed = checked(float, lambda value: 1 <= value <= 86_400, "1 to 86400 seconds")
+    add_options(parser, seconds, type=allowed, default=20.0)
     add_options(parser, {"--json": "print the summary as JSON instead of the table"})
 
 
