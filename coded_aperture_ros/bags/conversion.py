@@ -62,6 +62,7 @@ class BagConversion:
     map_size: str = "full"  # of the depth images, see `depth.map_size`
     motion: bool = False  # whether the pipeline's method finds motion
     prior: ExpectedMotion | None = None  # of all frames, for such a method
+    bits: int = 16  # of 16-bit frames
 
     def run(
         self, source: Path, target: Path, progress: Progress = lambda steps, total: steps
@@ -108,10 +109,10 @@ class BagConversion:
             least = max(config.least_noise, hidden)
             pipeline.reconfigure(depth=dataclasses.replace(config, least_noise=least))
         processor = FrameProcessor(
-            pipeline, image.type_name, size, depth_size, self.gamma, self.prior
+            pipeline, image.type_name, size, depth_size, self.gamma, self.prior, self.bits
         )
         warm_up(camera)
-        record = Record(image.type_name)
+        record = Record(image.type_name, self.bits)
         with frame_workers(processor, first) as submit, bag_output(target, bag.storage) as writer:
             preparation_s = time.perf_counter() - started_s
             for topic in (*bag.topics.values(), *result_topics(outputs, pipeline.deblurs)):

@@ -53,6 +53,7 @@ class FrameProcessor:
     map_size: tuple[int, int]  # and of the depth images
     gamma: Gamma = 1.0  # of 8-bit frames
     prior: ExpectedMotion | None = None  # of all frames
+    bits: int = 16  # of 16-bit frames
 
     @property
     def remembers(self) -> bool:
@@ -113,10 +114,10 @@ class FrameProcessor:
             raise MessageError(
                 "size", f"the frame is {columns}x{rows}, others are {self.size[1]}x{self.size[0]}"
             )
-        pixels, mosaic, coloured = picture.pixels, picture.mosaic, None
-        if mosaic and self.pipeline.deblurs:
-            coloured = frame_from_pixels(pixels, self.gamma, mosaic, coloured=True)
-        return picture, frame_from_pixels(pixels, self.gamma, mosaic), coloured
+        how, coloured = (picture.pixels, self.gamma, self.bits, picture.mosaic), None
+        if picture.mosaic and self.pipeline.deblurs:
+            coloured = frame_from_pixels(*how, coloured=True)
+        return picture, frame_from_pixels(*how), coloured
 
 
 def _fault(error: InputError, otherwise: str) -> tuple[str, str]:

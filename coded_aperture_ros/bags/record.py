@@ -38,8 +38,8 @@ class Sample:
 class Record:
     """Notes the results of all frames, of messages of one type, and keeps a few of them."""
 
-    def __init__(self, type_name: str) -> None:
-        self._type_name = type_name
+    def __init__(self, type_name: str, bits: int = 16) -> None:
+        self._type_name, self._bits = type_name, bits
         self.frames = 0  # also those that could not be used
         self.faults: Counter[str] = Counter()  # those, by the reason in a word
         self.reasons: dict[str, str] = {}  # the first of each in a line
@@ -165,7 +165,7 @@ class Record:
         picture = read_picture(recorded.data, self._type_name)
         self.samples[index] = Sample(
             index,
-            frame_from_pixels(picture.pixels, mosaic=picture.mosaic, coloured=True),
+            frame_from_pixels(picture.pixels, 1.0, self._bits, picture.mosaic, coloured=True),
             None if result.sharp is None else _shown(result.sharp, result.encoding),
             maps,
         )

@@ -13,7 +13,7 @@ from coded_aperture_ros.cli.estimators import (
     expected_motion_of,
     pipeline_of,
 )
-from coded_aperture_ros.cli.options import add_gamma_option, add_options
+from coded_aperture_ros.cli.options import add_bits_option, add_gamma_option, add_options
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.workers import load_in_fork_server, processors
 
@@ -73,6 +73,7 @@ def add_parser(subparsers: Any) -> None:
     add_options(parser, rank, type=int, default=_DEBLUR_RANK)
     add_options(parser, sizes)
     add_gamma_option(parser)
+    add_bits_option(parser)
     add_options(parser, {"--json": "print the results as JSON"})
     parser.add_late_options = _add_settings
 
@@ -109,6 +110,7 @@ def run(args: argparse.Namespace) -> int:
         camera=camera,
         new_pipeline=lambda camera: pipeline_of(args, camera, deblur),
         gamma=args.gamma,
+        bits=args.bits,
         map_size=args.output_size,
         motion=args.motion,
         prior=expected_motion_of(args, camera),

@@ -7,7 +7,12 @@ import json
 from typing import Any
 
 from coded_aperture_ros.cli.checks import naming
-from coded_aperture_ros.cli.options import add_gamma_option, add_options
+from coded_aperture_ros.cli.options import (
+    add_bits_option,
+    add_gamma_option,
+    add_mosaic_option,
+    add_options,
+)
 from coded_aperture_ros.core.errors import InputError
 
 # Of longer videos and bags, so many frames are enough.
@@ -40,6 +45,8 @@ def add_parser(subparsers: Any) -> None:
     far = {"--depth-range NEAR FAR": "in m (default: that of the bank)"}
     add_options(parser, far, type=float)
     add_gamma_option(parser)
+    add_mosaic_option(parser)
+    add_bits_option(parser)
     add_options(parser, {"--json": "print the findings as JSON"})
 
 
@@ -101,7 +108,8 @@ def _frames(args: argparse.Namespace) -> Any:
     for given in args.inputs:
         try:
             for capture in captures(open_files(given)):
-                frame = frame_from_pixels(capture.frame, args.gamma, capture.mosaic)
+                mosaic = capture.mosaic or args.bayer
+                frame = frame_from_pixels(capture.frame, args.gamma, args.bits, mosaic)
                 yield capture.name or given, frame
         except InputError as error:
             raise InputError(f"{given}: {error}") from error

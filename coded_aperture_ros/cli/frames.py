@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output
+from coded_aperture_ros.cli.options import add_bits_option, add_mosaic_option
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError
 
@@ -42,13 +43,8 @@ def add_input_options(parser: argparse.ArgumentParser, output_help: str) -> None
         metavar="INPUT",
         help="picture, .npy, folder of pictures, video, or bag (with #TOPIC: bag:PATH#TOPIC)",
     )
-    parser.add_argument(
-        "--bayer",
-        default="",
-        choices=("rggb", "bggr", "gbrg", "grbg"),
-        help="pictures are the grey mosaics of a sensor with these colour filters in every two by "
-        "two pixels; bags know it themselves",
-    )
+    add_mosaic_option(parser)
+    add_bits_option(parser)
     parser.add_argument("-o", "--output", required=True, metavar="OUT", help=output_help)
 
 
@@ -150,9 +146,10 @@ def named_frames(
         for path in outputs(target):
             check_output(path, files)
         mosaic = capture.mosaic or args.bayer
-        image = coloured = frame_from_pixels(capture.frame, args.gamma, mosaic)
+        how = capture.frame, args.gamma, args.bits, mosaic
+        image = coloured = frame_from_pixels(*how)
         if mosaic:
-            coloured = frame_from_pixels(capture.frame, args.gamma, mosaic, coloured=True)
+            coloured = frame_from_pixels(*how, coloured=True)
         least_noise = capture.lost * light_per_stored(
             float(np.nan_to_num(image).mean()), args.gamma
         )

@@ -146,6 +146,24 @@ def add_gamma_option(parser: argparse.ArgumentParser) -> None:
     add_options(parser, what, type=_gamma, default="1")
 
 
+def add_bits_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--bits`, for sensors whose numbers were not scaled."""
+    what = "of 16-bit input, where a sensor's 10 or 12 are not scaled to 16 (default %(default)s)"
+    parser.add_argument(
+        "--bits", type=int, choices=range(8, 17), default=16, metavar="N", help=what
+    )
+
+
+def add_mosaic_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--bayer`, for pictures as the sensor counts them."""
+    what = (
+        "pictures are the grey mosaics of a sensor with these colour filters in every two by two "
+        "pixels; bags know it themselves"
+    )
+    orders = "rggb", "bggr", "gbrg", "grbg"
+    parser.add_argument("--bayer", choices=orders, default="", help=what)
+
+
 def _gamma(text: str) -> Any:
     from coded_aperture_ros.imaging import gamma_from_text
 

@@ -96,7 +96,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         """Deblur and publish one frame."""
         image, depth = item
         header, gamma = image.header, self.frame_config.gamma
-        frame = frame_from_image(image, gamma, coloured=True)
+        frame = frame_from_image(image, gamma, self.frame_config.bits, coloured=True)
         depth_m = depth_of_frame(depth, image)
         # Beyond the range is deblurred as the end of the range; NaN stays unknown.
         depth_m = np.clip(depth_m, self._range.near_m, self._range.far_m or math.inf)

@@ -170,7 +170,7 @@ class DepthNode(FrameNode[Image]):
     def process(self, item: Image) -> None:
         """Estimate and publish the depth of one frame."""
         header, config = item.header, self.configs[DepthNodeConfig]
-        frame = frame_from_image(item, self.frame_config.gamma)
+        frame = frame_from_image(item, self.frame_config.gamma, self.frame_config.bits)
         frame_size = frame.shape[0], frame.shape[1]
         size = map_size(frame_size, config.output_size)
         self._model.fit(self._info.view(self._model.whole, frame_size))

@@ -48,6 +48,12 @@ class FrameNodeConfig:
         within=(0.2, 5.0),
         parameter="frames.gamma",
     )
+    bits: int = option(
+        16,
+        "Bits that 16-bit images have, where a sensor's 10 or 12 are not scaled to 16",
+        within=(8, 16),
+        parameter="frames.bits",
+    )
     max_rate_hz: float = option(
         0.0,
         "Most frames to process per second; 0: no limit",

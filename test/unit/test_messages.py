@@ -63,6 +63,19 @@ def test_colours_come_out_as_rgb_and_go_back(encoding, data):
     np.testing.assert_array_equal(again[:, :, :3], stored[:, :, :3])
 
 
+@pytest.mark.parametrize(("encoding", "coloured"), [("mono16", False), ("bayer_gbrg16", True)])
+def test_bits_that_a_sensor_does_not_scale(encoding, coloured):
+    stored = np.array([[0, 819, 4095], [1638, 2457, 4095]], np.uint16)
+    message = messages.image_from_array(stored, encoding, Header())
+    frame = messages.frame_from_image(message, bits=12, coloured=coloured)
+    if coloured:
+        frame = messages.pixels_from_frame(frame, encoding) / 65535
+    np.testing.assert_allclose(frame, stored / 4095, atol=3e-4)
+    more = messages.frame_from_image(message, bits=10, coloured=coloured)
+    if not coloured:  # clipped, and not what is left over
+        np.testing.assert_allclose(more, [[0, 0.8, 1], [1, 1, 1]], atol=2e-3)
+
+
 @pytest.mark.parametrize(("encoding", "luma"), [("yuv422", 1), ("yuv422_yuy2", 0)])
 def test_yuv_comes_out_as_rgb_and_goes_on_as_rgb(encoding, luma):
     """As cameras give it: 16 is black and 235 white, and two pixels share their colour."""

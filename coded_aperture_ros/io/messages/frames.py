@@ -24,17 +24,19 @@ _DEPTH_ROUNDING = 1e-4
 _MILLIMETRE = np.float32(1e-3)
 
 
-def frame_from_image(message: Any, gamma: Gamma = 1.0, coloured: bool = False) -> FloatArray:
+def frame_from_image(
+    message: Any, gamma: Gamma = 1.0, bits: int = 16, *, coloured: bool = False
+) -> FloatArray:
     """Return an image message as the frame that the library works on.
 
     See `array_from_image` and `frame_from_pixels`.
     """
     mosaic = encoding_of(message.encoding).mosaic
-    return frame_from_pixels(array_from_image(message), gamma, mosaic, coloured)
+    return frame_from_pixels(array_from_image(message), gamma, bits, mosaic, coloured)
 
 
 def frame_from_pixels(
-    pixels: NDArray, gamma: Gamma = 1.0, mosaic: str = "", coloured: bool = False
+    pixels: NDArray, gamma: Gamma = 1.0, bits: int = 16, mosaic: str = "", coloured: bool = False
 ) -> FloatArray:
     """Return stored pixels as the frame that the library works on.
 
@@ -44,6 +46,8 @@ def frame_from_pixels(
     gamma : float or "srgb"
         Turns 8-bit values into linear light; 1 for a linear sensor. 16-bit and
         float images are linear by definition.
+    bits : int
+        That 16-bit pixels have, where the sensor's numbers were not scaled to 16.
     mosaic : str
         Of colour filters before the pixels; see `grey_from_mosaic`.
     coloured : bool
@@ -54,6 +58,8 @@ def frame_from_pixels(
     float32, of the same shape, or with colours
         Linear light; integers are scaled to [0, 1], floats are taken as they are.
     """
+    if bits < 16 and pixels.dtype == np.uint16:
+        pixels = np.minimum(pixels, 2**bits - 1) << (16 - bits)
     frame = pixels if pixels.dtype == np.float32 else linear_from_pixels(pixels, gamma)
     if not mosaic:
         return frame
