@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output
+from coded_aperture_ros.cli.checks import check_output, naming
 from coded_aperture_ros.cli.options import add_bits_option, add_mosaic_option
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError
@@ -147,9 +147,10 @@ def named_frames(
             check_output(path, files)
         mosaic = capture.mosaic or args.bayer
         how = capture.frame, args.gamma, args.bits, mosaic
-        image = coloured = frame_from_pixels(*how)
-        if mosaic:
-            coloured = frame_from_pixels(*how, coloured=True)
+        with naming(given):
+            image = coloured = frame_from_pixels(*how)
+            if mosaic:
+                coloured = frame_from_pixels(*how, coloured=True)
         least_noise = capture.lost * light_per_stored(
             float(np.nan_to_num(image).mean()), args.gamma
         )

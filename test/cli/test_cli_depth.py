@@ -16,6 +16,7 @@ from scipy import ndimage
 
 from coded_aperture_ros.bank import load_bank
 from coded_aperture_ros.depth import REGULARIZERS, DepthConfig, DepthEstimator, estimate_video
+from coded_aperture_ros.imaging import mosaic_from_colour
 from coded_aperture_ros.io import read_depth, read_image
 from coded_aperture_ros.methods.choose import new_model
 from coded_aperture_ros.methods.motion import MotionConfig
@@ -636,3 +637,29 @@ def test_options_that_do_not_go_together(scene, tmp_path, capsys, options, phras
     arguments = ("--bank", scene.bank, scene.coded_npy, "-o", tmp_path / "depth.npy")
     wrong_usage(call(capsys, "depth", *arguments, *options), "depth", phrase)
     assert everything(tmp_path) == {}
+
+
+@pytest.mark.parametrize("command", ["depth", "deblur"])
+def test_mosaics_of_colour_filters(scene, tmp_path, capsys, command):
+    coded = np.load(scene.coded_npy)
+    mosaic = np.rint(4095 * mosaic_from_colour(coded, "gbrg")).astype(np.uint16)
+    cv2.imwrite(str(tmp_path / "mosaic.png"), mosaic)
+    model = ("--bank", scene.bank, "--camera", scene.camera)
+    raw = ("--bayer", "gbrg", "--bits", "12")
+    more = ("--depth", "auto", "--method", "inverse") if command == "deblur" else ()
+    output = tmp_path / ("sharp.png" if command == "deblur" else "depth.npy")
+    result = call(capsys, command, *model, *more, tmp_path / "mosaic.png", "-o", output, *raw)
+    assert (result.status, result.err) == (0, "")
+    if command == "deblur":
+        sharp = cv2.imread(str(output), cv2.IMREAD_UNCHANGED)[..., ::-1].reshape(-1, 3)
+        np.testing.assert_allclose(
+            sharp.mean(axis=0) / 65535, coded.reshape(-1, 3).mean(axis=0), rtol=0.05
+        )
+    else:
+        error = np.abs(np.load(output) / np.load(scene.depth_npy) - 1)
+        assert np.nanmedian(error) < 0.05
+    colours = tmp_path / "colours.png"
+    cv2.imwrite(str(colours), np.rint(65535 * coded).astype(np.uint16))
+    refused = call(capsys, command, *model, *more, colours, "-o", output, *raw)
+    assert refused.status == 1
+    assert f"{colours}: mosaic: expected a grey frame" in refused.err

@@ -29,7 +29,7 @@ CAUSES = {
     "range": "nearer or farther than the bank's levels, or all in focus",
     "scale": "not this scale: the pictures were enlarged, binned or cropped",
     "tone": "values are not linear light: set the gamma",
-    "processed": "sharpened, denoised or otherwise processed pictures",
+    "processed": "pictures that were sharpened, denoised or demosaiced, or a raw mosaic (bayer)",
 }
 # From here on a frame is said to fit.
 FITS = 0.5
