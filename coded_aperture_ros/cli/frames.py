@@ -151,10 +151,8 @@ def named_frames(
             image = coloured = frame_from_pixels(*how)
             if mosaic:
                 coloured = frame_from_pixels(*how, coloured=True)
-        least_noise = capture.lost * light_per_stored(
-            float(np.nan_to_num(image).mean()), args.gamma
-        )
-        least_noise = round(least_noise, 4)
+        light = float(np.nan_to_num(image).mean())
+        least_noise = round(capture.lost * light_per_stored(light, args.gamma), 4)
         yield NamedFrame(
             given, target, image, capture.stamp_ns, video, least_noise, coloured=coloured
         )

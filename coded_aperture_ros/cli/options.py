@@ -121,7 +121,9 @@ def written_name(name: str) -> str:
 
 def _parser_of(kind: type, described: Option) -> Callable[[str], Any]:
     def parse(text: str) -> Any:
-        value = kind(text)
+        if kind is bool and text.lower() not in ("true", "false"):
+            raise argparse.ArgumentTypeError(f"expected true or false, got {text}")
+        value = text.lower() == "true" if kind is bool else kind(text)
         try:
             check_option("", value, kind, described)
         except InputError as error:

@@ -663,3 +663,17 @@ def test_mosaics_of_colour_filters(scene, tmp_path, capsys, command):
     refused = call(capsys, command, *model, *more, colours, "-o", output, *raw)
     assert refused.status == 1
     assert f"{colours}: mosaic: expected a grey frame" in refused.err
+
+
+@pytest.mark.parametrize(("given", "checked"), [("false", False), ("True", True)])
+def test_the_check_of_fit_can_be_turned_off(scene, tmp_path, capsys, given, checked):
+    model = ("--bank", scene.bank, "--camera", scene.camera, scene.coded_npy)
+    result = call(capsys, "depth", *model, "-o", tmp_path / "d.npy", "--check-fit", given, "--json")
+    (summary,) = json.loads(result.out)
+    assert (summary.get("health") is not None) == checked
+
+
+def test_what_is_neither_true_nor_false_is_refused(scene, tmp_path, capsys):
+    model = ("--bank", scene.bank, "--camera", scene.camera, scene.coded_npy)
+    result = call(capsys, "depth", *model, "-o", tmp_path / "d.npy", "--check-fit", "no")
+    wrong_usage(result, "depth", "--check-fit", "expected true or false, got no")
