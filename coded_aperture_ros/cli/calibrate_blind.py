@@ -92,7 +92,10 @@ def run(args: argparse.Namespace) -> int:
     summary = _summary(args, names, found, round(time.perf_counter() - start, 3))
     _write_files(args, found, filters, summary)
     warning = f"the blur is larger than {config.largest_blur_px} px: try a larger --largest-blur-px"
-    return tell(args, summary, _text, [warning] if found.reaches_limit else [])
+    warnings = [warning] if found.reaches_limit else []
+    if found.doubtful:
+        warnings.append("this may not be the mask: try more --starts, or pictures of more planes")
+    return tell(args, summary, _text, warnings)
 
 
 def _summary(
@@ -107,6 +110,7 @@ def _summary(
         "explained": round(found.explained, 4),
         "orientation": "as found or turned by 180 degrees",
         "reaches_limit": found.reaches_limit,
+        "doubtful": found.doubtful,
         "planes": [
             {"file": name, "blur_size_px": round(float(size), 3)}
             for name, size in zip(names, found.blur_sizes_px, strict=True)

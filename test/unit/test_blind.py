@@ -70,6 +70,12 @@ def test_mask_and_blur_sizes_are_found(found):
     assert found.blur_sizes_px == pytest.approx(SIZES_PX, rel=0.02)
     assert found.explained > 0.85
     assert not found.reaches_limit
+    assert not found.doubtful
+
+
+def test_a_mask_that_the_grids_cannot_show_is_doubtful(pictures):
+    config = dataclasses.replace(CONFIG, least_cells=4, most_cells=4)
+    assert find_mask(pictures, names(), config).doubtful
 
 
 def test_the_picture_shows_the_mask_and_every_spectrum(found):
@@ -261,7 +267,7 @@ def known(monkeypatch):
         mask = Mask("found", Mask.named("levin").transmission[::-1, ::-1])
         spectra = np.random.default_rng(0).random((len(images), 2, 64, 33))
         sizes = np.linspace(7, 30, len(images))
-        return BlindMask(mask, sizes, 0.9, spectra, reaches_limit=True)
+        return BlindMask(mask, sizes, 0.9, spectra, reaches_limit=True, doubtful=True)
 
     monkeypatch.setattr("coded_aperture_ros.calibration.blind.find.find_mask", find)
 
@@ -277,6 +283,7 @@ def test_the_examples_of_calibrate_blind(folder, capsys, known, caplog):
         assert "mask of 11x11 cells" in result.out
         assert "turned by 180 degrees" in result.out
     assert "the blur is larger than 32 px" in caplog.text
+    assert "this may not be the mask: try more --starts" in caplog.text
 
 
 @pytest.mark.parametrize(

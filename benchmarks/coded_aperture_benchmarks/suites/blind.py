@@ -29,6 +29,7 @@ _COLUMNS = {
     "correlation": "{correlation:.3f}",
     "cells": "{cells[1]}x{cells[0]}",
     "size error": "{largest_size_error:.2%}",
+    "doubtful": "{doubtful}",
     **{
         f"{method} {title}": f"{{{method}[{name}]:.2f}}"
         for method in _METHODS
@@ -76,6 +77,7 @@ def measure(cell: Cell) -> Row:
     row["correlation"] = round(mask_correlation(found.mask, mask), 4)
     row["cells"] = list(found.mask.transmission.shape)
     row["explained"] = round(found.explained, 4)
+    row["doubtful"] = found.doubtful
     row["largest_size_error"] = round(float(np.abs(error).max()), 4)
     for method in _METHODS:
         loss = deblurring_loss(planes, found.mask, found.blur_sizes_px, method)

@@ -24,7 +24,7 @@ class BlindConfig:
     )
     least_cells: int = option(7, "Masks have at least so many cells a side.", within=(3, 24))
     most_cells: int = option(13, "Masks have at most so many cells a side.", within=(3, 24))
-    starts: int = option(2, "Random starts for each number and width of cells.", within=(1, 1000))
+    starts: int = option(8, "Random starts for each number and width of cells.", within=(1, 1000))
     seed: int = option(0, "Of the random starts.", minimum=0)
 
     def __post_init__(self) -> None:

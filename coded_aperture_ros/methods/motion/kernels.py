@@ -17,7 +17,8 @@ def motion_kernel(motion_px: tuple[float, float], width_px: int | None = None) -
     A pixel's value is the share of the exposure that the point spends near it, counted by linear
     interpolation between pixels. The weights are polynomials between the places where the point
     passes rows and columns of pixels, and integrated exactly: the kernel is smooth in the motion,
-    and its mean and direction are those of the line, however short that is.
+    and its mean and direction are those of the line, however short that is. Raises `InputError` if
+    the motion is not finite, or the width is even or does not hold the trace.
 
     Parameters
     ----------
@@ -31,11 +32,6 @@ def motion_kernel(motion_px: tuple[float, float], width_px: int | None = None) -
     -------
     ndarray of float32, shape [k, k]
         Unit sum.
-
-    Raises
-    ------
-    InputError
-        If the motion is not finite, or the width is even or does not hold the trace.
     """
     right, down = (float(part) for part in motion_px)
     if not (math.isfinite(right) and math.isfinite(down)):
@@ -100,14 +96,8 @@ class Motions:
     def grid(directions: int, lengths_px: ArrayLike, static: bool = True) -> "Motions":
         """Return motions in equally spaced directions, each in all lengths.
 
-        Parameters
-        ----------
-        directions : int
-            Between 0 degrees, to the right, and 180.
-        lengths_px : array_like of float
-            More than 0.
-        static : bool, optional
-            Whether no motion is the first of them.
+        So many `directions` lie between 0 degrees, to the right, and 180; lengths are more than 0.
+        With `static` no motion is the first of them.
         """
         lengths = np.atleast_1d(np.asarray(lengths_px, np.float64))
         if directions < 1 or not (lengths > 0).all() or not lengths.size:

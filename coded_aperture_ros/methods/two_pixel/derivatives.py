@@ -25,14 +25,8 @@ def channel_kernel(
     Smoothing across a line leaves what is on it as it is, but for the noise: the texture that the
     blur has left changes slowly from line to line. To be correlated, as by ``cv2.filter2D``.
 
-    Parameters
-    ----------
-    channel : int
-        0 to 3: the difference to the right, downward, or along a diagonal.
-    direction : ndarray [2], optional
-        Row and column.
-    smoothing : int, optional
-        How many times neighbours across the direction are averaged; even.
+    `channel` is 0 to 3: the difference to the right, downward, or along a diagonal. The direction
+    [2] is (row, column). Neighbours across it are averaged `smoothing` times, an even number.
     """
     kernel = _DIFFERENCES[channel]
     if direction is not None and smoothing:
