@@ -15,7 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 from coded_aperture_benchmarks.frames.misfits import MISFITS, Fitting, Recorded, recorded
-from coded_aperture_benchmarks.layered import random_scene
+from coded_aperture_benchmarks.layered import LayeredScene, random_scene
 from costs import with_levels
 from scenes import BLUR_STEP, FRAME_PX, FRAMES_PER_SHARD, LIGHT_STEP, drawn, mask_of
 from shards import add_shard_options, compute
@@ -46,6 +46,9 @@ _FITTING_FRAMES = 3
 _WINDOW_PX, _CONFIDENT, _ENOUGH = 48, 0.55, 200
 _NEAR_INFINITY_PX = 3.0
 FITS = "fits"
+# One frame in so many shows a board that fills it, and one comes through a badly cut mask.
+_OF_BOARDS, _OF_BADLY_CUT = 6, 6
+_NARROWEST_PX, _BADLY_CUT = 1.2, (0.08, 0.18)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -104,9 +107,49 @@ def _some_levels(shown: _Shown, low_px: float, high_px: float) -> _Shown:
     return _Shown(with_levels(shown.bank, kept), with_levels(shown.small, kept))
 
 
+@lru_cache(maxsize=1)
+def _scene(number: int) -> LayeredScene:
+    what = drawn(number)
+    scene = random_scene(what.seed, mask_of(what.mask), what.side, (FRAME_PX, FRAME_PX))
+    if not _shows_board(number):
+        return scene
+    # As where a lens is calibrated: no other surface tells the bank's other levels from beyond.
+    widest = float(np.nanmax(np.abs(scene.blur_size_px())))
+    random = np.random.default_rng([22, number])
+    size = float(np.exp(random.uniform(*np.log([_NARROWEST_PX, max(widest, 2.0)]))))
+    sign = -1.0 if what.side == "near" else 1.0
+    board = dataclasses.replace(scene.layers[-1], blur_px=(sign * size, 0, 0), relief_px=None)
+    return LayeredScene((board,), scene.camera)
+
+
+def _shows_board(number: int) -> bool:
+    return number % _OF_BOARDS == 0
+
+
+def _light(number: int, light: np.ndarray, blur_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a frame of a shard and the blur sizes that it shows, some of them made anew."""
+    badly_cut = number % _OF_BADLY_CUT == 1
+    if not badly_cut and not _shows_board(number):
+        return light, blur_px
+    mask, scene = mask_of(drawn(number).mask), _scene(number)
+    random = np.random.default_rng([23, number])
+    strength = random.uniform(*_BADLY_CUT) if badly_cut else random.uniform(0, 0.08)
+    cells = mask.transmission * (1 + strength * random.standard_normal(mask.transmission.shape))
+    light = scene.coded(Mask(mask.name, np.clip(cells, 0, 1).astype(np.float32)))
+    if _shows_board(number):
+        blur_px = np.abs(scene.blur_size_px())
+    return np.clip(light, 0, 1), blur_px
+
+
 def _range(blur_px: np.ndarray, random: np.random.Generator) -> tuple[float, float]:
     """Return the blur sizes of a bank for about the scene's depth range."""
     low, high = np.nanmin(blur_px), np.nanmax(blur_px)
+    if high - low < 1e-3:  # a board somewhere in the range
+        low, high = low - random.exponential(1.0), high + random.uniform(2, 16)
+        if random.random() < 0.4:
+            low = max(low - random.uniform(2, 16), 0)
+            high = float(np.nanmax(blur_px)) + random.exponential(1.0)
+        return low, max(high, low + 3.5)
     ends = np.array([low, high]) + random.exponential(1.0, 2) * [-1, 1]
     if random.random() < 0.3:
         ends += [-8, 8]
@@ -129,18 +172,14 @@ def _frames(
     if random.random() < 0.3:
         light = cv2.GaussianBlur(light, (0, 0), random.uniform(0.15, 0.5))
 
-    @lru_cache(maxsize=1)
-    def scene() -> Any:
-        return random_scene(what.seed, mask_of(what.mask), what.side, (FRAME_PX, FRAME_PX))
-
     def ordinary(extent: float) -> np.ndarray:
         disc = Mask.named("disc").transmission
         margin = int(len(disc) * max(1 / extent - 1, 0) / 2)
-        return scene().coded(Mask("lens", np.pad(disc, margin)))
+        return _scene(number).coded(Mask("lens", np.pad(disc, margin)))
 
     noise = float(np.exp(random.uniform(np.log(3e-4), np.log(5e-3))))
     fitting = Fitting(
-        light, lambda: scene().all_in_focus(), ordinary, own.bank.stack, blur_px, noise
+        light, lambda: _scene(number).all_in_focus(), ordinary, own.bank.stack, blur_px, noise
     )
     for index in range(_FITTING_FRAMES):
         share, factor = random.uniform(0.3, 1), np.exp(random.normal(0, 0.5))
@@ -226,7 +265,7 @@ def shown_shard(
             continue
         far = -1 if drawn(number).side == "near" else 1
         infinity_px = far * max(abs(float(infinity[index])), 1.2 * float(np.nanmax(blur_px)))
-        frame = frame * np.float32(LIGHT_STEP)
+        frame, blur_px = _light(number, frame * np.float32(LIGHT_STEP), blur_px)
         for kind, strength, one, shown in _frames(number, frame, blur_px, folder):
             told = _told(one, shown, infinity_px)
             if told is None:
