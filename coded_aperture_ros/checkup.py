@@ -37,10 +37,7 @@ class Finding:
 def camera_findings(camera: Camera, near_m: float, far_m: float) -> list[Finding]:
     """Say what a camera can tell apart over a depth range, and at what price.
 
-    Raises
-    ------
-    InputError
-        If the range is not one of the camera's.
+    Raises `InputError` if the range is not one of the camera's.
     """
     setting = setting_of(camera, near_m, far_m)
     told_apart = resolutions_m(camera, near_m, far_m)
@@ -108,17 +105,14 @@ def camera_findings(camera: Camera, near_m: float, far_m: float) -> list[Finding
 class FrameCheckup:
     """Looks at frames, one by one.
 
+    Raises `InputError` if the bank is not for the camera.
+
     Parameters
     ----------
     camera : Camera
         That took them.
     bank : FilterBank
         That is to be used for them.
-
-    Raises
-    ------
-    InputError
-        If the bank is not for the camera.
     """
 
     def __init__(self, camera: Camera, bank: FilterBank) -> None:

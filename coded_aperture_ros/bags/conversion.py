@@ -69,6 +69,9 @@ class BagConversion:
     ) -> dict[str, Any]:
         """Convert all frames of a bag into another one, with a report in its folder.
 
+        Raises `InputError` if the bag cannot be read, has no such topics or no frame that can be
+        used, or the output cannot be written.
+
         Parameters
         ----------
         progress : callable, optional
@@ -78,12 +81,6 @@ class BagConversion:
         -------
         dict
             What the report says, ready for JSON.
-
-        Raises
-        ------
-        InputError
-            If the bag cannot be read, has no such topics or no frame that can be used, or the
-            output cannot be written.
         """
         new_figure(1, 1)  # without matplotlib there would be no report
         started_s = time.perf_counter()

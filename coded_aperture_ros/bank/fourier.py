@@ -92,6 +92,8 @@ class WindowedFourierBasis:
     def power(self, image: FloatArray, stride_px: int) -> tuple[FloatArray, PatchGrid]:
         """Return the power spectrum of every window; slow, for learning and for tests.
 
+        Raises `InputError` if the image is smaller than the window.
+
         Parameters
         ----------
         image : ndarray, float32 [rows, columns]
@@ -103,11 +105,6 @@ class WindowedFourierBasis:
         -------
         power : ndarray, float32 [grid rows, grid columns, K]
         grid : PatchGrid
-
-        Raises
-        ------
-        InputError
-            If the image is smaller than the window.
         """
         n = self.window_px
         grid = PatchGrid.covering(image.shape, n, stride_px)

@@ -30,6 +30,9 @@ def remap_bank(
 ) -> FilterBank:
     """Make the bank of another setting of the same lens and mask; all else stays as it is.
 
+    Raises `InputError` if the range does not suit the camera, the levels lie where the camera has
+    no depth, or new levels are asked of a bank whose mask is not known.
+
     Parameters
     ----------
     bank : FilterBank
@@ -42,12 +45,6 @@ def remap_bank(
         Depth range of the new levels. Without it the filters stay as they are, and get new depths.
     level_count : int, optional
         Number of new levels, with a depth range; by default that of the bank.
-
-    Raises
-    ------
-    InputError
-        If the range does not suit the camera, the levels lie where the camera has no depth, or
-        new levels are asked of a bank whose mask is not known.
     """
     if (near_m is None) != (far_m is None):
         raise InputError("a depth range needs both near_m and far_m")
@@ -88,12 +85,7 @@ def refocused(pattern: LearnedPattern, camera: Camera) -> LearnedPattern:
 
     All sizes in px scale with the width of the pictures. Where the focal length in mm is known, the
     image distance follows the focus; else it stays, which is off by about the focal length over
-    the distance.
-
-    Raises
-    ------
-    InputError
-        If the lens cannot be focused there.
+    the distance. Raises `InputError` if the lens cannot be focused there.
     """
     slope = pattern.slope_px_m * camera.image_width / pattern.image_width
     focal_length_mm = camera.focal_length_mm

@@ -11,10 +11,7 @@ from coded_aperture_ros.core.errors import InputError
 def dask_client(address: str) -> Iterator[Any]:
     """Yield a client of a Dask scheduler, as `--scheduler` names it.
 
-    Raises
-    ------
-    InputError
-        If Dask is not installed, or no scheduler answers.
+    Raises `InputError` if Dask is not installed, or no scheduler answers.
     """
     try:
         from distributed import Client

@@ -40,6 +40,9 @@ def read_archive(
 ) -> dict[str, NDArray[Any]]:
     """Read the arrays of a `.npz` without ever unpickling.
 
+    Raises `InputError`, naming the file, if it is missing, cut off, of another kind or of a newer
+    version.
+
     Parameters
     ----------
     path : path-like
@@ -53,11 +56,6 @@ def read_archive(
     Returns
     -------
     dict of str to ndarray
-
-    Raises
-    ------
-    InputError
-        Naming the file, if it is missing, cut off, of another kind or of a newer version.
     """
     path = Path(path)
     try:

@@ -13,7 +13,8 @@ from coded_aperture_ros.core.errors import InputError
 def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it to `path` if the block succeeds.
 
-    The temporary name keeps the suffix, because encoders choose their format by it.
+    The temporary name keeps the suffix, because encoders choose their format by it. Raises
+    `InputError` if the folder cannot be created or written to, or the disk is full.
 
     Parameters
     ----------
@@ -24,11 +25,6 @@ def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
     ------
     pathlib.Path
         Where the block must write its output.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be created or written to, or the disk is full.
     """
     target = Path(path)
     try:
@@ -54,15 +50,8 @@ def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
 def atomic_outputs() -> Iterator[Callable[[str | os.PathLike[str]], Path]]:
     """Yield `atomic_output` for several files, none of which appears before the block succeeds.
 
-    Yields
-    ------
-    callable
-        Given the file to create or replace, it returns where the block must write it.
-
-    Raises
-    ------
-    InputError
-        See `atomic_output`.
+    What is yielded gets the file to create or replace, and returns where the block must write it.
+    Raises `InputError` as `atomic_output` does.
     """
     with ExitStack() as files:
         yield lambda path: files.enter_context(atomic_output(path))

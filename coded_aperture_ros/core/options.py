@@ -109,12 +109,8 @@ def renamed(former: str, present: str) -> str:
 def check_options(config: Any) -> None:
     """Check every option of a dataclass instance against its type, choices and range.
 
-    Meant to be called from `__post_init__`.
-
-    Raises
-    ------
-    InputError
-        Naming the setting, its value and what is allowed.
+    Meant to be called from `__post_init__`. Raises `InputError`, naming the setting, its value and
+    what is allowed.
     """
     for name, (field, described) in options_of(config).items():
         check_option(name, getattr(config, name), type(field.default), described)

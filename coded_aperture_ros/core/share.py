@@ -14,12 +14,8 @@ def share_directory() -> Path:
     """Return the folder that has the `config` folder of this package in it.
 
     That is `PREFIX/share/coded_aperture_ros` where the package is installed (by pip, colcon or a
-    system package), and the source checkout where it runs from there. No ROS is needed.
-
-    Raises
-    ------
-    InputError
-        If the package was copied without its shared files.
+    system package), and the source checkout where it runs from there. No ROS is needed. Raises
+    `InputError` if the package was copied without its shared files.
     """
     here = Path(__file__).resolve()
     for parent in here.parents:

@@ -20,17 +20,13 @@ class Workers:
 
     NumPy and OpenCV let other threads run while they compute, so that plain threads suffice as
     long as each call has enough to do. The numerical libraries themselves should use one thread
-    each beside this (``OPENBLAS_NUM_THREADS=1``, which the nodes and the command line set).
+    each beside this (``OPENBLAS_NUM_THREADS=1``, which the nodes and the command line set). Raises
+    `InputError` if there are fewer processors.
 
     Parameters
     ----------
     threads : int
         At most the number of processors. The calling thread is one of them.
-
-    Raises
-    ------
-    InputError
-        If there are fewer processors.
     """
 
     def __init__(self, threads: int = 1) -> None:
@@ -80,12 +76,7 @@ def processors() -> int:
 
 
 def check_threads(threads: int) -> None:
-    """Refuse more threads than there are processors.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse more threads than there are processors, by an `InputError`."""
     available = processors()
     if not 1 <= threads <= available:
         raise InputError(
@@ -97,10 +88,7 @@ def check_threads(threads: int) -> None:
 def thread_count(threads: int) -> int:
     """Return how many threads a setting means on this machine; 0: all processors, four at most.
 
-    Raises
-    ------
-    InputError
-        If there are fewer processors.
+    Raises `InputError` if there are fewer processors.
     """
     threads = threads or min(processors(), _AUTOMATIC_THREADS)
     check_threads(threads)

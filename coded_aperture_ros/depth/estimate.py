@@ -97,12 +97,7 @@ class DepthEstimate:
 
 
 def check_map_size(size: tuple[int, int] | None) -> None:
-    """Refuse a size (rows, columns) that no map can have.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse a size (rows, columns) that no map can have, by an `InputError`."""
     if size is not None and min(size) < 1:
         raise InputError(f"size of the depth map: expected at least 1x1, got {size}")
 

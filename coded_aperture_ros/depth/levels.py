@@ -37,10 +37,7 @@ class Levels:
     def of(cls, model: LikelihoodModel, camera: Camera | None = None) -> "Levels":
         """Return the levels of a model, in metres where a camera or the model itself knows.
 
-        Raises
-        ------
-        InputError
-            If the model is not for the camera.
+        Raises `InputError` if the model is not for the camera.
         """
         stack = model.stack
         by_camera = camera if camera is not None and not depths_are_measured(model) else None

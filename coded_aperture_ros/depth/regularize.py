@@ -60,10 +60,7 @@ class Regularizer(Protocol):
 def regularizer(name: str, smoothness: float = 1.0) -> Regularizer:
     """Return one of `REGULARIZERS`, of a strength relative to its default.
 
-    Raises
-    ------
-    InputError
-        If there is none of that name.
+    Raises `InputError` if there is none of that name.
     """
     if name not in REGULARIZERS:
         raise InputError(f"regularize: {name!r} is not one of {', '.join(REGULARIZERS)}")

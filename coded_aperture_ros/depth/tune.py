@@ -53,6 +53,8 @@ def tune(
 ) -> tuple[FilterBank, list[Trial]]:
     """Learn the most accurate bank that needs no more than a time per frame on this machine.
 
+    Raises `InputError` if none is fast enough, naming the fastest, or no window suits the frames.
+
     Parameters
     ----------
     learn : callable
@@ -72,11 +74,6 @@ def tune(
         With `stride_px` and `level_error`.
     trials : list of Trial
         All that were tried.
-
-    Raises
-    ------
-    InputError
-        If none is fast enough, naming the fastest, or no window suits the frames.
     """
     config = config or DepthConfig(temporal_frames=VIDEO_FRAMES)
     banks: dict[int, FilterBank] = {}

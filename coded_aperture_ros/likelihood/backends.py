@@ -73,6 +73,8 @@ class EngineLikelihood:
 def new_engine(plan: Plan, backend: str = "numpy", threads: int = 1) -> Engine:
     """Return what computes the energies of a plan.
 
+    Raises `InputError` if the backend is not there, or there are fewer processors than threads.
+
     Parameters
     ----------
     backend : str
@@ -80,11 +82,6 @@ def new_engine(plan: Plan, backend: str = "numpy", threads: int = 1) -> Engine:
         `auto` takes the GPU where there is one, and NumPy elsewhere.
     threads : int
         Of the processor.
-
-    Raises
-    ------
-    InputError
-        If the backend is not there, or there are fewer processors than threads.
     """
     check_backend(backend)
     device = torch_device(backend)
@@ -105,10 +102,7 @@ def torch_device(backend: str) -> str | None:
 def check_backend(backend: str) -> None:
     """Check that a backend is there.
 
-    Raises
-    ------
-    InputError
-        Saying what is missing.
+    Raises `InputError`, saying what is missing.
     """
     if backend not in BACKENDS:
         raise InputError(f"backend: {backend!r} is not one of {', '.join(BACKENDS)}")

@@ -81,10 +81,7 @@ class Plan:
     def of(cls, bank: Filters, shape: tuple[int, ...], stride_px: int) -> "Plan":
         """Plan for frames of `shape` (rows, columns) with patches every `stride_px`.
 
-        Raises
-        ------
-        InputError
-            If the frame is smaller than a patch.
+        Raises `InputError` if the frame is smaller than a patch.
         """
         grid = PatchGrid.covering(shape, bank.window_px, stride_px)
         n, half = bank.window_px, bank.window_px // 2

@@ -23,10 +23,7 @@ _PRECISION = "highest"
 class TorchEngine:
     """Energies of every patch of frames of one size, on `cpu` or `cuda`; see `Engine`.
 
-    Raises
-    ------
-    InputError
-        If there are fewer processors than threads.
+    Raises `InputError` if there are fewer processors than threads.
     """
 
     def __init__(self, plan: Plan, threads: int = 1, device: str = "cpu") -> None:

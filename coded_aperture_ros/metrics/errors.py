@@ -28,6 +28,8 @@ def depth_error(
 ) -> DepthError:
     """Compare a depth map with the truth.
 
+    Raises `InputError` if the shapes differ.
+
     Parameters
     ----------
     depth_m, confidence : ndarray of float, shape [h, w]
@@ -37,11 +39,6 @@ def depth_error(
     most_confident : float
         Share of the pixels, the most confident ones, that the error is taken over; those of them
         without a depth are left out.
-
-    Raises
-    ------
-    InputError
-        If the shapes differ.
     """
     _check_shapes(depth_m, confidence, true_depth_m)
     with_truth = np.isfinite(true_depth_m) & (true_depth_m > 0)

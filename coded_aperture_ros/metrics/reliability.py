@@ -31,17 +31,14 @@ class Reliability:
     ) -> "Reliability":
         """Sort estimates by their confidence.
 
+        Raises `InputError` if the shapes differ or a confidence is not in [0, 1].
+
         Parameters
         ----------
         confidence : ndarray of float
             In [0, 1].
         right : ndarray of bool, of the same shape
             Whether the estimate is right.
-
-        Raises
-        ------
-        InputError
-            If the shapes differ or a confidence is not in [0, 1].
         """
         if confidence.shape != right.shape:
             raise InputError(

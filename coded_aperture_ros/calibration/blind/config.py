@@ -10,10 +10,7 @@ from coded_aperture_ros.core.options import check_options, option
 class BlindConfig:
     """How large blur and mask may be, and how long to search.
 
-    Raises
-    ------
-    InputError
-        Naming the setting that is out of range.
+    Raises `InputError`, naming the setting that is out of range.
     """
 
     largest_blur_px: int = option(

@@ -96,6 +96,9 @@ def find_mask(
 ) -> BlindMask:
     """Find mask and blur sizes from pictures of textured planes at unknown distances.
 
+    Raises `InputError` if there are fewer than four planes, one is no use (size, light, texture),
+    all are blurred alike, or no mask is to be seen in their spectra.
+
     Parameters
     ----------
     images : sequence of ndarray, float32 [rows, columns] or [rows, columns, 3]
@@ -105,12 +108,6 @@ def find_mask(
         What to call each in messages.
     progress : callable, optional
         Wraps the iteration over the steps, as ``tqdm.tqdm`` does.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than four planes, one is no use (size, light, texture), all are blurred
-        alike, or no mask is to be seen in their spectra.
     """
     config = config or BlindConfig()
     greys = _checked(images, names, config)

@@ -48,12 +48,8 @@ def relative_blur_sizes(
     """Estimate the blur sizes of grey pictures but for a common factor [planes]; the largest is 1.
 
     They are good to some per cent. The window has to be four times as wide as the largest blur: the
-    spectrum has to be resolved finely.
-
-    Raises
-    ------
-    InputError
-        If a spectrum has nothing in common with the others, or all are blurred alike.
+    spectrum has to be resolved finely. Raises `InputError` if a spectrum has nothing in common with
+    the others, or all are blurred alike.
     """
     shapes = [_shape(image, window_px) for image in images]
     count = len(shapes)

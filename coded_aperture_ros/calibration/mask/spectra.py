@@ -131,12 +131,8 @@ def autocorrelation_to_power(
 def window_powers(image: FloatArray, fourier: WindowedFourierBasis) -> FloatArray:
     """Return the power spectra of a picture's windows, a quarter of a window apart [W, K].
 
-    White noise of variance s^2 has the power s^2.
-
-    Raises
-    ------
-    InputError
-        If the picture is smaller than a window.
+    White noise of variance s^2 has the power s^2. Raises `InputError` if the picture is smaller
+    than a window.
     """
     power, _ = fourier.power(channel_mean(image), fourier.window_px // 4)
     return power.reshape(-1, fourier.size)

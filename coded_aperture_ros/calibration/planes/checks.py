@@ -53,10 +53,7 @@ def check_pictures(
 ) -> list[PlaneCheck]:
     """Measure every picture, with windows of a size that texture is counted in.
 
-    Raises
-    ------
-    InputError
-        Naming every picture that nothing can be learned from, and what to do.
+    Raises `InputError`, naming every picture that nothing can be learned from, and what to do.
     """
     depths = np.broadcast_to(np.asarray(depths_m, np.float64), len(images))
     checks = [

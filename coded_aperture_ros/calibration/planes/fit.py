@@ -40,11 +40,8 @@ def fitted_lens(depths_m: DoubleArray, sizes_px: DoubleArray, errors_px: DoubleA
 def signed_fit(planes: Planes, measured: Sequence[MeasuredPlane]) -> ThinLens:
     """Fit the thin lens: all planes beyond the focus, or all in front of it.
 
-    Raises
-    ------
-    InputError
-        Naming the files: planes on both sides of the focus, or depths that do not belong to their
-        pictures.
+    Raises `InputError`, naming the files: planes on both sides of the focus, or depths that do not
+    belong to their pictures.
     """
     depths = planes.depths_m
     sizes = np.array([plane.size_px for plane in measured])

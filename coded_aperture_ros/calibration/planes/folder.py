@@ -64,12 +64,8 @@ def load_folder(folder: str | os.PathLike[str], gamma: Gamma = 1.0) -> Planes:
     """Read the planes that a list in their folder tells: `planes.json`, or else `planes.csv`.
 
     The one is ``[{"file": "a.png", "depth_m": 1.5}, ...]``, in order of depth, the other has the
-    columns `file` and `depth_m`.
-
-    Raises
-    ------
-    InputError
-        Naming the file or the entry, and what to do; see also `Planes`.
+    columns `file` and `depth_m`. Raises `InputError`, naming the file or the entry, and what to do;
+    see also `Planes`.
     """
     json_file, csv_file = Path(folder) / PLANES_JSON, Path(folder) / PLANES_CSV
     if csv_file.exists() and not json_file.exists():
@@ -144,7 +140,8 @@ def add_plane(
     """Add a picture to a folder, in place of one of the same depth.
 
     Picture and list are each written whole or not at all, the picture first: an interrupted
-    session leaves a folder that the next one goes on with.
+    session leaves a folder that the next one goes on with. Raises `InputError` if the depth is not
+    a positive distance, the folder cannot be written to, or its list cannot be read.
 
     Parameters
     ----------
@@ -152,12 +149,6 @@ def add_plane(
         Created if it does not exist.
     image : ndarray, float32 [rows, columns] or [rows, columns, 3]
         Linear light in [0, 1]; stored as 16-bit PNG. The mean of so many `frames`.
-
-    Raises
-    ------
-    InputError
-        If the depth is not a positive distance, the folder cannot be written to, or its list
-        cannot be read.
     """
     folder = Path(folder)
     if not 0 < depth_m < np.inf:

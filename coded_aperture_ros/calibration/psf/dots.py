@@ -69,11 +69,7 @@ class DotPsf:
 
         Without the `mask` that is in the lens, the centre of light is the centre. The `sign` of the
         blur size is that of the side of the focus; by default the mask tells, and positive if not.
-
-        Raises
-        ------
-        InputError
-            If the PSF does not look like the mask.
+        Raises `InputError` if the PSF does not look like the mask.
         """
         width = self.width_px + 2
         place, size, misfit = centred(lambda place: self.fine.at(width, place), mask, sign)
@@ -86,7 +82,8 @@ def psf_from_dots(
     """Measure the PSF from a picture of a grid of dots, all at one depth.
 
     The dots' places and brightnesses, the background under each (a plane), and the PSF that they
-    share are fitted in turn.
+    share are fitted in turn. Raises `InputError` if no grid is found, too many dots are missing or
+    saturated, they overlap, or are too dim.
 
     Parameters
     ----------
@@ -97,11 +94,6 @@ def psf_from_dots(
         What is in the lens: it helps to place the dots.
     sign : float, optional
         Of the blur size, where the side of the focus is known.
-
-    Raises
-    ------
-    InputError
-        If no grid is found, too many dots are missing or saturated, they overlap, or are too dim.
     """
     if not np.isfinite(picture).all():
         raise InputError("has pixels that are NaN or infinite: use linear pictures of a camera")

@@ -53,10 +53,7 @@ class DotLattice:
 def find_lattice(picture: NDArray[np.floating]) -> DotLattice:
     """Find the grid of bright dots in a finite, linear picture [rows, columns].
 
-    Raises
-    ------
-    InputError
-        If nothing repeats in the picture, or its spots form no grid.
+    Raises `InputError` if nothing repeats in the picture, or its spots form no grid.
     """
     factor = int(np.ceil(max(picture.shape) / _LONGEST_SIDE_PX))
     rows, columns = (length // factor for length in picture.shape)

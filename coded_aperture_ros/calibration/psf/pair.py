@@ -96,6 +96,9 @@ def psf_from_pair(
 ) -> PairPsf:
     """Measure the PSF from two pictures of one textured plane, by non-negative least squares.
 
+    Raises `InputError` if sizes differ, pictures are saturated or without texture, too small, or do
+    not show the same.
+
     Parameters
     ----------
     sharp : ndarray of float, shape [rows, columns] or [rows, columns, 3]
@@ -106,12 +109,6 @@ def psf_from_pair(
         another brightness that changes slowly over the picture.
     largest_blur_px : float, optional
         The PSF is not wider.
-
-    Raises
-    ------
-    InputError
-        If sizes differ, pictures are saturated or without texture, too small, or do not show the
-        same.
     """
     one, two = _grey(sharp, "sharp"), _grey(coded, "coded")
     if one.shape != two.shape:

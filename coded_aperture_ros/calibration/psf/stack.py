@@ -22,7 +22,8 @@ def psf_stack(
     """Interpolate measured PSFs, in any order, to equally spaced blur sizes.
 
     A PSF between two measured ones is both, widened or narrowed to its size, each weighted by how
-    near its size is.
+    near its size is. Raises `InputError` if two PSFs have one blur size, they lie on both sides of
+    the focus, or depths and blur sizes do not go up or down together.
 
     Parameters
     ----------
@@ -33,12 +34,6 @@ def psf_stack(
         The stack then knows its depths: between two, the inverse depth is linear in blur size.
     names : sequence of str, optional
         What messages call each PSF.
-
-    Raises
-    ------
-    InputError
-        If two PSFs have one blur size, they lie on both sides of the focus, or depths and blur
-        sizes do not go up or down together.
     """
     order = np.argsort([one.blur_size_px for one in measured])
     ranked = [measured[number] for number in order]

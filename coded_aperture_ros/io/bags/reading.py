@@ -21,6 +21,8 @@ def is_bag(path: str | os.PathLike[str]) -> bool:
 class Bag:
     """A bag that is read from beginning to end, as far as it can be read.
 
+    Raises `InputError` if there is no bag, or nothing in it can be read.
+
     Parameters
     ----------
     path : path-like
@@ -34,11 +36,6 @@ class Bag:
         In the order of their names. Those of the files that can be read.
     damage : str
         What is wrong with the bag, in words; empty if nothing is, or nothing was met yet.
-
-    Raises
-    ------
-    InputError
-        If there is no bag, or nothing in it can be read.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:

@@ -16,12 +16,8 @@ class BagSource(FileSource[tuple[int, Recorded]]):
     """The images of a topic of a bag, by default of the only one, or of `image_raw`.
 
     The stamps are those of the messages, or, where a message has none, the times of their
-    recording; so with `loop` they jump back.
-
-    Raises
-    ------
-    InputError
-        If there is no such bag or topic, or nothing in it can be read.
+    recording; so with `loop` they jump back. Raises `InputError` if there is no such bag or topic,
+    or nothing in it can be read.
     """
 
     def __init__(

@@ -64,6 +64,9 @@ def learn_motion_bank(
 ) -> MotionBank:
     """Extend a bank of blur levels by motions.
 
+    Raises `InputError` if the longest motion and the largest PSF together do not fit the bank's
+    window, or the bank has levels on both sides of the focal plane.
+
     Parameters
     ----------
     bank : FilterBank
@@ -73,12 +76,6 @@ def learn_motion_bank(
         frequencies themselves are the basis.
     progress : callable, optional
         Wraps the iteration over motions, as ``tqdm.tqdm`` does.
-
-    Raises
-    ------
-    InputError
-        If the longest motion and the largest PSF together do not fit the bank's window, or the
-        bank has levels on both sides of the focal plane.
     """
     if bank.stack.has_both_sides:
         raise InputError(

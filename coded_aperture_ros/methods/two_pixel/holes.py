@@ -42,13 +42,8 @@ def find_holes(mask: Mask) -> Holes:
     """Find the equal openings of a mask.
 
     Openings are the connected parts of what lets light through; those that only touch at a corner
-    are two.
-
-    Raises
-    ------
-    InputError
-        Naming the mask and the reason: one opening only, more than eight, or openings of unequal
-        area or shape.
+    are two. Raises `InputError`, naming the mask and the reason: one opening only, more than eight,
+    or openings of unequal area or shape.
     """
     cells = mask.transmission.astype(np.float64)
     labels, count = scipy.ndimage.label(cells > 0)

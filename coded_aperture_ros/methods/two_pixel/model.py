@@ -35,13 +35,9 @@ def neighbour_model_for_camera(
 ) -> NeighbourModel:
     """Make the model of a camera's mask for a range of depths on its side of the focal plane.
 
-    The levels, at least 2, are equally spaced in blur size.
-
-    Raises
-    ------
-    InputError
-        If the mask is not of equal openings, the focus lies inside the range, the range ends at
-        infinity, or a blur size does not fit the window.
+    The levels, at least 2, are equally spaced in blur size. Raises `InputError` if the mask is not
+    of equal openings, the focus lies inside the range, the range ends at infinity, or a blur size
+    does not fit the window.
     """
     check_levels(levels)
     find_holes(camera.mask)  # what is wrong with the mask comes first: no range helps it
@@ -54,18 +50,15 @@ def neighbour_model(
 ) -> NeighbourModel:
     """Make the model of a simple mask's blur levels.
 
+    Raises `InputError` if the mask has one opening or unequal ones, the levels are not in order or
+    lie on both sides of the focal plane, or a PSF is larger than the window.
+
     Parameters
     ----------
     stack : PsfStack
         The PSFs of the mask, of at least two levels in order of size, all of one sign.
     mask : Mask
         Of two or more equal openings.
-
-    Raises
-    ------
-    InputError
-        If the mask has one opening or unequal ones, the levels are not in order or lie on both
-        sides of the focal plane, or a PSF is larger than the window.
     """
     config = config or SimpleConfig()
     holes = find_holes(mask)
