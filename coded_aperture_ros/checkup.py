@@ -105,14 +105,8 @@ def camera_findings(camera: Camera, near_m: float, far_m: float) -> list[Finding
 class FrameCheckup:
     """Looks at frames, one by one.
 
-    Raises `InputError` if the bank is not for the camera.
-
-    Parameters
-    ----------
-    camera : Camera
-        That took them.
-    bank : FilterBank
-        That is to be used for them.
+    The camera took them; the bank is to be used for them. Raises `InputError` if the bank is not
+    for the camera.
     """
 
     def __init__(self, camera: Camera, bank: FilterBank) -> None:

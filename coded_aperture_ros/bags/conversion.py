@@ -69,18 +69,9 @@ class BagConversion:
     ) -> dict[str, Any]:
         """Convert all frames of a bag into another one, with a report in its folder.
 
-        Raises `InputError` if the bag cannot be read, has no such topics or no frame that can be
-        used, or the output cannot be written.
-
-        Parameters
-        ----------
-        progress : callable, optional
-            Given the steps and their number, if it is known, it returns the steps.
-
-        Returns
-        -------
-        dict
-            What the report says, ready for JSON.
+        `progress` gets the steps and their number, if it is known, and returns the steps. What is
+        returned is what the report says, ready for JSON. Raises `InputError` if the bag cannot be
+        read, has no such topics or no frame that can be used, or the output cannot be written.
         """
         new_figure(1, 1)  # without matplotlib there would be no report
         started_s = time.perf_counter()

@@ -35,12 +35,8 @@ def in_order(
 ) -> Iterator[tuple[Item, Result | None]]:
     """Yield every item with its result, in their order, while others work on those that follow.
 
-    Parameters
-    ----------
-    begin : callable
-        Begins to process an item, and returns what waits for the result; None: there is none.
-    ahead : int
-        Items that are taken before the first of them is asked for, at most; bounds the memory.
+    `begin` begins to process an item, and returns what waits for the result; None: there is none.
+    At most `ahead` items are taken before the first of them is asked for, which bounds the memory.
     """
     waiting: deque[tuple[Item, Callable[[], Result] | None]] = deque()
     for item in items:

@@ -143,15 +143,8 @@ def psf_stack_for_camera(
 ) -> PsfStack:
     """Render the PSFs of a camera for a depth range, equally spaced in blur size.
 
-    Where the focus moves over the field the blur of all of it counts. An `InputError` is raised as
-    by `learn_bank_for_camera`.
-
-    Parameters
-    ----------
-    camera, near_m, far_m, level_count
-        See `learn_bank_for_camera`.
-    whose : str, optional
-        What they are for, for messages.
+    Where the focus moves over the field the blur of all of it counts. Arguments and errors are
+    those of `learn_bank_for_camera`; `whose` says in messages what the PSFs are for.
     """
     check_levels(level_count)
     check_range_can_be_told_apart(camera, near_m, far_m)

@@ -13,12 +13,8 @@ def slow_blas_warning(maps: Path = Path("/proc/self/maps")) -> str | None:
 
     Debian and Ubuntu choose among BLAS libraries by a link; the list of mapped files of this
     process shows what the link led to: `.../blas/libblas.so.3.12.0` is the reference, while
-    OpenBLAS, BLIS and ATLAS lie in folders of their own. Wheels bring OpenBLAS along.
-
-    Parameters
-    ----------
-    maps : pathlib.Path
-        Memory map of the process, in the format of Linux; elsewhere nothing is detected.
+    OpenBLAS, BLIS and ATLAS lie in folders of their own. Wheels bring OpenBLAS along. `maps` is the
+    memory map of the process, in the format of Linux; elsewhere nothing is detected.
     """
     import numpy as np
 

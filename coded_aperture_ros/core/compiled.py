@@ -13,14 +13,8 @@ class Compiled:
     """One function in two forms: a loop, and what stands for it without numba.
 
     The loop is compiled when it is first called, which takes a second or two, and kept on disk for
-    the next time. Other threads go on while it runs.
-
-    Parameters
-    ----------
-    loop : callable
-        Of plain loops over its arrays, some of which it writes to; returns nothing.
-    plain : callable
-        Does the same by NumPy.
+    the next time. Other threads go on while it runs. `loop` is made of plain loops over its arrays,
+    some of which it writes to, and returns nothing; `plain` does the same by NumPy.
     """
 
     def __init__(self, loop: Callable[..., None], plain: Callable[..., None]) -> None:

@@ -13,18 +13,9 @@ from coded_aperture_ros.core.errors import InputError
 def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it to `path` if the block succeeds.
 
-    The temporary name keeps the suffix, because encoders choose their format by it. Raises
-    `InputError` if the folder cannot be created or written to, or the disk is full.
-
-    Parameters
-    ----------
-    path : path-like
-        The file to create or replace. Missing parent folders are created.
-
-    Yields
-    ------
-    pathlib.Path
-        Where the block must write its output.
+    The block must write to the temporary path, whose name keeps the suffix, because encoders choose
+    their format by it. Missing parent folders of `path` are created. Raises `InputError` if the
+    folder cannot be created or written to, or the disk is full.
     """
     target = Path(path)
     try:

@@ -17,11 +17,8 @@ class StampOrder:
     def follow(self, stamp_ns: int) -> str:
         """Say what a frame with this stamp is, and remember it.
 
-        Returns
-        -------
-        str
-            "next", also for the first frame, and for one without a stamp; "late" if it is older
-            than the newest one by less than a second; "restart" if it is older than that.
+        That is "next", also for the first frame, and for one without a stamp; "late" if it is older
+        than the newest one by less than a second; "restart" if it is older than that.
         """
         if not stamp_ns:
             return "next"

@@ -21,12 +21,8 @@ class Workers:
     NumPy and OpenCV let other threads run while they compute, so that plain threads suffice as
     long as each call has enough to do. The numerical libraries themselves should use one thread
     each beside this (``OPENBLAS_NUM_THREADS=1``, which the nodes and the command line set). Raises
-    `InputError` if there are fewer processors.
-
-    Parameters
-    ----------
-    threads : int
-        At most the number of processors. The calling thread is one of them.
+    `InputError` if there are fewer processors. There are at most as many `threads` as processors,
+    and the calling thread is one of them.
     """
 
     def __init__(self, threads: int = 1) -> None:
@@ -98,12 +94,8 @@ def thread_count(threads: int) -> int:
 def load_in_fork_server(module: str) -> None:
     """Begin to load a module into the process that others are forked from, without waiting for it.
 
-    Its imports take a second or two: whoever is going to need processes says so first.
-
-    Parameters
-    ----------
-    module : str
-        Of what the processes will do.
+    Its imports take a second or two: whoever is going to need processes says so first. `module` is
+    that of what the processes will do.
     """
     import multiprocessing
     from multiprocessing import forkserver

@@ -105,12 +105,8 @@ def check_map_size(size: tuple[int, int] | None) -> None:
 def map_size(frame_size: tuple[int, int], choice: str) -> tuple[int, int]:
     """Return the size (rows, columns) of the depth map of frames of a size.
 
-    Parameters
-    ----------
-    frame_size : (int, int)
-        Rows and columns.
-    choice : str
-        One of `MAP_SIZES`; auto: the largest whole fraction of the frame that fits in 320x240.
+    Sizes are (rows, columns); `choice` is one of `MAP_SIZES`; auto: the largest whole fraction of
+    the frame that fits in 320x240.
     """
     rows, columns = frame_size
     fitting = max(-(-rows // _LARGEST_AUTO[0]), -(-columns // _LARGEST_AUTO[1]), 1)

@@ -38,12 +38,8 @@ class TemporalFilter:
     open the next may decide, and what it gets wrong by a small difference of costs weighs little.
     The sum over all past frames is a recursion over the last one, as ``exp(-|t - t_0| / tau_2)``
     is. There is no flow: several places of the last frame may match, or none, where an object has
-    moved away. There the past is forgotten, as far around as windows see it.
-
-    Parameters
-    ----------
-    frames : float
-        ``tau_2``: the number of frames after which costs have lost most of its weight, > 0.
+    moved away. There the past is forgotten, as far around as windows see it. ``tau_2`` is `frames`:
+    the number of frames after which costs have lost most of their weight, > 0.
     """
 
     def __init__(self, frames: float) -> None:

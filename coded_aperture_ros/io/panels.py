@@ -14,14 +14,8 @@ _WHITE = 255
 def panels(rows: Sequence[Sequence[tuple[str, NDArray[np.uint8]]]]) -> NDArray[np.uint8]:
     """Return rows of titled pictures as one picture.
 
-    Parameters
-    ----------
-    rows : sequence of sequences of (str, ndarray of uint8 [h, w, 3])
-        As many in every row; smaller ones get a white border.
-
-    Returns
-    -------
-    ndarray of uint8, shape [h, w, 3]
+    The pictures, uint8 [h, w, 3] each, are as many in every row; smaller ones get a white border.
+    The result is uint8 [h, w, 3], too.
     """
     shapes = np.array([picture.shape[:2] for row in rows for _, picture in row])
     height, width = shapes.max(axis=0)

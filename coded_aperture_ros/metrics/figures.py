@@ -11,12 +11,7 @@ from coded_aperture_ros.metrics.reliability import Reliability
 def reliability_diagram(curves: Mapping[str, Reliability], path: PathLike, right: str) -> None:
     """Draw the share of right estimates against their confidence, and how many there are.
 
-    Parameters
-    ----------
-    curves : mapping of str to Reliability
-    path : path-like
-    right : str
-        What counts as right, for the axis.
+    `right` says, for the axis, what counts as right.
     """
     figure = new_figure(1.8 * PANEL_INCHES, 2.0 * PANEL_INCHES)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])

@@ -41,12 +41,8 @@ class Network:
     OpenCV runs all but the first layer of the blur sizes (see `_First`) and the last layer, of
     which only the rows are computed that are needed.
 
-    Not for several threads at once. Raises `InputError` if OpenCV cannot run the network.
-
-    Parameters
-    ----------
-    tried : ndarray, bool [blur sizes]
-        Which of `BLUR_SIZES_PX` there are costs of; neighbours of each other.
+    Not for several threads at once. `tried` [blur sizes] says which of `BLUR_SIZES_PX`, neighbours
+    of each other, there are costs of. Raises `InputError` if OpenCV cannot run the network.
     """
 
     def __init__(self, tried: BoolArray) -> None:

@@ -94,13 +94,8 @@ def check_bag_output(path: Path, inputs: Iterable[Path], overwrite: bool) -> Non
 def bag_output(path: Path, storage: str) -> Iterator[BagWriter]:
     """Yield what writes a bag; it gets its name, and takes the place of another, if all goes well.
 
-    Raises `InputError` if it cannot be written; nothing is left behind then.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        Folder of the bag. Missing parent folders are created.
-    storage : {"mcap", "sqlite3"}
+    `path` is the folder of the bag, whose missing parent folders are created; `storage` is mcap or
+    sqlite3. Raises `InputError` if it cannot be written; nothing is left behind then.
     """
     check_rosbags()
     with _writing(path), _temporary_folder(path) as temporary:

@@ -13,14 +13,9 @@ _NOISE_MARGIN_PX = 128
 class SimulatorSource:
     """A real scene that moves in front of a simulated camera, with the truth about it.
 
-    Raises `InputError` if the scene does not suit the camera, or is not installed.
-
-    Parameters
-    ----------
-    rate_hz : float
-        Frames per second of simulated time.
-    noise : float
-        Standard deviation of the sensor's noise in linear light.
+    There are `rate_hz` frames per second of simulated time; `noise` is the standard deviation of
+    the sensor's noise in linear light. Raises `InputError` if the scene does not suit the camera,
+    or is not installed.
     """
 
     live = False

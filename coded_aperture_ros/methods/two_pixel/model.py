@@ -50,15 +50,10 @@ def neighbour_model(
 ) -> NeighbourModel:
     """Make the model of a simple mask's blur levels.
 
-    Raises `InputError` if the mask has one opening or unequal ones, the levels are not in order or
-    lie on both sides of the focal plane, or a PSF is larger than the window.
-
-    Parameters
-    ----------
-    stack : PsfStack
-        The PSFs of the mask, of at least two levels in order of size, all of one sign.
-    mask : Mask
-        Of two or more equal openings.
+    The stack has the PSFs of the mask, of at least two levels in order of size, all of one sign;
+    the mask has two or more equal openings. Raises `InputError` if the mask has one opening or
+    unequal ones, the levels are not in order or lie on both sides of the focal plane, or a PSF is
+    larger than the window.
     """
     config = config or SimpleConfig()
     holes = find_holes(mask)
