@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
 
@@ -10,6 +11,8 @@ from coded_aperture_ros.core.arrays import FloatArray
 def points_of_depth(
     depth_m: FloatArray,
     confidence: FloatArray,
+    std_dev_m: FloatArray,
+    colours: NDArray[np.uint8],
     rays: FloatArray,
     near_m: float = 0.0,
     far_m: float = 0.0,
@@ -20,7 +23,8 @@ def points_of_depth(
     ----------
     depth_m : ndarray, float32 [rows, columns]
         Metres along the optical axis; NaN where unknown, +inf beyond the range, -inf too near.
-    confidence : ndarray, float32 [rows, columns]
+    confidence, std_dev_m : ndarray, float32 [rows, columns]
+    colours : ndarray, uint8 [rows, columns, RGB]
     rays : ndarray, float32 [rows, columns, 2]
         See `optics.intrinsics.rays`.
     near_m, far_m : float, optional
@@ -28,16 +32,19 @@ def points_of_depth(
 
     Returns
     -------
-    ndarray, float32 [rows, columns, 4]
-        x, y, z in metres and the confidence; x, y and z are NaN where there is no point.
+    ndarray, float32 [rows, columns, 6]
+        x, y, z in metres, NaN where there is no point; the bits of 0x00RRGGBB; confidence, and
+        standard deviation in metres.
     """
     z = depth_m.copy()
     z[z == np.inf] = far_m if far_m > 0 else np.nan
     z[z == -np.inf] = near_m if near_m > 0 else np.nan
-    points = np.empty((*z.shape, 4), np.float32)
+    points = np.empty((*z.shape, 6), np.float32)
     points[..., :2] = z[..., None] * rays
     points[..., 2] = z
-    points[..., 3] = confidence
+    red, green, blue = np.moveaxis(colours.astype(np.uint32), -1, 0)
+    points[..., 3] = (red << 16 | green << 8 | blue).view(np.float32)
+    points[..., 4], points[..., 5] = confidence, std_dev_m
     return points
 
 

@@ -5,7 +5,7 @@ import threading
 from typing import Any, ClassVar
 
 import numpy as np
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
@@ -19,6 +19,8 @@ from coded_aperture_ros.ros.frame_node import FrameNode
 from coded_aperture_ros.ros.messages import (
     MessageError,
     array_from_image,
+    compressed_message,
+    compressed_picture,
     frame_from_image,
     image_from_array,
     pixels_from_frame,
@@ -36,7 +38,11 @@ _WAITING_BYTES = 256 * 2**20
 class DeblurNode(FrameNode[tuple[Image, Image]]):
     """Pairs each coded frame with its own depth image and publishes the frame all in focus."""
 
-    outputs: ClassVar = {"deblurred/image": Image, "deblurred/camera_info": CameraInfo}
+    outputs: ClassVar = {
+        "deblurred/image": Image,
+        "deblurred/image/compressed": CompressedImage,
+        "deblurred/camera_info": CameraInfo,
+    }
 
     def __init__(self, **node_options: Any) -> None:
         super().__init__("deblur_node", ModelConfig(), DeblurConfig(), fixed={}, **node_options)
@@ -111,10 +117,14 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
             deblurrer.reset()
         noise = channel_noise(frame, KnownNoise.of(config, camera, self._model.model))
         sharp = deblurrer.deblur(frame, blur_size_px, noise)
-        if self.wants("deblurred/image"):
-            encoding = written_encoding(image.encoding)
+        encoding = written_encoding(image.encoding)
+        compressed = self.wants("deblurred/image/compressed")
+        if compressed or self.wants("deblurred/image"):
             pixels = pixels_from_frame(sharp, encoding, gamma)
             self.send("deblurred/image", image_from_array(pixels, encoding, header))
+        if compressed:
+            content = compressed_picture(pixels, encoding)
+            self.send("deblurred/image/compressed", compressed_message(content, header))
         if complaint := self._info.complaint(camera, size):
             self.reject("camera_info", complaint)
         if self.wants("deblurred/camera_info"):

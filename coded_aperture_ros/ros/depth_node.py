@@ -4,11 +4,14 @@ import dataclasses
 import functools
 import math
 import threading
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import cv2
 import numpy as np
-from sensor_msgs.msg import CameraInfo, Image, Imu, PointCloud2
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
+from std_msgs.msg import Header
 
 from coded_aperture_ros.bank import LearnConfig
 from coded_aperture_ros.core.blas import slow_blas_warning
@@ -37,13 +40,17 @@ from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
 from coded_aperture_ros.ros.frame_node import FrameNode
 from coded_aperture_ros.ros.gyro import Gyro, GyroConfig
 from coded_aperture_ros.ros.messages import (
+    DEPTH_FORMATS,
     MessageError,
     cloud_from_points,
+    compressed_depth,
+    compressed_message,
     frame_from_image,
     image_from_array,
     image_from_motion,
     limit_depth,
     millimetres_from_depth,
+    pixels_from_frame,
     stamp_ns,
 )
 
@@ -75,6 +82,12 @@ class DepthNodeConfig:
         within=(0.0, 10_000.0),
         parameter="output.points_far_m",
     )
+    compressed_depth: str = option(
+        "png",
+        "How the topics that end in compressedDepth are compressed",
+        choices=DEPTH_FORMATS,
+        parameter="output.compressed_depth",
+    )
     obstacle_share: float = option(
         0.005,
         "Part of the depth image that is taken up by what /diagnostics calls the nearest obstacle",
@@ -88,7 +101,9 @@ class DepthNode(FrameNode[Image]):
 
     outputs: ClassVar = {
         "depth/image": Image,
+        "depth/image/compressedDepth": CompressedImage,
         "depth/image_raw": Image,
+        "depth/image_raw/compressedDepth": CompressedImage,
         "depth/confidence": Image,
         "depth/std_dev": Image,
         "depth/camera_info": CameraInfo,
@@ -182,19 +197,18 @@ class DepthNode(FrameNode[Image]):
         except LateFrameError as error:
             raise MessageError("late", str(error)) from error
         estimate = result.depth
-        if estimate.depth_m is None:
+        if estimate.depth_m is None or estimate.std_dev_m is None:
             raise InputError("the bank and the camera file give no depth")
         depth_m = limit_depth(estimate.depth_m, self._range.near_m, self._range.far_m or math.inf)
-        if self.wants("depth/image"):
-            self.send("depth/image", image_from_array(depth_m, "32FC1", header))
-        if self.wants("depth/image_raw"):
-            millimetres = millimetres_from_depth(depth_m)
-            self.send("depth/image_raw", image_from_array(millimetres, "16UC1", header))
+        self._send_depth("depth/image", lambda: depth_m, "32FC1", header)
+        self._send_depth(
+            "depth/image_raw", lambda: millimetres_from_depth(depth_m), "16UC1", header
+        )
         if self.wants("depth/confidence"):
             confidence = image_from_array(estimate.confidence, "32FC1", header)
             self.send("depth/confidence", confidence)
-        if estimate.std_dev_m is not None and self.wants("depth/std_dev"):
-            std_dev_m = np.where(np.isinf(depth_m), np.float32(np.inf), estimate.std_dev_m)
+        std_dev_m = np.where(np.isinf(depth_m), np.float32(np.inf), estimate.std_dev_m)
+        if self.wants("depth/std_dev"):
             self.send("depth/std_dev", image_from_array(std_dev_m, "32FC1", header))
         if complaint := self._info.complaint(self._model.whole, frame_size):
             self.reject("camera_info", complaint)
@@ -204,14 +218,18 @@ class DepthNode(FrameNode[Image]):
                 self.send("depth/camera_info", info)
             if self.wants("depth/points"):
                 through = rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
-                ends = self._range.near_m, config.points_far_m
-                points = points_of_depth(depth_m, estimate.confidence, through, *ends)
+                small = cv2.resize(frame, size[::-1], interpolation=cv2.INTER_AREA)
+                colours = pixels_from_frame(small, "rgb8", self.frame_config.gamma)
+                maps = depth_m, estimate.confidence, std_dev_m, colours, through
+                points = points_of_depth(*maps, self._range.near_m, config.points_far_m)
                 self.send("depth/points", cloud_from_points(points, header))
         if estimate.motion is not None:
             self._searched = estimate.motion.searched
             if self.wants("depth/motion"):
                 self.send("depth/motion", image_from_motion(estimate.motion.vectors_px, header))
-        figures = {"nearest_obstacle_m": nearest_obstacle_m(depth_m, config.obstacle_share)}
+        # What is a little nearer than the range is measured all the same.
+        seen_m = np.where(depth_m == -np.inf, estimate.depth_m, depth_m)
+        figures = {"nearest_obstacle_m": nearest_obstacle_m(seen_m, config.obstacle_share)}
         misfit: Complaint | None = None
         if (health := estimate.health) is not None:
             figures["health"] = health.value
@@ -219,6 +237,15 @@ class DepthNode(FrameNode[Image]):
                 given = "no depth is given" if health.withheld else "little depth is sure"
                 misfit = Complaint(f"{given}, the frame {health}", health.withheld)
         self.sent(header, estimate.seconds, figures, misfit)
+
+    def _send_depth(
+        self, topic: str, depth: Callable[[], NDArray[Any]], encoding: str, header: Header
+    ) -> None:
+        if self.wants(topic):
+            self.send(topic, image_from_array(depth(), encoding, header))
+        if self.wants(compressed := f"{topic}/compressedDepth"):
+            content = compressed_depth(depth(), self.configs[DepthNodeConfig].compressed_depth)
+            self.send(compressed, compressed_message(content, header))
 
     def _on_image(self, message: Image) -> None:
         self.statistics.count_received()

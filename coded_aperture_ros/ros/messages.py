@@ -11,12 +11,15 @@ from std_msgs.msg import Header
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.io.messages import (  # noqa: F401 (nodes take them from here)
+    DEPTH_FORMATS,
     ENCODINGS,
     Encoding,
     MessageError,
     array_from_compressed,
     array_from_image,
     check_pixels,
+    compressed_depth,
+    compressed_picture,
     encoding_of,
     frame_from_image,
     frame_from_pixels,
@@ -78,9 +81,15 @@ def image_from_compressed(message: CompressedImage) -> Image:
     return image_from_array(pixels, encoding, message.header)
 
 
+def compressed_message(content: tuple[bytes, str], header: Header) -> CompressedImage:
+    """Return what `compressed_depth` or `compressed_picture` made as a message."""
+    data, kind = content
+    return CompressedImage(header=copied_header(header), format=kind, data=data)
+
+
 def cloud_from_points(points: FloatArray, header: Header) -> PointCloud2:
-    """Return points [row, column, 4] as an organised cloud; see `points_of_depth`."""
-    names = ("x", "y", "z", "confidence")
+    """Return points [row, column, 6] as an organised cloud; see `points_of_depth`."""
+    names = ("x", "y", "z", "rgb", "confidence", "std_dev")
     cloud = PointCloud2(header=copied_header(header), is_dense=False)
     cloud.height, cloud.width = points.shape[:2]
     cloud.fields = [

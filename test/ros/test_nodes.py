@@ -34,6 +34,7 @@ from coded_aperture_ros.ros.messages import (
     array_from_image,
     camera_info_from_camera,
     image_from_array,
+    millimetres_from_depth,
     pixels_from_frame,
     stamp_ns,
 )
@@ -146,13 +147,78 @@ def test_points_lie_where_distorted_pixels_look(ros, model, coded):
     time.sleep(0.2)
     depth = array_from_image(chain.result(mono8(coded)))
     assert wait_until(lambda: clouds)
-    points = np.frombuffer(clouds[0].data, np.float32).reshape(HEIGHT, WIDTH, 4)
+    points = np.frombuffer(clouds[0].data, np.float32).reshape(HEIGHT, WIDTH, 6)
     row, column = np.argwhere(np.isfinite(depth))[0]
     k, d = np.reshape(given.k, (3, 3)), np.array(given.d)
     seen, _ = cv2.projectPoints(
         points[row, column, :3].astype(np.float64), np.zeros(3), np.zeros(3), k, d
     )
     assert seen.ravel() == pytest.approx([column, row], abs=0.05)
+
+
+def test_depth_is_compressed_for_those_who_ask(ros, model, coded):
+    topics = ("depth/image/compressedDepth", "depth/image_raw/compressedDepth")
+    chain = Chain(ros, model, subscribe=("depth/image",))
+    inverse, whole = (ros.subscribe(topic, CompressedImage) for topic in topics)
+    frame = mono8(coded)
+    depth = array_from_image(chain.result(frame))
+    assert wait_until(lambda: inverse and whole)
+    assert inverse[0].header == whole[0].header == frame.header
+    assert inverse[0].format == "32FC1; compressedDepth png"
+    assert whole[0].format == "16UC1; compressedDepth png"
+    scale, offset = np.frombuffer(inverse[0].data, np.float32, 2, offset=4)
+    of_inverse, of_whole = (
+        cv2.imdecode(np.frombuffer(each[0].data, np.uint8)[12:], cv2.IMREAD_UNCHANGED)
+        for each in (inverse, whole)
+    )
+    known = np.isfinite(depth)
+    assert known.any()
+    np.testing.assert_array_equal(of_inverse > 0, known)
+    np.testing.assert_allclose(scale / (of_inverse[known] - offset), depth[known], rtol=1e-3)
+    np.testing.assert_array_equal(of_whole, millimetres_from_depth(depth))
+
+
+def test_a_surface_at_the_near_end_is_an_obstacle_at_its_distance(ros, model, coded):
+    reports = ros.subscribe("/diagnostics", DiagnosticArray)
+    chain = Chain(ros, {**model, "near_m": DEPTH_M * 1.05}, subscribe=("depth/image",))
+    depth = array_from_image(chain.result(mono8(coded)))
+    assert np.isneginf(depth).mean() > 0.2
+
+    def nearest():
+        of_node = [s for m in reports for s in m.status if s.name.startswith("depth_node")]
+        values = [v.value for s in of_node for v in s.values if v.key == "nearest_obstacle_m"]
+        return values and float(values[-1])
+
+    assert wait_until(nearest)
+    assert nearest() == pytest.approx(DEPTH_M, rel=0.1)
+
+
+def test_all_in_focus_frames_are_compressed_for_those_who_ask(ros, model, coded):
+    chain = DeblurChain(ros, model)
+    compressed = ros.subscribe("deblurred/image/compressed", CompressedImage)
+    sharp = array_from_image(chain.result(mono8(coded)))
+    assert wait_until(lambda: compressed)
+    assert compressed[0].format == "mono8; jpeg compressed "
+    picture = cv2.imdecode(np.frombuffer(compressed[0].data, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert np.abs(picture.astype(float) - sharp).mean() < 2
+
+
+def test_points_bear_the_colours_of_the_frame(ros, model, coded):
+    chain = Chain(ros, model, subscribe=("depth/confidence", "depth/std_dev"))
+    clouds = ros.subscribe("depth/points", PointCloud2)
+    frame = np.dstack([coded, coded / 2, coded / 4])
+    message = image_from_array(pixels_from_frame(frame, "bgr8"), "bgr8", stamped())
+    confidence = array_from_image(chain.result(message, "depth/confidence"))
+    assert wait_until(lambda: chain.received["depth/std_dev"])
+    std_dev = array_from_image(chain.received["depth/std_dev"][-1])
+    assert wait_until(lambda: clouds)
+    assert [f.name for f in clouds[0].fields] == ["x", "y", "z", "rgb", "confidence", "std_dev"]
+    points = np.frombuffer(clouds[0].data, np.float32).reshape(HEIGHT, WIDTH, 6)
+    packed = points.view(np.uint32)[..., 3]
+    colours = np.stack([packed >> 16, packed >> 8 & 255, packed & 255], axis=-1)
+    np.testing.assert_array_equal(colours, array_from_image(message))
+    np.testing.assert_array_equal(points[..., 4], confidence)
+    np.testing.assert_array_equal(points[..., 5], std_dev)
 
 
 def warnings_of(reports, node):

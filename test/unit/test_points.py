@@ -25,13 +25,20 @@ WIDE = (420.0, 0.0, 310.0, 0.0, 430.0, 235.0, 0.0, 0.0, 1.0)
 def test_points_lie_on_the_rays_of_their_pixels():
     depth = np.array([[2.0, np.nan, 4.0], [np.inf, -np.inf, 1.0]], np.float32)
     confidence = np.linspace(0, 1, 6, dtype=np.float32).reshape(2, 3)
+    std_dev = depth / 50
+    colours = np.arange(18, dtype=np.uint8).reshape(2, 3, 3) * 13
     through = rays("plumb_bob", K, (0.0,) * 5, 2, 3)
-    points = points_of_depth(depth, confidence, through)
+    points = points_of_depth(depth, confidence, std_dev, colours, through)
     np.testing.assert_allclose(points[0, 0, :3], [-0.02, -0.08, 2.0], rtol=1e-6)
     np.testing.assert_allclose(points[0, 2, :3], [0.04, -0.16, 4.0], rtol=1e-6)
-    np.testing.assert_allclose(points[..., 3], confidence)
+    # As the Point Cloud Library packs colours: 0x00RRGGBB in the bits of a float.
+    packed = points.view(np.uint32)[..., 3].astype(int)
+    shifted = np.stack([packed >> 16, packed >> 8 & 255, packed & 255], axis=-1)
+    np.testing.assert_array_equal(shifted, colours)
+    np.testing.assert_allclose(points[..., 4], confidence)
+    np.testing.assert_allclose(points[..., 5], std_dev)
     assert np.isnan(points[[0, 1, 1], [1, 0, 1], :3]).all()
-    cleared = points_of_depth(depth, confidence, through, near_m=0.5, far_m=9.0)
+    cleared = points_of_depth(depth, confidence, std_dev, colours, through, 0.5, 9.0)
     np.testing.assert_allclose(cleared[1, 0, :3], [-0.09, -0.18, 9.0], rtol=1e-6)
     np.testing.assert_allclose(cleared[1, 1, :3], [0.0, -0.01, 0.5], rtol=1e-6)
     assert np.isnan(cleared[0, 1, :3]).all()  # unknown is neither near nor far

@@ -4,6 +4,11 @@ A message is whatever has the fields of its type: those of rclpy and those read 
 """
 
 from coded_aperture_ros.io.messages.camera_info import scaled_matrices, view_of
+from coded_aperture_ros.io.messages.compressed import (
+    DEPTH_FORMATS,
+    compressed_depth,
+    compressed_picture,
+)
 from coded_aperture_ros.io.messages.encodings import (
     ENCODINGS,
     Encoding,
@@ -25,12 +30,15 @@ from coded_aperture_ros.io.messages.frames import (
 )
 
 __all__ = [
+    "DEPTH_FORMATS",
     "ENCODINGS",
     "Encoding",
     "MessageError",
     "array_from_compressed",
     "array_from_image",
     "check_pixels",
+    "compressed_depth",
+    "compressed_picture",
     "depth_from_pixels",
     "encoding_of",
     "frame_from_image",
