@@ -92,19 +92,8 @@ class WindowedFourierBasis:
     def power(self, image: FloatArray, stride_px: int) -> tuple[FloatArray, PatchGrid]:
         """Return the power spectrum of every window; slow, for learning and for tests.
 
+        Of a grey image without NaN: power, float32 [grid rows, grid columns, K], and the grid.
         Raises `InputError` if the image is smaller than the window.
-
-        Parameters
-        ----------
-        image : ndarray, float32 [rows, columns]
-            Grey image without NaN.
-        stride_px : int
-            Distance between windows, px.
-
-        Returns
-        -------
-        power : ndarray, float32 [grid rows, grid columns, K]
-        grid : PatchGrid
         """
         n = self.window_px
         grid = PatchGrid.covering(image.shape, n, stride_px)

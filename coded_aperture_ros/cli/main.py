@@ -20,6 +20,7 @@ from coded_aperture_ros.core.errors import InputError
 PROGRAM = "coded_aperture"
 _NAMES = (
     "demo",
+    "sample",
     "check",
     "calibrate",
     "mask",

@@ -211,19 +211,8 @@ class SideFinder:
     ) -> FloatArray:
         """Return the log-odds that each patch lies beyond the focal plane, not before it.
 
-        Parameters
-        ----------
-        grey : ndarray, float32 [height, width]
-            Linear light, without NaN.
-        level : ndarray of int [rows, columns]
-            A level with each patch's blur size, of either side.
-        noise : float
-            Standard deviation.
-
-        Returns
-        -------
-        ndarray, float32 [rows, columns]
-            Natural logarithm; 0 where the two PSFs are the same.
+        Natural logarithms [rows, columns], 0 where the two PSFs are the same. `grey` is in linear
+        light without NaN, `level` [rows, columns] has each patch's blur size, of either side.
         """
         spectrum = scipy.fft.rfft2(periodic(grey - grey.mean(), self._periodic))
         found = np.zeros(level.shape, np.float32)

@@ -43,17 +43,8 @@ class StaticAverage:
     def add(self, grey: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
         """Return the mean with one more frame, and how many frames it is of.
 
-        Parameters
-        ----------
-        grey : ndarray, float32 [height, width]
-        noise : float
-            Standard deviation of one frame's noise.
-
-        Returns
-        -------
-        mean : ndarray, float32 [height, width]
-            Valid until the next frame is added.
-        frames : ndarray, float32 [squares down, squares across]
+        `noise` is the standard deviation of one frame's. The mean is valid until the next frame is
+        added; the numbers of frames are float32 [squares down, squares across].
         """
         height, width = grey.shape
         squares = (max(width // _SQUARE_PX, 1), max(height // _SQUARE_PX, 1))

@@ -48,17 +48,8 @@ def depth_picture(
 def error_picture(error: NDArray, largest: float) -> NDArray[np.uint8]:
     """Colour relative errors, none in blue and large ones in red, above a scale bar in per cent.
 
-    Parameters
-    ----------
-    error : ndarray of float, shape [h, w]
-        As a share; NaN, hatched in grey, is unknown.
-    largest : float
-        The end of the scale.
-
-    Returns
-    -------
-    ndarray of uint8, shape [h + strip, w, 3]
-        RGB; as high as a `depth_picture`.
+    Errors [h, w] are shares, up to the `largest` at the end of the scale; NaN, hatched in grey, is
+    unknown. The picture [h + strip, w, RGB] is as high as a `depth_picture`.
     """
     picture = _turbo(np.nan_to_num(error, posinf=largest) / largest)
     _hatch(picture, np.isnan(error))

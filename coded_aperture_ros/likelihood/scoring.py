@@ -34,18 +34,9 @@ def relative_cost(
 ) -> FloatArray:
     """Return the cost volume: the negative log-likelihood of every level, 0 for the likeliest.
 
-    Parameters
-    ----------
-    energies : ndarray, float32 [rows, columns, L]
-        See `take_logarithm`.
-    window_correlation : float
-        How many of a patch's numbers tell one thing, for windows correlate them.
-    usable : ndarray, bool [rows, columns], optional
-        Where it is False, nothing is known: all levels cost 0.
-
-    Returns
-    -------
-    ndarray, float32 [rows, columns, L]
+    Of `energies` [rows, columns, L]; see `take_logarithm`. `window_correlation` says how many of a
+    patch's numbers tell one thing, for windows correlate them. Where `usable` is False, nothing is
+    known: all levels cost 0.
     """
     cost = energies - energies.min(axis=-1, keepdims=True)
     cost *= np.float32(0.5 / (window_correlation * TEMPERATURE))

@@ -140,6 +140,7 @@ def test_commands_are_listed_in_the_order_of_use():
     assert list(program.COMMANDS) == [
         *(
             "demo",
+            "sample",
             "check",
             "calibrate",
             "mask",

@@ -1,42 +1,44 @@
-"""The README's Python example and commands run as they are printed."""
+"""Commands and Python of the README and of the pages that begin with it run as they are printed."""
 
 import re
 import shlex
-import shutil
 
-import numpy as np
 import pytest
-from asymmetric_planes import few_steps, folder_of
 
 from coded_aperture_ros.cli.main import main
-from coded_aperture_ros.io import write_depth, write_image
+
+# These take more than a minute; `test_cli_deblur` and `test_blind` run the like.
+_NOT_RUN = ("calibrate blind", "deblur --bank bank.npz --depth moving.npy")
+_FAILS = {"check --camera camera.yaml --bank bank.npz sharp.png": 1}
 
 
-@pytest.fixture(scope="module")
-def folder(checkout, tmp_path_factory):
-    """What a reader has at hand: a sharp picture, its depth, and the shipped camera file."""
-    folder = tmp_path_factory.mktemp("readme")
-    (folder / "config").mkdir()
-    for copy in ("camera.yaml", "config/demo_camera.yaml"):
-        shutil.copy(checkout / "config" / "demo_camera.yaml", folder / copy)
-    random = np.random.default_rng(0)
-    write_image(folder / "sharp.png", random.random((480, 640, 3), dtype=np.float32))
-    write_depth(folder / "depth.png", np.full((480, 640), 3.0, np.float32))
-    (folder / "planes").mkdir()
-    folder_of(folder / "planes")
-    return folder
+def commands_of(text):
+    """Return the command lines of our program in the indented blocks of a document."""
+    joined = text.replace("\\\n", " ")
+    return re.findall(r"^    coded_aperture (.*)$", joined, re.MULTILINE)
 
 
-def test_commands_and_python_example(checkout, folder, monkeypatch, capsys):
-    monkeypatch.chdir(folder)
-    few_steps(monkeypatch)
-    readme = (checkout / "README.md").read_text()
-    section = readme.split("## From the command line")[1].split("\n## ")[0]
-    commands = re.findall(r"^    coded_aperture (.*)$", section, re.MULTILINE)
-    assert len(commands) == 9
+@pytest.mark.parametrize(
+    ("page", "least"), [("README.md", 6), ("docs/start.md", 8), ("docs/commands.md", 18)]
+)
+def test_the_commands_of_a_page_run_one_after_the_other(
+    checkout, tmp_path, monkeypatch, capsys, page, least
+):
+    monkeypatch.chdir(tmp_path)
+    commands = commands_of((checkout / page).read_text())
+    assert len(commands) >= least
+    assert commands[0] == "sample"
     for command in commands:
-        assert main(shlex.split(command)) == 0, capsys.readouterr().err
-    (example,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
+        if command.startswith(_NOT_RUN):
+            continue
+        line = re.sub(r"\s+", " ", command)
+        status = main(shlex.split(line))
+        assert status == _FAILS.get(line, 0), f"{line}: {capsys.readouterr().err}"
+        if command == "sample":
+            monkeypatch.chdir(tmp_path / "sample")
+    if page != "docs/commands.md":
+        return
+    (example,) = re.findall(r"```python\n(.*?)```", (checkout / page).read_text(), re.DOTALL)
     names = {}
-    exec(compile(example, "README.md", "exec"), names)
+    exec(compile(example, page, "exec"), names)
     assert names["sharp"].shape == names["frame"].shape == (480, 640, 3)

@@ -129,19 +129,11 @@ def can_be_checked(stack: PsfStack) -> bool:
 
 
 class FitCheck:
-    """Checks the frames of a video, or single ones, against a bank's PSFs.
+    """Checks the frames of a video, or single ones, against a bank's PSFs; see `can_be_checked`.
 
-    Parameters
-    ----------
-    stack : PsfStack
-        Of the bank; `can_be_checked`.
-    remembers : bool
-        Whether frames are those of a video, in order: then only some are looked at, and what they
-        say is averaged.
-    guarded : bool
-        Whether the levels at the ends stand for what is beyond them.
-    threads : int
-        Two look at a frame together.
+    With `remembers`, frames are those of a video, in order: then only some are looked at, and what
+    they say is averaged. With `guarded`, the levels at the ends stand for what is beyond them. Two
+    threads look at a frame together.
     """
 
     def __init__(

@@ -88,22 +88,11 @@ class Surroundings:
 def cost_features(
     looks: Sequence[Look], around: Surroundings, cells: Cells, sizes_px: DoubleArray, near: float
 ) -> FloatArray:
-    """Return what is known of every cell.
+    """Return what is known of every cell [COST_CHANNELS + SCALARS, rows, columns].
 
-    Parameters
-    ----------
-    looks : sequence of Look
-        With the model's patches, and with smaller ones.
-    around : Surroundings
-        Of the frame, linear light.
-    sizes_px : ndarray, float64 [L]
-        Blur size of every level, of one side.
-    near : float
-        1 for a scene before the focal plane, 0 for one beyond it, 0.5 if that is not known.
-
-    Returns
-    -------
-    ndarray, float32 [COST_CHANNELS + SCALARS, rows, columns]
+    `looks` are with the model's patches and with smaller ones, `around` is of the frame, `sizes_px`
+    has the blur size of every level [L] of one side, and `near` is 1 for a scene before the focal
+    plane, 0 for one beyond it, 0.5 if that is not known.
     """
     tried = np.flatnonzero(tried_sizes(sizes_px))
     some = slice(int(tried[0]), int(tried[-1]) + 1)

@@ -36,22 +36,9 @@ def view_of(info: Any, width: int, height: int, camera: Camera) -> View | None:
 def scaled_matrices(info: Any, width: int, height: int) -> tuple[list[float], list[float]]:
     """Return K and P of a `sensor_msgs/CameraInfo` for its region at `width` x `height`.
 
-    Parameters
-    ----------
-    info : sensor_msgs/CameraInfo
-        Or anything with its fields `width`, `height`, `roi`, `k` and `p`. Distortion coefficients
-        act on normalised coordinates and stay.
-
-    Returns
-    -------
-    k : list of 9 float
-    p : list of 12 float
-        Made from K where a driver left it empty.
-
-    Raises
-    ------
-    MessageError
-        Of kind "camera_info", where the message holds no camera model.
+    Of anything with its fields `width`, `height`, `roi`, `k` and `p`; P is made from K where a
+    driver left it empty. Distortion coefficients act on normalised coordinates and stay. Raises
+    `MessageError` of kind "camera_info", where the message holds no camera model.
     """
     if info.width == 0 or info.height == 0 or info.k[0] <= 0 or info.k[4] <= 0:
         raise MessageError("camera_info", "camera_info holds no camera model (size or K is 0)")

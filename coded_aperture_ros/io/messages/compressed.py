@@ -20,22 +20,8 @@ _PNG, _JPEG = (cv2.IMWRITE_PNG_COMPRESSION, 1), (cv2.IMWRITE_JPEG_QUALITY, 95)
 def compressed_picture(pixels: NDArray, encoding: str) -> tuple[bytes, str]:
     """Compress a picture as the transport `compressed` does: 8 bits as JPEG, 16 as PNG.
 
-    Parameters
-    ----------
-    pixels : ndarray, [row, column] or [row, column, stored channel]
-    encoding : str
-        One of `ENCODINGS`; how the pixels are stored.
-
-    Returns
-    -------
-    data : bytes
-    format : str
-        Of the message.
-
-    Raises
-    ------
-    MessageError
-        Of kind "encoding", if such pixels have no compressed form: floats, and mosaics.
+    Of pixels as one of `ENCODINGS` stores them: data, and the message's format. Raises
+    `MessageError` of kind "encoding", if they have no compressed form: floats, and mosaics.
     """
     target = check_pixels(pixels, encoding)
     if target.dtype == "f4" or target.mosaic or target.channels == 2:
@@ -53,21 +39,11 @@ def compressed_picture(pixels: NDArray, encoding: str) -> tuple[bytes, str]:
 
 
 def compressed_depth(depth: NDArray, kind: str = "png") -> tuple[bytes, str]:
-    """Compress depth as the transport `compressedDepth` does.
+    """Compress depth as the transport `compressedDepth` does: data, and the message's format.
 
-    Parameters
-    ----------
-    depth : ndarray, float32 or uint16 [row, column]
-        Metres, whose inverse is kept in 16 bits: to 0.1 mm at 1 m, 10 mm at 10 m. +inf stays so;
-        NaN and -inf become unknown. Or millimetres, which are kept exactly.
-    kind : {"png", "rvl"}
-        RVL (Wilson, Fast Lossless Depth Image Compression, 2017) keeps runs and differences.
-
-    Returns
-    -------
-    data : bytes
-    format : str
-        Of the message.
+    Of metres (float32) the inverse is kept in 16 bits, to 0.1 mm at 1 m and 10 mm at 10 m; +inf
+    stays so, NaN and -inf become unknown. Millimetres (uint16) are kept exactly. `kind` is png, or
+    rvl, which keeps runs and differences (Wilson, Fast Lossless Depth Image Compression, 2017).
     """
     scale, values = 0.0, depth
     if depth.dtype == np.float32:

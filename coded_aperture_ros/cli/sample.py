@@ -1,0 +1,133 @@
+"""`coded_aperture sample`: files to try the other commands with."""
+
+import argparse
+import dataclasses
+import json
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from coded_aperture_ros.cli.measuring import tell
+from coded_aperture_ros.cli.options import add_options
+from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.core.errors import InputError
+
+_EPILOG = """example:
+  coded_aperture sample && cd sample
+  coded_aperture learn --camera camera.yaml --depth-range 2.1 5.1 -o bank.npz
+  coded_aperture depth --bank bank.npz coded.png -o depth.npy --pictures
+"""
+_NOISE, _RATE_HZ, _FRAMES = 0.002, 10, 12
+_NEAR_M, _FAR_M, _PLANES, _PLANE_PX = 2.1, 5.1, 12, (240, 320)
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the sub-command to the program's parser."""
+    parser = subparsers.add_parser(
+        "sample",
+        help="write example files to try the other commands with",
+        description="Write what a camera file describes as the simulated camera records it: a "
+        "coded frame (coded.png) with its truth (sharp.png, depth.png), frames of a video "
+        "(video/), planes at known depths (planes/) and a ROS 2 bag (recording/). All is 2.1 to "
+        "5.1 m away. The examples of the documentation run on them.",
+        epilog=_EPILOG,
+    )
+    what = "folder to make (default sample)"
+    parser.add_argument("folder", metavar="DIR", nargs="?", default="sample", help=what)
+    add_options(parser, {"--json": "print a summary as JSON"})
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the sub-command; return its exit status."""
+    folder = Path(args.folder)
+    if folder.exists():
+        raise InputError(f"{folder} exists already: use another name")
+    try:
+        folder.absolute().parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(dir=folder.absolute().parent, prefix=f".{folder.name}-"))
+    except OSError as error:
+        raise InputError(f"cannot write {folder}: {error.strerror}") from error
+    try:
+        made = list(progress(_made(temporary), 3, "part"))
+        temporary.chmod(0o755)
+        temporary.rename(folder)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    summary = {"folder": str(folder), "files": [name for names in made for name in names]}
+    return tell(args, summary, lambda found: f"{folder}: {', '.join(found['files'])}")
+
+
+def _made(folder: Path) -> Iterator[list[str]]:
+    """Write everything; yield the names of each part."""
+    import numpy as np
+
+    from coded_aperture_ros.bank import power_spectrum
+    from coded_aperture_ros.core.share import share_directory
+    from coded_aperture_ros.io import write_depth, write_image
+    from coded_aperture_ros.optics import load_camera
+    from coded_aperture_ros.simulation import (
+        PanningScene,
+        SensorModel,
+        motorcycle_scene,
+        render_coded_frame,
+    )
+
+    shutil.copy(share_directory() / "config" / "demo_camera.yaml", folder / "camera.yaml")
+    camera, sensor = load_camera(folder / "camera.yaml"), SensorModel(_NOISE, 12)
+    scene = PanningScene(motorcycle_scene(), camera, sensor)
+    views = [scene.view(index / _RATE_HZ) for index in range(_FRAMES)]
+    write_image(folder / "coded.png", views[0].coded)
+    write_image(folder / "sharp.png", views[0].sharp)
+    write_depth(folder / "depth.png", views[0].depth_m)
+    for index, view in enumerate(views):
+        write_image(folder / "video" / f"{index:02}.png", view.coded)
+    yield ["camera.yaml", "coded.png", "sharp.png", "depth.png", "video"]
+
+    random, entries = np.random.default_rng(0), []
+    spectrum = np.sqrt(power_spectrum(2.2, _PLANE_PX))
+    for index, inverse in enumerate(np.linspace(1 / _NEAR_M, 1 / _FAR_M, _PLANES)):
+        texture = np.fft.irfft2(np.fft.rfft2(random.normal(size=_PLANE_PX)) * spectrum, _PLANE_PX)
+        light = np.clip(0.4 + 0.13 * texture / texture.std(), 0.01, 0.95).astype(np.float32)
+        depth_m = np.full(_PLANE_PX, 1 / inverse, np.float32)
+        name = f"{index:02}.png"
+        coded = sensor.expose(render_coded_frame(light, depth_m, camera), random)
+        write_image(folder / "planes" / name, coded)
+        entries.append({"file": name, "depth_m": round(1 / inverse, 4)})
+    (folder / "planes" / "planes.json").write_text(json.dumps(entries, indent=1) + "\n")
+    yield ["planes"]
+    yield _record(folder / "recording", camera, views)
+
+
+def _record(path: Path, camera: Any, views: list[Any]) -> list[str]:
+    """Write a bag of the views; return its name, or nothing where bags cannot be written."""
+    from coded_aperture_ros.io.bags import bag_output
+    from coded_aperture_ros.io.bags.codec import (
+        CAMERA_INFO,
+        IMAGE,
+        camera_info_data,
+        image_data,
+        info_of,
+        new_topic,
+    )
+    from coded_aperture_ros.io.messages import pixels_from_frame
+
+    info = info_of(camera.intrinsics)
+    with bag_output(path, "mcap") as bag:
+        kinds = {"/image_raw": IMAGE, "/camera_info": CAMERA_INFO, "/ground_truth/depth": IMAGE}
+        for topic, kind in kinds.items():
+            bag.add_topic(new_topic(topic, kind))
+        for index, view in enumerate(views):
+            time_ns = 10**9 + index * 10**9 // _RATE_HZ
+            stamp = dataclasses.replace(
+                info.header.stamp, sec=time_ns // 10**9, nanosec=time_ns % 10**9
+            )
+            header = dataclasses.replace(info.header, stamp=stamp, frame_id="camera_optical_frame")
+            pixels = pixels_from_frame(view.coded, "mono16")
+            size = view.depth_m.shape
+            bag.write("/image_raw", time_ns, image_data(pixels, "mono16", header))
+            bag.write("/camera_info", time_ns, camera_info_data(info, size, header))
+            depth = image_data(view.depth_m, "32FC1", header)
+            bag.write("/ground_truth/depth", time_ns, depth)
+    return [path.name]
