@@ -220,6 +220,26 @@ def test_trust_is_measured(capsys, folder):
     assert call(capsys, "bench", "trust", folder, "--kinds", "magic").status == 2
 
 
+def test_a_camera_gets_its_data_sheet(capsys, tmp_path):
+    path = tmp_path / "camera.yaml"
+    path.write_text(
+        "focal_length_px: 300\nfocus_distance_m: 1.0\nimage_width: 160\nimage_height: 120\n"
+        "side: far\nmask: {name: levin}\nmask_extent_mm: 60\n"
+    )
+    arguments = ("bench", "datasheet", "--camera", path, "--pictures", 1, "--depth-range")
+    sheet = json_of(capsys, *arguments, 1.5, 3.0)
+    across, down = sheet["field_of_view_deg"]
+    assert across == pytest.approx(2 * np.degrees(np.arctan(80 / 300)), abs=0.1)
+    assert down == pytest.approx(2 * np.degrees(np.arctan(60 / 300)), abs=0.1)
+    depths = [row["depth_m"] for row in sheet["rows"]]
+    assert (len(depths), depths[0], depths[-1]) == (8, 1.5, 3.0)
+    inner = sheet["rows"][2:6]
+    assert all(row["fill"] > 0.5 and abs(row["bias"]) < 0.1 for row in inner)
+    assert all(0 < row["temporal"] < row["rms"] for row in inner)
+    assert "fill rate" in call(capsys, *arguments, 1.5, 3.0).out
+    assert call(capsys, *arguments, 3.0, 1.5).status == 2
+
+
 def test_a_lens_is_measured_with_planes(capsys, folder, tmp_path):
     straight = Camera(400.0, 1.0, WIDTH, HEIGHT, Mask.named("levin"), 40.0)
     bent = dataclasses.replace(straight, field_curvature=FieldCurvature(1.0, 0.0))
