@@ -19,6 +19,9 @@ _HELD_BACK, _OF = 7, 8
 _HIDDEN, _EPOCHS, _BATCH = 256, 60, 256
 # How much fitting frames, and wrong depth that would be published, count beside the rest.
 _OF_FITS, _OF_WRONG = 5.0, 6.0
+# What is the easiest to overlook counts more, where its depth is wrong.
+_OVERLOOKED = "no mask", "other mask", "all in focus", "correlated noise", "mask inverted"
+_OF_OVERLOOKED = 3.0
 _COVERED = 0.1
 # What is published is right if its error exceeds that of the same scene, where it fits, by less
 # than the first, and wrong from the second on: many scenes are near infinity, and hard to measure.
@@ -64,6 +67,7 @@ def targets(told: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.nda
     wrong = np.where(fits, 0, np.clip((excess(told) - _RIGHT) / (_WRONG - _RIGHT), 0, 1))
     counts = np.where(fits, _OF_FITS, np.where(wrong > 0.5, _OF_WRONG, 1))
     counts[~fits & (told["coverage"] < _COVERED)] = 0.3
+    counts[np.isin(told["kind"], _OVERLOOKED) & (wrong > 0.5)] *= _OF_OVERLOOKED
     cause_counts = np.where(fits, 0, np.where(wrong > 0, 1, 0.3))
     frequency = np.bincount(told["cause"][~fits], minlength=len(CAUSES))
     cause_counts *= (frequency.mean() / np.maximum(frequency, 1))[told["cause"]] ** 0.6

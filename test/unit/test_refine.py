@@ -9,7 +9,7 @@ from coded_aperture_benchmarks.layered import random_scene
 from coded_aperture_ros.bank import LearnConfig, learn_bank, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video
-from coded_aperture_ros.depth.refine import small_bank, untrained
+from coded_aperture_ros.depth.refine import refinement_note, small_bank, untrained
 from coded_aperture_ros.depth.refine.cells import CELL_PX, HALVINGS, Cells
 from coded_aperture_ros.depth.refine.features import (
     BLUR_SIZES_PX,
@@ -214,6 +214,17 @@ def test_maps_are_linear_within_surfaces_and_cut_at_edges():
     edge = drawn(step, chosen_neighbours(neighbour), 0.8)
     assert set(np.unique(edge)) == {0, 9}
     assert (edge[:, :14] == 0).all() and (edge[:, 14:] == 9).all()
+
+
+def test_what_it_has_seldom_seen_is_told(camera):
+    def note(largest_px):
+        stack = render_psf_stack(camera.mask, np.linspace(4, largest_px, 30))
+        return refinement_note(learn_bank(stack), DepthConfig())
+
+    assert note(18.0) is None
+    assert "little blur above 18.5 px" in note(20.0)
+    assert "levels reach 20 px" in note(20.0)
+    assert "semiglobal in place of learned" in note(24.0)
 
 
 def test_where_it_was_not_trained_it_stands_back(bank, camera, scene):

@@ -14,7 +14,8 @@ from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.rows import columns, grouped
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import load_textures
-from coded_aperture_ros.bank import FilterBank, learn_bank_for_camera
+from coded_aperture_ros.bank import learn_bank_for_camera
+from coded_aperture_ros.bank.learning import guarded_range
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.config import VIDEO_FRAMES
 from coded_aperture_ros.optics import Camera, load_camera
@@ -58,7 +59,7 @@ def measure(cell: Cell) -> Row:
     """Measure a plane as a node sees it: a video, with the settings that nodes have."""
     camera, depth_m = cell.camera, cell.depth_m
     started_s = time.perf_counter()
-    bank: FilterBank = learn_bank_for_camera(camera, *cell.range_m, cell.levels)
+    bank = learn_bank_for_camera(camera, *guarded_range(camera, *cell.range_m, cell.levels))
     learned_s = time.perf_counter()
     size = camera.image_height, camera.image_width
     flat = np.full(size, depth_m, np.float32)
