@@ -28,7 +28,7 @@ SETUP := setup.py setup.cfg pyproject.toml scripts/create_environment.sh
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-all test-installed test-oldest fuzz soak lint docs train train-blend train-check
-.PHONY: environment clean
+.PHONY: environment clean release-check
 
 help: ## Show this list
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | \
@@ -64,6 +64,9 @@ lint: $(READY) ## Check style and types
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
+
+release-check: ## Say whether this can be released, and what only a maintainer can supply
+	@python3 scripts/release_check.py
 
 docs: $(VENV)/finished-docs ## Build the documentation as a site (docs/_build/html)
 	@$(VENV)/bin/python -m sphinx -W --keep-going -q -b html docs docs/_build/html

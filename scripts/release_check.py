@@ -1,0 +1,91 @@
+"""Say whether this checkout can be released, and what only a maintainer can supply.
+
+python scripts/release_check.py [FOLDER]
+
+Ends with status 1 if something is wrong that a maintainer need not supply.
+"""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+PLACEHOLDER = "example.org"
+OK, WRONG, MAINTAINER = "ok", "WRONG", "maintainer"
+Finding = tuple[str, str, str]
+
+
+def version_of(folder: Path) -> str:
+    """Return the version that the package says it has."""
+    text = (folder / "coded_aperture_ros" / "__init__.py").read_text()
+    return re.search(r'^__version__ = "(.+)"$', text, re.MULTILINE)[1]
+
+
+def versions(folder: Path) -> Finding:
+    """Compare the version of the package with those of other files."""
+    version = version_of(folder)
+    package = ElementTree.parse(folder / "package.xml").findtext("version")
+    cited = re.search(r'^version: "?([\d.]+)', (folder / "CITATION.cff").read_text(), re.MULTILINE)
+    found = {"package.xml": package, "CITATION.cff": cited[1] if cited else version}
+    other = [f"{name} has {value}" for name, value in found.items() if value != version]
+    return ("versions", WRONG if other else OK, "; ".join(other) or version)
+
+
+def maintainer(folder: Path) -> Finding:
+    """Look for the placeholder of the maintainer's address."""
+    names = ("package.xml", "setup.py")
+    held = [name for name in names if PLACEHOLDER in (folder / name).read_text()]
+    said = f"put your address in place of {PLACEHOLDER} in {' and '.join(held)}"
+    return ("maintainer", MAINTAINER if held else OK, said if held else "named")
+
+
+def changelog(folder: Path) -> Finding:
+    """Look for a section of this version in the changelog."""
+    text = (folder / "CHANGELOG.md").read_text()
+    if re.search(rf"^## \[{re.escape(version_of(folder))}\]", text, re.MULTILINE):
+        return ("changelog", OK, f"has {version_of(folder)}")
+    said = f"call [Unreleased] in CHANGELOG.md {version_of(folder)}, with the date"
+    return ("changelog", MAINTAINER, said)
+
+
+def licence(folder: Path) -> Finding:
+    """Compare the licence's name with its text."""
+    named = ElementTree.parse(folder / "package.xml").findtext("license")
+    is_apache = "Apache License" in (folder / "LICENSE").read_text()
+    right = named == "Apache-2.0" and is_apache
+    return ("licence", OK if right else WRONG, f"{named} in package.xml")
+
+
+def tree(folder: Path) -> Finding:
+    """Ask git whether something is not committed."""
+    command = ["git", "-C", str(folder), "status", "--porcelain"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    if result.returncode:
+        return ("tree", WRONG, "not a checkout of git")
+    changed = len(result.stdout.splitlines())
+    return ("tree", WRONG if changed else OK, f"{changed} files are not committed")
+
+
+def tag(folder: Path) -> Finding:
+    """Ask git for the tag of this version."""
+    version = version_of(folder)
+    command = ["git", "-C", str(folder), "tag", "--list", version]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    if result.stdout.strip():
+        return ("tag", OK, version)
+    return ("tag", MAINTAINER, f"git tag {version}, once all else is done")
+
+
+def main() -> int:
+    """Print all findings; return the exit status."""
+    folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
+    checks = (versions, licence, tree, maintainer, changelog, tag)
+    findings = [check(folder) for check in checks]
+    for name, state, said in findings:
+        print(f"[{state:^10}] {name}: {said}")
+    return int(any(state == WRONG for _, state, _ in findings))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

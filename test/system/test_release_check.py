@@ -1,0 +1,56 @@
+"""`make release-check` finds what would spoil a release, and lists what a maintainer supplies."""
+
+import re
+import runpy
+import shutil
+
+import pytest
+
+FILES = ("package.xml", "setup.py", "CITATION.cff", "CHANGELOG.md", "LICENSE")
+
+
+@pytest.fixture
+def release(checkout, tmp_path):
+    """Return the script's functions, and a folder with what they read."""
+    (tmp_path / "coded_aperture_ros").mkdir()
+    for name in (*FILES, "coded_aperture_ros/__init__.py"):
+        shutil.copy(checkout / name, tmp_path / name)
+    return runpy.run_path(str(checkout / "scripts/release_check.py")), tmp_path
+
+
+def change(path, pattern, text):
+    path.write_text(re.sub(pattern, text, path.read_text()))
+
+
+def test_only_a_maintainer_can_supply_what_is_missing(release):
+    script, folder = release
+    states = {name: script[name](folder)[1] for name in ("versions", "licence")}
+    assert states == {"versions": "ok", "licence": "ok"}
+    assert script["maintainer"](folder)[1] in ("ok", "maintainer")
+    assert script["changelog"](folder)[1] in ("ok", "maintainer")
+
+
+def test_other_versions_are_named(release):
+    script, folder = release
+    change(folder / "package.xml", "<version>.*</version>", "<version>9.9.9</version>")
+    assert script["versions"](folder) == ("versions", "WRONG", "package.xml has 9.9.9")
+
+
+def test_a_named_maintainer_and_a_finished_changelog_are_enough(release):
+    script, folder = release
+    for name in ("package.xml", "setup.py"):
+        change(folder / name, "maintainers@example.org", "someone@robots.example")
+    version = script["version_of"](folder)
+    change(folder / "CHANGELOG.md", r"## \[Unreleased\]", f"## [{version}] - 2030-01-01")
+    assert script["maintainer"](folder)[1] == script["changelog"](folder)[1] == "ok"
+
+
+def test_another_licence_is_wrong(release):
+    script, folder = release
+    (folder / "LICENSE").write_text("All rights reserved")
+    assert script["licence"](folder)[1] == "WRONG"
+
+
+def test_a_folder_that_is_no_checkout_is_told(release):
+    script, folder = release
+    assert script["tree"](folder)[1:] == ("WRONG", "not a checkout of git")
