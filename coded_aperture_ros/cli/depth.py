@@ -86,6 +86,7 @@ def add_parser(subparsers: Any) -> None:
     add_options(parser, look_ahead)
     add_deprecated_alias(parser, "--levels", add_options(parser, as_levels))
     add_options(parser, {"--pictures": "write colour pictures of depth and confidence too"})
+    add_options(parser, {"--points": "write coloured points (x.ply) too; needs --camera"})
     add_gamma_option(parser)
     scale = {
         "--frame-scale S": "resample frames by S to the size that the bank is for; maps keep "
@@ -108,6 +109,8 @@ def run(args: argparse.Namespace) -> int:
         args.usage_error("--look-ahead: not with --angular-velocity, which is of one frame")
     if args.as_levels and args.output.lower().endswith(".png"):
         raise InputError(f"{args.output}: a PNG has depths in mm, write levels to .npy or .tiff")
+    if args.points and (args.as_levels or not args.camera):
+        args.usage_error("--points: needs --camera, and no --as-levels")
     if args.frame_scale != 1 and (args.look_ahead or args.motion):
         args.usage_error("--frame-scale: not with --look-ahead or --motion")
     camera = load_camera(args.camera) if args.camera else None
@@ -141,6 +144,8 @@ def run(args: argparse.Namespace) -> int:
             if args.as_levels or values is None:
                 values = estimate.level
             _write(files(frame.output), values, estimate, args, levels)
+            if args.points:
+                _write_points(files(frame.output)["points"], frame, estimate, camera, args.gamma)
             summary = _summary(frame, values, estimate, seconds, args)
             summaries.append(summary)
             if not args.json:
@@ -256,6 +261,8 @@ def _files(path: Path, args: argparse.Namespace, both_sides: bool) -> dict[str, 
         ends["std_dev"] = f".std_dev{suffix}"
     if args.pictures:
         ends |= {"picture": ".picture.png", "confidence picture": ".confidence.picture.png"}
+    if args.points:
+        ends["points"] = ".ply"
     if args.motion:
         ends |= {"motion": ".motion.npy", "motion confidence": ".motion.confidence.npy"}
     if both_sides:
@@ -282,3 +289,20 @@ def _write(
             picture = depth_picture(values)
         write_image(files["picture"], picture)
         write_image(files["confidence picture"], confidence_picture(estimate.confidence))
+
+
+def _write_points(path: Path, frame: NamedFrame, estimate: Any, camera: Any, gamma: Any) -> None:
+    import cv2
+
+    from coded_aperture_ros.depth import points_of_depth
+    from coded_aperture_ros.io.messages import pixels_from_frame
+    from coded_aperture_ros.io.points_file import write_points
+    from coded_aperture_ros.optics.intrinsics import rays
+
+    rows, columns = estimate.depth_m.shape
+    small = cv2.resize(frame.image, (columns, rows), interpolation=cv2.INTER_AREA)
+    model = camera.scaled(columns / camera.image_width).intrinsics
+    matrix, bent = model.camera_matrix, model.distortion_coefficients
+    through = rays(model.distortion_model, matrix, bent, rows, columns)
+    maps = estimate.depth_m, estimate.confidence, estimate.std_dev_m
+    write_points(path, points_of_depth(*maps, pixels_from_frame(small, "rgb8", gamma), through))

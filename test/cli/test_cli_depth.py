@@ -20,6 +20,7 @@ from coded_aperture_ros.imaging import mosaic_from_colour
 from coded_aperture_ros.io import read_depth, read_image
 from coded_aperture_ros.methods.choose import new_model
 from coded_aperture_ros.methods.motion import MotionConfig
+from coded_aperture_ros.optics import load_camera
 
 # Few motions, so that a test takes no time.
 FEW_MOTIONS = MotionConfig(
@@ -122,6 +123,31 @@ def test_pictures(scene, tmp_path, capsys, unit):
     assert picture.shape[0] > HEIGHT
     assert picture.shape[1:] == (WIDTH, 3)
     assert read_image(tmp_path / "d.confidence.picture.png").shape == picture.shape
+
+
+def test_points_in_the_colours_of_the_frame(scene, tmp_path, capsys):
+    output = tmp_path / "depth.npy"
+    arguments = ("depth", "--bank", scene.bank, scene.coded_png, "-o", output, "--points")
+    wrong_usage(call(capsys, *arguments), "depth", "--points: needs --camera")
+    assert call(capsys, *arguments, "--camera", scene.camera).status == 0
+    header, data = (tmp_path / "depth.ply").read_bytes().split(b"end_header\n", 1)
+    lines = header.decode().splitlines()
+    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+    names = [line.split()[-1] for line in lines if line.startswith("property")]
+    kinds = ["<f4"] * 3 + ["u1"] * 3 + ["<f4"] * 2
+    points = np.frombuffer(data, list(zip(names, kinds, strict=True)))
+    depth = np.load(output)
+    known = np.isfinite(depth)
+    assert lines[2] == f"element vertex {known.sum()}"
+    np.testing.assert_array_equal(points["z"], depth[known])
+    std_dev = np.load(tmp_path / "depth.std_dev.npy")
+    np.testing.assert_array_equal(points["std_dev"], std_dev[known])
+    matrix = load_camera(scene.camera).intrinsics.camera_matrix
+    columns = np.nonzero(known)[1]
+    expected = (columns - matrix[2]) / matrix[0] * depth[known]
+    np.testing.assert_allclose(points["x"], expected, atol=1e-4)
+    coded = np.rint(255 * np.clip(read_image(scene.coded_png), 0, 1))
+    np.testing.assert_allclose(points["green"], coded[known][:, 1], atol=1)
 
 
 @pytest.mark.parametrize("method", ["none", "tv", "graphcut"])

@@ -19,7 +19,7 @@ def commands_of(text):
 
 
 @pytest.mark.parametrize(
-    ("page", "least"), [("README.md", 6), ("docs/start.md", 8), ("docs/commands.md", 18)]
+    ("page", "least"), [("README.md", 6), ("docs/start.md", 8), ("docs/commands.md", 19)]
 )
 def test_the_commands_of_a_page_run_one_after_the_other(
     checkout, tmp_path, monkeypatch, capsys, page, least
