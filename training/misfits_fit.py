@@ -21,7 +21,7 @@ _HIDDEN, _EPOCHS, _BATCH = 256, 60, 256
 _OF_FITS, _OF_WRONG = 5.0, 6.0
 # What is the easiest to overlook counts more, where its depth is wrong.
 _OVERLOOKED = "no mask", "other mask", "all in focus", "correlated noise", "mask inverted"
-_OF_OVERLOOKED = 3.0
+_OF_OVERLOOKED = 5.0
 _COVERED = 0.1
 # What is published is right if its error exceeds that of the same scene, where it fits, by less
 # than the first, and wrong from the second on: many scenes are near infinity, and hard to measure.
