@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from costs import CELLS
-from scenes import BLUR_STEP, FRAMES_PER_SHARD
+from scenes import BLUR_STEP, FIRST_RARE_SHARD, FRAMES_PER_SHARD
 
 from coded_aperture_ros.depth.refine.cells import CELL_PX
 
@@ -32,6 +32,8 @@ class Frame:
         First row and column of the cells; 0 or less.
     infinity_px : float
         Blur size of what is infinitely far.
+    rare : bool
+        See `scenes.drawn`.
     """
 
     costs: np.ndarray
@@ -40,16 +42,21 @@ class Frame:
     blur: np.ndarray
     corner: tuple[int, int]
     infinity_px: float
+    rare: bool
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Batch:
-    """Tensors of some frames: what the network takes, where levels were tried, and the truth."""
+    """Tensors of some frames: what the network takes, where levels were tried, and the truth.
+
+    `rare` [batch] says which are, 0 or 1.
+    """
 
     costs: torch.Tensor
     frame: torch.Tensor
     tried: torch.Tensor
     blur_px: torch.Tensor
+    rare: torch.Tensor
 
 
 def load(scenes: Path, costs: Path, shards: list[int], least_told: float = 0.0) -> list[Frame]:
@@ -71,6 +78,7 @@ def load(scenes: Path, costs: Path, shards: list[int], least_told: float = 0.0) 
                     truth["blur"][index],
                     tuple(shown["corner"][index].tolist()),
                     float(truth["infinity"][index]),
+                    shard >= FIRST_RARE_SHARD,
                 )
             )
     return frames
@@ -114,9 +122,7 @@ def true_blur_px(frame: Frame) -> np.ndarray:
     return whole
 
 
-def _sample(
-    frame: Frame, random: np.random.Generator, augment: bool
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _sample(frame: Frame, random: np.random.Generator, augment: bool) -> tuple[np.ndarray, ...]:
     costs, texture, truth = frame.costs, frame.frame, np.abs(true_blur_px(frame))
     down, right = random.integers(CELLS - _PART + 1, size=2) if augment else (0, 0)
     costs, texture, truth = (
@@ -132,6 +138,7 @@ def _sample(
         texture.astype(np.float32),
         frame.tried,
         truth[down::2, right::2].copy(),
+        np.float32(frame.rare),
     )
 
 

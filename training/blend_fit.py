@@ -14,6 +14,7 @@ import torch
 from blend_network import PIXELS, Blend, blended
 from fit import Fit, Schedule, add_fit_options, check_enough
 from pictures import DEPTHS
+from shards import shards_of
 
 from coded_aperture_ros.deblur.blend.features import CELL_PX
 
@@ -182,8 +183,8 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     torch.manual_seed(0)
-    pictures = load(args.pictures, range(*args.shards))
-    held = load(args.pictures, range(*args.validate))
+    pictures = load(args.pictures, shards_of(args.shards))
+    held = load(args.pictures, shards_of(args.validate))
     check_enough(pictures, held, _BATCH, DEPTHS, "pictures")
     how = Schedule(args.minutes, args.rate, warm_steps=200, decay=1e-3, largest_gradient=1.0)
     fit = Fit(Blend(), how, args.output, args.start)

@@ -1,6 +1,6 @@
 """Fit how sure the refinement may be, on frames that it has not learned from.
 
-    python training/calibrate.py --scenes DIR --costs DIR --shards 0 4
+    python training/calibrate.py --scenes DIR --costs DIR --shards 0 4 80 84
 
 Prints the constants of `coded_aperture_ros/depth/refine/refine.py`, and how well they hold.
 """
@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from batches import Frame, load, true_blur_px
 from scipy.optimize import minimize
+from shards import shards_of
 
 from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX
 from coded_aperture_ros.depth.refine.network import Network
@@ -47,9 +48,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=Path, required=True)
     parser.add_argument("--costs", type=Path, required=True)
-    parser.add_argument("--shards", type=int, nargs=2, default=(0, 4))
+    parser.add_argument("--shards", type=int, nargs="+", default=(0, 4))
     args = parser.parse_args()
-    frames = load(args.scenes, args.costs, [*range(*args.shards)])
+    frames = load(args.scenes, args.costs, shards_of(args.shards))
     if not frames:
         raise SystemExit("no frames: --scenes, --costs and --shards name none that are there")
     each = [measured(frame) for frame in frames]

@@ -33,7 +33,7 @@ from coded_aperture_ros.optics import render_psf_stack
 
 # Frames of one size have no more cells a side than this, whatever the window.
 CELLS = 40
-_LARGEST_PX = 20.6
+_LARGEST_PX = 22.6
 # Window, and distance between levels; the first are what is used most.
 _BANKS = ((48, 0.5), (48, 0.44), (48, 0.58), (40, 0.5), (64, 0.5), (32, 0.5))
 _BANK_SHARES = (0.32, 0.22, 0.22, 0.08, 0.1, 0.06)

@@ -2,11 +2,14 @@
 
 python training/fit.py --scenes DIR --costs DIR --output DIR --minutes 60 --large
 python training/fit.py --scenes DIR --costs DIR --output DIR2 --minutes 60 --teacher DIR/state.pt
+python training/fit.py --scenes DIR --costs DIR --output DIR --minutes 60 --rate 5e-4 \
+    --shipped coded_aperture_ros/depth/refine/refinement.npz
 """
 
 import argparse
 import copy
 import dataclasses
+import itertools
 import json
 import math
 import time
@@ -17,6 +20,8 @@ from typing import Any
 import torch
 from batches import Batch, ahead, batches, load
 from network import BINS, NEIGHBOURS, Refinement
+from shards import shards_of
+from shipped import normalised, shipped
 from teacher import teacher as large_network
 from torch.nn import functional
 
@@ -27,6 +32,8 @@ _BATCH = 8
 _AVERAGE = 0.998
 _REPORT_S, _SAVE_S = 60, 300
 _UNTRIED = -1e4
+# What passes through the network that ships is learned from so many batches.
+_NORMALISE = 24
 # What the truth counts beside the teacher, who says as well what else it might be.
 _OF_TRUTH = 0.5
 _RIGHT_PX = 1.5
@@ -147,8 +154,9 @@ def add_fit_options(parser: argparse.ArgumentParser, minutes: float, held: int) 
     """Add what all scripts that fit a network have in common; `held` shards are only looked at."""
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--minutes", type=float, default=minutes)
-    parser.add_argument("--shards", type=int, nargs=2, default=(held, 400))
-    parser.add_argument("--validate", type=int, nargs=2, default=(0, held))
+    pairs = "first and last + 1; several such pairs, one after the other"
+    parser.add_argument("--shards", type=int, nargs="+", default=(held, 400), help=pairs)
+    parser.add_argument("--validate", type=int, nargs="+", default=(0, held), help=pairs)
     parser.add_argument("--start", type=Path, help="weights to start from")
     parser.add_argument("--rate", type=float, default=2e-3)
     parser.add_argument("--threads", type=int, default=2)
@@ -317,20 +325,27 @@ def main() -> None:
     add_fit_options(parser, minutes=60.0, held=4)
     parser.add_argument("--large", action="store_true", help="fit the teacher")
     parser.add_argument("--teacher", type=Path, help="state of a large network to learn from")
+    parser.add_argument(
+        "--shipped", type=Path, help="go on from this file, which teaches what is not rare"
+    )
     parser.add_argument("--least-told", type=float, default=0.0)
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     torch.manual_seed(0)
-    frames = load(args.scenes, args.costs, list(range(*args.shards)), args.least_told)
-    held = load(args.scenes, args.costs, list(range(*args.validate)))
+    frames = load(args.scenes, args.costs, shards_of(args.shards), args.least_told)
+    held = load(args.scenes, args.costs, shards_of(args.validate))
     check_enough(frames, held, _BATCH, _BATCH)
     how = Schedule(args.minutes, args.rate, warm_steps=100, decay=1e-2, largest_gradient=2.0)
     network = large_network() if args.large else Refinement()
-    fit = Fit(network, how, args.output, args.start)
     teacher = None
-    if args.teacher:
+    if args.shipped:
+        network = shipped(args.shipped)
+        normalised(network, itertools.islice(batches(frames, _BATCH, 0), _NORMALISE))
+        teacher = copy.deepcopy(network).eval()
+    elif args.teacher:
         teacher = large_network().to(memory_format=torch.channels_last).eval()
         teacher.load_state_dict(torch.load(args.teacher)["average"])
+    fit = Fit(network, how, args.output, args.start)
 
     def lost(batch: Batch) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
         shown = (
@@ -339,14 +354,17 @@ def main() -> None:
         )
         size, choice = fit.network(*shown)
         quarters, counted = true_quarters(batch)
-        parts = losses(size, choice, batch, quarters, counted)
-        loss = total(parts)
-        if teacher is not None:
-            with torch.no_grad():
-                told = teacher(*shown)
-            parts["taught"] = taught(size, choice, told, batch, counted)
-            loss = _OF_TRUTH * loss + parts["taught"]
-        return loss, parts
+        if teacher is None:
+            parts = losses(size, choice, batch, quarters, counted)
+            return total(parts), parts
+        # The network that ships knows nothing of what is rare: there, the truth counts alone.
+        heard = (1 - batch.rare if args.shipped else torch.ones_like(batch.rare)).view(-1, 1, 1, 1)
+        of_truth = 1 - heard * (1 - _OF_TRUTH)
+        parts = losses(size, choice, batch, quarters, counted * of_truth)
+        with torch.no_grad():
+            told = teacher(*shown)
+        parts["taught"] = taught(size, choice, told, batch, counted * heard)
+        return of_truth.mean() * total(parts) + heard.mean() * parts["taught"], parts
 
     fit.run(batches(frames, _BATCH, fit.step + 1), lost, lambda: validated(fit.average, held))
 

@@ -33,6 +33,12 @@ _MASKS = {
 }
 _RANDOM_MASKS, _RANDOM_SHARE = 12, 11
 _ASYMMETRIC = 0.05
+# Shards from this one on have what is rare in those before: wide blur, little blur everywhere, and
+# rooms with nothing in them, such as a wall that fills the frame. Their shares; the rest is wide.
+FIRST_RARE_SHARD = 80
+_SHALLOW_SHARE, _EMPTY_SHARE = 0.2, 0.2
+# Blur is kept in 16 bits.
+_WIDEST_PX = 21.8
 
 
 def mask_of(name: str) -> Mask:
@@ -57,6 +63,8 @@ class Drawn:
     seed: int
     mask: str
     side: str
+    blur_range_px: tuple[float, float] | None = None
+    empty: bool = False
 
 
 def drawn(number: int) -> Drawn:
@@ -67,7 +75,26 @@ def drawn(number: int) -> Drawn:
     side = str(random.choice(["far", "near", "both"], p=[0.76, 0.1, 0.14]))
     if side == "both" and mask_of(mask).asymmetry < _ASYMMETRIC:
         side = "far"
-    return Drawn(number, mask, side)
+    if number < FIRST_RARE_SHARD * FRAMES_PER_SHARD or side == "both":
+        return Drawn(number, mask, side)
+    return Drawn(number, mask, side, *_rare(random, side))
+
+
+def _rare(random: np.random.Generator, side: str) -> tuple[tuple[float, float], bool]:
+    """Return a range of blur sizes that is rare otherwise, and whether the room is empty."""
+    kind = random.random()
+    empty = kind < _EMPTY_SHARE
+    if empty:
+        far = random.uniform(1.5, _WIDEST_PX)
+        near = random.uniform(0.5, 0.98) * far
+    elif kind < _EMPTY_SHARE + _SHALLOW_SHARE:
+        far = random.uniform(2.5, 8)
+        near = random.uniform(0.3, 0.7) * far
+    else:
+        far = random.uniform(16, _WIDEST_PX)
+        near = random.uniform(1.0, (0.5 if random.random() < 0.75 else 0.85) * far)
+    near = max(near, 0.9)
+    return ((near, far) if side == "far" else (-far, -near)), empty
 
 
 def render(number: int) -> dict[str, np.ndarray]:
@@ -75,7 +102,8 @@ def render(number: int) -> dict[str, np.ndarray]:
     what = drawn(number)
     random = np.random.default_rng([6, number])
     mask = mask_of(what.mask)
-    scene = random_scene(what.seed, mask, what.side, (FRAME_PX, FRAME_PX))
+    shape = FRAME_PX, FRAME_PX
+    scene = random_scene(what.seed, mask, what.side, shape, what.blur_range_px, what.empty)
     # Cut and printed masks differ a little from what the bank believes.
     uneven = 1 + random.uniform(0, 0.08) * random.standard_normal(mask.transmission.shape)
     cells = np.clip(mask.transmission * uneven, 0, 1).astype(np.float32)

@@ -2,7 +2,7 @@
 
 import argparse
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,15 @@ from coded_aperture_ros.cli.cluster import dask_client
 
 Arrays = dict[str, np.ndarray]
 Task = tuple[Any, ...]
+
+
+def shards_of(pairs: Sequence[int]) -> list[int]:
+    """Return the shards from each first one to before each last one."""
+    return [
+        shard
+        for first, last in zip(pairs[::2], pairs[1::2], strict=True)
+        for shard in range(first, last)
+    ]
 
 
 def add_shard_options(parser: argparse.ArgumentParser) -> None:

@@ -94,6 +94,61 @@ def test_training_never_sees_the_scenes_of_the_benchmarks(training):
     assert {"levin", "zhou", "four_hole"} < masks <= set(training["scenes"].mask_names())
 
 
+def test_later_shards_have_what_is_rare_in_the_first_ones(training):
+    scenes = training["scenes"]
+    first = scenes.FIRST_RARE_SHARD * scenes.FRAMES_PER_SHARD
+    assert all(scenes.drawn(number).blur_range_px is None for number in range(first - 400, first))
+    later = [scenes.drawn(number) for number in range(first, first + 600)]
+    assert all((each.blur_range_px is None) == (each.side == "both") for each in later)
+    ranges = [np.abs(each.blur_range_px) for each in later if each.blur_range_px]
+    far = np.array([sizes.max() for sizes in ranges])
+    near = np.array([sizes.min() for sizes in ranges])
+    assert 0.5 < np.mean(far > 16) < 0.75 and far.max() * 1500 < 2**15
+    assert 0.15 < np.mean(far < 8) < 0.35 and near.min() > 0.5
+    empty = [each for each in later if each.empty]
+    assert 0.1 < len(empty) / len(later) < 0.25
+    # One wall or corridor, as long as it is wide or narrow: nothing stands in it.
+    light = scenes.render(empty[0].seed)["light"]
+    assert light.shape == (scenes.FRAME_PX, scenes.FRAME_PX)
+
+
+@pytest.mark.filterwarnings("ignore")  # of torch, about its own way to write a network
+def test_the_network_that_ships_can_be_fitted_further(training, checkout, monkeypatch, tmp_path):
+    torch = pytest.importorskip("torch", reason="fitting needs torch")
+    pytest.importorskip("onnx", reason="the file holds networks in its form")
+    from coded_aperture_ros.core.archive import read_archive
+    from coded_aperture_ros.depth.refine.network import SCHEMA, SCHEMA_VERSION
+
+    names = ("batches", "shipped", "export")
+    batches, shipped, export = (importlib.import_module(name) for name in names)
+    path = checkout / "coded_aperture_ros" / "depth" / "refine" / "refinement.npz"
+    network = shipped.shipped(path).eval()
+    random = torch.Generator().manual_seed(0)
+    inputs = network.stem[0].in_channels - len(network.every_level.sizes), network.frame[0][0]
+    costs = torch.rand(2, inputs[0], 8, 8, generator=random)
+    frame = torch.rand(2, inputs[1].in_channels, 16, 16, generator=random)
+    batch = batches.Batch(costs, frame, *[torch.zeros(2)] * 3)
+    with torch.no_grad():
+        before = network(costs, frame)
+        shipped.normalised(network, [batch])
+        after = network(costs, frame)
+    for one, other in zip(before, after, strict=True):
+        torch.testing.assert_close(one, other, atol=1e-3, rtol=1e-3)
+    assert network.stem[1].running_mean.abs().max() > 0
+
+    state, exported = tmp_path / "state.pt", tmp_path / "refinement.npz"
+    torch.save({"average": network.state_dict()}, state)
+    run(monkeypatch, export, "--state", state, "-o", exported)
+    old, new = (read_archive(each, SCHEMA, SCHEMA_VERSION) for each in (path, exported))
+    assert set(old) == set(new)
+    for name in ("first_weights", "size_bias", "choice_weights", "trust"):
+        np.testing.assert_allclose(new[name], old[name], rtol=1e-3, atol=1e-6)
+    again = shipped.shipped(exported).eval()
+    with torch.no_grad():
+        for one, other in zip(again(costs, frame), before, strict=True):
+            torch.testing.assert_close(one, other, atol=0.02, rtol=0.02)
+
+
 @pytest.fixture
 def blend(training, monkeypatch):
     """The scripts that fit the blend, with few and small frames."""

@@ -70,7 +70,12 @@ class LayeredScene:
 
 
 def random_scene(
-    seed: int, mask: Mask, side: str = "far", shape: tuple[int, int] = (288, 288)
+    seed: int,
+    mask: Mask,
+    side: str = "far",
+    shape: tuple[int, int] = (288, 288),
+    blur_range_px: tuple[float, float] | None = None,
+    empty: bool = False,
 ) -> LayeredScene:
     """Return a random scene; the same for the same arguments.
 
@@ -84,9 +89,14 @@ def random_scene(
         Of the focal plane.
     shape : (int, int)
         Rows and columns of the frame.
+    blur_range_px : (float, float) or None
+        Signed blur sizes of the nearest and the farthest surface. None: random ones.
+    empty : bool
+        Only the room, and nothing in it.
     """
-    draw, camera = _drawing(np.random.default_rng([seed, SIDES.index(side)]), mask, side, shape)
-    things = draw.things()
+    random = np.random.default_rng([seed, SIDES.index(side)])
+    draw, camera = _drawing(random, mask, side, shape, blur_range_px)
+    things = () if empty else draw.things()
     return LayeredScene((*things, *draw.room(things)), camera)
 
 
@@ -129,10 +139,14 @@ def rod_scene(
 
 
 def _drawing(
-    random: np.random.Generator, mask: Mask, side: str, shape: tuple[int, int]
+    random: np.random.Generator,
+    mask: Mask,
+    side: str,
+    shape: tuple[int, int],
+    blur_range_px: tuple[float, float] | None = None,
 ) -> "tuple[_Drawing, Camera]":
-    """Return what draws a scene of random blur sizes, and its camera."""
-    nearest, farthest = _blur_range(random, side)
+    """Return what draws a scene of these blur sizes, or of random ones, and its camera."""
+    nearest, farthest = blur_range_px or _blur_range(random, side)
     # What is farther away than all of the scene: blur sizes end at that of infinity.
     infinity = max(farthest, 1.0) * random.uniform(1.2, 1.8)
     if side == "near":

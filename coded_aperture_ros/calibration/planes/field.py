@@ -58,7 +58,9 @@ def fit_field(
     sign = 1 if true[-1] > camera.focus_distance_m else -1
     sizes_px = sign * np.arange(_SMALLEST_PX, axial_px.max() * 1.1 + _STEP_PX, _STEP_PX)
     bank = learn_bank(render_psf_stack(camera.mask, np.sort(sizes_px)))
-    estimator = DepthEstimator(bank, DepthConfig(check_fit=False, threads=0))
+    # What a network has learned must not bend what is measured.
+    config = DepthConfig(regularize="semiglobal", check_fit=False, threads=0)
+    estimator = DepthEstimator(bank, config)
     tangent2 = FieldCurvature(1.0).dioptres(camera.intrinsics, (rows, columns))
     unit = camera.mask_extent_mm * 1e-3 * camera.focal_length_px  # px per dioptre
     # Nearer to the border no window is centred.
