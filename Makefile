@@ -119,7 +119,7 @@ train-check: $(VENV)/finished-train ## Learn anew whether frames fit: scenes, mi
 environment: $(READY) ## Only make the virtual environment (.venv)
 
 $(VENV)/finished-with-%: $(SETUP)
-	@scripts/create_environment.sh $(PYTHON) $(VENV) ros,eval,dev
+	@scripts/create_environment.sh $(PYTHON) $(VENV) ros,eval,view,dev
 
 $(VENV)/finished-docs: $(READY)
 	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
@@ -130,7 +130,7 @@ $(VENV)/finished-train: $(READY)
 	@touch $@
 
 $(READY_OLDEST): $(SETUP) test/constraints-oldest.txt
-	@scripts/create_environment.sh $(PYTHON312) $(VENV_OLDEST) ros,eval,dev \
+	@scripts/create_environment.sh $(PYTHON312) $(VENV_OLDEST) ros,eval,view,dev \
 		test/constraints-oldest.txt
 
 clean: ## Remove the virtual environments, build folders and caches

@@ -66,6 +66,8 @@ setup(
             "ros-ament-index-python==1.8.1",
         ],
         "eval": ["rosbags>=0.11.9", "matplotlib>=3.8", "scikit-image>=0.22", "scikit-learn>=1.4"],
+        # `coded_aperture view`.
+        "view": ["aiohttp>=3.9"],
         "gpu": ["torch>=2.2"],
         # Random scenes, and training of the refinement.
         "train": ["torch>=2.2", "onnx>=1.15", "scikit-image>=0.22", "scikit-learn>=1.4"],

@@ -99,6 +99,8 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
+    from coded_aperture_ros.depth.points import points_of_frame
+    from coded_aperture_ros.io.points_file import write_points
     from coded_aperture_ros.methods.choose import bank_of
     from coded_aperture_ros.optics import load_camera
 
@@ -144,8 +146,9 @@ def run(args: argparse.Namespace) -> int:
             if args.as_levels or values is None:
                 values = estimate.level
             _write(files(frame.output), values, estimate, args, levels)
-            if args.points:
-                _write_points(files(frame.output)["points"], frame, estimate, camera, args.gamma)
+            if args.points and camera is not None:
+                points = points_of_frame(estimate, frame.image, camera, args.gamma)
+                write_points(files(frame.output)["points"], points)
             summary = _summary(frame, values, estimate, seconds, args)
             summaries.append(summary)
             if not args.json:
@@ -289,20 +292,3 @@ def _write(
             picture = depth_picture(values)
         write_image(files["picture"], picture)
         write_image(files["confidence picture"], confidence_picture(estimate.confidence))
-
-
-def _write_points(path: Path, frame: NamedFrame, estimate: Any, camera: Any, gamma: Any) -> None:
-    import cv2
-
-    from coded_aperture_ros.depth import points_of_depth
-    from coded_aperture_ros.io.messages import pixels_from_frame
-    from coded_aperture_ros.io.points_file import write_points
-    from coded_aperture_ros.optics.intrinsics import rays
-
-    rows, columns = estimate.depth_m.shape
-    small = cv2.resize(frame.image, (columns, rows), interpolation=cv2.INTER_AREA)
-    model = camera.scaled(columns / camera.image_width).intrinsics
-    matrix, bent = model.camera_matrix, model.distortion_coefficients
-    through = rays(model.distortion_model, matrix, bent, rows, columns)
-    maps = estimate.depth_m, estimate.confidence, estimate.std_dev_m
-    write_points(path, points_of_depth(*maps, pixels_from_frame(small, "rgb8", gamma), through))

@@ -178,27 +178,16 @@ def _check_usage(args: argparse.Namespace) -> None:
         if getattr(args, name) is not None and not given:
             needed = " or ".join(map(written_name, sources))
             args.usage_error(f"{written_name(name)} only goes with {needed}")
-    remap = args.remap is not None
+    remap, tuned = args.remap is not None, args.budget_ms is not None
+    ranged, counted = args.depth_range is not None, args.level_count is not None
     for wrong, message in (
         (remap and not args.camera, "--remap needs --camera, which says what the new setting is"),
         (remap and args.images is not None, "--images does not go with --remap"),
-        (remap and args.budget_ms is not None, "--budget-ms does not go with --remap"),
-        (
-            remap and args.level_count is not None and args.depth_range is None,
-            "--level-count with --remap needs --depth-range",
-        ),
-        (
-            args.camera and not remap and args.depth_range is None,
-            "--camera needs --depth-range NEAR FAR",
-        ),
-        (
-            args.planes and args.images,
-            "--images does not go with --planes, whose textures are their own",
-        ),
-        (
-            args.budget_ms is not None and not args.camera,
-            "--budget-ms needs --camera, which says how large the frames are",
-        ),
+        (remap and tuned, "--budget-ms does not go with --remap"),
+        (remap and counted and not ranged, "--level-count with --remap needs --depth-range"),
+        (args.camera and not remap and not ranged, "--camera needs --depth-range NEAR FAR"),
+        (args.planes and args.images, "--images does not go with --planes: they have textures"),
+        (tuned and not args.camera, "--budget-ms needs --camera, which says how large frames are"),
     ):
         if wrong:
             args.usage_error(message)

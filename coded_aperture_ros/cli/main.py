@@ -13,26 +13,18 @@ from importlib import import_module
 from typing import Any
 
 from coded_aperture_ros import __version__
+from coded_aperture_ros.cli.extension import BENCH, VIEW
 from coded_aperture_ros.cli.options import add_commands
 from coded_aperture_ros.core.blas import slow_blas_warning
 from coded_aperture_ros.core.errors import InputError
 
 PROGRAM = "coded_aperture"
-_NAMES = (
-    "demo",
-    "sample",
-    "check",
-    "calibrate",
-    "mask",
-    "learn",
-    "depth",
-    "deblur",
-    "simulate",
-    "bag",
-    "bench",
-)
+_BEGIN = "demo", "sample", "check", "calibrate", "mask", "learn"
+_WORK = "depth", "deblur", "simulate", "bag"
 COMMANDS: dict[str, Any] = {
-    name: import_module(f"coded_aperture_ros.cli.{name}") for name in _NAMES
+    **{name: import_module(f"coded_aperture_ros.cli.{name}") for name in (*_BEGIN, *_WORK)},
+    "view": VIEW,
+    "bench": BENCH,
 }
 
 FAILED = 1

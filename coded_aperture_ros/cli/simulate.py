@@ -8,8 +8,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.bench import of_benchmarks
 from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
+from coded_aperture_ros.cli.extension import BENCH
 from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import add_gamma_option, add_options, mask_of
 from coded_aperture_ros.core.errors import InputError
@@ -125,7 +125,7 @@ def _random(args: argparse.Namespace, sensor: Any) -> int:
         check_output(path)
     width, height = args.size or _SIZE
     start = time.perf_counter()
-    make = of_benchmarks("layered", "--random").random_scene
+    make = BENCH.module("layered", "--random").random_scene
     scene = make(args.random, mask_of(mask), args.side, (height, width))
     coded, depth_m = scene.coded(), scene.depth_m()
     seconds = time.perf_counter() - start

@@ -2,10 +2,16 @@
 
 import math
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.depth.estimate import DepthEstimate
+from coded_aperture_ros.imaging import Gamma
+from coded_aperture_ros.io.messages import pixels_from_frame
+from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics.intrinsics import rays as rays_of
 
 
 def points_of_depth(
@@ -46,6 +52,20 @@ def points_of_depth(
     points[..., 3] = (red << 16 | green << 8 | blue).view(np.float32)
     points[..., 4], points[..., 5] = confidence, std_dev_m
     return points
+
+
+def points_of_frame(
+    estimate: DepthEstimate, light: FloatArray, camera: Camera, gamma: Gamma
+) -> FloatArray:
+    """Return `points_of_depth` of an estimate in metres, in the colours of its frame, or sharp."""
+    assert estimate.depth_m is not None and estimate.std_dev_m is not None
+    rows, columns = estimate.depth_m.shape
+    small = cv2.resize(light, (columns, rows), interpolation=cv2.INTER_AREA)
+    model = camera.scaled(columns / camera.image_width).intrinsics
+    matrix, bent = model.camera_matrix, model.distortion_coefficients
+    through = rays_of(model.distortion_model, matrix, bent, rows, columns)
+    maps = estimate.depth_m, estimate.confidence, estimate.std_dev_m
+    return points_of_depth(*maps, pixels_from_frame(small, "rgb8", gamma), through)
 
 
 def nearest_obstacle_m(depth_m: FloatArray, share: float) -> float:

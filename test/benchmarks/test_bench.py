@@ -16,6 +16,8 @@ from coded_aperture_benchmarks.frames.misfits import LIGHT, MISFITS, Fitting, re
 from coded_aperture_benchmarks.reference import REFERENCE_METHODS
 from coded_aperture_benchmarks.suites.stair import lost_cells
 
+from coded_aperture_ros.cli import extension
+from coded_aperture_ros.cli import main as program
 from coded_aperture_ros.io import read_image, write_image
 from coded_aperture_ros.optics import Camera, FieldCurvature, Mask, render_psf_stack
 from coded_aperture_ros.simulation.render import render_coded_frame
@@ -501,9 +503,19 @@ def test_bench_hands_on_everything_after_its_name(capsys, words):
 
 
 def test_benchmarks_that_are_not_there_are_one_line(capsys, tmp_path, monkeypatch):
-    from coded_aperture_ros.cli import bench
-
-    monkeypatch.setattr(bench, "_PACKAGE", "no_such_benchmarks")
+    elsewhere = dataclasses.replace(extension.BENCH, package="no_such_benchmarks")
+    monkeypatch.setitem(program.COMMANDS, "bench", elsewhere)
     result = call(capsys, "bench", "speed")
     assert (result.status, result.out, result.err.count("\n")) == (1, "", 1)
     assert "pip install ./benchmarks" in result.err
+
+
+def test_what_a_package_beside_needs_is_named(capsys, tmp_path, monkeypatch):
+    (tmp_path / "needs_more").mkdir()
+    (tmp_path / "needs_more" / "__main__.py").write_text("import no_such_library\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    elsewhere = dataclasses.replace(extension.VIEW, package="needs_more")
+    monkeypatch.setitem(program.COMMANDS, "view", elsewhere)
+    result = call(capsys, "view")
+    assert (result.status, result.err.count("\n")) == (1, 1)
+    assert "view: needs no_such_library: 'pip install ./viewer'" in result.err

@@ -149,6 +149,7 @@ def test_commands_are_listed_in_the_order_of_use():
             "deblur",
             "simulate",
             "bag",
+            "view",
             "bench",
         )
     ]

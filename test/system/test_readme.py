@@ -8,7 +8,7 @@ import pytest
 from coded_aperture_ros.cli.main import main
 
 # These take more than a minute; `test_cli_deblur` and `test_blind` run the like.
-_NOT_RUN = ("calibrate blind", "deblur --bank bank.npz --depth moving.npy")
+_NOT_RUN = ("calibrate blind", "view", "deblur --bank bank.npz --depth moving.npy")
 _FAILS = {"check --camera camera.yaml --bank bank.npz sharp.png": 1}
 
 

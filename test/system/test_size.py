@@ -2,6 +2,8 @@
 
 from collections import Counter
 
+import pytest
+
 PACKAGE = "coded_aperture_ros"
 MOST_LINES = 34_000
 LARGEST_ROOM = 0.15
@@ -18,11 +20,12 @@ def test_the_package_and_its_rooms_stay_small(checkout):
     assert count <= LARGEST_ROOM * total, f"{room}: {count} of {total} lines"
 
 
-def test_the_package_imports_nothing_of_the_benchmarks(checkout):
-    """They are a package of their own, which the program looks for when it is asked to run one."""
+@pytest.mark.parametrize("beside", ["coded_aperture_benchmarks", "coded_aperture_viewer"])
+def test_the_package_imports_nothing_of_those_beside_it(checkout, beside):
+    """The program looks for them when it is asked to run one."""
     naming = {
         path.relative_to(checkout / PACKAGE).as_posix()
         for path in (checkout / PACKAGE).rglob("*.py")
-        if "coded_aperture_benchmarks" in path.read_text()
+        if beside in path.read_text()
     }
-    assert naming <= {"cli/bench.py", "cli/main.py"}
+    assert naming == {"cli/extension.py"}

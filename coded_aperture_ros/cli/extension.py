@@ -1,0 +1,63 @@
+"""Sub-commands that hand over to packages beside this one: `bench` and `view`."""
+
+import argparse
+import dataclasses
+import sys
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from coded_aperture_ros.core.errors import InputError
+
+
+@dataclasses.dataclass(frozen=True)
+class Extension:
+    """A sub-command in a package of its own, installed or in the checkout that we run from."""
+
+    command: str
+    folder: str
+    package: str
+    help: str
+
+    def add_parser(self, subparsers: Any) -> None:
+        """Add the sub-command to the program's parser."""
+        parser = subparsers.add_parser(
+            self.command,
+            help=self.help,
+            add_help=False,  # the package's own help is the one that is wanted
+            prefix_chars="\0",  # so that nothing is an option: the package parses them
+        )
+        parser.add_argument("arguments", nargs=argparse.REMAINDER)
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Run the sub-command; return its exit status."""
+        status: int = self.module("__main__", self.command).main(args.arguments)
+        return status
+
+    def module(self, name: str, what: str) -> Any:
+        """Return a module of the package; an `InputError` says that `what` needs it."""
+        if find_spec(self.package) is None:
+            folder = Path(__file__).resolve().parents[2] / self.folder
+            if not (folder / self.package).is_dir():
+                raise InputError(
+                    f"{what}: {self.package} is not installed: in a checkout of the project, "
+                    f"'pip install ./{self.folder}'"
+                )
+            sys.path.append(str(folder))
+        try:
+            return import_module(f"{self.package}.{name}")
+        except ModuleNotFoundError as error:
+            needed = f"{error.name}: 'pip install ./{self.folder}'"
+            raise InputError(f"{what}: needs {needed}") from error
+
+
+BENCH = Extension(
+    "bench",
+    "benchmarks",
+    "coded_aperture_benchmarks",
+    "measure accuracy on frames whose truth is known, and speed",
+)
+VIEW = Extension(
+    "view", "viewer", "coded_aperture_viewer", "show a camera, a video or a bag live in the browser"
+)

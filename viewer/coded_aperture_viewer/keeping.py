@@ -1,0 +1,105 @@
+"""What is looked at, kept in files: single frames with their maps, and recordings."""
+
+import dataclasses
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth.points import points_of_frame
+from coded_aperture_ros.io import confidence_picture, depth_picture, write_depth, write_image
+from coded_aperture_ros.io.messages import pixels_from_frame
+from coded_aperture_ros.io.points_file import write_points
+from coded_aperture_ros.io.sources import Capture
+from coded_aperture_ros.optics import Camera
+from coded_aperture_viewer.live import Shown
+
+_TOPIC, _INFO_TOPIC, _FRAME_ID = "/image_raw", "/camera_info", "camera_optical_frame"
+
+
+def new_folder(output: Path, kind: str) -> Path:
+    """Return a name that nothing has yet, such as `snapshot-20260131-235959`."""
+    name = f"{kind}-{time.strftime('%Y%m%d-%H%M%S')}"
+    found, number = output / name, 1
+    while found.exists():
+        number += 1
+        found = output / f"{name}-{number}"
+    return found
+
+
+def write_snapshot(folder: Path, shown: Shown, camera: Camera) -> None:
+    """Write the frame, what was found in it, and pictures of that; an `InputError` if it cannot."""
+    if shown.frame is None:
+        raise InputError("there is no frame yet")
+    write_image(folder / "coded.png", shown.frame)
+    if shown.sharp is not None:
+        write_image(folder / "all_in_focus.png", shown.sharp)
+    if shown.picture is not None and shown.picture is not shown.sharp:
+        write_image(folder / "refocused.png", shown.picture)
+    found = shown.estimate
+    if found is None or found.depth_m is None or found.std_dev_m is None:
+        return
+    maps = {"depth": found.depth_m, "std_dev": found.std_dev_m, "confidence": found.confidence}
+    for name, values in maps.items():
+        write_depth(folder / f"{name}.npy", values)
+    write_image(folder / "depth.picture.png", depth_picture(found.depth_m))
+    write_image(folder / "confidence.picture.png", confidence_picture(found.confidence))
+    light = shown.frame if shown.sharp is None else shown.sharp
+    write_points(folder / "points.ply", points_of_frame(found, light, camera, "srgb"))
+
+
+class Recording:
+    """A bag of coded frames, as the source gives them; `coded_aperture bag` reads it.
+
+    Raises
+    ------
+    InputError
+        If bags cannot be written.
+    """
+
+    def __init__(self, path: Path, camera: Camera) -> None:
+        from coded_aperture_ros.io.bags import bag_output
+        from coded_aperture_ros.io.bags.codec import CAMERA_INFO, IMAGE, info_of, new_topic
+
+        self.path, self.count = path, 0
+        self._info = info_of(camera.intrinsics)
+        self._open = ExitStack()
+        self._bag: Any = self._open.enter_context(bag_output(path, "mcap"))
+        for topic, kind in ((_TOPIC, IMAGE), (_INFO_TOPIC, CAMERA_INFO)):
+            self._bag.add_topic(new_topic(topic, kind))
+
+    def add(self, capture: Capture, mosaic: str) -> None:
+        """Write a frame, with its stamp or the time of this computer."""
+        from coded_aperture_ros.io.bags.codec import camera_info_data, image_data
+
+        time_ns = time.time_ns() if capture.stamp_ns is None else capture.stamp_ns
+        stamp = dataclasses.replace(
+            self._info.header.stamp, sec=time_ns // 10**9, nanosec=time_ns % 10**9
+        )
+        header = dataclasses.replace(self._info.header, stamp=stamp, frame_id=_FRAME_ID)
+        pixels, encoding = _stored(capture, mosaic)
+        self._bag.write(_TOPIC, time_ns, image_data(pixels, encoding, header))
+        size = pixels.shape[0], pixels.shape[1]
+        self._bag.write(_INFO_TOPIC, time_ns, camera_info_data(self._info, size, header))
+        self.count += 1
+
+    def close(self) -> None:
+        """Finish the bag: before, it does not exist under its name."""
+        self._open.close()
+
+
+def _stored(capture: Capture, mosaic: str) -> tuple[np.ndarray, str]:
+    """Return the pixels of a frame and how a message calls their encoding."""
+    pixels = capture.frame
+    coloured = pixels.ndim == 3
+    if pixels.dtype == np.float32:
+        encoding = "rgb16" if coloured else "mono16"
+        return pixels_from_frame(pixels, encoding), encoding
+    bits = 8 * pixels.dtype.itemsize
+    if coloured:
+        return pixels, f"rgb{bits}"
+    mosaic = capture.mosaic or mosaic
+    return pixels, f"bayer_{mosaic}{bits}" if mosaic else f"mono{bits}"
