@@ -1,6 +1,9 @@
 """Write the fitted network in the form that the package runs.
 
-python training/export.py --state DIR/state.pt -o coded_aperture_ros/depth/refine/refinement.npz
+    python training/export.py --state DIR/state.pt -o refinement.npz
+    python training/export.py --state DIR/state.pt -o refinement.npz --shipped OLD.npz
+
+With --shipped, its weights and those that were fitted further from it are averaged.
 """
 
 import argparse
@@ -12,6 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 from network import BINS, Refinement
+from shipped import shipped
 
 from coded_aperture_ros.core.archive import write_archive
 from coded_aperture_ros.depth.refine.features import COST_CHANNELS, FRAME_CELL_PX, SCALARS
@@ -22,6 +26,8 @@ _DROPPED_BITS = 12
 # OpenCV takes other sizes, too.
 _ROWS, _COLUMNS = 64, 84
 _LEVELS = 30
+# Of the weights that ship, in an average with those that were fitted further from them.
+_OF_SHIPPED = 0.3
 
 
 def rounded(weights: torch.Tensor) -> torch.Tensor:
@@ -53,12 +59,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--state", type=Path, required=True)
     parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--shipped", type=Path)
     args = parser.parse_args()
     network = Refinement()
     network.load_state_dict(torch.load(args.state)["average"])
-    network.eval()
-    for module in list(network.modules()):
-        _fold(module)
+    _fold(network)
+    if args.shipped:
+        old = shipped(args.shipped)
+        _fold(old)
+        for parameter, other in zip(network.parameters(), old.parameters(), strict=True):
+            parameter.data.lerp_(other.data, _OF_SHIPPED)
     for parameter in network.parameters():
         parameter.data = rounded(parameter.data)
     costs = torch.zeros(1, COST_CHANNELS + SCALARS, _ROWS, _COLUMNS)
@@ -109,16 +119,17 @@ class _Trunk(torch.nn.Module):
         return self.network.trunk(costs, frame, levels)
 
 
-def _fold(module: torch.nn.Module) -> None:
-    """Fold a batch normalisation into the convolution before it."""
-    names = dict(module.named_children())
-    pairs = [("0", "1"), ("spatial", "norm")]
-    for first, second in pairs:
-        convolution, norm = names.get(first), names.get(second)
-        if isinstance(convolution, torch.nn.Conv2d) and isinstance(norm, torch.nn.BatchNorm2d):
-            fused = torch.nn.utils.fusion.fuse_conv_bn_eval(convolution, norm)
-            setattr(module, first, fused)
-            setattr(module, second, torch.nn.Identity())
+def _fold(network: torch.nn.Module) -> None:
+    """Fold batch normalisations into the convolutions before them."""
+    network.eval()
+    for module in list(network.modules()):
+        names = dict(module.named_children())
+        for first, second in (("0", "1"), ("spatial", "norm")):
+            convolution, norm = names.get(first), names.get(second)
+            if isinstance(convolution, torch.nn.Conv2d) and isinstance(norm, torch.nn.BatchNorm2d):
+                fused = torch.nn.utils.fusion.fuse_conv_bn_eval(convolution, norm)
+                setattr(module, first, fused)
+                setattr(module, second, torch.nn.Identity())
 
 
 if __name__ == "__main__":

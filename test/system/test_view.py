@@ -18,6 +18,7 @@ from small_camera import CAMERA, FAR_M, NEAR_M
 
 aiohttp = pytest.importorskip("aiohttp", reason="the viewer needs aiohttp")
 
+from coded_aperture_viewer.aid import aid_of, wall_of  # noqa: E402
 from coded_aperture_viewer.packet import BEYOND, NEARER, steps  # noqa: E402
 from coded_aperture_viewer.refocus import refocused  # noqa: E402
 from coded_aperture_viewer.settings import LookConfig, Settings  # noqa: E402
@@ -26,11 +27,17 @@ from live_page import CHROMIUM, page_at  # noqa: E402
 from coded_aperture_ros.cli.main import main  # noqa: E402
 from coded_aperture_ros.core.errors import InputError  # noqa: E402
 from coded_aperture_ros.deblur import DeblurConfig  # noqa: E402
-from coded_aperture_ros.depth import DepthConfig  # noqa: E402
+from coded_aperture_ros.depth import DepthConfig, DepthEstimate  # noqa: E402
 from coded_aperture_ros.io import read_depth, read_image  # noqa: E402
 from coded_aperture_ros.io.bags import Bag  # noqa: E402
+from coded_aperture_ros.optics import Camera, Mask  # noqa: E402
 
 TOKEN = re.compile(r"http://\S+")
+
+
+def small_camera():
+    values = {name: CAMERA[name] for name in CAMERA if name != "mask"}
+    return Camera(**values, mask=Mask.named("levin"))
 
 
 @pytest.fixture(scope="module")
@@ -114,6 +121,45 @@ def test_what_is_in_focus_stays_sharp_and_the_rest_does_not():
     assert refocused(sharp, np.full_like(depth, np.nan), 1.0, 6.0) is sharp
     grey = refocused(sharp[..., 0], depth, 1.0, 0.0)
     np.testing.assert_allclose(grey, sharp[..., 0], atol=1e-6)
+
+
+def test_a_wall_is_measured_and_clutter_is_none():
+    camera = small_camera()
+    rows, columns = camera.image_height, camera.image_width
+    focal = camera.intrinsics.camera_matrix[0]
+    x = (np.arange(columns) - (columns - 1) / 2) / focal
+    y = (np.arange(rows) - (rows - 1) / 2) / focal
+    right, lower = np.deg2rad([8.0, -3.0])
+    wall = 2.0 / (1 + np.tan(right) * x + np.tan(lower) * y[:, None])
+    random = np.random.default_rng(0)
+    depth = (wall * (1 + 0.02 * random.standard_normal(wall.shape))).astype(np.float32)
+    depth[: rows // 4, : columns // 2] = 1.2  # somebody stands before it
+    depth[:, -columns // 6 :] = np.nan
+    found = wall_of(depth, camera)
+    assert found.distance_m == pytest.approx(2.0, rel=0.01)
+    assert found.right_nearer_deg == pytest.approx(8.0, abs=0.8)
+    assert found.lower_nearer_deg == pytest.approx(-3.0, abs=0.8)
+    assert found.uneven == pytest.approx(0.67 * 0.02, rel=0.4)
+    assert wall_of(random.uniform(1, 3, wall.shape).astype(np.float32), camera) is None
+    assert wall_of(np.full_like(depth, np.nan), camera) is None
+
+
+def test_sharpness_is_largest_in_focus():
+    random = np.random.default_rng(0)
+    page = (random.random((180, 240)) < 0.5).astype(np.float32)
+    page = cv2.resize(page, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
+    noise = 0.01 * random.standard_normal(page.shape).astype(np.float32)
+    found = []
+    for blur in (0.6, 1.2, 2.4):
+        light = 0.2 + 0.5 * cv2.GaussianBlur(page, None, blur) + noise
+        maps = np.full(page.shape, np.nan, np.float32)
+        nothing = DepthEstimate(maps, maps, None, np.zeros_like(maps), 0.01)
+        aid = aid_of(light, nothing, small_camera())
+        assert (aid.wall, aid.known, aid.clipped) == (None, 0, 0) and 0.4 < aid.light < 0.5
+        found.append(aid.sharpness)
+    assert found == sorted(found, reverse=True) and found[2] < 0.3 * found[0]
+    dark = np.zeros_like(page) + noise
+    assert aid_of(dark, nothing, small_camera()).sharpness < 0.05
 
 
 def test_depths_are_sent_in_steps():
@@ -250,6 +296,11 @@ def test_a_browser_shows_and_changes_what_is_seen(viewer, tmp_path):
         assert near > NEAR_M * 0.8 and far < FAR_M * 1.2
         assert np.abs(await picture(page) - of_near).mean() > 1
         assert "confidence" in await page.value("document.querySelector('#cursor').textContent")
+
+        await page.value("document.querySelector('#aid').open = true")
+        await page.wait("document.querySelector('#numbers').textContent.includes('Sharpness')")
+        numbers = await page.value("document.querySelector('#numbers').textContent")
+        assert "of full" in numbers and "Wall" in numbers
 
         await page.value("choose('points')")
         await page.wait("document.querySelector('#points').width === 320")

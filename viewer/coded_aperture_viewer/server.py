@@ -1,6 +1,7 @@
 """The small server behind the page: frames go out, settings come in."""
 
 import asyncio
+import dataclasses
 import hmac
 import json
 import logging
@@ -16,6 +17,7 @@ from aiohttp import WSMsgType, web
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera
+from coded_aperture_viewer.aid import aid_of
 from coded_aperture_viewer.keeping import Recording, new_folder, write_snapshot
 from coded_aperture_viewer.live import Live, Shown
 from coded_aperture_viewer.packet import BEYOND, NEARER, packet
@@ -204,7 +206,7 @@ class Server:
     def _packed(self, shown: Shown) -> bytes:
         self._number += 1
         health = shown.estimate.health if shown.estimate is not None else None
-        header = {
+        header: dict[str, Any] = {
             "number": self._number,
             "settings": shown.settings.as_values(),
             "rate_hz": shown.rate_hz,
@@ -213,6 +215,8 @@ class Server:
             "health": None if health is None else {"value": health.value, "said": str(health)},
             "recorded": None if self._recording is None else self._recording.count,
         }
+        if shown.frame is not None and shown.estimate is not None:
+            header["aid"] = dataclasses.asdict(aid_of(shown.frame, shown.estimate, self._camera))
         if shown.frame is None:
             return packet(np.zeros((1, 1), np.float32), None, None, 1.0, header)
         return packet(shown.frame, shown.picture, shown.estimate, 2 * self._range_m[1], header)

@@ -45,7 +45,7 @@ _OF_THE_PAST = 0.5
 # Costs that differ by less are those of a frame without any texture.
 _ALIKE = 1e-3
 # Logistic calibration of how likely a depth is right, fitted on random scenes kept apart.
-_CALIBRATION = (0.09, 1.13)
+_CALIBRATION = (0.18, 1.13)
 _DEVIATION = 0.78
 _SURE = 1e-3
 
