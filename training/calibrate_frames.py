@@ -32,14 +32,15 @@ def main() -> None:
     counts, confidence, right = np.transpose(parts)
     confidence = np.clip(confidence, _SURE, 1 - _SURE)
     odds = np.log(confidence / (1 - confidence))
+    odds = np.maximum(odds, odds / _CALIBRATION[2])  # what it adds below even odds stays
 
     def unlikelihood(parameters: np.ndarray) -> float:
         values = parameters[0] + parameters[1] * odds
         return float(np.average(np.logaddexp(0, values) - right * values, weights=counts))
 
     offset, slope = minimize(unlikelihood, [0.0, 1.0], method="Nelder-Mead").x
-    first, second = _CALIBRATION
-    print(f"_CALIBRATION = ({offset + slope * first:.2f}, {slope * second:.2f})")
+    first, second, doubt = _CALIBRATION
+    print(f"_CALIBRATION = ({offset + slope * first:.2f}, {slope * second:.2f}, {doubt:g})")
 
 
 if __name__ == "__main__":

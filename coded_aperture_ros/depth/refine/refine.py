@@ -44,10 +44,9 @@ _PLAUSIBLE = 0.05
 _OF_THE_PAST = 0.5
 # Costs that differ by less are those of a frame without any texture.
 _ALIKE = 1e-3
-# Logistic calibration of how likely a depth is right, fitted on random scenes kept apart.
-_CALIBRATION = (0.39, 0.97)
-# Below even odds it falls faster: frames with flaws are right less often there, and plain walls.
-_DOUBT = 2.3
+# Logistic calibration of how likely a depth is right, fitted on random scenes kept apart. Below
+# even odds it falls faster, by the last: frames with flaws and plain walls are right less often.
+_CALIBRATION = (0.39, 0.97, 2.3)
 _DEVIATION = 0.78
 _SURE = 1e-3
 
@@ -243,8 +242,7 @@ def _tolerance_px(levels: Levels) -> FloatArray:
 
 
 def _calibrated(probability: FloatArray) -> FloatArray:
-    offset, slope = map(np.float32, _CALIBRATION)
+    offset, slope, doubt = map(np.float32, _CALIBRATION)
     odds_against = 1 / np.clip(probability, _SURE, 1 - _SURE) - 1
     against = slope * np.log(odds_against) - offset
-    against = np.maximum(against, np.float32(_DOUBT) * against)
-    return np.asarray(1 / (1 + np.exp(against)), np.float32)
+    return np.asarray(1 / (1 + np.exp(np.maximum(against, doubt * against))), np.float32)
