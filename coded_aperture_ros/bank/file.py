@@ -51,7 +51,7 @@ def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
     InputError
         If the folder cannot be written to.
     """
-    arrays = {name: getattr(bank, name) for name in (*_KEPT, *_NEWER, "noise_range")}
+    arrays = {name: getattr(bank, name) for name in (*_KEPT, *_NEWER)}
     arrays |= {f"prior_{name}": getattr(bank.prior, name) for name in _OF_PRIOR}
     arrays |= {"blur_sizes_px": bank.stack.blur_sizes_px, "psfs": bank.stack.psfs}
     if not bank.stack.in_pixels:

@@ -131,15 +131,6 @@ class FilterBank:
         window = self.fourier.window.astype(np.float64)
         return float((len(window) * np.sum(window**4)) ** 2)
 
-    @property
-    def noise_range(self) -> tuple[float, float]:
-        """Noise (standard deviation) for which every contrast hypothesis is in the bank."""
-        contrasts = self.prior.contrasts
-        return (
-            float(np.sqrt(max(contrasts) / self.ratios[-1])),
-            float(np.sqrt(min(contrasts) / self.ratios[0])),
-        )
-
     @cached_property
     def functions_of_power(self) -> FloatArray:
         """What is needed of a patch's spectrum: basis and multiplicity [K, R + 1]."""

@@ -59,8 +59,7 @@ def add_parser(subparsers: Any) -> None:
         description=(
             "Run camera driver (simulating a camera that pans over a real scene), depth node and "
             "deblurring node as three processes over DDS; show rate, latency and accuracy; leave "
-            "coded.png, depth.png, all_in_focus.png, comparison.png (all beside the truth) and "
-            "summary.json."
+            "pictures, summary.json and a page with both beside the truth, index.html."
         ),
         epilog="example: coded_aperture demo --output results --seconds 10",
     )
@@ -111,7 +110,7 @@ def run(options: argparse.Namespace) -> int:
         f"{summary['psnr_all_in_focus_db']:.1f} dB all in focus"
     )
     write_results(options.output, snapshot, summary)
-    say.line(f"results are in {options.output}/")
+    say.line(f"results are in {options.output}/: open {options.output / 'index.html'}")
     if options.json:
         print(json.dumps(summary, indent=2))
     return 0

@@ -1,9 +1,11 @@
 """What the demo says and leaves behind."""
 
+import base64
 import dataclasses
 import json
 import math
 from collections.abc import Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +15,8 @@ if TYPE_CHECKING:
     from coded_aperture_ros.ros.demo_monitor import DemoMonitor
 
 _LATENCIES = ("latency_median_s", "latency_p99_s", "latency_max_s")
-RESULTS = ("coded.png", "depth.png", "all_in_focus.png", "comparison.png", "summary.json")
+PICTURES = ("coded.png", "depth.png", "all_in_focus.png", "comparison.png")
+RESULTS = (*PICTURES, "summary.json", "index.html")
 # Where the scale of relative depth errors ends.
 _LARGEST_ERROR = 0.1
 
@@ -49,7 +52,7 @@ def summarise(monitor: "DemoMonitor", seconds: float) -> dict[str, Any]:
 
 
 def write_results(output: Path, snapshot: "dict[str, NDArray]", summary: dict[str, Any]) -> None:
-    """Write the pictures and the summary."""
+    """Write the pictures, the summary, and a page that has both and needs no other file."""
     from coded_aperture_ros.core.files import atomic_output
     from coded_aperture_ros.imaging import SRGB
     from coded_aperture_ros.io import depth_picture, write_image
@@ -61,6 +64,11 @@ def write_results(output: Path, snapshot: "dict[str, NDArray]", summary: dict[st
     write_image(output / "comparison.png", _comparison(snapshot))
     with atomic_output(output / "summary.json") as path:
         path.write_text(json.dumps(summary, indent=2) + "\n")
+    page = files("coded_aperture_ros.cli").joinpath("demo_page.html").read_text("utf-8")
+    picture = base64.b64encode((output / "comparison.png").read_bytes()).decode()
+    page = page.replace("/*SUMMARY*/ null", json.dumps(summary)).replace("PICTURE", picture)
+    with atomic_output(output / "index.html") as path:
+        path.write_text(page, "utf-8")
 
 
 def _comparison(snapshot: "dict[str, NDArray]") -> "NDArray":

@@ -1,7 +1,9 @@
 """`coded_aperture demo`: three processes over DDS, for a few seconds."""
 
+import base64
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -85,8 +87,13 @@ def test_a_short_demo(tmp_path):
         picture = cv2.imread(str(tmp_path / "out" / f"{name}.png"))
         assert picture.shape[0] == rows and np.ptp(picture) > 100, name
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
-        *("all_in_focus.png", "coded.png", "comparison.png", "depth.png", "summary.json")
+        *("all_in_focus.png", "coded.png", "comparison.png", "depth.png"),
+        *("index.html", "summary.json"),
     ]
+    page = (tmp_path / "out" / "index.html").read_text("utf-8")
+    assert "PICTURE" not in page and "://" not in page and json.dumps(summary) in page
+    picture = re.search(r"data:image/png;base64,([\w+/=]+)", page)[1]
+    assert base64.b64decode(picture) == (tmp_path / "out" / "comparison.png").read_bytes()
     # Without a terminal a line now and then, no redrawing.
     assert "\x1b" not in err and "depth" in err
 
