@@ -40,8 +40,11 @@ class Workers:
                 work(item, 0)
             return
 
+        # Whoever is free takes the next: processors are not always equally fast.
+        remaining = iter(items)
+
         def share(thread: int) -> None:
-            for item in items[thread :: self.threads]:
+            for item in remaining:
                 work(item, thread)
 
         others = [self._others.submit(share, thread) for thread in range(1, self.threads)]

@@ -43,14 +43,17 @@ class NumpyEngine:
         self._functions = np.empty((len(plan.features), grid.rows, grid.columns), np.float32)
         self._energies = np.empty((plan.levels, grid.rows * grid.columns), np.float32)
         self._precision = np.empty((grid.rows, grid.columns), np.float32)
-        half = width // 2
+        # Only of the products that they look at.
+        looked_at = np.arange(len(plan.horizontal) // 2) < plan.used[:, None]
+        self._features = np.ascontiguousarray(plan.features[:, looked_at.ravel()])
+        self._used = plan.used * grid.columns
         tried = len(plan.hypotheses) // len(plan.ratios) * len(plan.contrasts)
         rank = plan.hypotheses.shape[1]
         self._scratch = [
             _Scratch(
                 windows=np.empty((_PIXEL_ROWS, grid.columns, n), np.float32),
                 parts=np.empty((len(plan.vertical), width), np.float32),
-                power=np.empty((len(plan.vertical), half), np.float32),
+                power=np.empty(self._used.sum(), np.float32),
                 functions=np.empty((len(plan.features), grid.columns), np.float32),
                 patches=np.empty(rank * _PATCHES, np.float32),
                 hypotheses=np.empty(tried * _PATCHES, np.float32),
@@ -106,9 +109,9 @@ class NumpyEngine:
         np.matmul(
             plan.vertical, self._horizontal[first : first + grid.window_px], out=scratch.parts
         )
-        products_of_transforms(scratch.parts, plan.paired, scratch.power)
+        products_of_transforms(scratch.parts, plan.paired, self._used, scratch.power)
         power = scratch.power.reshape(-1, grid.columns)
-        np.matmul(plan.features, power, out=scratch.functions)
+        np.matmul(self._features, power, out=scratch.functions)
         self._functions[:, row] = scratch.functions
 
     def _try_hypotheses(self, functions: FloatArray, tried: slice, start: int, thread: int) -> None:

@@ -18,9 +18,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE, plausible_ratios
+
+# What is smaller than this share of the largest is rounding.
+_NEGLIGIBLE = 1e-6
 
 
 class Filters(Protocol):
@@ -68,6 +71,9 @@ class Plan:
     # [R + 1, (2 V + U) H]; the common basis and the multiplicity, as functions of ``q`` of 1 to V
     # cycles, of ``x`` of these, and of the power of those without a sine.
     features: FloatArray
+    # [2 V + U]; of 0 to H - 1 cycles, how many the features look at: nothing above the highest
+    # frequency, nor any ``x`` behind masks that are their own mirror image.
+    used: IndexArray
     # [S * slopes * L, R + 1]; weights of every hypothesis in the common basis, and `OWN_NOISE`,
     # which adds to them, all times ``exp(log_determinant / sum m)``: so the best hypothesis is that
     # of the least product, and one logarithm does for all.
@@ -98,6 +104,9 @@ class Plan:
         pairs = slice(1, paired + 1)
 
         features = _of_products(functions, n, columns, paired, unpaired)
+        sizes = np.abs(features).max(axis=1).reshape(-1, columns)
+        looked_at = sizes > _NEGLIGIBLE * sizes.max()
+        used = (looked_at * np.arange(1, columns + 1)).max(axis=1)
 
         count = float(functions[:, -1].sum())
         gains = np.exp(bank.log_determinants.astype(np.float64).reshape(-1, 1) / count)
@@ -109,12 +118,18 @@ class Plan:
             vertical=_float32(np.concatenate([cosines[pairs], sines[pairs], cosines[unpaired]])),
             paired=paired,
             features=_float32(features.T),
+            used=used,
             hypotheses=_float32(np.hstack([weights, own_noise]) * gains),
             count=count,
             levels=int(bank.log_determinants.shape[-1]),
             ratios=bank.ratios,
             contrasts=bank.contrasts,
         )
+
+    def with_all_products(self) -> "Plan":
+        """Return the plan with every product `used`, for those who look at them, too."""
+        all_of_them = np.full_like(self.used, len(self.horizontal) // 2)
+        return dataclasses.replace(self, used=all_of_them)
 
     def tried(self, noise: float | FloatArray) -> slice:
         """Return which ratios are tried under a noise of this standard deviation."""

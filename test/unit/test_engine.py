@@ -33,8 +33,8 @@ def backend(request):
 
 
 @cache
-def some_bank(window_px=32, levels=5):
-    stack = render_psf_stack(Mask.named("levin"), np.linspace(3, 9, levels))
+def some_bank(window_px=32, levels=5, mask="levin"):
+    stack = render_psf_stack(Mask.named(mask), np.linspace(3, 9, levels))
     return learn_bank(stack, LearnConfig(window_px=window_px, rank=32))
 
 
@@ -84,6 +84,17 @@ def test_energies_are_those_of_the_definition(backend, window_px, levels, shape,
     for noise in (NOISE, noises, 0.05, NOISE / 20, NOISE):
         assert_close(engine.energies(noise), energies_by_definition(bank, frame, stride_px, noise))
     engine.close()
+
+
+@pytest.mark.parametrize(("mask", "mirrored"), [("levin", True), ("zhou", False)])
+def test_only_what_a_mask_tells_is_looked_at(backend, mask, mirrored):
+    """Behind a mask that is its own mirror image, +v and -v are alike."""
+    bank, frame = some_bank(mask=mask), some_frame((64, 72))
+    plan = Plan.of(bank, frame.shape, 8)
+    assert mirrored == (not plan.used[plan.paired : 2 * plan.paired].any())
+    engine = plan_engine(bank, frame.shape, 8, backend)
+    engine.project(frame)
+    assert_close(engine.energies(NOISE), energies_by_definition(bank, frame, 8, NOISE))
 
 
 def test_frame_without_light_has_no_preference(backend):

@@ -32,7 +32,7 @@ def flop_of_spectra(plan: Plan) -> float:
     return 2.0 * (
         plan.pixel_rows * grid.columns * n * two_h
         + patches * len(plan.vertical) * n * two_h
-        + patches * plan.features.size
+        + patches * len(plan.features) * float(plan.used.sum())
     )
 
 

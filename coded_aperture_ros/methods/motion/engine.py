@@ -38,7 +38,7 @@ class MotionEngine(NumpyEngine):
         threads: int = 1,
         finalists: int = 0,
     ) -> None:
-        super().__init__(Plan.of(bank.product, shape, stride_px), threads)
+        super().__init__(Plan.of(bank.product, shape, stride_px).with_all_products(), threads)
         self._motion_bank = bank
         self._motions, self._levels = len(bank.motions), bank.levels
         ratios = len(bank.product.ratios)
