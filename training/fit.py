@@ -65,7 +65,8 @@ def narrow(blur_px: torch.Tensor, known: torch.Tensor, near: torch.Tensor) -> to
 
 
 def _widened(values: torch.Tensor) -> torch.Tensor:
-    return functional.max_pool2d(values, _NARROW, 1, _NARROW // 2)
+    down = functional.max_pool2d(values, (_NARROW, 1), 1, (_NARROW // 2, 0))
+    return functional.max_pool2d(down, (1, _NARROW), 1, (0, _NARROW // 2))
 
 
 def true_quarters(batch: Batch) -> tuple[torch.Tensor, torch.Tensor]:
@@ -328,6 +329,10 @@ def main() -> None:
     parser.add_argument(
         "--shipped", type=Path, help="go on from this file, which teaches what is not rare"
     )
+    parser.add_argument(
+        "--truth-only", action="store_true", help="with --shipped: it does not teach"
+    )
+    parser.add_argument("--bfloat16", action="store_true", help="faster, not with --large")
     parser.add_argument("--least-told", type=float, default=0.0)
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
@@ -341,7 +346,7 @@ def main() -> None:
     if args.shipped:
         network = shipped(args.shipped)
         normalised(network, itertools.islice(batches(frames, _BATCH, 0), _NORMALISE))
-        teacher = copy.deepcopy(network).eval()
+        teacher = None if args.truth_only else copy.deepcopy(network).eval()
     elif args.teacher:
         teacher = large_network().to(memory_format=torch.channels_last).eval()
         teacher.load_state_dict(torch.load(args.teacher)["average"])
@@ -352,7 +357,8 @@ def main() -> None:
             batch.costs.contiguous(memory_format=torch.channels_last),
             batch.frame.contiguous(memory_format=torch.channels_last),
         )
-        size, choice = fit.network(*shown)
+        with torch.autocast("cpu", torch.bfloat16, enabled=args.bfloat16):
+            size, choice = (found.float() for found in fit.network(*shown))
         quarters, counted = true_quarters(batch)
         if teacher is None:
             parts = losses(size, choice, batch, quarters, counted)

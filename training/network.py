@@ -132,6 +132,8 @@ class EveryLevel(nn.Module):
         self.register_buffer("sizes", torch.from_numpy(BLUR_SIZES_PX).float() / 10)
 
     def forward(self, costs: torch.Tensor) -> torch.Tensor:
+        if isinstance(self.layers, LevelLayers):
+            return self._in_squares(self.layers, costs)
         batch, _, rows, columns = costs.shape
         volume = costs[:, :COST_CHANNELS].unflatten(1, (-1, BINS))
         beside = volume[:, ::KINDS]  # of neighbouring sizes, the logarithms
@@ -143,8 +145,30 @@ class EveryLevel(nn.Module):
         tried = (costs[:, :BINS, 0, 0] < UNTRIED).flatten()
         some = levels.transpose(1, 2).flatten(0, 1)[tried]
         found = costs.new_zeros(batch * BINS, PER_LEVEL, rows, columns)
-        found[tried] = self.layers(some.contiguous(memory_format=torch.channels_last))
+        found[tried] = self.layers(some.contiguous(memory_format=torch.channels_last)).to(
+            found.dtype
+        )
         return found.unflatten(0, (batch, BINS)).transpose(1, 2)
+
+    def _in_squares(self, layers: LevelLayers, costs: torch.Tensor) -> torch.Tensor:
+        """Return the same, with what the first layer, which is linear, does once for all."""
+        batch, _, rows, columns = costs.shape
+        squares = functional.pixel_unshuffle(costs, 2).unflatten(1, (-1, 4))
+        volume = squares[:, :COST_CHANNELS].unflatten(1, (-1, BINS)).transpose(1, 2)
+        of, bins = (costs[:, :BINS, 0, 0] < UNTRIED).nonzero(as_tuple=True)
+        lower, upper = (bins - 1).clamp(min=0), (bins + 1).clamp(max=BINS - 1)
+        first, kinds = layers.first, volume.shape[2]
+        counts = 4 * torch.tensor([kinds + 2 * (kinds // KINDS), SCALARS, 1])
+        of_costs, of_scalars, of_size = first.weight.split(counts.tolist(), 1)
+        beside = [volume[of, at, ::KINDS] for at in (lower, upper)]  # the logarithms
+        shown = torch.cat([volume[of, bins], *beside], 1).flatten(1, 2)
+        found = functional.conv2d(shown.contiguous(memory_format=torch.channels_last), of_costs)
+        scalars = squares[:, COST_CHANNELS:].flatten(1, 2)
+        found = found + functional.conv2d(scalars, of_scalars, first.bias)[of]
+        found = found + (self.sizes[:, None] * of_size.sum((1, 2, 3)))[bins][..., None, None]
+        found = functional.pixel_shuffle(layers.after_first(found), 2).float()
+        whole = costs.new_zeros(batch, BINS, PER_LEVEL, rows, columns)
+        return whole.index_put((of, bins), found).transpose(1, 2)
 
 
 class Refinement(nn.Module):
