@@ -14,11 +14,14 @@ class Compiled:
 
     The loop is compiled when it is first called, which takes a second or two, and kept on disk for
     the next time. Other threads go on while it runs. `loop` is made of plain loops over its arrays,
-    some of which it writes to, and returns nothing; `plain` does the same by NumPy.
+    some of which it writes to, and returns nothing; `plain` does the same by NumPy. Only with
+    `finite` False may there be NaN and infinite values.
     """
 
-    def __init__(self, loop: Callable[..., None], plain: Callable[..., None]) -> None:
-        self.loop, self.plain = loop, plain
+    def __init__(
+        self, loop: Callable[..., None], plain: Callable[..., None], *, finite: bool = True
+    ) -> None:
+        self.loop, self.plain, self._finite = loop, plain, finite
         self._chosen: Callable[..., None] | None = None
 
     def __call__(self, *arrays: Any) -> None:
@@ -40,9 +43,9 @@ class Compiled:
             try:
                 from numba import njit
 
-                compiled: Callable[..., None] = njit(cache=cache, nogil=True, fastmath=True)(
-                    self.loop
-                )
+                compiled: Callable[..., None] = njit(
+                    cache=cache, nogil=True, fastmath=self._finite
+                )(self.loop)
                 compiled(*arrays)  # compiles it first: what fails has not begun to write
                 return compiled
             except Exception as error:

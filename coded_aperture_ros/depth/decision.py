@@ -2,12 +2,14 @@
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.stages import Stages
+from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.edges import EdgeCorrection
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
@@ -75,6 +77,7 @@ class Regularized:
     correct_edges: EdgeCorrection
     sides: FocalSides | None
     neighbours_decide: bool
+    workers: Workers
 
     def __call__(
         self,
@@ -90,7 +93,10 @@ class Regularized:
         at = MapGrid.worthwhile(seen.grid, seen.grey.shape, size)
         level = self.correct_edges(at.interpolated(of_patches), at.scale)
         probability = level_probability(volume)
-        confidence, of_side = self._confidence(level, of_patches, volume, probability, at)
+        (confidence, of_side), deviation = self.workers.both(
+            partial(self._confidence, level, of_patches, volume, probability, at),
+            partial(self._deviation, level, volume, at),
+        )
         uninformative = ~seen.usable | self._left_open(probability)
         if uninformative.any():
             confidence[at.nearest(uninformative)] = 0
@@ -99,7 +105,6 @@ class Regularized:
             nearest = nearest_plausible_level(probability, self.levels.nearest_first)
             return np.asarray(at.nearest(nearest.astype(np.float32)))
 
-        deviation = self._deviation(level, volume, at)
         return Decision(level, deviation, confidence, of_side, nearest_plausible)
 
     def _confidence(

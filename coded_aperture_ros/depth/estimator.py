@@ -10,7 +10,7 @@ import numpy as np
 from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.stages import Stages
-from coded_aperture_ros.core.workers import thread_count
+from coded_aperture_ros.core.workers import Workers, thread_count
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.decision import Decide, Regularized
 from coded_aperture_ros.depth.edges import edge_correction
@@ -39,6 +39,7 @@ class _Planned:
     sides: FocalSides | None
     small: SmallPatches | None
     decide: Decide
+    workers: Workers
 
 
 class DepthEstimator:
@@ -117,6 +118,7 @@ class DepthEstimator:
             self._fit.close()
         if self._planned is not None:
             self._planned.likelihood.close()
+            self._planned.workers.close()
             if self._planned.small is not None:
                 self._planned.small.close()
             self._planned = None
@@ -229,11 +231,11 @@ class DepthEstimator:
             stages.lap("fit")
         if health is not None:
             confidence = health.trusted(confidence)
-        unsure = is_unsure(confidence, config.confidence_threshold)
+        unknown = is_unsure(confidence, config.confidence_threshold)
         if config.unknown == "nearest":  # so that nothing is run into
-            level = np.where(unsure, levels.nearer(level, decided.nearest_plausible()), level)
-        blur_size_px, depth_m = levels.meaning(level)
-        std_dev_m = levels.std_dev_m(level, decided.deviation)
+            level = np.where(unknown, levels.nearer(level, decided.nearest_plausible()), level)
+            unknown = np.zeros_like(unknown)
+        level, blur_size_px, depth_m, std_dev_m = levels.meaning(level, decided.deviation, unknown)
         if self._bends and depth_m is not None and std_dev_m is not None:
             axial_m, depth_m = depth_m, self._bends.depth_in_field(depth_m)
             std_dev_m = std_dev_m * np.square(depth_m / axial_m)
@@ -246,10 +248,7 @@ class DepthEstimator:
             decided.side_confidence,
             std_dev_m,
             health=health,
-        )
-        if config.unknown == "nothing":
-            estimate = estimate.without(unsure)
-        estimate = estimate.enlarged(size)
+        ).enlarged(size)
         if own.motion is not None:
             estimate = dataclasses.replace(
                 estimate, motion=_drawn(own.motion, MapGrid.of(seen.grid, shape, size))
@@ -269,7 +268,7 @@ class DepthEstimator:
             self.reset()
             with ExitStack() as unless_planned:
                 unless_planned.callback(likelihood.close)
-                sides = None
+                workers, sides = Workers(threads), None
                 if model.stack.has_both_sides:
                     sides = FocalSides(model.stack, self._levels, shape, self._regularize)
                 small: SmallPatches | None = None
@@ -282,12 +281,13 @@ class DepthEstimator:
                     decide = Regularized(
                         self._levels,
                         self._regularize,
-                        edge_correction(model, config.edge_correction),
+                        edge_correction(model, config.edge_correction, workers),
                         sides,
                         self._neighbours_decide,
+                        workers,
                     )
                 unless_planned.pop_all()
-            self._planned = _Planned(shape, likelihood, sides, small, decide)
+            self._planned = _Planned(shape, likelihood, sides, small, decide, workers)
         return self._planned
 
     def _refined_bank(self, stride_px: int) -> FilterBank | None:

@@ -4,7 +4,8 @@ import dataclasses
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
+from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood import BlurLevels, LikelihoodModel
 from coded_aperture_ros.optics import Camera
@@ -13,6 +14,8 @@ from coded_aperture_ros.optics import Camera
 _STEPS = 128
 # Depths that differ by this share are as good as each other.
 _TOLERANCE = 0.05
+
+_Maps = tuple[FloatArray, ...]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -76,31 +79,28 @@ class Levels:
         choose = np.minimum if self.nearest_first[0] == 0 else np.maximum
         return np.asarray(choose(level, other))
 
-    def meaning(self, level: FloatArray) -> tuple[FloatArray, FloatArray | None]:
-        """Return blur sizes, px, and depths, m, of fractional levels of any shape, without NaN."""
-        index = _index(level)
-        depth = None if self._depth_table is None else self._depth_table[index]
-        return self._size_table[index], depth
+    def meaning(
+        self, level: FloatArray, deviation: FloatArray, unknown: BoolArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray | None, FloatArray | None]:
+        """Return fractional levels, blur sizes, px, depths, m, and their standard deviations, m.
 
-    def std_dev_m(self, level: FloatArray, deviation: FloatArray) -> FloatArray | None:
-        """Return the standard deviation of depth, m, from that of fractional levels, above 0.
-
-        The inverse depth is linear in the blur size, and `std(z) = z^2 std(1 / z)`; +inf where the
-        depth is. None if depths are not known. Levels are of any shape, without NaN.
+        NaN where they are unknown. Deviations of depths are made of those of levels, above 0: the
+        inverse depth is linear in the blur size, and `std(z) = z^2 std(1 / z)`; +inf where the
+        depth is. None if depths are not known. Takes and gives one shape; levels are without NaN.
         """
-        if self._metres_per_level is None:
-            return None
-        return np.asarray(self._metres_per_level[_index(level)] * deviation)
+        tables = self._size_table, self._depth_table, self._metres_per_level
+        known = tuple(self._size_table if table is None else table for table in tables)
+        flat = tuple(np.empty(level.size, np.float32) for _ in range(4))
+        look_up(level.ravel(), deviation.ravel(), unknown.ravel(), known, flat)
+        found, size_px, depth_m, std_dev_m = (values.reshape(level.shape) for values in flat)
+        if self._depth_table is None:
+            return found, size_px, None, None
+        return found, size_px, depth_m, std_dev_m
 
 
 def depths_are_measured(model: BlurLevels) -> bool:
     """Return whether a model knows its depths from measurement, better than by a camera file."""
     return not model.mask_digest and model.stack.depths_m is not None
-
-
-def _index(level: FloatArray) -> IndexArray:
-    """Return where fractional levels are in the tables."""
-    return (level * _STEPS + np.float32(0.5)).astype(np.int32)
 
 
 def _metres_per_level(depth_m: FloatArray) -> FloatArray:
@@ -151,3 +151,32 @@ def _depths_by_camera(model: LikelihoodModel, camera: Camera) -> DoubleArray:
             "learn the bank for this camera"
         )
     return depths
+
+
+def _loop(
+    level: FloatArray, deviation: FloatArray, unknown: BoolArray, tables: _Maps, maps: _Maps
+) -> None:
+    sizes, depths, per_level = tables
+    of_level, of_size, of_depth, of_deviation = maps
+    nan, last = np.float32(np.nan), len(sizes) - 1
+    for i in range(len(level)):
+        at, gone = int(level[i] * np.float32(_STEPS) + np.float32(0.5)), unknown[i]
+        at = min(max(at, 0), last)  # never beyond the tables, whatever comes
+        of_level[i] = nan if gone else level[i]
+        of_size[i] = nan if gone else sizes[at]
+        of_depth[i] = nan if gone else depths[at]
+        of_deviation[i] = nan if gone else per_level[at] * deviation[i]
+
+
+def _plain(
+    level: FloatArray, deviation: FloatArray, unknown: BoolArray, tables: _Maps, maps: _Maps
+) -> None:
+    at = (level * _STEPS + np.float32(0.5)).astype(np.int32)
+    sizes, depths, per_level = (table.take(at, mode="clip") for table in tables)
+    for found, value in zip(maps, (level, sizes, depths, per_level * deviation), strict=True):
+        np.copyto(found, np.where(unknown, np.float32(np.nan), value))
+
+
+# Writes levels, sizes, depths and deviations of depths, see `Levels.meaning`, by tables of sizes,
+# depths and metres per level. All are flat, which is quicker.
+look_up = Compiled(_loop, _plain, finite=False)

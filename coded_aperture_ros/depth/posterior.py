@@ -89,7 +89,8 @@ def confidence_of(
     levels = probability.shape[-1]
     by_level = np.ascontiguousarray(np.moveaxis(probability, -1, 0))
     up_to = np.zeros((levels + 1, *by_level.shape[1:]), np.float32)
-    np.cumsum(by_level, axis=0, out=up_to[1:])
+    for below, own, total in zip(up_to, by_level, up_to[1:], strict=False):
+        np.add(below, own, out=total)
     first, last = agreement
     mass = up_to[last + 1] - up_to[first]
     offset, slope = map(np.float32, _CALIBRATION)
@@ -106,7 +107,8 @@ def confidence_of(
     index *= guessed.size
     index += (rows * guessed.shape[1]).astype(np.int32)[:, None]
     index += columns.astype(np.int32)
-    return np.asarray(confidence.astype(np.float32).reshape(-1)[index], np.float32)
+    # All are within: not checking it is quicker.
+    return confidence.astype(np.float32, copy=False).ravel().take(index, mode="clip")
 
 
 def level_deviation(
@@ -152,12 +154,14 @@ def level_deviation(
     square = level - of_pixels(mean)
     square *= square
     square += of_pixels(np.maximum(variance, 0) + np.float32(_LEAST_DEVIATION**2))
-    return np.asarray(np.float32(_DEVIATION) * np.sqrt(square), np.float32)
+    np.sqrt(square, out=square)
+    square *= np.float32(_DEVIATION)
+    return square
 
 
 def is_unsure(confidence: FloatArray, threshold: float) -> BoolArray:
     """Return where the depth counts as unknown: below the threshold, and where it is 0."""
-    return ~(confidence >= threshold) | ~(confidence > 0)
+    return ~(confidence >= threshold if threshold > 0 else confidence > 0)
 
 
 def is_uninformative(probability: FloatArray) -> BoolArray:

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,16 +58,17 @@ class MapGrid:
         patch goes on.
         """
         axes = _axes(self.grid, self.frame_shape, self.size)
-        (rows, columns), (in_rows, in_columns) = (
-            [step(*axis) for axis in axes] for step in (_weights, _below)
-        )
-        low, high = (_of_four(level, extreme) for extreme in (np.minimum, np.maximum))
-        one_surface = high - low <= _ONE_SURFACE
-        nearest_rows, nearest_columns = self.patches
-        nearest = level[nearest_rows][:, nearest_columns]
-        interpolated = rows @ level @ columns.T
-        np.copyto(nearest, interpolated, where=one_surface[in_rows][:, in_columns])
-        return nearest
+        (in_rows, down), (in_columns, across) = (_between(*axis) for axis in axes)
+        four = np.ones((2, 2), np.uint8)  # every patch and those below, beside and across
+        low, high = (extreme(level, four, anchor=(0, 0)) for extreme in (cv2.erode, cv2.dilate))
+        one_surface = (high - low <= _ONE_SURFACE).view(np.uint8)
+        first = level.take(in_columns, axis=1)
+        first += across * np.diff(level, axis=1, append=level[:, -1:]).take(in_columns, axis=1)
+        interpolated = np.diff(first, axis=0, append=first[-1:]).take(in_rows, axis=0)
+        interpolated *= down[:, None]
+        interpolated += first.take(in_rows, axis=0)
+        on_one = one_surface.take(in_columns, axis=1).take(in_rows, axis=0)
+        return np.asarray(cv2.copyTo(interpolated, on_one, self.nearest(level)))
 
     def nearest(self, values: NDArray) -> NDArray:
         """Return the value of the nearest patch at every pixel; takes [rows, columns, ...]."""
@@ -90,23 +92,8 @@ def _positions(centres: IndexArray, frame_length: int, length: int) -> DoubleArr
     return np.interp((np.arange(length) + 0.5) * scale - 0.5, centres, np.arange(len(centres)))
 
 
-def _below(centres: IndexArray, frame_length: int, length: int) -> IndexArray:
-    """Give the first of the two patches around every output pixel of an axis."""
+def _between(centres: IndexArray, frame_length: int, length: int) -> tuple[IndexArray, FloatArray]:
+    """Give the first of the two patches around every output pixel of an axis, and how far on."""
     fractional = _positions(centres, frame_length, length)
-    return np.minimum(fractional.astype(np.intp), max(len(centres) - 2, 0))
-
-
-def _weights(centres: IndexArray, frame_length: int, length: int) -> FloatArray:
-    """Give the linear weight of every patch for every output pixel of an axis [length, patches]."""
-    fractional = _positions(centres, frame_length, length)
-    distance = np.abs(fractional[:, None] - np.arange(len(centres)))
-    return np.maximum(1 - distance, 0).astype(np.float32)
-
-
-def _of_four(level: FloatArray, extreme: np.ufunc) -> FloatArray:
-    """Return the extreme of every patch and those below, beside and across [rows, columns]."""
-    two = level.copy()
-    extreme(level[:-1], level[1:], out=two[:-1])
-    four = two.copy()
-    extreme(two[:, :-1], two[:, 1:], out=four[:, :-1])
-    return four
+    first = np.minimum(fractional.astype(np.intp), max(len(centres) - 2, 0))
+    return first, (fractional - first).astype(np.float32)

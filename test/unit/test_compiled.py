@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from coded_aperture_ros.core.compiled import Compiled
+from coded_aperture_ros.depth.levels import look_up
 from coded_aperture_ros.depth.paths import add_best_paths
-from coded_aperture_ros.depth.refine.layout import _put_in_squares, subtract_enlarged
+from coded_aperture_ros.depth.refine.layout import add_up, put_in_squares
 from coded_aperture_ros.likelihood.products import products_of_transforms
 
 RANDOM = np.random.default_rng(0)
@@ -48,27 +49,46 @@ def test_both_forms_multiply_the_same_transforms(unpaired):
         assert products == pytest.approx(found[0], rel=1e-5, abs=1e-5)
 
 
-@pytest.mark.parametrize("shape", [(3, 4, 6), (2, 2, 2), (1, 1, 1)])
-def test_both_forms_subtract_the_same(shape):
+@pytest.mark.parametrize("rows", [(0, 8), (0, 2), (2, 6), (6, 8)])
+def test_both_forms_add_up_the_same(rows):
     pytest.importorskip("numba")
-    costs = RANDOM.random(shape, dtype=np.float32)
-    sizes = [np.ones((shape[0], 2 * shape[1], 2 * shape[2]), np.float32) for _ in range(3)]
-    forms = subtract_enlarged, subtract_enlarged.plain, subtract_enlarged.loop
-    for form, size in zip(forms, sizes, strict=True):
-        form(costs, size)
+    (first, end), columns = rows, 6
+    cells = RANDOM.random((16, end - first, columns), dtype=np.float32)
+    squares = RANDOM.random((3, 20, 4, columns // 2), dtype=np.float32)
+    costs = RANDOM.random((3, 8, columns), dtype=np.float32)
+    sizes = [np.zeros((4, 16, 2 * columns), np.float32) for _ in range(3)]
+    for form, size in zip((add_up, add_up.plain, add_up.loop), sizes, strict=True):
+        form(cells, squares, costs, first, size)
+        outside = np.ones(size.shape, bool)
+        outside[:3, 2 * first : 2 * end] = False
+        assert (size[outside] == 0).all() and (size[~outside] != 0).all()
     for size in sizes[1:]:
         assert size == pytest.approx(sizes[0], abs=1e-6)
 
 
+def test_half_cells_have_what_their_cell_and_square_say():
+    """Each by another number: the column of a half-cell, of a cell, and the size."""
+    cells = np.arange(4, dtype=np.float32)[:, None, None] * np.ones((1, 2, 4), np.float32)
+    squares = np.zeros((1, 16, 1, 2), np.float32)
+    squares[0, :, 0] = 10 * np.arange(16)[:, None]
+    size = np.zeros((1, 4, 8), np.float32)
+    add_up(cells, squares, np.full((1, 2, 4), 0.5, np.float32), 0, size)
+    half, of_square = np.rint(size[0] + 0.5) % 10, (size[0] + 0.5) // 10
+    assert half[:2, :2].tolist() == [[0, 1], [2, 3]] == half[2:, 6:].tolist()
+    assert of_square[:2, :4].tolist() == [[0, 4, 1, 5], [8, 12, 9, 13]]
+    assert of_square[2:, :4].tolist() == [[2, 6, 3, 7], [10, 14, 11, 15]]
+
+
 def test_both_forms_put_cells_in_the_same_squares():
     pytest.importorskip("numba")
-    values = RANDOM.random((3, 2, 4, 6), dtype=np.float32)
-    squares = [np.empty((2, 3, 4, 2, 3), np.float32) for _ in range(3)]
-    forms = _put_in_squares, _put_in_squares.plain, _put_in_squares.loop
+    cells, channels = RANDOM.random((5, 4, 6), dtype=np.float32), np.array([3, 0, 3])
+    squares = [np.empty((3, 4, 2, 3), np.float32) for _ in range(3)]
+    forms = put_in_squares, put_in_squares.plain, put_in_squares.loop
     for form, found in zip(forms, squares, strict=True):
-        form(values, found)
+        form(cells, channels, found)
     for found in squares[1:]:
         assert np.array_equal(found, squares[0])
+    assert squares[0][1, 3, 1, 2] == cells[0, 3, 5]
 
 
 def test_without_numba_numpy_does_it(monkeypatch):
@@ -138,3 +158,18 @@ def test_threads_that_call_first_compile_once(monkeypatch):
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(lambda _: compiled(), range(8)))
     assert numba.asked == [True] and called == ["loop"] * 8
+
+
+def test_both_forms_look_up_the_same_depths():
+    """Where nothing is known, and where tables have no depth or an infinite one, too."""
+    pytest.importorskip("numba")
+    level = np.append(RANDOM.uniform(0, 4, 60), [0, 4]).astype(np.float32)
+    deviation = RANDOM.random(62, dtype=np.float32)
+    sizes, depths, per_level = RANDOM.random((3, 4 * 128 + 1), dtype=np.float32)
+    depths[:100] = per_level[:100] = np.inf
+    depths[-100:] = per_level[-100:] = np.nan
+    found = [tuple(np.empty(62, np.float32) for _ in range(4)) for _ in range(3)]
+    for form, maps in zip((look_up, look_up.plain, look_up.loop), found, strict=True):
+        form(level, deviation, level % 1 < 0.2, (sizes, depths, per_level), maps)
+    for maps in found[1:]:
+        assert np.allclose(maps, found[0], rtol=1e-6, atol=0, equal_nan=True)

@@ -8,8 +8,9 @@ from scipy import ndimage
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, Levels
-from coded_aperture_ros.depth.edges import slimmed_foreground
+from coded_aperture_ros.depth.edges import DEPTH_EDGE_PX, edge_correction, slimmed_foreground
 from coded_aperture_ros.depth.posterior import refine_level
 from coded_aperture_ros.depth.regularize import regularizer
 from coded_aperture_ros.depth.upsample import MapGrid
@@ -232,13 +233,14 @@ def test_deviation_in_metres_follows_the_camera(bank, camera):
     step = 0.1 * (bank.blur_sizes_px[1] - bank.blur_sizes_px[0])
     changed = np.abs(camera.depth_m(sizes + step) - camera.depth_m(sizes - step)) / 2
     for levels in (Levels.of(bank, camera), Levels.of(bank)):
-        found = levels.std_dev_m(level, np.full_like(level, 0.1))
+        *_, found = levels.meaning(level, np.full_like(level, 0.1), np.zeros(50, bool))
         assert found.dtype == np.float32
         assert found == pytest.approx(changed, rel=0.02)
     infinity = camera.blur_at_infinity_px
     sizes = np.linspace(0.5, 1.2, 8) * infinity
     beyond = dataclasses.replace(bank, stack=render_psf_stack(camera.mask, sizes))
-    found = Levels.of(beyond, camera).std_dev_m(np.arange(8, dtype=np.float32), np.ones(8, "f4"))
+    level = np.arange(8, dtype=np.float32)
+    *_, found = Levels.of(beyond, camera).meaning(level, np.ones(8, "f4"), np.zeros(8, bool))
     assert np.array_equal(np.isinf(found), sizes >= infinity)
     assert np.all(np.diff(found[:5]) > 0)
 
@@ -400,6 +402,19 @@ def test_trimming_leaves_thin_obstacles_specks_and_slants():
     assert np.array_equal(slimmed_foreground(speck, 6, 9, 3.0), speck)
     slant = np.broadcast_to(np.linspace(0, 20, 80, dtype=np.float32), (60, 80)).copy()
     assert np.array_equal(slimmed_foreground(slant, 6, 9, 3.0), slant)
+
+
+def test_two_threads_trim_as_one_does(bank):
+    """Each has half of the map, and what is around it."""
+    random = np.random.default_rng(2)
+    level = ndimage.zoom(random.uniform(0, 19, (12, 9)), 10, order=0).astype(np.float32)
+    whole = edge_correction(bank, 0.8, Workers(1))(level, 1.0)
+    assert np.count_nonzero(whole != level) > 1000
+    for cut in (level, level[:37], level[:1]):
+        steps = np.abs(np.diff(bank.blur_sizes_px)).mean()
+        reach_px = round(min(bank.fattening * 0.8, 1.0) * bank.window_px)
+        expected = slimmed_foreground(cut, reach_px, 15, DEPTH_EDGE_PX / steps)
+        assert np.array_equal(edge_correction(bank, 0.8, Workers(2))(cut, 1.0), expected)
 
 
 def test_background_is_found_nearer_to_an_edge_with_trimming(bank, stairs):

@@ -179,8 +179,11 @@ def _chosen_windows(
         share = mean_at(unusable.astype(np.float32), grid, WINDOW_PX * 3 // 4)
         texture[share > _TOLERATED] = -1
     found = []
-    for rows in np.array_split(np.arange(grid.rows), min(cells, grid.rows)):
-        for columns in np.array_split(np.arange(grid.columns), min(cells, grid.columns)):
+    down, across = (
+        np.array_split(np.arange(length), min(cells, length)) for length in texture.shape
+    )
+    for rows in down:
+        for columns in across:
             cell = texture[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
             row, column = divmod(int(cell.argmax()), len(columns))
             if cell[row, column] > 0:

@@ -104,10 +104,10 @@ class Hypotheses:
     @classmethod
     def joined(cls, some: Sequence["Hypotheses"]) -> "Hypotheses":
         """Return those of all, one after the other."""
-        return cls(
-            np.concatenate([each.weights for each in some], axis=1),
-            np.concatenate([each.log_determinants for each in some], axis=1),
-        )
+        weights = np.concatenate([each.weights for each in some], axis=1).swapaxes(1, 2)
+        determinants = np.concatenate([each.log_determinants for each in some], axis=1)
+        # Many are multiplied more quickly with frequencies first in memory.
+        return cls(np.ascontiguousarray(weights).swapaxes(1, 2), determinants)
 
     def about(self, contrasts: IndexArray) -> "Hypotheses":
         """Return those of some contrasts and their neighbours."""
@@ -122,11 +122,11 @@ def surprise(power: FloatArray, hypotheses: Hypotheses) -> FloatArray:
     window's own at its best value: the energy of `FilterBank`. `power` [n, K] is in units of the
     noise.
     """
-    explained = power @ hypotheses.weights.reshape(-1, power.shape[1]).T
+    explained = power @ hypotheses.weights.swapaxes(1, 2)
     explained += np.float32(_OWN_NOISE)
     np.log(explained, out=explained)
-    explained += hypotheses.log_determinants.ravel()
-    return np.asarray(explained.reshape(-1, *hypotheses.log_determinants.shape))
+    explained += hypotheses.log_determinants[:, None]
+    return explained.swapaxes(0, 1)
 
 
 def _expected_power(psf: FloatArray) -> DoubleArray:

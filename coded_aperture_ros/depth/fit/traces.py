@@ -72,7 +72,7 @@ def _block_grid(grey: FloatArray, noise: float) -> list[float]:
         profile = np.minimum(steps, 4 * noise + np.median(steps[::4, ::4])).mean(axis=0)
         for block in _BLOCKS_PX:
             phases = profile[: len(profile) // block * block].reshape(-1, block).mean(0)
-            found.append(np.log(max(phases.max(), 1e-9) / max(np.median(phases), 1e-9)))
+            found.append(np.log(max(phases.max(), 1e-9) / max(quantiles(phases, 0.5)[0], 1e-9)))
     return found
 
 
@@ -83,14 +83,13 @@ def _values(grey: FloatArray) -> list[float]:
     steps = cv2.absdiff(rows[:, 1:], rows[:, :-1])
     values = np.count_nonzero(np.bincount((np.clip(some.ravel(), 0, 2) * 65535 + 0.5).astype(int)))
     brightest = float(grey.max())
-    return [
-        float((steps < 1e-7).mean()),
-        float((steps < 2e-4).mean()),
-        float((rows > _CLIPPED).mean()),
-        float((rows > 0.9 * brightest).mean()),
+    bright = _CLIPPED, 0.9 * brightest
+    return [  # shares by counting, which is several times as fast as a mean
+        *(np.count_nonzero(steps < least) / steps.size for least in (1e-7, 2e-4)),
+        *(np.count_nonzero(rows > least) / rows.size for least in bright),
         brightest,
         np.log(max(float(grey.mean()), 0) + 1e-3),
-        float((rows <= 1e-6).mean()),
+        np.count_nonzero(rows <= 1e-6) / rows.size,
         np.log(values / some.size),
     ]
 
@@ -115,7 +114,7 @@ def _mosaic(grey: FloatArray) -> float:
 def _lonely(bands: list[FloatArray], noise: float) -> float:
     """Return how many pixels are unlike all around them."""
     away = [cv2.absdiff(band, cv2.medianBlur(band, 3)) > 6 * noise + 0.02 for band in bands]
-    return float(np.log(1e-5 + np.mean([each.mean() for each in away])))
+    return float(np.log(1e-5 + np.mean([np.count_nonzero(each) / each.size for each in away])))
 
 
 def _step(grey: FloatArray) -> int:
