@@ -276,7 +276,7 @@ class DepthEstimator:
                 if (bank := self._refined_bank(stride_px)) is not None:
                     small = SmallPatches(self.small_bank, shape, config.backend, threads)
                     unless_planned.callback(small.close)
-                    decide = Refined(bank, self._levels, small.grid, sides)
+                    decide = Refined(bank, self._levels, small.grid, sides, workers)
                 else:
                     decide = Regularized(
                         self._levels,

@@ -41,13 +41,13 @@ class Cells:
 
         Parameters
         ----------
-        values : ndarray, float32 [n, grid rows, grid columns]
+        values : ndarray, float32 [..., grid rows, grid columns]
         grid : PatchGrid
             Where these patches lie.
 
         Returns
         -------
-        at_cells : ndarray, float32 [n, rows, columns]
+        at_cells : ndarray, float32 [..., rows, columns]
             Where there is no patch, those of the nearest.
         known : ndarray, float32 [rows, columns]
             1 or 0.
@@ -58,12 +58,14 @@ class Cells:
             across = _interpolation(grid.column_centres, self.left, columns)
             down = _interpolation(grid.row_centres, self.top, rows)
             values = np.asarray(down @ values @ across.T, np.float32)
+        at_cells = np.empty((*values.shape[:-2], self.rows, self.columns), np.float32)
+        within = at_cells[..., rows.start : rows.stop, :]
+        within[..., columns.start : columns.stop] = values
         # Beyond the outermost patches their values go on.
-        row_of, column_of = (
-            np.clip(np.arange(count) - inside.start, 0, inside.stop - inside.start - 1)
-            for count, inside in ((self.rows, rows), (self.columns, columns))
-        )
-        at_cells = values.take(row_of, axis=1).take(column_of, axis=2)
+        within[..., : columns.start] = values[..., :1]
+        within[..., columns.stop :] = values[..., -1:]
+        at_cells[..., : rows.start, :] = within[..., :1, :]
+        at_cells[..., rows.stop :, :] = within[..., -1:, :]
         known = np.zeros((self.rows, self.columns), np.float32)
         known[rows.start : rows.stop, columns.start : columns.stop] = 1
         return at_cells, known

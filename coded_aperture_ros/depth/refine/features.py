@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
-from coded_aperture_ros.depth.refine.cells import CELL_PX, Cells
+from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.depth.refine.cells import Cells
 from coded_aperture_ros.depth.regularize import semi_global_cost
 from coded_aperture_ros.imaging import PatchGrid, brightness_at
 from coded_aperture_ros.likelihood import Cost
@@ -86,36 +87,51 @@ class Surroundings:
 
 
 def cost_features(
-    looks: Sequence[Look], around: Surroundings, cells: Cells, sizes_px: DoubleArray, near: float
+    looks: Sequence[Look],
+    around: Surroundings,
+    cells: Cells,
+    sizes_px: DoubleArray,
+    near: float,
+    workers: Workers | None = None,
 ) -> FloatArray:
     """Return what is known of every cell [COST_CHANNELS + SCALARS, rows, columns].
 
     `looks` are with the model's patches and with smaller ones, `around` is of the frame, `sizes_px`
     has the blur size of every level [L] of one side, and `near` is 1 for a scene before the focal
-    plane, 0 for one beyond it, 0.5 if that is not known.
+    plane, 0 for one beyond it, 0.5 if that is not known. `workers` share the work.
     """
     tried = np.flatnonzero(tried_sizes(sizes_px))
-    some = slice(int(tried[0]), int(tried[-1]) + 1)
+    start, stop = int(tried[0]), int(tried[-1]) + 1
     to_sizes = resampling(sizes_px).T
     features = np.empty((COST_CHANNELS + SCALARS, cells.rows, cells.columns), np.float32)
     of_kinds = features[:COST_CHANNELS].reshape(LOOKS, KINDS, -1, cells.rows, cells.columns)
     for kind, untried in enumerate(_UNTRIED):
-        of_kinds[:, kind] = untried
-    one = np.float32(1)
-    for index, look in enumerate(looks):
-        levels = np.minimum(np.moveaxis(look.volume, -1, 0), np.float32(_MOST_COST))
-        fine = np.log(levels * np.float32(_FINE_SCALE) + one) * np.float32(1 / 3)
+        of_kinds[:, kind, :start] = of_kinds[:, kind, stop:] = untried
+
+    def look_at(index: int, _: int) -> None:
+        look, count = looks[index], len(sizes_px)
         added_up = semi_global_cost(look.volume, 1.0, brightness_at(around.grey, look.grid))
-        added_up -= added_up.min(axis=-1, keepdims=True)
-        logarithms = np.log(levels + one), fine, np.moveaxis(np.log(added_up + one), -1, 0)
-        for kind, logarithm in enumerate(logarithms):
-            values = to_sizes @ logarithm.reshape(len(logarithm), -1)
-            values = values.reshape(-1, *look.misfit.shape)
-            of_kinds[index, kind, some] = cells.of_patches(values, look.grid)[0]
-        features[COST_CHANNELS + index], known = cells.of_patches(look.misfit[None], look.grid)
+        found = np.empty((KINDS, count, look.misfit.size), np.float32)
+        levels = np.moveaxis(look.volume, -1, 0).reshape(count, -1)
+        np.minimum(levels, np.float32(_MOST_COST), out=found[0])
+        np.multiply(found[0], np.float32(_FINE_SCALE), out=found[1])
+        found[2] = added_up.reshape(-1, count).T
+        found[2] -= found[2].min(axis=0)
+        found += np.float32(1)
+        np.log(found, out=found)
+        found[1] *= np.float32(1 / 3)
+        values = (to_sizes @ found).reshape(KINDS, -1, *look.misfit.shape)
+        of_kinds[index, :, start:stop] = cells.of_patches(values, look.grid)[0]
+        features[COST_CHANNELS + index], known = cells.of_patches(look.misfit, look.grid)
         if index == 0:
             features[COST_CHANNELS + LOOKS] = known
-    mean, variance = (_of_cells(cells.of_frame(part)) for part in (around.mean, around.variance))
+
+    (workers or Workers()).each(look_at, range(LOOKS))
+    shape = cells.columns, cells.rows
+    mean, variance = (
+        cv2.resize(cells.of_frame(part), shape, interpolation=cv2.INTER_AREA)
+        for part in (around.mean, around.variance)
+    )
     rest = features[COST_CHANNELS + LOOKS + 1 :]
     rest[0] = np.log(variance / np.float32(around.noise**2) + 1) / 2
     rest[1] = np.log(np.maximum(mean, np.float32(1e-3)))
@@ -128,16 +144,9 @@ def frame_features(around: Surroundings, cells: Cells) -> FloatArray:
 
     The texture is relative to its surroundings' and the noise; float32 [channels, rows, columns].
     """
-    texture = (around.grey - around.mean) / np.sqrt(
-        around.variance + np.float32(4 * around.noise**2)
-    )
-    whole = cells.of_frame(texture)
+    spread = np.sqrt(around.variance + np.float32(4 * around.noise**2))
+    whole = cells.of_frame((around.grey - around.mean) / spread)
     side = FRAME_CELL_PX
     rows, columns = (length // side for length in whole.shape)
     squares = whole.reshape(rows, side, columns, side).transpose(1, 3, 0, 2)
     return np.ascontiguousarray(squares.reshape(side * side, rows, columns))
-
-
-def _of_cells(picture: FloatArray) -> FloatArray:
-    rows, columns = (length // CELL_PX for length in picture.shape)
-    return np.asarray(cv2.resize(picture, (columns, rows), interpolation=cv2.INTER_AREA))

@@ -6,36 +6,29 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.core.compiled import Compiled
 
 
-def in_squares(values: FloatArray) -> FloatArray:
-    """Put the cells of 2 x 2 into channels: [n, b, rows, columns] to [b, 4 n, squares]."""
-    count, sizes, rows, columns = values.shape
-    squares = np.empty((sizes, count, 4, rows // 2, columns // 2), np.float32)
-    _put_in_squares(values, squares)
-    return squares.reshape(sizes, 4 * count, -1)
+def _put_loop(cells: FloatArray, channels: IndexArray, squares: FloatArray) -> None:
+    count, _, rows, columns = squares.shape
+    for n in range(count):
+        channel = channels[n]
+        for i in range(rows):
+            for down in range(2):
+                for j in range(columns):  # both at once: they lie side by side
+                    squares[n, 2 * down, i, j] = cells[channel, 2 * i + down, 2 * j]
+                    squares[n, 2 * down + 1, i, j] = cells[channel, 2 * i + down, 2 * j + 1]
 
 
-def _put_loop(values: FloatArray, squares: FloatArray) -> None:
-    sizes, count, _, rows, columns = squares.shape
-    for b in range(sizes):
-        for n in range(count):
-            for i in range(rows):
-                for quarter in range(4):
-                    down, right = quarter // 2, quarter % 2
-                    for j in range(columns):
-                        squares[b, n, quarter, i, j] = values[n, b, 2 * i + down, 2 * j + right]
-
-
-def _put_plain(values: FloatArray, squares: FloatArray) -> None:
+def _put_plain(cells: FloatArray, channels: IndexArray, squares: FloatArray) -> None:
     for quarter in range(4):
-        cells = values[..., quarter // 2 :: 2, quarter % 2 :: 2]
-        squares[:, :, quarter] = cells.swapaxes(0, 1)
+        squares[:, quarter] = cells[channels, quarter // 2 :: 2, quarter % 2 :: 2]
 
 
-_put_in_squares = Compiled(_put_loop, _put_plain)
+# Puts some channels [n] of cells [channels, rows, columns], those of 2 x 2 cells side by side, into
+# squares [n, 4, rows / 2, columns / 2].
+put_in_squares = Compiled(_put_loop, _put_plain)
 
 
 def at_half_cells(of_cells: NDArray[Any]) -> NDArray[Any]:
@@ -47,27 +40,43 @@ def at_half_cells(of_cells: NDArray[Any]) -> NDArray[Any]:
     return whole
 
 
-def _subtract_loop(costs: FloatArray, size: FloatArray) -> None:
+def _add_up_loop(
+    cells: FloatArray, squares: FloatArray, costs: FloatArray, first: int, size: FloatArray
+) -> None:
     count, rows, columns = costs.shape
-    far, near = np.float32(0.25), np.float32(0.75)
+    line, far, near = np.empty(columns + 2, np.float32), np.float32(0.25), np.float32(0.75)
     for b in range(count):
-        for i in range(2 * rows):
-            here = i // 2
-            beside = min(max(here + 2 * (i % 2) - 1, 0), rows - 1)
+        for y in range(2 * first, 2 * (first + cells.shape[1])):
+            i, down = y // 2, y % 2
+            beside = min(max(i + 2 * down - 1, 0), rows - 1)
             for j in range(columns):
-                left, right = max(j - 1, 0), min(j + 1, columns - 1)
-                middle = near * costs[b, here, j] + far * costs[b, beside, j]
-                before = near * costs[b, here, left] + far * costs[b, beside, left]
-                after = near * costs[b, here, right] + far * costs[b, beside, right]
-                size[b, i, 2 * j] -= near * middle + far * before
-                size[b, i, 2 * j + 1] -= near * middle + far * after
+                line[1 + j] = near * costs[b, i, j] + far * costs[b, beside, j]
+            line[0], line[columns + 1] = line[1], line[columns]
+            left, right = cells[4 * b + 2 * down, i - first], cells[4 * b + 2 * down + 1, i - first]
+            of_left, of_right, s = 8 * down + 2 * (i % 2), 8 * down + 2 * (i % 2) + 4, i // 2
+            for c in range(columns // 2):
+                j, x = 2 * c, 4 * c
+                before, here, then, after = line[j], line[j + 1], line[j + 2], line[j + 3]
+                less, more = near * here + far * before, near * here + far * then
+                size[b, y, x] = left[j] + squares[b, of_left, s, c] - less
+                size[b, y, x + 1] = right[j] + squares[b, of_right, s, c] - more
+                less, more = near * then + far * here, near * then + far * after
+                size[b, y, x + 2] = left[j + 1] + squares[b, of_left + 1, s, c] - less
+                size[b, y, x + 3] = right[j + 1] + squares[b, of_right + 1, s, c] - more
 
 
-def _subtract_plain(costs: FloatArray, size: FloatArray) -> None:
-    for of_size, cost in zip(size, costs, strict=True):
-        of_size -= cv2.resize(cost, of_size.shape[::-1], interpolation=cv2.INTER_LINEAR)
+def _add_up_plain(
+    cells: FloatArray, squares: FloatArray, costs: FloatArray, first: int, size: FloatArray
+) -> None:
+    end = first + cells.shape[1]
+    around = np.clip(np.arange(first - 1, end + 1), 0, costs.shape[1] - 1)
+    for b, cost in enumerate(costs):
+        of_cells = cells[4 * b : 4 * b + 4] + at_half_cells(squares[b, :16, first // 2 : end // 2])
+        less = cv2.resize(cost[around], None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
+        size[b, 2 * first : 2 * end] = at_half_cells(of_cells)[0] - less[2:-2]
 
 
-# Subtracts costs of cells [n, rows, columns], linear between their middles, from what there is of
-# half-cells [n, 2 rows, 2 columns].
-subtract_enlarged = Compiled(_subtract_loop, _subtract_plain)
+# Writes logits of the half-cells [>= n, 2 rows, 2 columns] of some rows of cells, from an even one
+# on: what there is of them [>= 4 n, some rows, columns] and of all squares [n, >= 16, rows / 2,
+# columns / 2], less the costs of all cells [n, rows, columns], linear between their middles.
+add_up = Compiled(_add_up_loop, _add_up_plain)

@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.archive import read_archive
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, COST_CHANNELS, KINDS, SCALARS
-from coded_aperture_ros.depth.refine.layout import at_half_cells, in_squares, subtract_enlarged
+from coded_aperture_ros.depth.refine.layout import add_up, at_half_cells, put_in_squares
 
 WEIGHTS = "refinement.npz"
 # Neighbours around a half-cell, with itself, that a quarter of it may belong to.
 NEIGHBOURS = 9
-# Channels of each blur size at a cell: the logits of its half-cells, and one more.
-PER_LEVEL = 5
+# The first and last layer are run for so many blur sizes, or rows of cells, at a time: few large
+# calls, but not much more than a core's cache holds.
+_SIZES, _ROWS = 4, 16
 SCHEMA, SCHEMA_VERSION = "coded-aperture refinement network", 3
 
 
@@ -32,7 +34,7 @@ class Logits:
     log_width: FloatArray
     # [4, rows, columns]; for each quarter of a half-cell, which of the nine half-cells around has
     # its blur size; row by row, 4 is itself.
-    neighbour: IndexArray
+    neighbour: NDArray[np.uint8]
 
 
 class Network:
@@ -41,12 +43,14 @@ class Network:
     OpenCV runs all but the first layer of the blur sizes (see `_First`) and the last layer, of
     which only the rows are computed that are needed.
 
-    Not for several threads at once. `tried` [blur sizes] says which of `BLUR_SIZES_PX`, neighbours
-    of each other, there are costs of. Raises `InputError` if OpenCV cannot run the network.
+    Not for several threads at once; `workers` share its work. `tried` [blur sizes] says which of
+    `BLUR_SIZES_PX`, neighbours of each other, there are costs of. Raises `InputError` if OpenCV
+    cannot run the network.
     """
 
-    def __init__(self, tried: BoolArray) -> None:
+    def __init__(self, tried: BoolArray, workers: Workers | None = None) -> None:
         arrays = _arrays()
+        self._workers = workers or Workers()
         try:
             self._of_level, self._of_cells = (
                 cv2.dnn.readNetFromONNX(arrays[f"{name}_onnx"]) for name in ("levels", "cells")
@@ -64,77 +68,81 @@ class Network:
         )
         first, last = np.flatnonzero(tried)[[0, -1]]
         self._tried = slice(int(first), int(last) + 1)
-        self._trust = arrays["trust"]
+        self._trust = _contiguous(arrays["trust"])
         self._first = _First.of(arrays, self._tried)
 
     def __call__(self, costs: FloatArray, frame: FloatArray) -> Logits:
         """Return the logits of half-cells, from `cost_features` and `frame_features`."""
         tried, shape = self._tried, costs.shape[1:]
-        self._of_level.setInput(self._first(costs), "levels")
-        # Logits of the four half-cells of every cell, and one more channel for the other network.
+        self._of_level.setInput(self._first(costs, self._workers), "levels")
+        # Logits of the half-cells of all squares, and one more channel for the other network.
         of_level = self._of_level.forward("found")
-        count = len(of_level)
-        of_level = at_half_cells(of_level.reshape(-1, *of_level.shape[2:]))
-        of_level = of_level.reshape(count, PER_LEVEL, *shape)
         levels = np.zeros((1, len(BLUR_SIZES_PX), *shape), np.float32)
-        levels[0, tried] = of_level[:, 4]
+        levels[0, tried] = at_half_cells(of_level[:, -4:].reshape(-1, *of_level.shape[2:]))
         for values, name in ((costs[None], "costs"), (frame[None], "frame"), (levels, "levels")):
             self._of_cells.setInput(values, name)
         cells = self._of_cells.forward("cells")[0]
-        found = self._weights @ cells.reshape(len(cells), -1)
-        found += self._bias[:, None]
-        found = found.reshape(-1, *shape)
-        found[: 4 * count] += of_level[:, :4].reshape(4 * count, *shape)
-        choice = _likeliest(found[4 * (count + 1) :].reshape(4, NEIGHBOURS, 4, *shape))
-        found = at_half_cells(found[: 4 * (count + 1)])
-        size = found[:count]
         # What the costs say by themselves, to which the network adds.
-        of_kinds = costs[:COST_CHANNELS].reshape(len(self._trust), -1, *shape)
-        own = np.tensordot(self._trust, of_kinds[:, tried], 1)
-        subtract_enlarged(own, size)
-        return Logits(size, found[count], at_half_cells(choice.reshape(-1, *shape)))
+        of_kinds = costs[:COST_CHANNELS].reshape(len(self._trust), -1, *shape)[:, tried]
+        own = (self._trust @ of_kinds.reshape(len(of_kinds), -1)).reshape(-1, *shape)
+        count = len(of_level)
+        size = np.empty((count + 1, 2 * shape[0], 2 * shape[1]), np.float32)
+        neighbour = np.empty((4, *size.shape[1:]), np.uint8)
+
+        def last_layer(first: int, _: int) -> None:
+            some = cells[:, first : first + _ROWS]
+            found = self._weights @ some.reshape(len(some), -1)
+            found += self._bias[:, None]
+            found = found.reshape(-1, *some.shape[1:])
+            of_sizes, of_choices = np.split(found, [4 * (count + 1)])
+            add_up(of_sizes, of_level, own, first, size)
+            of_rows = np.s_[:, 2 * first : 2 * (first + _ROWS)]
+            size[count:][of_rows] = at_half_cells(of_sizes[-4:])
+            choice = _likeliest(of_choices.reshape(4, NEIGHBOURS, 4, *some.shape[1:]))
+            neighbour[of_rows] = at_half_cells(choice.reshape(-1, *some.shape[1:]))
+
+        self._workers.each(last_layer, range(0, shape[0], _ROWS))
+        return Logits(size[:count], size[count], neighbour)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _First:
-    """The first layer of what is done to every blur size, in squares of 2 x 2 cells.
+    """The first layer of what is done to every blur size, in squares of 2 x 2 cells."""
 
-    Weights of the costs of the blur size itself [out, 4 kinds], of those of its lower and upper
-    neighbour together [2 out, 4 looks], and of the rest [out, 4 scalars]; and what is added to
-    every blur size [tried, out, 1].
-    """
-
-    tried: slice
-    itself: FloatArray
-    beside: FloatArray
-    scalars: FloatArray
-    added: FloatArray
+    channels: IndexArray  # [tried, n]; of the costs of each blur size, and of its two neighbours
+    weights: FloatArray  # [out, 4 n]; of these
+    scalars: FloatArray  # [out, 4 scalars]; weights of the rest
+    added: FloatArray  # [tried, out, 1]; what is added to every blur size
 
     @classmethod
     def of(cls, arrays: dict[str, FloatArray], tried: slice) -> "_First":
-        weights = arrays["first_weights"]
-        kinds = COST_CHANNELS // len(BLUR_SIZES_PX)
-        looks = kinds // KINDS
-        itself, lower, upper, scalars, size = np.split(
-            weights, 4 * np.cumsum([kinds, looks, looks, SCALARS]), axis=1
-        )
+        weights, count = arrays["first_weights"], len(BLUR_SIZES_PX)
+        weights, scalars, size = np.split(weights, -4 * np.array([SCALARS + 1, 1]), axis=1)
         of_size = BLUR_SIZES_PX[tried, None] / 10 * size.sum(axis=1) + arrays["first_bias"]
-        beside = np.concatenate([lower, upper])
-        return cls(tried, *map(_contiguous, (itself, beside, scalars, of_size[..., None])))
+        sizes, of_kinds = np.arange(count)[tried], np.arange(COST_CHANNELS).reshape(-1, count)
+        beside = (of_kinds[::KINDS, np.clip(sizes + step, 0, count - 1)] for step in (-1, 1))
+        channels = np.concatenate([of_kinds[:, sizes], *beside]).T
+        return cls(channels, *map(_contiguous, (weights, scalars, of_size[..., None])))
 
-    def __call__(self, costs: FloatArray) -> FloatArray:
+    def __call__(self, costs: FloatArray, workers: Workers) -> FloatArray:
         """Return the layer [tried, out, square rows, square columns] of `cost_features`."""
-        tried, last = self.tried, len(BLUR_SIZES_PX) - 1
-        volume = costs[:COST_CHANNELS].reshape(-1, last + 1, *costs.shape[1:])
-        squares = in_squares(volume[:, tried])
-        found = self.itself @ squares
-        beside = volume[::KINDS, np.clip(np.arange(tried.start - 1, tried.stop + 1), 0, last)]
-        of_beside = self.beside @ in_squares(beside)
-        out = len(self.itself)
-        found += of_beside[:-2, :out]
-        found += of_beside[2:, out:]
-        found += self.scalars @ in_squares(costs[COST_CHANNELS:, None])[0] + self.added
-        return found.reshape(*found.shape[:2], costs.shape[1] // 2, -1)
+        rows, columns = costs.shape[1] // 2, costs.shape[2] // 2
+        of_scalars = np.empty((SCALARS, 4, rows, columns), np.float32)
+        put_in_squares(costs, np.arange(COST_CHANNELS, len(costs)), of_scalars)
+        rest = self.scalars @ of_scalars.reshape(4 * SCALARS, -1)
+        found = np.empty((len(self.channels), *rest.shape), np.float32)
+
+        def of_sizes(first: int, _: int) -> None:
+            some = slice(first, first + _SIZES)
+            channels, layer = self.channels[some], found[some]
+            squares = np.empty((channels.size, 4, rows, columns), np.float32)
+            put_in_squares(costs, channels.ravel(), squares)
+            np.matmul(self.weights, squares.reshape(len(layer), -1, rows * columns), out=layer)
+            layer += rest
+            layer += self.added[some]
+
+        workers.each(of_sizes, range(0, len(found), _SIZES))
+        return found.reshape(*found.shape[:2], rows, columns)
 
 
 def _contiguous(values: NDArray[Any]) -> FloatArray:
@@ -147,7 +155,7 @@ def _likeliest(logits: FloatArray) -> NDArray[np.uint8]:
     which = np.zeros(best.shape, np.uint8)
     for index in range(1, logits.shape[1]):
         better = logits[:, index] > best
-        np.putmask(which, better, index)
+        np.maximum(which, better * np.uint8(index), out=which)
         np.maximum(best, logits[:, index], out=best)
     return which
 

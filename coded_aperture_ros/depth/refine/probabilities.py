@@ -4,8 +4,11 @@ import dataclasses
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray
+from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.depth.refine.layout import at_half_cells
 from coded_aperture_ros.depth.refine.network import Logits
 
 # The blur size is the mean over so many bins on either side of the likeliest.
@@ -13,6 +16,8 @@ REACH = 2
 # Share of errors within one standard deviation, and the surest that this is taken from.
 _WITHIN_ONE, _SUREST = 0.68, 0.98
 _LOG_WIDTHS = (-4.0, 2.0)
+# Half-cells that are interpreted together: no more than a core's cache holds.
+_PLACES = 5376
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -20,43 +25,42 @@ class HalfCells:
     """What is found of every half-cell [rows, columns]; float32."""
 
     size_px: FloatArray  # blur size without sign: the mean around the likeliest three
-    width_px: FloatArray  # mean error of it, if it is about right
     about: FloatArray  # probability that it is about right: that of the bins that it is the mean of
-    # [tried, rows, columns]; of every blur size that was tried, but for the factor `scale`.
-    probability: FloatArray
-    scale: FloatArray  # [rows, columns]; see `probability`
+    spread_px: FloatArray  # standard deviation of all blur sizes from it
+    width_px: FloatArray  # mean error of it, if it is about right
+    logits: FloatArray  # [tried, rows, columns]; of every blur size that was tried
     tried_px: FloatArray  # [tried]; the blur sizes that were tried
 
     @classmethod
-    def of(cls, logits: Logits, tried_px: FloatArray) -> "HalfCells":
-        """Interpret logits."""
-        shape, count = logits.log_width.shape, len(tried_px)
-        flat = logits.size.reshape(count, -1)
-        probability = np.exp(flat - flat.max(axis=0))
-        # With its neighbours: a blur size between two bins shares its probability among them.
-        together = probability.copy()
-        together[1:] += probability[:-1]
-        together[:-1] += probability[1:]
-        best = together.argmax(axis=0)
-        places = np.arange(flat.shape[1])
-        total, mean = (np.zeros(flat.shape[1], np.float32) for _ in range(2))
-        for step in range(-REACH, REACH + 1):
-            at = best + step
-            weight = probability[np.clip(at, 0, count - 1), places]
-            weight *= (at >= 0) & (at < count)
-            total += weight
-            mean += weight * np.float32(step)
-        step_px = tried_px[1] - tried_px[0]
-        size = tried_px[best] + mean / total * step_px
-        scale = 1 / probability.sum(axis=0)
-        return cls(
-            size.reshape(shape),
-            np.exp(np.clip(logits.log_width, *_LOG_WIDTHS)),
-            (total * scale).reshape(shape),
-            probability.reshape(count, *shape),
-            scale.reshape(shape),
-            tried_px,
-        )
+    def of(
+        cls, logits: Logits, tried_px: FloatArray, workers: Workers | None = None
+    ) -> "HalfCells":
+        """Interpret logits; `workers` share the work."""
+        flat = logits.size.reshape(len(tried_px), -1)
+        steps = np.arange(-REACH, REACH + 1, dtype=np.float32)
+        sums = np.stack([np.ones_like(tried_px), tried_px, tried_px**2])
+        found = np.empty((3, flat.shape[1]), np.float32)
+
+        def interpret(first: int, _: int) -> None:
+            places = np.s_[:, first : first + _PLACES]
+            some = flat[places]
+            padded = np.zeros((len(some) + 2 * REACH, some.shape[1]), np.float32)
+            probability = np.exp(some - some.max(axis=0), out=padded[REACH:-REACH])
+            # With its neighbours: a blur size between two bins shares its probability among them.
+            together = padded[REACH - 1 : -REACH - 1] + probability
+            together += padded[REACH + 1 : len(padded) - REACH + 1]
+            best = (together == together.max(axis=0)).argmax(axis=0)
+            around = np.take_along_axis(padded, best + np.arange(len(steps))[:, None], axis=0)
+            about = around.sum(axis=0)
+            size = tried_px[best] + steps @ around / about * (tried_px[1] - tried_px[0])
+            total, mean, square = sums @ probability
+            square = (square - 2 * mean * size) / total + size**2
+            found[places] = size, about / total, np.sqrt(np.maximum(square, 0))
+
+        (workers or Workers()).each(interpret, range(0, flat.shape[1], _PLACES))
+        width = np.exp(np.clip(logits.log_width, *_LOG_WIDTHS))
+        size, about, spread = found.reshape(3, *width.shape)
+        return cls(size, about, spread, width, logits.size, tried_px)
 
     def right_within(self, tolerance_px: FloatArray) -> FloatArray:
         """Return how likely the blur size is right to a tolerance [rows, columns]."""
@@ -66,31 +70,30 @@ class HalfCells:
         """Return the distance that errors are within as often as within a standard deviation."""
         share = np.minimum(_WITHIN_ONE / self.about, _SUREST)
         deviation = -self.width_px * np.log1p(-share)
-        count = len(self.tried_px)
-        powers = np.stack([self.tried_px, self.tried_px**2])
-        moments = powers @ self.probability.reshape(count, -1)
-        first, second = moments.reshape(2, *self.scale.shape) * self.scale
-        spread = second - 2 * first * self.size_px + self.size_px**2
         # Where the likeliest is not likely, errors are as large as the others are far.
-        unlikely = self.about < _WITHIN_ONE
-        return np.where(unlikely, np.maximum(deviation, np.sqrt(np.maximum(spread, 0))), deviation)
+        larger = np.maximum(deviation, self.spread_px)
+        return np.where(self.about < _WITHIN_ONE, larger, deviation)
 
     def quantile_px(self, share: float) -> FloatArray:
         """Return the blur size that the true one is below with a probability [rows, columns]."""
-        rank = (np.cumsum(self.probability * self.scale, axis=0) < share).sum(axis=0)
-        return self.tried_px[np.minimum(rank, len(self.tried_px) - 1)]
+        probability = np.exp(self.logits - self.logits.max(axis=0))
+        left = share * probability.sum(axis=0)
+        rank = np.zeros(left.shape, np.intp)
+        for each in probability[:-1]:
+            left -= each
+            rank += left > 0
+        return self.tried_px[rank]
 
 
-def chosen_neighbours(neighbour: IndexArray) -> IndexArray:
+def chosen_neighbours(neighbour: NDArray[np.uint8]) -> IndexArray:
     """Return for each quarter of each half-cell whose blur size it has [2 rows, 2 columns].
 
-    From `Logits.neighbour` [4, rows, columns], as flat indices into [rows, columns].
+    From `Logits.neighbour` [4, rows, columns], as flat indices into all with a border of one.
     """
     _, rows, columns = neighbour.shape
-    down = np.clip(np.arange(rows)[:, None] + neighbour // 3 - 1, 0, rows - 1)
-    right = np.clip(np.arange(columns) + neighbour % 3 - 1, 0, columns - 1)
-    flat = (down * columns + right).reshape(2, 2, rows, columns)
-    return np.ascontiguousarray(flat.transpose(2, 0, 3, 1)).reshape(2 * rows, 2 * columns)
+    corner = np.add.outer((columns + 2) * np.arange(rows), np.arange(columns))
+    beyond = np.add.outer((columns + 2) * np.arange(3), np.arange(3)).ravel()
+    return np.asarray(at_half_cells(corner + beyond[neighbour])[0])
 
 
 def drawn(values: FloatArray, quarters: IndexArray, one_surface: float) -> FloatArray:
@@ -104,5 +107,6 @@ def drawn(values: FloatArray, quarters: IndexArray, one_surface: float) -> Float
     around = np.ones((3, 3), np.uint8)
     even = (cv2.dilate(values, around) - cv2.erode(values, around) <= one_surface).view(np.uint8)
     even = cv2.resize(even, pixels, interpolation=cv2.INTER_NEAREST)
-    edges = cv2.resize(values.ravel()[quarters], pixels, interpolation=cv2.INTER_NEAREST)
+    bordered = cv2.copyMakeBorder(values, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
+    edges = cv2.resize(bordered.ravel()[quarters], pixels, interpolation=cv2.INTER_NEAREST)
     return np.where(even.view(bool), linear, edges)

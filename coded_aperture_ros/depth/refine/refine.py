@@ -6,6 +6,7 @@ import numpy as np
 from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.stages import Stages
+from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.decision import Decision
 from coded_aperture_ros.depth.levels import Levels
@@ -103,18 +104,26 @@ class Refined:
         Where the small patches lie, whose cost comes with that of the model's; see `SmallPatches`.
     sides : FocalSides or None
         Tells the sides of the focal plane apart, if there are levels on both.
+    workers : Workers, optional
+        Share the work.
     """
 
     def __init__(
-        self, bank: FilterBank, levels: Levels, small: PatchGrid, sides: FocalSides | None = None
+        self,
+        bank: FilterBank,
+        levels: Levels,
+        small: PatchGrid,
+        sides: FocalSides | None = None,
+        workers: Workers | None = None,
     ) -> None:
+        self._workers = workers or Workers()
         self._sizes = sizes = bank.blur_sizes_px
         self._order = np.argsort(sizes)
         self._levels, self._small, self._sides = levels, small, sides
         self._folding = Folding.of(sizes)
         tried = tried_sizes(self._folding.sizes_px)
         self._tried_px = BLUR_SIZES_PX[tried].astype(np.float32)
-        self._network = Network(tried)
+        self._network = Network(tried, self._workers)
         self._tolerance = _tolerance_px(levels)
         self._near = 0.5 if sides is not None else float(sizes.mean() < 0)
         self._ends_px = float(sizes.min()), float(sizes.max())
@@ -143,9 +152,9 @@ class Refined:
         )
         sizes_px = self._folding.sizes_px
         around = Surroundings.of(grey, seen.noise.typical)
-        costs = cost_features(looks, around, cells, sizes_px, self._near)
+        costs = cost_features(looks, around, cells, sizes_px, self._near, self._workers)
         logits = self._network(costs, frame_features(around, cells))
-        found = HalfCells.of(logits, self._tried_px)
+        found = HalfCells.of(logits, self._tried_px, self._workers)
         far = self._far(found.size_px, volume, cells)
         signed_px = np.where(far >= 0.5, found.size_px, -found.size_px)
         level = self._level(signed_px)
@@ -163,9 +172,8 @@ class Refined:
         stages.lap("refine")
 
         def map_of(values: FloatArray, one_surface: float) -> FloatArray:
-            whole = drawn(values, quarters, one_surface)[-cells.top :, -cells.left :]
-            rows, columns = grey.shape
-            whole = whole[:rows, :columns]
+            whole = drawn(values, quarters, one_surface)
+            whole = whole[-cells.top :, -cells.left :][: grey.shape[0], : grey.shape[1]]
             if whole.shape != size:
                 whole = cv2.resize(whole, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
             return np.ascontiguousarray(whole)
