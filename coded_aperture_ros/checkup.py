@@ -46,39 +46,37 @@ def camera_findings(camera: Camera, near_m: float, far_m: float) -> list[Finding
         f"{step:.2g} m at {depth:.3g} m" if math.isfinite(step) else f"none beyond {depth:.3g} m"
         for depth, step in told_apart.values()
     )
-    state = FAILED if setting.levels < _FEWEST_LEVELS else OK
-    if state == OK and setting.levels < _FEW_LEVELS:
-        state = WARNING
-    found = [
-        Finding(
-            "depth resolution",
-            state,
-            f"{setting.levels:.3g} depths can be told apart from {near_m:g} to {far_m:g} m, "
-            f"steps of {steps}",
-            "" if state == OK else "focus nearer to the scene, or use a wider mask: see calibrate",
-            {"levels": setting.levels, **numbers},
-        )
-    ]
+    told = FAILED if setting.levels < _FEWEST_LEVELS else OK
+    if told == OK and setting.levels < _FEW_LEVELS:
+        told = WARNING
     holes_px = min(setting.hole_blur_near_px, setting.hole_blur_far_px)
     largest_px = max(setting.hole_blur_near_px, setting.hole_blur_far_px)
-    state = FAILED if largest_px < _LEAST_HOLE_PX else OK if holes_px > _LEAST_HOLE_PX else WARNING
-    found.append(
+    coded = FAILED if largest_px < _LEAST_HOLE_PX else OK if holes_px > _LEAST_HOLE_PX else WARNING
+    diffracts = setting.airy_radius_px > _AIRY_PX
+    f_number = "" if setting.f_number is None else f"f/{setting.f_number:.2g} over the mask, "
+    light = setting.open_fraction
+    dark = light < _LITTLE_LIGHT
+    wider_holes = (
+        "holes below half a pixel code nothing: use a wider mask, or focus farther from the scene"
+    )
+    return [
+        Finding(
+            "depth resolution",
+            told,
+            f"{setting.levels:.3g} depths can be told apart from {near_m:g} to {far_m:g} m, "
+            f"steps of {steps}",
+            "" if told == OK else "focus nearer to the scene, or use a wider mask: see calibrate",
+            {"levels": setting.levels, **numbers},
+        ),
         Finding(
             "blur",
-            state,
+            coded,
             f"the mask blurs by {abs(setting.blur_size_near_px):.3g} px at the near end and "
             f"{abs(setting.blur_size_far_px):.3g} px at the far end, its smallest hole by "
             f"{holes_px:.2g} px or more",
-            ""
-            if state == OK
-            else "holes below half a pixel code nothing: use a wider mask, or "
-            "focus farther from the scene",
+            "" if coded == OK else wider_holes,
             {"smallest_hole_px": holes_px},
-        )
-    )
-    diffracts = setting.airy_radius_px > _AIRY_PX
-    f_number = "" if setting.f_number is None else f"f/{setting.f_number:.2g} over the mask, "
-    found.append(
+        ),
         Finding(
             "diffraction",
             WARNING if diffracts else OK,
@@ -86,20 +84,16 @@ def camera_findings(camera: Camera, near_m: float, far_m: float) -> list[Finding
             f"{setting.airy_radius_px:.2g} px radius",
             f"use holes of {setting.diffraction_limit_mm:.2g} mm or more" if diffracts else "",
             {"airy_radius_px": setting.airy_radius_px, "f_number": setting.f_number},
-        )
-    )
-    light = setting.open_fraction
-    found.append(
+        ),
         Finding(
             "light",
-            WARNING if light < _LITTLE_LIGHT else OK,
+            WARNING if dark else OK,
             f"the mask passes {100 * light:.0f} % of the light of its open square, "
             f"{-math.log2(light):.1f} stops less",
-            "expose longer, or use a mask with more open area" if light < _LITTLE_LIGHT else "",
+            "expose longer, or use a mask with more open area" if dark else "",
             {"open_fraction": light},
-        )
-    )
-    return found
+        ),
+    ]
 
 
 class FrameCheckup:

@@ -20,7 +20,7 @@ from coded_aperture_ros.bags.record import Record
 from coded_aperture_ros.bags.score import References
 from coded_aperture_ros.bags.workers import Wait, frame_workers, in_order
 from coded_aperture_ros.bank import check_frame_size
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.figures import new_figure
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import map_size
@@ -161,15 +161,13 @@ class BagConversion:
 
     def _topics(self, bag: Bag) -> tuple[Topic, References | None, Outputs]:
         reference = None
-        try:
+        with naming(bag.path):
             if self.reference_topic is not None:
                 reference = depth_topic(bag.topics, self.reference_topic).name
             image = image_topic(bag.topics, self.topic, reference)
             namespace = namespace_of(image) if self.namespace is None else self.namespace
             outputs = Outputs.within(f"/{namespace.strip('/')}", self.motion)
             check_outputs(bag.topics, outputs)
-        except InputError as error:
-            raise InputError(f"{bag.path}: {error}") from error
         return image, None if reference is None else References(reference), outputs
 
 

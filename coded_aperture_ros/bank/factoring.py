@@ -15,21 +15,12 @@ def factor_weights(
     Applied to a patch, the basis costs ``K * rank`` once and every level only ``rank`` more,
     instead of ``K`` for every level (thesis 8.3.1 has the same idea for its projectors).
 
-    Parameters
-    ----------
-    weights : ndarray, float64 [S, M, K]
-        A filter for every one of M hypotheses under each of S ratios of contrast to noise.
-    scales : ndarray, float64 [S, K]
-        Typical power of every frequency under each ratio. The approximation is best in the
-        least-squares sense for spectra of this shape; without it the strongest low frequencies,
-        whose weights are smallest, would be approximated worst.
-    rank : int
-        Number of basis vectors; limited to what the filters need.
-
-    Returns
-    -------
-    basis : ndarray, float32 [K, rank]
-    coefficients : ndarray, float32 [rank, S, M]
+    `weights`, float64 [S, M, K], are a filter for every one of M hypotheses under each of S ratios
+    of contrast to noise; `scales`, float64 [S, K], the typical power of every frequency under each
+    ratio. The approximation is best in the least-squares sense for spectra of this shape; without
+    it the strongest low frequencies, whose weights are smallest, would be approximated worst. The
+    rank is limited to what the filters need. Returns the basis [K, rank] and the coefficients
+    [rank, S, M], float32.
     """
     basis = common_basis(weights, scales, rank)
     # One basis serves all ratios, but each fits its coefficients to its own spectra: without

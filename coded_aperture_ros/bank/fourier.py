@@ -114,18 +114,9 @@ class WindowedFourierBasis:
         multiplied by the autocorrelation of the window before it is transformed. Sampling the
         blurred spectrum itself would ignore the leakage between frequencies.
 
-        Parameters
-        ----------
-        psf : ndarray, float32 [k, k]
-            Point spread function.
-        spectrum : float or callable
-            Fall-off of the texture's power spectrum, see `NaturalImagePrior`; or the spectrum as a
-            function of the shape of an image, with the layout and scale of `power_spectrum`.
-
-        Returns
-        -------
-        ndarray, float64 [K]
-            For texture of unit variance before the blur.
+        The `spectrum` is the fall-off of the texture's power spectrum, see `NaturalImagePrior`, or
+        a function of the shape of an image with the layout and scale of `power_spectrum`. Returns
+        float64 [K], for texture of unit variance before the blur.
         """
         n = self.window_px
         # Four windows wide: no wrap-around, and texture with room for lower frequencies.

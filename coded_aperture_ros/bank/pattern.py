@@ -43,10 +43,7 @@ class ThinLens:
     def blur_range_px(self, near_m: float, far_m: float) -> tuple[float, float]:
         """Return the signed blur sizes at the ends of a depth range, the smaller one first.
 
-        Raises
-        ------
-        InputError
-            If the range is not one, or has the focus inside.
+        Raises `InputError` if the range is not one, or has the focus inside.
         """
         if not 0 < near_m < far_m < np.inf:
             raise InputError(

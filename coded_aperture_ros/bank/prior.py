@@ -54,21 +54,11 @@ def power_spectrum(
 ) -> DoubleArray:
     """Return the prior's power spectrum for unit contrast, laid out as by ``scipy.fft.rfft2``.
 
-    Parameters
-    ----------
-    slope : float
-        Exponent of the power law.
-    shape : (int, int)
-        Rows and columns of the image.
-    deviation : callable, optional
-        By how much the logarithm of the power departs from the power law, as a function of that
-        of the frequency in cycles per pixel.
-
-    Returns
-    -------
-    ndarray, float64 [rows, columns // 2 + 1]
-        Power per frequency, scaled so that an image drawn from it has unit variance. The zero
-        frequency gets the power of one cycle per image, because a power law has none there.
+    For images of `shape` (rows, columns): float64 [rows, columns // 2 + 1], scaled so that an image
+    drawn from it has unit variance. `slope` is the exponent of the power law, and `deviation` by
+    how much the logarithm of the power departs from it, as a function of that of the frequency in
+    cycles per pixel. The zero frequency gets the power of one cycle per image, because a power law
+    has none there.
     """
     rows, columns = shape
     frequency = np.hypot(np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(columns))

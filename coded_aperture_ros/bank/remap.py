@@ -30,21 +30,15 @@ def remap_bank(
 ) -> FilterBank:
     """Make the bank of another setting of the same lens and mask; all else stays as it is.
 
-    Raises `InputError` if the range does not suit the camera, the levels lie where the camera has
-    no depth, or new levels are asked of a bank whose mask is not known.
+    The bank was learned from planes, from the camera's own mask, or from measured PSFs with sizes
+    in px. The camera has the new setting: focus, side of the scene, and image width (of the same
+    view). A bank from planes keeps its own mask and the slope of its blur sizes, which were
+    measured; where the camera's focal length in mm is known, the image distance follows the focus.
 
-    Parameters
-    ----------
-    bank : FilterBank
-        Learned from planes, from the camera's own mask, or from measured PSFs with sizes in px.
-    camera : Camera
-        The new setting: focus, side of the scene, and image width (of the same view). A bank from
-        planes keeps its own mask and the slope of its blur sizes, which were measured; where the
-        camera's focal length in mm is known, the image distance follows the focus.
-    near_m, far_m : float, optional
-        Depth range of the new levels. Without it the filters stay as they are, and get new depths.
-    level_count : int, optional
-        Number of new levels, with a depth range; by default that of the bank.
+    With a depth range in m there are new levels, by default as many as before; without it the
+    filters stay as they are, and get new depths. Raises `InputError` if the range does not suit the
+    camera, the levels lie where the camera has no depth, or new levels are asked of a bank whose
+    mask is not known.
     """
     if (near_m is None) != (far_m is None):
         raise InputError("a depth range needs both near_m and far_m")

@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, naming
+from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.cli.measuring import checked_config, tell
 from coded_aperture_ros.cli.options import (
     add_commands,
@@ -19,6 +19,7 @@ from coded_aperture_ros.cli.options import (
     add_options,
     written_name,
 )
+from coded_aperture_ros.core.errors import naming
 
 # What is measured from pictures; without an action, the command designs.
 ACTIONS: dict[str, Any] = {

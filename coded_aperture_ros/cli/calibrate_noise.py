@@ -4,11 +4,10 @@ import argparse
 import dataclasses
 from typing import Any
 
-from coded_aperture_ros.cli.checks import naming
 from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import add_gamma_option, add_options
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import InputError, naming
 
 _EPILOG = """example:
     coded_aperture calibrate noise frame1.png frame2.png frame3.png

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
+from coded_aperture_ros.cli.checks import check_output, check_suffix
 from coded_aperture_ros.cli.measuring import (
     above,
     add_depths_option,
@@ -19,7 +19,7 @@ from coded_aperture_ros.cli.measuring import (
 )
 from coded_aperture_ros.cli.options import add_gamma_option, add_options, mask_of, table
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import InputError, naming
 
 _EPILOG = """examples:
   from pictures of a grid of dots, one for each depth, with the depth in the name:

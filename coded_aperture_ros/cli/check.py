@@ -6,14 +6,13 @@ import itertools
 import json
 from typing import Any
 
-from coded_aperture_ros.cli.checks import naming
 from coded_aperture_ros.cli.options import (
     add_bits_option,
     add_gamma_option,
     add_mosaic_option,
     add_options,
 )
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import naming
 
 # Of longer videos and bags, so many frames are enough.
 _MOST_FRAMES = 20
@@ -106,10 +105,8 @@ def _frames(args: argparse.Namespace) -> Any:
     from coded_aperture_ros.io.sources import captures, open_files
 
     for given in args.inputs:
-        try:
+        with naming(given):
             for capture in captures(open_files(given)):
                 mosaic = capture.mosaic or args.bayer
                 frame = frame_from_pixels(capture.frame, args.gamma, args.bits, mosaic)
                 yield capture.name or given, frame
-        except InputError as error:
-            raise InputError(f"{given}: {error}") from error

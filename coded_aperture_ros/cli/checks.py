@@ -1,21 +1,11 @@
-"""What can be checked before anything is computed, and errors that name what they are about."""
+"""What can be checked before anything is computed."""
 
 import os
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from coded_aperture_ros.core.errors import InputError
-
-
-@contextmanager
-def naming(what: object) -> Iterator[None]:
-    """Put `what`, say a file's name, before the message of an `InputError` in the block."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{what}: {error}") from error
 
 
 def check_suffix(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from coded_aperture_ros.cli.checks import naming
 from coded_aperture_ros.cli.estimators import CAMERA_OPTION
 from coded_aperture_ros.cli.frames import (
     NamedFrame,
@@ -24,7 +23,7 @@ from coded_aperture_ros.cli.options import (
 )
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.cli.stereo_output import StereoOutput, add_stereo_options
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import InputError, naming
 
 _EPILOG = """examples:
   with the depth estimated from the frame itself:

@@ -11,7 +11,6 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import naming
 from coded_aperture_ros.cli.estimators import (
     add_estimator_options,
     add_estimator_settings,
@@ -32,7 +31,7 @@ from coded_aperture_ros.cli.options import (
     add_options,
     between,
 )
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import InputError, naming
 
 _SUFFIXES = (".npy", ".tif", ".tiff", ".png")
 _EPILOG = """examples:

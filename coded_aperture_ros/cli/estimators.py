@@ -4,10 +4,9 @@ import argparse
 import logging
 from typing import Any
 
-from coded_aperture_ros.cli.checks import naming
 from coded_aperture_ros.cli.options import add_config_options, add_numbers, add_options, config_from
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import InputError, naming
 
 # Of `depth`, `bag` and `deblur`.
 CAMERA_OPTION = {

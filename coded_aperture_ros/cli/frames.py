@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, naming
+from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.cli.options import add_bits_option, add_mosaic_option
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import InputError, naming
 
 
 @dataclasses.dataclass(frozen=True)

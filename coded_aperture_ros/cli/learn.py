@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
+from coded_aperture_ros.cli.checks import check_output, check_suffix
 from coded_aperture_ros.cli.measuring import (
     above,
     add_depths_option,
@@ -23,7 +23,7 @@ from coded_aperture_ros.cli.options import (
     written_name,
 )
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import InputError, naming
 
 _EPILOG = """examples:
   from a camera file:

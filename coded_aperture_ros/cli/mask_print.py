@@ -6,9 +6,10 @@ import math
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
+from coded_aperture_ros.cli.checks import check_output, check_suffix
 from coded_aperture_ros.cli.measuring import rounded, tell
 from coded_aperture_ros.cli.options import add_options, mask_of, written_name
+from coded_aperture_ros.core.errors import naming
 
 _EPILOG = """examples:
   the mask of a camera file, in its size, on a round piece that fits a filter ring of 77 mm:

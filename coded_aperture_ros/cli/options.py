@@ -220,14 +220,9 @@ def add_options(
 ) -> argparse.Action:
     """Add options that have much in common; return the last.
 
-    Parameters
-    ----------
-    options : mapping of str to str
-        How each is written, such as ``-o --output FILE`` or ``--depth-range NEAR FAR``, and what
-        it is. One without a placeholder for its value is a flag; of ``--band {full,half}`` the
-        first is the default.
-    others
-        What `add_argument` gets for each of them.
+    `options` says how each is written, such as ``-o --output FILE`` or ``--depth-range NEAR FAR``,
+    and what it is. One without a placeholder for its value is a flag; of ``--band {full,half}`` the
+    first is the default. `add_argument` gets all `others` for each of them.
     """
     for written, what in options.items():
         names = [word for word in written.split() if word.startswith("-")]

@@ -8,11 +8,11 @@ import time
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix, naming
+from coded_aperture_ros.cli.checks import check_output, check_suffix
 from coded_aperture_ros.cli.extension import BENCH
 from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import add_gamma_option, add_options, mask_of
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import InputError, naming
 
 _EPILOG = """examples:
   a scene that is 2.1 to 5.1 m away:

@@ -38,24 +38,11 @@ def write_archive(
 def read_archive(
     path: str | os.PathLike[str], schema: str, version: int, *, foreign: bool = False
 ) -> dict[str, NDArray[Any]]:
-    """Read the arrays of a `.npz` without ever unpickling.
+    """Read the arrays of a `.npz` by their names, without ever unpickling.
 
-    Raises `InputError`, naming the file, if it is missing, cut off, of another kind or of a newer
-    version.
-
-    Parameters
-    ----------
-    path : path-like
-    schema : str
-        What the file must say that it is.
-    version : int
-        The newest version that can be read.
-    foreign : bool, optional
-        Whether a file that does not state a schema is welcome too.
-
-    Returns
-    -------
-    dict of str to ndarray
+    `schema` is what the file must say that it is, and `version` the newest that can be read; with
+    `foreign` a file that does not state a schema is welcome too. Raises `InputError`, naming the
+    file, if it is missing, cut off, of another kind or of a newer version.
     """
     path = Path(path)
     try:

@@ -5,16 +5,10 @@ from collections.abc import Mapping
 
 
 class Stages:
-    """Times of the stages of one frame, in the order in which they were done; begins at once.
-
-    Attributes
-    ----------
-    seconds : dict
-        Time of every stage, by its name.
-    """
+    """Times of the stages of one frame, in the order in which they were done; begins at once."""
 
     def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
+        self.seconds: dict[str, float] = {}  # time of every stage, by its name
         self._last_s = time.perf_counter()
 
     def lap(self, stage: str) -> None:

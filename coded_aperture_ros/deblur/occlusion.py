@@ -49,6 +49,8 @@ class OccludedBlur(BlurOperator):
         self.hidden, self._origin = surfaces.hidden, surfaces.origin
         self._steps = basis.steps_of(surfaces.front)
         self._offsets, taps = _taps(basis)
+        # Where each of them lies in the scene for the frame's first pixel.
+        self._first = self._offsets + self.margin_px
         self._weights = np.empty((len(taps), rows, columns), np.uint8)
         self._scale = np.empty(self.shape, np.float32)
         light = _Light(self, surfaces, taps, basis.steps_of(surfaces.behind))
@@ -88,8 +90,7 @@ class OccludedBlur(BlurOperator):
 
         def add(top: int, _: int) -> None:
             band = slice(top, top + _BAND_ROWS)
-            weights = self._weights[:, band]
-            collected(weights, self._offsets, scene[0], top, self.margin_px, frame[band])
+            collected(self._weights[:, band], self._first, scene[0, top:], frame[band])
 
         self.workers.each(add, range(0, self.shape[0], _BAND_ROWS))
         light = self._share * scene[1].ravel()[self._place]
@@ -106,8 +107,7 @@ class OccludedBlur(BlurOperator):
 
         def add(top: int, thread: int) -> None:
             band = slice(top, top + _BAND_ROWS)
-            weights = self._weights[:, band]
-            spread(weights, self._offsets, frame[band], top, self.margin_px, scenes[thread][0])
+            spread(self._weights[:, band], self._first, frame[band], scenes[thread][0, top:])
 
         self.workers.each(add, range(0, self.shape[0], _BAND_ROWS))
         scene = scenes[0]
@@ -174,7 +174,7 @@ class _Light:
         seen = np.flatnonzero(weights)  # a third of the time of `nonzero`
         offset, pixel = np.divmod(seen, weights[0].size)
         row, column = np.divmod(pixel, weights.shape[2])
-        down, right = (self.operator._offsets[offset] + self.operator.margin_px).T
+        down, right = self.operator._first[offset].T
         place = (row + band.start + down) * self.operator.scene_shape[1] + column + right
         return place.astype(np.int32), pixel.astype(np.int32), weights.ravel()[seen]
 
@@ -200,12 +200,7 @@ def _taps(basis: PsfBasis) -> tuple[IndexArray, FloatArray]:
 
 
 def _collect_loop(
-    weights: FloatArray,
-    offsets: IndexArray,
-    scene: FloatArray,
-    top: int,
-    margin: int,
-    frame: FloatArray,
+    weights: FloatArray, first: IndexArray, scene: FloatArray, frame: FloatArray
 ) -> None:
     count, rows, columns = weights.shape
     for y in range(rows):
@@ -214,61 +209,45 @@ def _collect_loop(
         for k in range(count):
             # Slices, whose indices are known not to be negative, are added up in vectors.
             weight = weights[k, y]
-            first = offsets[k, 1] + margin
-            part = scene[offsets[k, 0] + top + y + margin][first : first + columns]
+            column = first[k, 1]
+            part = scene[first[k, 0] + y][column : column + columns]
             for x in range(columns):
                 total[x] += np.float32(weight[x]) * part[x]
 
 
 def _collect_plain(
-    weights: FloatArray,
-    offsets: IndexArray,
-    scene: FloatArray,
-    top: int,
-    margin: int,
-    frame: FloatArray,
+    weights: FloatArray, first: IndexArray, scene: FloatArray, frame: FloatArray
 ) -> None:
     _, rows, columns = weights.shape
     frame[:] = 0
-    for weight, (down, right) in zip(weights, offsets, strict=True):
-        row, first = top + down + margin, right + margin
-        frame += weight * scene[row : row + rows, first : first + columns]
+    for weight, (row, column) in zip(weights, first, strict=True):
+        frame += weight * scene[row : row + rows, column : column + columns]
 
 
 def _spread_loop(
-    weights: FloatArray,
-    offsets: IndexArray,
-    frame: FloatArray,
-    top: int,
-    margin: int,
-    scene: FloatArray,
+    weights: FloatArray, first: IndexArray, frame: FloatArray, scene: FloatArray
 ) -> None:
     count, rows, columns = weights.shape
     for y in range(rows):
         light = frame[y]
         for k in range(count):
             weight = weights[k, y]
-            first = offsets[k, 1] + margin
-            part = scene[offsets[k, 0] + top + y + margin][first : first + columns]
+            column = first[k, 1]
+            part = scene[first[k, 0] + y][column : column + columns]
             for x in range(columns):
                 part[x] += np.float32(weight[x]) * light[x]
 
 
 def _spread_plain(
-    weights: FloatArray,
-    offsets: IndexArray,
-    frame: FloatArray,
-    top: int,
-    margin: int,
-    scene: FloatArray,
+    weights: FloatArray, first: IndexArray, frame: FloatArray, scene: FloatArray
 ) -> None:
     _, rows, columns = weights.shape
-    for weight, (down, right) in zip(weights, offsets, strict=True):
-        row, first = top + down + margin, right + margin
-        scene[row : row + rows, first : first + columns] += weight * frame
+    for weight, (row, column) in zip(weights, first, strict=True):
+        scene[row : row + rows, column : column + columns] += weight * frame
 
 
-# The sums over all offsets of a band of rows that begins in row `top` of the frame, and their
-# transpose; `weights` are bytes [K, rows, columns].
+# The sums over all offsets of a band of rows of the frame, and their transpose. `weights` are bytes
+# [K, rows, columns], `first` where the band's first pixel has each offset [K, 2] in the scene,
+# which begins with the band's row.
 collected = Compiled(_collect_loop, _collect_plain)
 spread = Compiled(_spread_loop, _spread_plain)

@@ -40,15 +40,10 @@ class SparsePrior:
 
     The prior lets few large differences stand and presses many small ones down, as edges and smooth
     areas in photographs are. It is minimised by a sequence of quadratic ones, each with weights
-    from the last solution: one for each of the `differences`, 1 for a small first difference. All
-    channels of a colour image share their edges.
-
-    Parameters
-    ----------
-    scenes : list of ndarray, float32 [planes, rows, columns]
-        The last solution, for each channel.
-    hidden : ndarray, bool [rows, columns], or None
-        Where a second plane is: it is judged together with what is beside it in the first.
+    from the last solution `scenes`, float32 [planes, rows, columns] for each channel: one for each
+    of the `differences`, 1 for a small first difference. All channels of a colour image share their
+    edges. Where there is a second plane, `hidden` [rows, columns], it is judged together with what
+    is beside it in the first.
     """
 
     def __init__(self, scenes: list[FloatArray], hidden: BoolArray | None) -> None:

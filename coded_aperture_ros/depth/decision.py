@@ -51,16 +51,9 @@ class Decide(Protocol):
     ) -> Decision:
         """Return the maps, at most of `size` (rows, columns).
 
-        Parameters
-        ----------
-        seen : Observation
-            The frame.
-        volume : ndarray, float32 [rows, columns, L]
-            Cost of every level, of all frames.
-        own : Cost
-            Of this frame alone, or of a mean of frames.
-        stages : Stages
-            Takes down how long the parts of the work took.
+        `volume` is the cost of every level by all frames, float32 [rows, columns, L], and `own`
+        that of this frame alone, or of a mean of frames. `stages` takes down how long the parts
+        took.
         """
 
 

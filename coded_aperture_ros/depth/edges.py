@@ -64,16 +64,9 @@ def slimmed_foreground(
     edge. It is applied only where levels jump; slants stay as they are. A foreground narrower than
     what would be taken off stays as wide as it was found: an obstacle must not vanish.
 
-    Parameters
-    ----------
-    level : ndarray, float32 [rows, columns]
-        Larger is more blurred, and behind.
-    reach_px : int
-        By how much foregrounds are too wide on each side, in pixels of the map.
-    speck_px : int
-        Backgrounds narrower than this do not push a foreground back: they may be outliers.
-    jump_levels : float
-        How many levels make a depth edge.
+    Larger levels, float32 [rows, columns], are more blurred, and behind. Foregrounds are too wide
+    by `reach_px` on each side, in pixels of the map; backgrounds narrower than `speck_px` do not
+    push a foreground back, as they may be outliers; `jump_levels` make a depth edge.
     """
     if reach_px < 1:
         return level

@@ -67,23 +67,13 @@ def confidence_of(
 
     The probability that a pixel's own patch gives to the level is calibrated: near depth edges a
     patch is surer than it should be, and what its neighbours have decided may be right against it.
+    Where a patch is uninformative, the level is its neighbours' alone, and the confidence that of a
+    guess.
 
-    Parameters
-    ----------
-    level : ndarray, float32 [rows, columns]
-        Estimated fractional level of every pixel.
-    probability : ndarray, float32 [grid rows, grid columns, L]
-        See `level_probability`. Where a patch is uninformative, the level is its neighbours' alone,
-        and the confidence that of a guess.
-    patches : (ndarray, ndarray)
-        The patch of every row, and of every column, of pixels; see `MapGrid`.
-    agreement : ndarray, intp [2, L]
-        First and last level that is as good as each level; see `Levels`.
-
-    Returns
-    -------
-    ndarray, float32 [rows, columns]
-        In [0, 1]; where the patch knows something, between 0.31 and 0.90.
+    Takes the fractional level of every pixel [rows, columns], the probability of the patches [grid
+    rows, grid columns, L], see `level_probability`, the patch of every row and of every column of
+    pixels, see `MapGrid`, and the first and last level that is as good as each level [2, L], see
+    `Levels`. Returns float32 in [0, 1]; where the patch knows something, between 0.31 and 0.90.
     """
     # For every level that a patch may be given, as there are fewer of these than pixels.
     levels = probability.shape[-1]
@@ -117,27 +107,15 @@ def level_deviation(
     patches: tuple[IndexArray, IndexArray],
     among: IndexArray | None = None,
 ) -> FloatArray:
-    """Return the standard deviation of the estimated levels.
+    """Return the standard deviation of the estimated levels, in levels, above 0.
 
     The spread of what a pixel's own patch finds probable, and how far the estimated level is from
     its mean: near depth edges, and where neighbours have decided. The patch is as much less sure
     than it says as for the confidence.
 
-    Parameters
-    ----------
-    level : ndarray, float32 [rows, columns]
-        Estimated fractional level of every pixel.
-    volume : ndarray, float32 [grid rows, grid columns, L]
-        Cost of every level.
-    patches : (ndarray, ndarray)
-        The patch of every row, and of every column, of pixels; see `MapGrid`.
-    among : ndarray of int, optional
-        The levels that may be the true one.
-
-    Returns
-    -------
-    ndarray, float32 [rows, columns]
-        In levels, above 0.
+    Takes the fractional level of every pixel [rows, columns], the cost of the patches [grid rows,
+    grid columns, L], the patch of every row and of every column of pixels, see `MapGrid`, and
+    `among` which levels the true one may be; by default all. Returns float32 [rows, columns].
     """
     index = np.arange(volume.shape[-1], dtype=np.float32)
     if among is not None:

@@ -105,13 +105,9 @@ def _matches(
 ) -> tuple[FloatArray, FloatArray]:
     """Compare every patch with those around its place in the last frame.
 
-    Returns
-    -------
-    weights : ndarray, float32 [3, 3, rows, columns]
-        How well the last frame, one patch distance up to one down and left to right, matches;
-        sums to one.
-    match : ndarray, float32 [rows, columns]
-        How well the best place does, 0 to 1.
+    Returns how well the last frame, one patch distance up to one down and left to right, matches
+    [3, 3, rows, columns], which sums to one, and how well the best place does, 0 to 1 [rows,
+    columns].
     """
     spread = _smoothed(present * present) - _smoothed(present) ** 2
     bandwidth = variance + _BANDWIDTH * np.maximum(spread, 0)

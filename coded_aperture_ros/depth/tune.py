@@ -53,27 +53,12 @@ def tune(
 ) -> tuple[FilterBank, list[Trial]]:
     """Learn the most accurate bank that needs no more than a time per frame on this machine.
 
+    `learn` learns the bank of a configuration, `shape` is that of the frames (rows, columns), and
+    `config` says how depth will be estimated, by default as nodes do. `progress` wraps the
+    iteration over windows, as ``tqdm.tqdm`` does. Returns the bank, with `stride_px` and
+    `level_error`, and all that were tried.
+
     Raises `InputError` if none is fast enough, naming the fastest, or no window suits the frames.
-
-    Parameters
-    ----------
-    learn : callable
-        Learns the bank of a configuration.
-    shape : (int, int)
-        Rows and columns of the frames.
-    budget_ms : float
-        Milliseconds for one frame.
-    config : DepthConfig, optional
-        How depth will be estimated; by default as nodes do.
-    progress : callable, optional
-        Wraps the iteration over windows, as ``tqdm.tqdm`` does.
-
-    Returns
-    -------
-    bank : FilterBank
-        With `stride_px` and `level_error`.
-    trials : list of Trial
-        All that were tried.
     """
     config = config or DepthConfig(temporal_frames=VIDEO_FRAMES)
     banks: dict[int, FilterBank] = {}

@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from coded_aperture_ros.core.arrays import DoubleArray
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.design.openings import openings_of
 from coded_aperture_ros.design.setting import (
     DesignConfig,
@@ -103,15 +103,13 @@ def refocused_cameras(
             f"focus range {low_m:g} to {high_m:g} m: expected two increasing distances beyond 0 m"
         )
     sides = (("far", low_m, min(high_m, near_m)), ("near", max(low_m, far_m), high_m))
-    try:
+    with naming(f"focus range {low_m:g} to {high_m:g} m"):
         cameras = [
             dataclasses.replace(camera.refocused(float(focus_m)), side=side)
             for side, first_m, last_m in sides
             if first_m < last_m
             for focus_m in np.geomspace(first_m, last_m, _SAMPLES)
         ]
-    except InputError as error:
-        raise InputError(f"focus range {low_m:g} to {high_m:g} m: {error}") from error
     if not cameras:
         raise InputError(
             f"focus range {low_m:g} to {high_m:g} m: it lies within the depth range {near_m:g} to "

@@ -17,13 +17,8 @@ AS_STORED = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENT
 def decode_picture(data: bytes | memoryview, flags: int = AS_STORED) -> NDArray | None:
     """Return the pixels of a picture in any format that OpenCV reads; None of anything else.
 
-    A PNG that is cut off, which OpenCV would decode in part without a word, is none either.
-
-    Parameters
-    ----------
-    data : bytes-like
-    flags : int, optional
-        Of `cv2.imdecode`.
+    A PNG that is cut off, which OpenCV would decode in part without a word, is none either. `flags`
+    are those of `cv2.imdecode`.
     """
     data = bytes(data)
     if not data or (data.startswith(_PNG_SIGNATURE) and not _is_whole_png(data)):

@@ -14,12 +14,9 @@ _FILL_FROM = (15, 15)
 
 
 def check_frame(frame: NDArray[np.floating]) -> None:
-    """Check that an array can be a frame.
+    """Raise `InputError` if an array cannot be a frame.
 
-    Raises
-    ------
-    InputError
-        If it is not [rows, columns] or [rows, columns, 3], or not of a floating type.
+    A frame is [rows, columns] or [rows, columns, 3], and of a floating type.
     """
     if frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3) or frame.size == 0:
         raise InputError(
@@ -38,23 +35,11 @@ def channel_mean(frame: NDArray[np.floating]) -> FloatArray:
 def grey_image(frame: FloatArray, saturation: float) -> tuple[FloatArray, BoolArray | None]:
     """Return the mean of the channels, with unusable pixels filled in, and where those are.
 
-    Parameters
-    ----------
-    frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
-        Linear light in [0, 1]. NaN, infinite, saturated and far too dark pixels are unusable.
-    saturation : float
-        Brightness from which a pixel of any channel counts as saturated.
-
-    Returns
-    -------
-    grey : ndarray, float32 [rows, columns]
-        Free of NaN; an unusable pixel has the mean of the usable ones around it.
-    unusable : ndarray, bool [rows, columns], or None if every pixel is usable
-
-    Raises
-    ------
-    InputError
-        If the frame has another shape or is not of a floating type.
+    The frame, float32 [rows, columns] or [rows, columns, 3], is linear light in [0, 1]. NaN,
+    infinite, saturated and far too dark pixels are unusable, saturated ones where any channel is as
+    bright as `saturation`. In the result each has the mean of the usable ones around it. The second
+    result, bool [rows, columns], is None if every pixel is usable. Raises `InputError` if the frame
+    has another shape or is not of a floating type.
     """
     check_frame(frame)
     frame = np.ascontiguousarray(frame, np.float32)
@@ -73,10 +58,7 @@ def grey_image(frame: FloatArray, saturation: float) -> tuple[FloatArray, BoolAr
 def resampled(image: FloatArray, scale: float) -> FloatArray:
     """Return an image enlarged by `scale`; smaller ones are means of pixels.
 
-    Raises
-    ------
-    InputError
-        If next to nothing would be left of it.
+    Raises `InputError` if next to nothing would be left of it.
     """
     height, width = (round(scale * length) for length in image.shape[:2])
     if min(height, width) < 1:

@@ -15,10 +15,7 @@ SRGB = "srgb"
 def gamma_from_text(text: str) -> Gamma:
     """Read a gamma setting from a command line or parameter: a number or `srgb`.
 
-    Raises
-    ------
-    InputError
-        If it is neither.
+    Raises `InputError` if it is neither.
     """
     if text.strip().lower() == SRGB:
         return SRGB
@@ -60,17 +57,9 @@ def light_per_stored(light: float, gamma: Gamma) -> float:
 def linear_from_pixels(pixels: NDArray, gamma: Gamma = 1.0) -> FloatArray:
     """Turn pixels of any usual type into linear light.
 
-    Parameters
-    ----------
-    pixels : ndarray of uint8, uint16, float16, float32 or float64
-        Integers span 0 to their type's maximum; floats are taken as they are, NaN included.
-    gamma : float or "srgb"
-        How 8-bit pixels are encoded. Wider types are linear already.
-
-    Raises
-    ------
-    InputError
-        If the type is another one.
+    Integers (uint8, uint16) span 0 to their type's maximum; floats are taken as they are, NaN
+    included. `gamma` says how 8-bit pixels are encoded; wider types are linear already. Raises
+    `InputError` if the type is another one.
     """
     if pixels.dtype == np.uint8 and gamma == 1.0:
         return pixels * np.float32(1 / 255)  # several times faster than a table

@@ -18,30 +18,15 @@ def grey_from_mosaic(mosaic: FloatArray, order: str) -> FloatArray:
     """Return the brightness, half green, of a frame behind a mosaic of colour filters.
 
     At full resolution, and with the noise of the pixels: in a mosaic's spectrum the brightness is
-    around zero and colour around the highest frequencies, from where it is taken away [1]_. So
-    blurs are as sharp as on a grey sensor, which is not so with interpolated colours.
+    around zero and colour around the highest frequencies, from where it is taken away (E. Dubois,
+    "Frequency-domain methods for demosaicking of Bayer-sampled color images", IEEE Signal
+    Processing Letters 12(12), 2005). So blurs are as sharp as on a grey sensor, which is not so
+    with interpolated colours.
 
-    Parameters
-    ----------
-    mosaic : ndarray, float32 [rows, columns]
-        Linear light in [0, 1].
-    order : {"rggb", "bggr", "gbrg", "grbg"}
-        Colours of the first two pixels of the first row and of the second.
-
-    Returns
-    -------
-    ndarray, float32 [rows, columns]
-        Where a pixel or one beside it is saturated, so is this.
-
-    Raises
-    ------
-    InputError
-        If the frame is not grey, is smaller than 2x2 pixels, or the order is another one.
-
-    References
-    ----------
-    .. [1] E. Dubois, "Frequency-domain methods for demosaicking of Bayer-sampled color images",
-       IEEE Signal Processing Letters 12(12), 2005.
+    The mosaic, float32 [rows, columns], is linear light in [0, 1]; `order`, such as "rggb", names
+    the colours of the first two pixels of the first row and of the second. Where a pixel or one
+    beside it is saturated, so is the result, of the same shape. Raises `InputError` if the frame is
+    not grey, is smaller than 2x2 pixels, or the order is not one of the four.
     """
     grey, _, _ = _parts(mosaic, order)
     if mosaic.max() >= _SATURATED:

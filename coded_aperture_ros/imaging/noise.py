@@ -73,18 +73,10 @@ class HasNoise(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class KnownNoise:
-    """Noise of one channel, linear light, as far as it is known before a frame is seen.
+    """Noise of one channel, linear light, as far as it is known before a frame is seen."""
 
-    Attributes
-    ----------
-    noise : float
-        Standard deviation in the dark; 0: it is estimated in each frame.
-    noise_gain : float
-        Variance of shot noise per unit of light; 0: none.
-    """
-
-    noise: float = 0.0
-    noise_gain: float = 0.0
+    noise: float = 0.0  # standard deviation in the dark; 0: it is estimated in each frame
+    noise_gain: float = 0.0  # variance of shot noise per unit of light; 0: none
 
     @classmethod
     def of(cls, *sources: HasNoise | None) -> "KnownNoise":
@@ -102,21 +94,13 @@ class KnownNoise:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class GreyNoise:
-    """Noise of the mean of a frame's channels.
+    """Noise of the mean of a frame's channels."""
 
-    Attributes
-    ----------
-    sigma : float
-        Standard deviation, without shot noise.
-    shot_variance : ndarray, float32 [rows, columns], or None
-        Variance of the shot noise around every patch, if it is known.
-    highest : float or None
-        As `sigma`, from the highest frequencies alone, where it was estimated: fine texture counts
-        less there, and the noise of colour sensors, too.
-    """
-
-    sigma: float
+    sigma: float  # standard deviation, without shot noise
+    # [rows, columns]; of the shot noise around every patch, if it is known.
     shot_variance: FloatArray | None = None
+    # As `sigma`, from the highest frequencies alone, where it was estimated: fine texture counts
+    # less there, and the noise of colour sensors, too.
     highest: float | None = None
 
     @property
@@ -149,18 +133,10 @@ def grey_noise(
 ) -> GreyNoise:
     """Return the noise of a frame: what is known of it, and an estimate of the rest.
 
-    Parameters
-    ----------
-    grey : ndarray, float32 [height, width]
-        Mean of the channels, which has less noise than each of them.
-    grid : PatchGrid
-        Where to look.
-    channels : int
-        That the frame had.
-    brightness : ndarray, float32 [rows, columns], optional
-        Around every patch; needed for shot noise.
-    usable : ndarray, bool [rows, columns], optional
-        Patches without pixels that were filled in: these have no noise.
+    `grey`, float32 [height, width], is the mean of so many `channels`, which has less noise than
+    each of them; `grid` says where to look. Shot noise needs the brightness around every patch
+    [rows, columns]; `usable` are the patches without pixels that were filled in: these have no
+    noise.
     """
     shot_variance = None
     if known.noise_gain and brightness is not None:
@@ -180,17 +156,9 @@ def grey_noise(
 def channel_noise(frame: FloatArray, known: KnownNoise) -> float:
     """Return the standard deviation of one channel's noise in a frame, with its shot noise.
 
-    What deblurring reckons with, in nodes, commands and bags alike.
-
-    Parameters
-    ----------
-    frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
-        Linear light; NaN where unknown.
-
-    Raises
-    ------
-    InputError
-        If the noise has to be estimated and the frame is too small for that.
+    What deblurring reckons with, in nodes, commands and bags alike. The frame, float32 [rows,
+    columns] or [rows, columns, 3], is linear light; NaN where unknown. Raises `InputError` if the
+    noise has to be estimated and the frame is too small for that.
     """
     # Sensors sample green the most; the mean of the channels would count their texture thrice.
     grey, _ = grey_image(frame if frame.ndim == 2 else frame[..., 1], _NEVER_SATURATED)

@@ -16,14 +16,9 @@ def periodic_shape(shape: tuple[int, ...], extension_px: int) -> tuple[int, int]
 def periodic(image: FloatArray, shape: tuple[int, int]) -> FloatArray:
     """Extend an image below and to the right, so that it goes on smoothly with its first row.
 
-    A step between opposite borders would ring as far as filters reach: 7 dB near the border of a
-    simulated room. Mirrored texture would not be blurred like the rest.
-
-    Parameters
-    ----------
-    image : ndarray, float32 [rows, columns]
-    shape : (int, int)
-        Of the result, see `periodic_shape`.
+    The result, float32, is of a larger `shape` (rows, columns), see `periodic_shape`. A step
+    between opposite borders would ring as far as filters reach: 7 dB near the border of a simulated
+    room. Mirrored texture would not be blurred like the rest.
     """
     height, width = image.shape
     extended = np.empty(shape, np.float32)

@@ -22,19 +22,9 @@ def depth_picture(
 ) -> NDArray[np.uint8]:
     """Colour a depth map, near in red and far in blue, above a scale bar in metres.
 
-    Parameters
-    ----------
-    depth_m : ndarray of float, shape [h, w]
-        Metres; NaN, hatched in grey, is unknown.
-    near_m, far_m : float, optional
-        Ends of the scale; by default those of the finite depths, less 1 % outliers on each side.
-    unit : str, optional
-        What the scale's numbers are followed by, where the map does not hold metres.
-
-    Returns
-    -------
-    ndarray of uint8, shape [h + strip, w, 3]
-        RGB.
+    The map [h, w] is in metres; NaN, hatched in grey, is unknown. The scale ends at `near_m` and
+    `far_m`, by default those of the finite depths, less 1 % outliers on each side; its numbers are
+    followed by `unit`, where the map does not hold metres. Returns RGB, uint8 [h + strip, w, 3].
     """
     if depth_m.ndim != 2 or not depth_m.size:
         raise InputError(f"depth: expected [row, column], got the shape {list(depth_m.shape)}")

@@ -28,17 +28,9 @@ def depth_error(
 ) -> DepthError:
     """Compare a depth map with the truth.
 
-    Raises `InputError` if the shapes differ.
-
-    Parameters
-    ----------
-    depth_m, confidence : ndarray of float, shape [h, w]
-        Unknown (NaN) and infinite depths count as missing.
-    true_depth_m : ndarray of float, shape [h, w]
-        Metres, NaN where the truth is unknown.
-    most_confident : float
-        Share of the pixels, the most confident ones, that the error is taken over; those of them
-        without a depth are left out.
+    All maps are [h, w], depths in metres. Unknown (NaN) and infinite ones count as missing; the
+    truth is NaN where it is unknown. The error is taken over the `most_confident` share of the
+    pixels; those of them without a depth are left out. Raises `InputError` if the shapes differ.
     """
     _check_shapes(depth_m, confidence, true_depth_m)
     with_truth = np.isfinite(true_depth_m) & (true_depth_m > 0)

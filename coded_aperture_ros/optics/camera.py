@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.options import Option, check_option
 from coded_aperture_ros.optics.diffraction import scattering_px
 from coded_aperture_ros.optics.field import FieldCurvature
@@ -423,7 +423,7 @@ def camera_from_mapping(
     `load_intrinsics`). File names are relative to `folder`. An `InputError` is one line that names
     `where` and the key, and says what is allowed.
     """
-    try:
+    with naming(where):
         _check_keys(mapping)
         values = dict(mapping)
         values["mask"] = _mask_from(values["mask"], Path(folder))
@@ -437,8 +437,6 @@ def camera_from_mapping(
         if "focal_length_px" in values:
             return Camera(**values)
         return Camera.from_lens(**values)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from error
 
 
 def _check_keys(mapping: Any) -> None:

@@ -55,16 +55,10 @@ def diffracted(
 
     The field of a square cell is a product of two Fresnel integrals, so that it is exact; the
     intensity is integrated over the pixels by Gauss's rule, with points enough for its fringes.
-
-    Parameters
-    ----------
-    blur_size_px, width_px, centre_px
-        See `render_psf`.
-    diffraction_px : float
-        ``q`` above, more than 0.
-    part : Mask, optional
-        Some of the mask's cells. The result is then what comes through them, ``Re(U_part* U)``: of
-        all parts together it is the PSF, of one it has its light, and may be negative in places.
+    Sizes and centre are those of `render_psf`, and `diffraction_px` is ``q`` above, more than 0.
+    With a `part`, some of the mask's cells, the result is what comes through them, ``Re(U_part*
+    U)``: of all parts together it is the PSF, of one it has its light, and may be negative in
+    places.
     """
     count = int(np.ceil(np.pi / (2 * diffraction_px))) + _MORE_POINTS
     nodes, weights = np.polynomial.legendre.leggauss(count)

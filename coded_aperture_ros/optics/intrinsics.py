@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.optics.view import View
 
@@ -190,7 +190,7 @@ def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
     An `InputError` is one line that names the file and the key.
     """
     content = read_yaml(path, str(path))
-    try:
+    with naming(path):
         if not isinstance(content, dict):
             raise InputError("expected the keys of a camera calibration, such as image_width: 640")
         for key in ("image_width", "image_height", "camera_matrix", "distortion_coefficients"):
@@ -202,8 +202,6 @@ def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
         shapes = {**_MATRICES, "distortion_coefficients": (1, None)}
         values |= {k: _data(k, content[k], *shape) for k, shape in shapes.items() if k in content}
         return Intrinsics(**values)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 def read_yaml(path: str | os.PathLike[str], name: str) -> Any:

@@ -93,11 +93,11 @@ def test_both_forms_add_up_the_same():
     scene = random.random((20, 36)).astype(np.float32)
     found = [np.empty((6, 30), np.float32) for _ in range(2)]
     for form, frame in zip((collected, collected.plain), found, strict=True):
-        form(weights, offsets, scene, 4, 3, frame)
+        form(weights, offsets + 3, scene[4:], frame)
     assert found[0] == pytest.approx(found[1], rel=1e-4)
     scenes = [np.zeros((20, 36), np.float32) for _ in range(2)]
     for form, other in zip((spread, spread.plain), scenes, strict=True):
-        form(weights, offsets, found[1], 4, 3, other)
+        form(weights, offsets + 3, found[1], other[4:])
     assert scenes[0] == pytest.approx(scenes[1], rel=1e-4)
 
 

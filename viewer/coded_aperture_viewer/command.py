@@ -19,7 +19,6 @@ from coded_aperture_ros.bank import (
     learn_bank_for_camera,
     load_bank,
 )
-from coded_aperture_ros.cli.checks import naming
 from coded_aperture_ros.cli.options import (
     CommandParser,
     add_bits_option,
@@ -31,7 +30,7 @@ from coded_aperture_ros.cli.options import (
     checked,
     config_from,
 )
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.share import share_directory
 from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthConfig

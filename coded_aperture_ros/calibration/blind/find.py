@@ -96,18 +96,13 @@ def find_mask(
 ) -> BlindMask:
     """Find mask and blur sizes from pictures of textured planes at unknown distances.
 
+    The pictures are linear light, float32 [rows, columns] or [rows, columns, 3], all of one camera
+    and setting, each of a plane parallel to the sensor, all on one side of the focus, in any order.
+    The textures need not be the same. Messages call them by `names`; `progress` wraps the iteration
+    over the steps, as ``tqdm.tqdm`` does.
+
     Raises `InputError` if there are fewer than four planes, one is no use (size, light, texture),
     all are blurred alike, or no mask is to be seen in their spectra.
-
-    Parameters
-    ----------
-    images : sequence of ndarray, float32 [rows, columns] or [rows, columns, 3]
-        Linear light, all of one camera and setting, each of a plane parallel to the sensor, all on
-        one side of the focus, in any order. The textures need not be the same.
-    names : sequence of str
-        What to call each in messages.
-    progress : callable, optional
-        Wraps the iteration over the steps, as ``tqdm.tqdm`` does.
     """
     config = config or BlindConfig()
     greys = _checked(images, names, config)

@@ -52,11 +52,7 @@ class MaskFit(Generic[Sizes]):
 class Variables(Generic[Sizes]):
     """What `MaskFit.climb` varies: masks, sizes, textures and noise, in one vector.
 
-    Attributes
-    ----------
-    start : ndarray, float64 [V]
-        The variables of the fit.
-    bounds : list of (float or None, float or None)
+    `start` are the variables of the fit, float64 [V], and `bounds` the least and most of each.
     """
 
     def __init__(self, fit: MaskFit[Sizes], likelihood: MaskLikelihood, masks: bool = True) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.imaging import PatchGrid, channel_mean
 from coded_aperture_ros.imaging.noise import NOISE_FLOOR, high_power
 
@@ -76,10 +76,8 @@ def check_pictures(
 
 def _check(image: FloatArray, name: str, depth_m: float, window_px: int) -> PlaneCheck:
     grey = channel_mean(image)
-    try:
+    with naming(name):
         grid = PatchGrid.covering(grey.shape, window_px, window_px // 2)
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from error
     noise = _noise(grey, grid)
     variances = _window_variances(grey, grid) - noise**2
     middle = max(float(np.median(variances)), 0.0)

@@ -139,16 +139,11 @@ def add_plane(
 ) -> Path:
     """Add a picture to a folder, in place of one of the same depth.
 
-    Picture and list are each written whole or not at all, the picture first: an interrupted
-    session leaves a folder that the next one goes on with. Raises `InputError` if the depth is not
-    a positive distance, the folder cannot be written to, or its list cannot be read.
-
-    Parameters
-    ----------
-    folder : path-like
-        Created if it does not exist.
-    image : ndarray, float32 [rows, columns] or [rows, columns, 3]
-        Linear light in [0, 1]; stored as 16-bit PNG. The mean of so many `frames`.
+    The folder is created if it does not exist. The image is linear light in [0, 1], float32 [rows,
+    columns] or [rows, columns, 3], the mean of so many `frames`; it is stored as 16-bit PNG.
+    Picture and list are each written whole or not at all, the picture first: an interrupted session
+    leaves a folder that the next one goes on with. Raises `InputError` if the depth is not a
+    positive distance, the folder cannot be written to, or its list cannot be read.
     """
     folder = Path(folder)
     if not 0 < depth_m < np.inf:

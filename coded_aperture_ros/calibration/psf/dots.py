@@ -81,19 +81,14 @@ def psf_from_dots(
 ) -> DotPsf:
     """Measure the PSF from a picture of a grid of dots, all at one depth.
 
+    The picture, [rows, columns] or [rows, columns, 3], is linear light in [0, 1]: bright dots on a
+    dark background. A dot's own width blurs the PSF, so it should be less than half a pixel wide.
     The dots' places and brightnesses, the background under each (a plane), and the PSF that they
-    share are fitted in turn. Raises `InputError` if no grid is found, too many dots are missing or
-    saturated, they overlap, or are too dim.
+    share are fitted in turn. The mask helps to place the dots; `sign` is that of the blur size,
+    where the side of the focus is known.
 
-    Parameters
-    ----------
-    picture : ndarray of float, shape [rows, columns] or [rows, columns, 3]
-        Linear light in [0, 1]. Bright dots on a dark background; a dot's own width blurs the PSF,
-        so it should be less than half a pixel wide.
-    mask : Mask, optional
-        What is in the lens: it helps to place the dots.
-    sign : float, optional
-        Of the blur size, where the side of the focus is known.
+    Raises `InputError` if no grid is found, too many dots are missing or saturated, they overlap,
+    or are too dim.
     """
     if not np.isfinite(picture).all():
         raise InputError("has pixels that are NaN or infinite: use linear pictures of a camera")

@@ -50,16 +50,10 @@ def fit_fine(
 ) -> FinePsf:
     """Fit light on fine cells to pictures of dots, by projected gradients (FISTA with restarts).
 
-    Parameters
-    ----------
-    windows : ndarray of float64, shape [N, k, k]
-        Without background.
-    offsets, strengths : ndarray of float64, shape [N, 2] and [N]
-        Where the dots lie, from the middle of the windows in px, and the light of each.
-    ridge : float
-        Variance of a pixel's noise, for light whose cells have the mean square of `start`.
-    start : FinePsf
-        Also tells the cells.
+    `windows`, float64 [N, k, k], are the pictures without background, `offsets` [N, 2] where the
+    dots lie, from the middle of the windows in px, and `strengths` [N] the light of each. `ridge`
+    is the variance of a pixel's noise, for light whose cells have the mean square of `start`, which
+    also tells the cells.
     """
     width, cells = windows.shape[-1], len(start.light)
     rows, columns = (cell_shares(width, cells, start.cell_px, offsets[:, axis]) for axis in (0, 1))

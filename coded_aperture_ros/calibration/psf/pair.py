@@ -96,19 +96,14 @@ def psf_from_pair(
 ) -> PairPsf:
     """Measure the PSF from two pictures of one textured plane, by non-negative least squares.
 
+    Both are linear light, [rows, columns] or [rows, columns, 3], of one size, from the same place.
+    The sharp one is taken with a small open aperture in place of the mask, or focused on the plane;
+    what blur it has itself is missing from the PSF. The coded one, with the mask, may lie off the
+    sharp one, and have another brightness that changes slowly over the picture. The PSF is not
+    wider than `largest_blur_px`.
+
     Raises `InputError` if sizes differ, pictures are saturated or without texture, too small, or do
     not show the same.
-
-    Parameters
-    ----------
-    sharp : ndarray of float, shape [rows, columns] or [rows, columns, 3]
-        Linear light. Taken with a small open aperture in place of the mask, or focused on the
-        plane; what blur it has itself is missing from the PSF.
-    coded : ndarray of float
-        Of the same size, from the same place, with the mask. May lie off the sharp one, and have
-        another brightness that changes slowly over the picture.
-    largest_blur_px : float, optional
-        The PSF is not wider.
     """
     one, two = _grey(sharp, "sharp"), _grey(coded, "coded")
     if one.shape != two.shape:

@@ -22,18 +22,10 @@ def psf_stack(
     """Interpolate measured PSFs, in any order, to equally spaced blur sizes.
 
     A PSF between two measured ones is both, widened or narrowed to its size, each weighted by how
-    near its size is. Raises `InputError` if two PSFs have one blur size, they lie on both sides of
-    the focus, or depths and blur sizes do not go up or down together.
-
-    Parameters
-    ----------
-    measured : sequence of CentredPsf
-    level_count : int, optional
-        By default as many as there are PSFs.
-    depths_m : array of float, shape [N], optional
-        The stack then knows its depths: between two, the inverse depth is linear in blur size.
-    names : sequence of str, optional
-        What messages call each PSF.
+    near its size is. By default there are as many levels as PSFs. With depths in m [N] the stack
+    knows its own: between two, the inverse depth is linear in blur size. Messages call each PSF by
+    `names`. Raises `InputError` if two PSFs have one blur size, they lie on both sides of the
+    focus, or depths and blur sizes do not go up or down together.
     """
     order = np.argsort([one.blur_size_px for one in measured])
     ranked = [measured[number] for number in order]

@@ -38,25 +38,13 @@ _MAP_ROWS, _MAP_COLUMNS, _MAP_STEPS, _MAP_LEAST = 31, 15, 2.5, 30
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the windows of a frame say.
+    """What the windows of a frame say."""
 
-    Attributes
-    ----------
-    features : list of float
-        For the network.
-    rows, columns : ndarray, intp [n]
-        Pixels at the windows' centres.
-    size_px : ndarray, float64 [n]
-        Blur size of the level that explains each best, without sign.
-    weight : ndarray, float [n]
-        How much each tells; the sum is 1.
-    """
-
-    features: list[float]
-    rows: IndexArray
+    features: list[float]  # for the network
+    rows: IndexArray  # [n]; pixels at the windows' centres
     columns: IndexArray
-    size_px: DoubleArray
-    weight: DoubleArray
+    size_px: DoubleArray  # [n]; blur size of the level that explains each best, without sign
+    weight: DoubleArray  # [n]; how much each tells; the sum is 1
 
 
 class Witness:
@@ -83,16 +71,9 @@ class Witness:
     ) -> Evidence | None:
         """Return what the windows of a frame say; None if there are too few.
 
-        Parameters
-        ----------
-        grey : ndarray, float32 [height, width]
-            Linear light, without NaN.
-        noise : float
-            Its standard deviation, > 0.
-        unusable : ndarray, bool [height, width], optional
-            Pixels that were filled in.
-        cells : int
-            At most so many windows along each side of the frame.
+        The frame is linear light without NaN, and `noise` its standard deviation, > 0; `unusable`
+        are pixels that were filled in. There are at most `cells` windows along each side of the
+        frame.
         """
         tops, lefts = _chosen_windows(grey, unusable, cells)
         if len(tops) < _FEWEST:

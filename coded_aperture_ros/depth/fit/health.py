@@ -54,19 +54,11 @@ _EVERY, _OF_NEW = 4, 0.4
 
 @dataclasses.dataclass(frozen=True)
 class Health:
-    """How well a frame fits its bank.
+    """How well a frame fits its bank."""
 
-    Attributes
-    ----------
-    value : float
-        In [0, 1]: how likely what is sure of its depth is right by and large. At least `FITS`: it
-        fits.
-    cause : str
-        The likeliest of `CAUSES` if it does not fit; empty if it does.
-    """
-
+    # In [0, 1]: how likely what is sure of its depth is right by and large; from `FITS` on it fits.
     value: float
-    cause: str = ""
+    cause: str = ""  # the likeliest of `CAUSES` if it does not fit; empty if it does
 
     @property
     def fits(self) -> bool:
@@ -154,12 +146,8 @@ class FitCheck:
     ) -> Health | None:
         """Return how well a frame fits; None if there is too little to see.
 
-        Parameters
-        ----------
-        misfit : ndarray, float32 [grid rows, grid columns]
-            See `Cost`.
-        level, confidence : ndarray, float32 [rows, columns]
-            Fractional level that was found, and how sure that is.
+        Takes the misfit of the patches, see `Cost`, the fractional level that was found of every
+        pixel, and how sure that is.
         """
         due = not self._remembers or self._frames % _EVERY == 0
         self._frames += 1

@@ -24,25 +24,13 @@ _PERIOD, _REACH = 4 * WINDOW_PX, 10
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Frequencies:
-    """The K frequencies of a window that count.
+    """The K frequencies of a window that count."""
 
-    Attributes
-    ----------
-    used : ndarray, bool [rows, columns]
-        Which of ``scipy.fft.rfft2``.
-    vertical, horizontal : ndarray, float64 [K]
-        Cycles per pixel.
-    share : ndarray, float32 [K]
-        How much of a whole spectrum each stands for; the sum is 1.
-    window : ndarray, float32 [N, N]
-        Hann window of unit energy.
-    """
-
-    used: BoolArray
-    vertical: DoubleArray
+    used: BoolArray  # [rows, columns]; which of ``scipy.fft.rfft2``
+    vertical: DoubleArray  # [K]; cycles per pixel
     horizontal: DoubleArray
-    share: FloatArray
-    window: FloatArray
+    share: FloatArray  # [K]; how much of a whole spectrum each stands for; the sum is 1
+    window: FloatArray  # [N, N]; Hann window of unit energy
 
     @property
     def radius(self) -> DoubleArray:
@@ -79,18 +67,12 @@ def powers(windows: FloatArray) -> FloatArray:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Hypotheses:
-    """What windows look like through each of P PSFs, with textures of each contrast and slope.
+    """What windows look like through each of P PSFs, with textures of each contrast and slope."""
 
-    Attributes
-    ----------
-    weights : ndarray, float32 [contrasts, P * slopes, K]
-        Inverse of the expected power, in units of the noise, times the frequencies' shares.
-    log_determinants : ndarray, float32 [contrasts, P * slopes]
-        Mean logarithm of the expected power.
-    """
-
+    # [contrasts, P * slopes, K]; inverse of the expected power, in units of the noise, times the
+    # frequencies' shares.
     weights: FloatArray
-    log_determinants: FloatArray
+    log_determinants: FloatArray  # [contrasts, P * slopes]; mean logarithm of the expected power
 
     @classmethod
     def of(cls, psfs: Sequence[FloatArray]) -> "Hypotheses":

@@ -17,12 +17,8 @@ _BAND_PX, _BANDS = 48, 3
 def traces(grey: FloatArray, noise: float, known: float) -> list[float]:
     """Return numbers about a frame [rows, columns] that do not depend on the mask.
 
-    Parameters
-    ----------
-    noise : float
-        Standard deviation that is reckoned with.
-    known : float
-        What was known of it beforehand; 0: nothing.
+    `noise` is the standard deviation that is reckoned with, `known` what was known of it
+    beforehand; 0: nothing.
     """
     # Of a large frame some bands of rows tell enough.
     step_px = max(len(grey) // _BANDS, _BAND_PX)

@@ -21,21 +21,12 @@ def is_bag(path: str | os.PathLike[str]) -> bool:
 class Bag:
     """A bag that is read from beginning to end, as far as it can be read.
 
-    Raises `InputError` if there is no bag, or nothing in it can be read.
+    A folder with `metadata.yaml`, one that was left without it, or a `.mcap` or `.db3` file. Raises
+    `InputError` if there is no bag, or nothing in it can be read.
 
-    Parameters
-    ----------
-    path : path-like
-        A folder with `metadata.yaml`, one that was left without it, or a `.mcap` or `.db3` file.
-
-    Attributes
-    ----------
-    path, storage
-        The storage is `mcap` or `sqlite3`.
-    topics : dict of str to Topic
-        In the order of their names. Those of the files that can be read.
-    damage : str
-        What is wrong with the bag, in words; empty if nothing is, or nothing was met yet.
+    `storage` is `mcap` or `sqlite3`; `topics` are those of the files that can be read, in the order
+    of their names; `damage` is what is wrong with the bag, in words; empty if nothing is, or
+    nothing was met yet.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:

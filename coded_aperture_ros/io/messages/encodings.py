@@ -71,23 +71,11 @@ def written_encoding(name: str) -> str:
 def array_from_image(message: Any) -> NDArray:
     """Return the pixels of an image message as they are stored, in native byte order.
 
-    Parameters
-    ----------
-    message : sensor_msgs/Image
-        Of rclpy, of a bag, or anything with the same fields. In one of `ENCODINGS`. Rows may be
-        padded (`step`) and bytes swapped (`is_bigendian`).
-
-    Returns
-    -------
-    array, [row, column] or [row, column, RGB]
-        dtype as stored. A mosaic of colour filters is left as it is. Channels are in the order
-        red, green, blue; alpha is left out. It may be a view of the message's data: do not write
-        to it.
-
-    Raises
-    ------
-    MessageError
-        Of kind "encoding", "size", "step" or "data".
+    The message is a `sensor_msgs/Image` of rclpy, of a bag, or anything with the same fields, in
+    one of `ENCODINGS`. Rows may be padded (`step`) and bytes swapped (`is_bigendian`). Returns
+    [row, column] or [row, column, RGB], of the stored dtype, without alpha; a mosaic of colour
+    filters is left as it is. It may be a view of the message's data: do not write to it. Raises
+    `MessageError` of kind "encoding", "size", "step" or "data".
     """
     encoding = encoding_of(message.encoding)
     height, width, step = message.height, message.width, message.step
@@ -118,21 +106,10 @@ def array_from_image(message: Any) -> NDArray:
 def array_from_compressed(message: Any) -> tuple[NDArray, str]:
     """Return the pixels of a compressed image message, and the encoding that they have.
 
-    Parameters
-    ----------
-    message : sensor_msgs/CompressedImage
-        Or anything with its fields; JPEG, PNG or another format that OpenCV reads.
-
-    Returns
-    -------
-    pixels : ndarray of uint8 or uint16, [row, column] or [row, column, RGB]
-    encoding : {"mono8", "mono16", "rgb8"}
-
-    Raises
-    ------
-    MessageError
-        Of kind "encoding" for the compressed depth of image_transport and for colours of 16 bits,
-        or "data".
+    The message is a `sensor_msgs/CompressedImage` or anything with its fields; JPEG, PNG or another
+    format that OpenCV reads. Pixels are uint8 or uint16, [row, column] or [row, column, RGB], their
+    encoding mono8, mono16 or rgb8. Raises `MessageError` of kind "encoding" for the compressed
+    depth of image_transport and for colours of 16 bits, or "data".
     """
     if "compressedDepth" in message.format:
         raise MessageError(
@@ -155,10 +132,7 @@ def array_from_compressed(message: Any) -> tuple[NDArray, str]:
 def check_pixels(pixels: NDArray, encoding: str) -> Encoding:
     """Check that pixels [row, column(, stored channel)] are exactly as an encoding stores them.
 
-    Raises
-    ------
-    MessageError
-        Of kind "encoding", if they are of another type or number of channels.
+    Raises `MessageError` of kind "encoding", if they are of another type or number of channels.
     """
     target = encoding_of(encoding)
     shape = (*pixels.shape[:2], *((target.channels,) if target.channels > 1 else ()))

@@ -38,25 +38,13 @@ def frame_from_image(
 def frame_from_pixels(
     pixels: NDArray, gamma: Gamma = 1.0, bits: int = 16, mosaic: str = "", coloured: bool = False
 ) -> FloatArray:
-    """Return stored pixels as the frame that the library works on.
+    """Return stored pixels as the frame that the library works on: linear light, float32.
 
-    Parameters
-    ----------
-    pixels : ndarray of uint8, uint16 or float, [row, column] or [row, column, RGB]
-    gamma : float or "srgb"
-        Turns 8-bit values into linear light; 1 for a linear sensor. 16-bit and
-        float images are linear by definition.
-    bits : int
-        That 16-bit pixels have, where the sensor's numbers were not scaled to 16.
-    mosaic : str
-        Of colour filters before the pixels; see `grey_from_mosaic`.
-    coloured : bool
-        Whether a mosaic is to become a picture in colours, and not a grey frame for depth.
-
-    Returns
-    -------
-    float32, of the same shape, or with colours
-        Linear light; integers are scaled to [0, 1], floats are taken as they are.
+    Pixels are uint8, uint16 or float, [row, column] or [row, column, RGB], and the frame has their
+    shape. Integers are scaled to [0, 1], floats are taken as they are. `gamma` turns 8-bit values
+    into linear light; others are linear by definition. `bits` is what 16-bit pixels have, where the
+    sensor's numbers were not scaled to 16. With a `mosaic` of colour filters before the pixels, see
+    `grey_from_mosaic`, the frame is grey, for depth, or `coloured`.
     """
     if bits < 16 and pixels.dtype == np.uint16:
         pixels = np.minimum(pixels, 2**bits - 1) << (16 - bits)
@@ -76,19 +64,11 @@ def luminance(frame: NDArray) -> NDArray:
 def pixels_from_frame(frame: NDArray, encoding: str, gamma: Gamma = 1.0) -> NDArray:
     """Return a frame as the pixels of an encoding: the inverse of `frame_from_image`.
 
-    Parameters
-    ----------
-    frame : float32, [row, column] or [row, column, RGB]
-        Linear light. Integer encodings clip it to [0, 1]; unknown (NaN) pixels become 0.
-        Integers of the encoding's own type are kept as they are.
-    encoding : str
-        One of `ENCODINGS`; grey encodings of a colour frame hold its luminance, mosaics what each
-        pixel's filter lets through.
-    gamma : float or "srgb"
-
-    Returns
-    -------
-    array, [row, column] or [row, column, stored channel]
+    The frame, float32 [row, column] or [row, column, RGB], is linear light. Integer encodings clip
+    it to [0, 1]; unknown (NaN) pixels become 0. Integers of the encoding's own type are kept as
+    they are. `encoding` is one of `ENCODINGS`; grey ones of a colour frame hold its luminance,
+    mosaics what each pixel's filter lets through. Returns [row, column] or [row, column, stored
+    channel].
     """
     target = encoding_of(encoding)
     if target.mosaic and frame.ndim == 3:
@@ -110,11 +90,8 @@ def pixels_from_frame(frame: NDArray, encoding: str, gamma: Gamma = 1.0) -> NDAr
 def limit_depth(depth_m: FloatArray, near_m: float = 0.0, far_m: float = np.inf) -> FloatArray:
     """Mark known depths outside the range the way REP 117 asks for.
 
-    Returns
-    -------
-    float32, [row, column]
-        Metres; -Inf where nearer than `near_m`, +Inf where farther than `far_m`, NaN where the
-        depth is unknown: what is unknown is never called far.
+    Returns float32 [row, column], metres; -Inf where nearer than `near_m`, +Inf where farther than
+    `far_m`, NaN where the depth is unknown: what is unknown is never called far.
     """
     depth_m = depth_m.astype(np.float32, copy=True)
     # The outermost levels of a bank are the ends of the range but for rounding.

@@ -4,7 +4,7 @@ import os
 from collections.abc import Generator
 from pathlib import Path
 
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.io.bags import Bag, Recorded
 from coded_aperture_ros.io.bags.codec import read_picture
 from coded_aperture_ros.io.bags.topics import image_topic
@@ -47,10 +47,8 @@ class BagSource(FileSource[tuple[int, Recorded]]):
 
     def _capture(self, stored: tuple[int, Recorded]) -> Capture:
         index, message = stored
-        try:
+        with naming(f"{self._path}, {self._topic.name}"):
             picture = read_picture(message.data, self._topic.type_name)
-        except InputError as error:
-            raise InputError(f"{self._path}, {self._topic.name}: {error}") from error
         return Capture(
             picture.pixels,
             stamp_ns=picture.stamp_ns or message.time_ns,

@@ -57,20 +57,10 @@ class DeviceConfig:
 class DeviceSource:
     """A camera device (its index), a stream (its URL) or a GStreamer pipeline.
 
-    It is opened at the first `read`, and again at the next one after a failure, so that a camera
-    may be unplugged and come back.
-
-    Parameters
-    ----------
-    address : int or str
-        With an exclamation mark in it, it is a GStreamer pipeline that ends in `appsink`.
-    rate_hz : float
-        Wanted frame rate; 0 leaves the device's own.
-
-    Attributes
-    ----------
-    refused : tuple of str
-        What the device that is open does not let itself be told.
+    An address with an exclamation mark in it is a pipeline that ends in `appsink`. The device is
+    opened at the first `read`, and again at the next one after a failure, so that a camera may be
+    unplugged and come back. A `rate_hz` of 0 leaves the device's own. `refused` is what the device
+    that is open does not let itself be told.
     """
 
     live = True

@@ -25,14 +25,8 @@ class FileSource(ABC, Generic[Stored]):
     """Frames that files have in a row; with `loop` they begin again after the last one.
 
     After an `InputError`, for a frame that cannot be used, the next `read` goes on behind it.
-
-    Attributes
-    ----------
-    files : tuple of pathlib.Path
-    length : int or None
-        Number of frames, if it is known.
-    damage : str
-        What is wrong with the files, in words; empty if nothing is, or nothing was met yet.
+    `length` is the number of frames, if it is known; `damage` what is wrong with the files, in
+    words; empty if nothing is, or nothing was met yet.
     """
 
     live = False

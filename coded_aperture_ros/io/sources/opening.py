@@ -26,14 +26,10 @@ _BAG = "bag:"
 def open_files(text: str, loop: bool = False) -> FileSource[Any]:
     """Return the source of the frames in files; with `loop` it begins again after the last one.
 
-    Raises `InputError`, naming the path, if it is missing, a folder without pictures, or not
-    readable. Reading a frame may raise it later.
-
-    Parameters
-    ----------
-    text : str
-        Path of a picture, a folder of pictures (in the order of their names), a video or a bag; or
-        `bag:` and the path of a bag, which may end in `#` and the topic of the frames.
+    `text` is the path of a picture, a folder of pictures (in the order of their names), a video or
+    a bag; or `bag:` and the path of a bag, which may end in `#` and the topic of the frames. Raises
+    `InputError`, naming the path, if it is missing, a folder without pictures, or not readable.
+    Reading a frame may raise it later.
     """
     if text.startswith(_BAG):
         bag, _, topic = text.removeprefix(_BAG).partition("#")

@@ -64,18 +64,11 @@ def learn_motion_bank(
 ) -> MotionBank:
     """Extend a bank of blur levels by motions.
 
-    Raises `InputError` if the longest motion and the largest PSF together do not fit the bank's
-    window, or the bank has levels on both sides of the focal plane.
-
-    Parameters
-    ----------
-    bank : FilterBank
-        Its PSFs, window and textures are taken over; all frequencies count.
-    rank : int, optional
-        Vectors in the common basis. As many as there are frequencies, or more, are exact: then the
-        frequencies themselves are the basis.
-    progress : callable, optional
-        Wraps the iteration over motions, as ``tqdm.tqdm`` does.
+    The bank's PSFs, window and textures are taken over; all frequencies count. `rank` is the number
+    of vectors in the common basis: as many as there are frequencies, or more, are exact, and then
+    the frequencies themselves are the basis. `progress` wraps the iteration over motions, as
+    ``tqdm.tqdm`` does. Raises `InputError` if the longest motion and the largest PSF together do
+    not fit the bank's window, or the bank has levels on both sides of the focal plane.
     """
     if bank.stack.has_both_sides:
         raise InputError(

@@ -17,21 +17,12 @@ def motion_kernel(motion_px: tuple[float, float], width_px: int | None = None) -
     A pixel's value is the share of the exposure that the point spends near it, counted by linear
     interpolation between pixels. The weights are polynomials between the places where the point
     passes rows and columns of pixels, and integrated exactly: the kernel is smooth in the motion,
-    and its mean and direction are those of the line, however short that is. Raises `InputError` if
-    the motion is not finite, or the width is even or does not hold the trace.
+    and its mean and direction are those of the line, however short that is.
 
-    Parameters
-    ----------
-    motion_px : (float, float)
-        Way during the exposure, px: to the right, and down. The kernel of the opposite way is the
-        same.
-    width_px : int, optional
-        Odd width of the result; by default the smallest that holds the trace.
-
-    Returns
-    -------
-    ndarray of float32, shape [k, k]
-        Unit sum.
+    The motion is the way during the exposure in px, to the right and down; the kernel of the
+    opposite way is the same. Returns float32 [k, k] of unit sum; `width_px` is its odd width, by
+    default the smallest that holds the trace. Raises `InputError` if the motion is not finite, or
+    the width is even or does not hold the trace.
     """
     right, down = (float(part) for part in motion_px)
     if not (math.isfinite(right) and math.isfinite(down)):

@@ -96,14 +96,6 @@ class NeighbourModel:
         return EngineLikelihood(engine, _WINDOW_CORRELATION)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Scratch:
-    """What one thread needs for its part of a frame."""
-
-    columns: FloatArray
-    hypotheses: FloatArray
-
-
 class NeighbourEngine:
     """Computes the energies of every window of frames of one size; see `Engine`.
 
@@ -148,13 +140,9 @@ class NeighbourEngine:
         self._hypotheses = np.concatenate([model.weights, own], axis=-1) * gains
         self._energies = np.empty((model.levels, patches), np.float32)
         tried = len(model.contrasts) * model.weights.shape[1] * model.levels
-        self._scratch = [
-            _Scratch(
-                np.empty((self._blocks[0], columns), np.float32),
-                np.empty(tried * _PATCHES, np.float32),
-            )
-            for _ in range(threads)
-        ]
+        # What each thread needs for its part of a frame.
+        self._columns = np.empty((threads, self._blocks[0], columns), np.float32)
+        self._excess = np.empty((threads, tried * _PATCHES), np.float32)
 
     @property
     def products(self) -> int:
@@ -206,7 +194,7 @@ class NeighbourEngine:
         first = padded[top : top + rows, left : left + columns]
         second = padded[ends[0] : ends[0] + rows, ends[1] : ends[1] + columns]
         shape = blocks[0], block, columns
-        sums = self._scratch[thread].columns
+        sums = self._columns[thread]
         # The products are added up as they are formed: they never leave the cache.
         np.einsum("brc,brc->bc", first.reshape(shape), second.reshape(shape), out=sums)
         means = cv2.resize(sums, blocks[::-1], interpolation=cv2.INTER_AREA)
@@ -235,8 +223,7 @@ class NeighbourEngine:
         measured = self._covariances[:, some].copy()
         measured[:-1] *= precision[some]
         count = measured.shape[1]
-        excess = self._scratch[thread].hypotheses[: len(hypotheses) * count]
-        excess = excess.reshape(len(hypotheses), count)
+        excess = self._excess[thread, : len(hypotheses) * count].reshape(len(hypotheses), count)
         np.matmul(hypotheses, measured, out=excess)
         energies = self._energies[:, some]
         np.minimum.reduce(excess.reshape(-1, len(energies), count), axis=0, out=energies)
