@@ -72,6 +72,8 @@ setup(
         "gpu": ["torch>=2.2"],
         # Random scenes, and training of the refinement.
         "train": ["torch>=2.2", "onnx>=1.15", "scikit-image>=0.22", "scikit-learn>=1.4"],
+        # Completion by the tab key.
+        "completion": ["argcomplete>=3"],
         "graphcut": [GRAPH_CUTS],
         "cluster": ["distributed>=2024.1"],
         # `make docs`.
@@ -83,6 +85,7 @@ setup(
             "pytest-timeout>=2.3",
             "pytest-xdist>=3.5",
             "hypothesis>=6.100",
+            "argcomplete>=3",
             "ruff>=0.6",
             "mypy>=1.11",
             "pre-commit>=3.5",

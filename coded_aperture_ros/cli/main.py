@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
-from coded_aperture_ros import __version__
 from coded_aperture_ros.cli.extension import BENCH, VIEW
 from coded_aperture_ros.cli.options import add_commands
+from coded_aperture_ros.cli.version import ShowVersion
 from coded_aperture_ros.core.blas import slow_blas_warning
 from coded_aperture_ros.core.errors import InputError
 
@@ -41,7 +41,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Before parsing, which warns of former names.
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format=f"{PROGRAM}: %(message)s")
     try:
-        options = make_parser().parse_args(arguments)
+        parser = make_parser()
+        if "_ARGCOMPLETE" in os.environ:  # a shell asks what may come next
+            import argcomplete
+
+            argcomplete.autocomplete(parser)
+        options = parser.parse_args(arguments)
         if warning := slow_blas_warning():
             logging.warning(warning)
         status: int = COMMANDS[options.command].run(options)
@@ -76,7 +81,9 @@ def make_parser() -> argparse.ArgumentParser:
         "camera file, learn its filter bank once, then use depth and deblur on its frames. "
         f"'{PROGRAM} COMMAND --help' shows a command's options and examples.",
     )
-    parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
+    parser.add_argument(
+        "--version", action=ShowVersion, nargs=0, help="of the program and of what it runs on"
+    )
     add_commands(parser, "command", COMMANDS.values())
     return parser
 

@@ -257,6 +257,12 @@ class CameraDriverNode(ManagedNode):
         if source.refused:
             self.get_logger().warning(f"the device does not take: {', '.join(source.refused)}")
             source.refused = ()
+        if source.automatic:
+            self.get_logger().warning(
+                f"the device changes its {' and '.join(source.automatic)} by itself: depth needs a "
+                "focus that stays, and an exposure that does (device.exposure)"
+            )
+            source.automatic = ()
         return present
 
     def _publish(self, capture: Capture) -> None:

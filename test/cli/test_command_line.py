@@ -2,10 +2,14 @@
 
 import argparse
 import dataclasses
+import os
+import platform
 import subprocess
 import sys
 from types import SimpleNamespace
 
+import cv2
+import numpy as np
 import pytest
 
 import coded_aperture_ros
@@ -42,8 +46,27 @@ def command(monkeypatch):
 @pytest.mark.parametrize("module", ["coded_aperture_ros", "coded_aperture_ros.cli.main"])
 def test_version(module):
     result = call(["--version"], module)
-    assert result.stdout == f"coded_aperture {coded_aperture_ros.__version__}\n"
+    first, machine, libraries, ros = result.stdout.splitlines()
+    assert first == f"coded_aperture {coded_aperture_ros.__version__}"
+    assert platform.python_version() in machine
+    assert f"numpy {np.__version__}, " in libraries and f"cv2 {cv2.__version__}, " in libraries
+    assert ros.startswith("ROS ")
     assert (result.returncode, result.stderr) == (0, "")
+
+
+def test_a_shell_is_told_what_may_come_next(tmp_path):
+    """As bash asks: the line so far comes in variables, the answer goes to a file."""
+    pytest.importorskip("argcomplete")
+    answer, line = tmp_path / "answer", "coded_aperture de"
+    asked = {
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
+        "COMP_LINE": line,
+        "COMP_POINT": str(len(line)),
+    }
+    program = [sys.executable, "-m", "coded_aperture_ros"]
+    subprocess.run(program, env={**os.environ, **asked}, timeout=60, check=True)
+    assert answer.read_text().replace("\013", " ").split() == ["demo", "depth", "deblur"]
 
 
 @pytest.mark.parametrize("arguments", [[], ["unknown"], ["--unknown"]])

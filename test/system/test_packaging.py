@@ -75,7 +75,15 @@ def test_manifest_names_every_package_that_the_code_imports(checkout, manifest):
         "numba": "python3-numba",
         "tqdm": "python3-tqdm",
     }
-    optional = {"maxflow", "skimage", "matplotlib", "rosbags", "torch", "distributed"}
+    optional = {
+        "maxflow",
+        "skimage",
+        "matplotlib",
+        "rosbags",
+        "torch",
+        "distributed",
+        "argcomplete",
+    }
     declared = {element.text for element in manifest.iter("exec_depend")}
     assert {"rclpy", "sensor_msgs", "diagnostic_msgs", *apt_names.values()} <= declared
     imported = set()
@@ -163,9 +171,11 @@ def test_every_other_file_is_installed(checkout):
         Path("depth/fit/fit.npz"),
         Path("deblur/blend/blend.npz"),
     }
-    assert others == {Path("design/page.html"), *weights}
+    pages = {Path("design/page.html"), Path("cli/demo_page.html")}
+    assert others == {*pages, *weights}
     setup = (checkout / "setup.py").read_text()
-    assert 'f"{NAME}.design": ["page.html"]' in setup
+    for path in pages:
+        assert f'f"{{NAME}}.{path.parent.name}": ["{path.name}"]' in setup
     for path in weights:
         assert f'f"{{NAME}}.{".".join(path.parent.parts)}": ["*.npz"]' in setup
         assert (package / path).stat().st_size < 2e6

@@ -59,8 +59,9 @@ class DeviceSource:
 
     An address with an exclamation mark in it is a pipeline that ends in `appsink`. The device is
     opened at the first `read`, and again at the next one after a failure, so that a camera may be
-    unplugged and come back. A `rate_hz` of 0 leaves the device's own. `refused` is what the device
-    that is open does not let itself be told.
+    unplugged and come back. A `rate_hz` of 0 leaves the device's own. Automatic focus is switched
+    off. `refused` is what the device that is open does not let itself be told, and `automatic` what
+    it goes on to change by itself.
     """
 
     live = True
@@ -73,12 +74,14 @@ class DeviceSource:
         self._rate_hz = rate_hz
         self._device: cv2.VideoCapture | None = None
         self.refused: tuple[str, ...] = ()
+        self.automatic: tuple[str, ...] = ()
 
     def configure(self, config: DeviceConfig) -> None:
         """Change the settings; a new size takes effect when the device is opened again."""
         self._config = config
         if self._device is not None:
             self.refused = self._set(self._device, _light(config))
+            self.automatic = self._changes(self._device)
 
     def read(self) -> Capture | None:
         """Wait for the next frame."""
@@ -117,14 +120,30 @@ class DeviceSource:
         }
         wanted = {name: setting for name, setting in size.items() if setting[1]}
         self.refused = self._set(device, {**wanted, **_light(self._config)})
+        device.set(cv2.CAP_PROP_AUTOFOCUS, 0.0)  # most lenses that take a mask have none
+        self.automatic = self._changes(device)
         self._device = device
         return device
+
+    @staticmethod
+    def _changes(device: cv2.VideoCapture) -> tuple[str, ...]:
+        settings = cv2.CAP_PROP_AUTOFOCUS, cv2.CAP_PROP_AUTO_EXPOSURE
+        return changed_by_itself(*map(device.get, settings))
 
     @staticmethod
     def _set(device: cv2.VideoCapture, wanted: dict[str, tuple[int, float]]) -> tuple[str, ...]:
         return tuple(
             name for name, (setting, value) in wanted.items() if not device.set(setting, value)
         )
+
+
+def changed_by_itself(autofocus: float, auto_exposure: float) -> tuple[str, ...]:
+    """Return what a device changes by itself, from what it says of these settings.
+
+    One that does not know a setting says 0 or less.
+    """
+    on = {"focus": autofocus > 0, "exposure": auto_exposure == _AUTO_EXPOSURE}
+    return tuple(name for name in on if on[name])
 
 
 def _light(config: DeviceConfig) -> dict[str, tuple[int, float]]:
