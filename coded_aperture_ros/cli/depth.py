@@ -7,10 +7,12 @@ import logging
 import time
 from collections import deque
 from collections.abc import Iterator
+from contextlib import ExitStack
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from coded_aperture_ros.cli.checks import check_suffix
 from coded_aperture_ros.cli.estimators import (
     add_estimator_options,
     add_estimator_settings,
@@ -52,6 +54,8 @@ _LOSSY = (
     "compressed with loss: reckoned with noise of {:.4f} or more, and less depth is sure: record "
     "pictures without loss, such as PNG"
 )
+# Beyond so many times the nearest depth hardly any are told apart: scales end there.
+_FARTHEST = 10
 # What has moved by this much during the exposure counts as moving.
 _MOVING_PX = 0.5
 
@@ -85,6 +89,8 @@ def add_parser(subparsers: Any) -> None:
     add_options(parser, look_ahead)
     add_deprecated_alias(parser, "--levels", add_options(parser, as_levels))
     add_options(parser, {"--pictures": "write colour pictures of depth and confidence too"})
+    movie = "write a video of the frames beside their depth too, 10 a second"
+    add_options(parser, {"--movie FILE.mp4": movie})
     add_options(parser, {"--points": "write coloured points (x.ply) too; needs --camera"})
     add_gamma_option(parser)
     scale = {
@@ -99,6 +105,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     from coded_aperture_ros.depth.points import points_of_frame
+    from coded_aperture_ros.io.movie_file import movie
     from coded_aperture_ros.io.points_file import write_points
     from coded_aperture_ros.methods.choose import bank_of
     from coded_aperture_ros.optics import load_camera
@@ -114,6 +121,8 @@ def run(args: argparse.Namespace) -> int:
         args.usage_error("--points: needs --camera, and no --as-levels")
     if args.frame_scale != 1 and (args.look_ahead or args.motion):
         args.usage_error("--frame-scale: not with --look-ahead or --motion")
+    if args.movie:
+        check_suffix(args.movie, (".mp4",))
     camera = load_camera(args.camera) if args.camera else None
     if args.frame_scale != 1 and camera is not None:
         # Resampling changes the noise: it is estimated.
@@ -127,31 +136,37 @@ def run(args: argparse.Namespace) -> int:
         return _files(path, args, both_sides)
 
     unusable, bank = Unusable(), bank_of(pipeline.estimator.model)
+    shown = ExitStack()
+    add_to_movie = shown.enter_context(movie(args.movie)) if args.movie else None
+    scale = _scale(args, pipeline.estimator.model.stack, camera)
     frames = named_frames(args, ".npy", _SUFFIXES, lambda path: files(path).values(), unusable)
     summaries: list[dict[str, Any]] = []
     config = pipeline.estimator.config
-    for (_, lost), video in groupby(frames, key=lambda frame: (frame.video, frame.least_noise)):
-        least_noise = max(config.least_noise, lost)
-        pipeline.reconfigure(depth=dataclasses.replace(config, least_noise=least_noise))
-        if lost:
-            logging.warning(_LOSSY.format(least_noise))
-        pipeline.reset()
-        if args.look_ahead:
-            results = _with_look_ahead(pipeline, video, bank)
-        else:
-            results = _in_turn(pipeline, video, prior, bank, args.frame_scale, unusable)
-        for frame, estimate, seconds in results:
-            values = estimate.depth_m
-            if args.as_levels or values is None:
-                values = estimate.level
-            _write(files(frame.output), values, estimate, args, levels)
-            if args.points and camera is not None:
-                points = points_of_frame(estimate, frame.image, camera, args.gamma)
-                write_points(files(frame.output)["points"], points)
-            summary = _summary(frame, values, estimate, seconds, args)
-            summaries.append(summary)
-            if not args.json:
-                print(f"{frame.output}: {_in_words(summary)}")
+    with shown:
+        for (_, lost), video in groupby(frames, key=lambda frame: (frame.video, frame.least_noise)):
+            least_noise = max(config.least_noise, lost)
+            pipeline.reconfigure(depth=dataclasses.replace(config, least_noise=least_noise))
+            if lost:
+                logging.warning(_LOSSY.format(least_noise))
+            pipeline.reset()
+            if args.look_ahead:
+                results = _with_look_ahead(pipeline, video, bank)
+            else:
+                results = _in_turn(pipeline, video, prior, bank, args.frame_scale, unusable)
+            for frame, estimate, seconds in results:
+                values = estimate.depth_m
+                if args.as_levels or values is None:
+                    values = estimate.level
+                _write(files(frame.output), values, estimate, args, levels)
+                if args.points and camera is not None:
+                    points = points_of_frame(estimate, frame.image, camera, args.gamma)
+                    write_points(files(frame.output)["points"], points)
+                if add_to_movie is not None:
+                    add_to_movie(_beside(frame.image, values, scale))
+                summary = _summary(frame, values, estimate, seconds, args)
+                summaries.append(summary)
+                if not args.json:
+                    print(f"{frame.output}: {_in_words(summary)}")
     if args.json:
         print(json.dumps(summaries))
     return unusable.status()
@@ -233,6 +248,32 @@ def _summary(
         summary["moving"] = round(float(moving.mean()), 4)
         summary["searched"] = estimate.motion.searched
     return summary
+
+
+def _scale(args: argparse.Namespace, stack: Any, camera: Any) -> tuple[float, float, str]:
+    """Return ends and unit of the scale that all pictures of a video have: depths, or levels."""
+    import numpy as np
+
+    depths = stack.depths_m if camera is None else camera.depth_m(stack.blur_sizes_px)
+    if args.as_levels or depths is None:
+        return 0.0, len(stack) - 1.0, ""
+    nearest_m, farthest_m = np.nanmin(depths), np.nanmax(depths)
+    return float(nearest_m), float(min(farthest_m, _FARTHEST * nearest_m)), "m"
+
+
+def _beside(image: Any, values: Any, scale: tuple[float, float, str]) -> Any:
+    """Return a frame and its depth side by side, uint8 [h + strip, 2 w, RGB]."""
+    import cv2
+    import numpy as np
+
+    from coded_aperture_ros.imaging import SRGB, encode
+    from coded_aperture_ros.io import depth_picture
+
+    depth = depth_picture(values, *scale)
+    light = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
+    frame = np.full_like(depth, 255)
+    frame[: len(light)] = np.rint(255 * encode(np.clip(light, 0, 1), SRGB))
+    return np.hstack([frame, depth])
 
 
 def _in_words(summary: dict[str, Any]) -> str:

@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from coded_aperture_ros.bank import load_bank
 from coded_aperture_ros.depth import REGULARIZERS, DepthConfig, DepthEstimator, estimate_video
-from coded_aperture_ros.imaging import mosaic_from_colour
+from coded_aperture_ros.imaging import SRGB, encode, mosaic_from_colour
 from coded_aperture_ros.io import read_depth, read_image
 from coded_aperture_ros.methods.choose import new_model
 from coded_aperture_ros.methods.motion import MotionConfig
@@ -193,6 +193,18 @@ def test_a_folder_of_frames(scene, tmp_path, capsys):
     assert relative_error(np.load(expected[1]), scene)[0] < 0.03
 
 
+def _seen(linear):
+    """Return linear light of 8 bits as a screen shows it."""
+    return 255 * encode(linear / 255, SRGB)
+
+
+def test_a_movie_has_one_kind_of_file(scene, tmp_path, capsys):
+    asked = "--bank", scene.bank, scene.coded_png, "-o", tmp_path / "d.npy"
+    result = call(capsys, "depth", *asked, "--movie", tmp_path / "movie.gif")
+    assert result.status == 1 and ".mp4" in result.err
+    assert names(tmp_path) == []
+
+
 def test_a_video(scene, tmp_path, capsys):
     pixels = np.rint(255 * np.load(scene.coded_npy)).astype(np.uint8)
     video = tmp_path / "pan.avi"
@@ -200,9 +212,19 @@ def test_a_video(scene, tmp_path, capsys):
     for _ in range(2):
         writer.write(pixels[..., ::-1].copy())
     writer.release()
-    result = call(capsys, "depth", "--bank", scene.bank, video, "-o", tmp_path / "depth")
+    movie = "--movie", tmp_path / "movie.mp4"
+    result = call(capsys, "depth", "--bank", scene.bank, video, "-o", tmp_path / "depth", *movie)
     assert result.status == 0
     depths = ["pan_000000.npy", "pan_000001.npy"]
+    shown = cv2.VideoCapture(str(movie[1]))
+    pictures = [shown.read()[1] for _ in range(2)]
+    assert not shown.read()[0]
+    assert all(picture.shape[1] == 2 * WIDTH for picture in pictures)
+    # The frame on the left is as it was, but for the compression of the video.
+    apart = np.abs(
+        pictures[0][:HEIGHT, :WIDTH].mean((0, 1)) - _seen(pixels)[..., ::-1].mean((0, 1))
+    )
+    assert apart.max() < 6
     assert [n for n in names(tmp_path / "depth") if n.count(".") == 1] == depths
     assert relative_error(np.load(tmp_path / "depth" / depths[0]), scene)[0] < 0.05
 

@@ -1,0 +1,40 @@
+"""Videos for people to look at: pictures, one after the other, in an MP4 file."""
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import cv2
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.files import atomic_output
+
+_RATE_HZ = 10.0
+
+
+@contextmanager
+def movie(path: str | os.PathLike[str]) -> Iterator[Callable[[NDArray], None]]:
+    """Yield what takes the pictures, uint8 [h, w, RGB], all of one size, at 10 a second.
+
+    The file appears when all are there. Raises `InputError` if it cannot be written, or a picture
+    has another size.
+    """
+    with atomic_output(path) as file:
+        writer, size = cv2.VideoWriter(), (0, 0)
+
+        def add(picture: NDArray) -> None:
+            nonlocal size
+            if not writer.isOpened():
+                size = picture.shape[1], picture.shape[0]
+                writer.open(str(file), cv2.VideoWriter.fourcc(*"mp4v"), _RATE_HZ, size)
+            if not writer.isOpened():
+                raise InputError(f"cannot write {path}: this OpenCV cannot write MP4 videos")
+            if picture.shape[1::-1] != size:
+                raise InputError(f"{path}: expected pictures of one size, give one video at a time")
+            writer.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+
+        try:
+            yield add
+        finally:
+            writer.release()
