@@ -96,6 +96,7 @@ BENCHMARKS: dict[str, Group | str] = {
     "masks": "predicted against measured errors of random masks",
     "sign": "the side of the focal plane: in front or behind",
     "trust": "what is made of frames that do not fit their bank",
+    "fitting": "frames that fit their bank, and videos whose light changes",
     "datasheet": "what the data sheet of a camera would say",
     "lens": "a real lens: before and after its field curvature is measured",
     "blind": "masks found from planes at unknown distances, and what deblurring loses by them",
@@ -117,6 +118,8 @@ _EPILOG = """examples:
     coded_aperture bench sign
   frames that do not fit their bank:
     coded_aperture bench trust desk/ chess/
+  frames that fit, and what is said of them:
+    coded_aperture bench fitting desk/ video/
   the data sheet of a camera:
     coded_aperture bench datasheet --camera config/demo_camera.yaml --depth-range 2.1 5.1
   a real lens, measured with planes:
