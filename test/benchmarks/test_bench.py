@@ -222,6 +222,19 @@ def test_trust_is_measured(capsys, folder):
     assert call(capsys, "bench", "trust", folder, "--kinds", "magic").status == 2
 
 
+def test_what_fits_is_said_to_fit(capsys, folder):
+    arguments = ("bench", "fitting", folder)
+    results = json_of(capsys, *arguments)
+    assert (results["fitting"], results["changing"]) == (5, 0)
+    alarms = [row for row in results["rows"] if row["health"] < 0.5]
+    assert results["said_to_fit"] == pytest.approx(1 - len(alarms) / 5)
+    assert results["rows"][0]["health"] > 0.5
+    assert results["rows"][0]["error"] < 0.05
+    assert all(row["coverage"] <= row["coverage_unchecked"] for row in results["rows"])
+    assert "of 5 frames that fit" in call(capsys, *arguments).out
+    assert "use levin" in call(capsys, "bench", "fitting", folder, "--masks", "zhou").err
+
+
 def test_a_camera_gets_its_data_sheet(capsys, tmp_path):
     path = tmp_path / "camera.yaml"
     path.write_text(

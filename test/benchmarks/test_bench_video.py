@@ -448,3 +448,15 @@ def test_real_videos_are_read(data_dir):
         float(np.nanmin(room_video.depth_m)), float(np.nanmax(room_video.depth_m))
     )
     assert 3.9 < smallest < largest < 20.1
+
+
+def test_light_that_changes_in_a_video_is_measured(capsys, ray_traced, rgbd):
+    result = call(capsys, "bench", "fitting", ray_traced, rgbd, "--json")
+    assert (result.status, result.err) == (0, "")
+    results = json.loads(result.out)
+    assert results["fitting"] == 2 * LENGTH
+    assert results["changing"] == 6 * results["fitting"]
+    steady = [row for row in results["rows"] if row["light"] == "as it is"]
+    dimmed = [row for row in results["rows"] if row["light"] == "dimmed"]
+    assert np.median([row["coverage"] for row in steady]) > 0.5
+    assert dimmed[-1]["coverage"] != steady[-1]["coverage"]
