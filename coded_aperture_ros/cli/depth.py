@@ -135,11 +135,14 @@ def run(args: argparse.Namespace) -> int:
     def files(path: Path) -> dict[str, Path]:
         return _files(path, args, both_sides)
 
+    def outputs(path: Path) -> list[Path]:
+        return [*files(path).values(), *([Path(args.movie)] if args.movie else [])]
+
     unusable, bank = Unusable(), bank_of(pipeline.estimator.model)
     shown = ExitStack()
     add_to_movie = shown.enter_context(movie(args.movie)) if args.movie else None
-    scale = _scale(args, pipeline.estimator.model.stack, camera)
-    frames = named_frames(args, ".npy", _SUFFIXES, lambda path: files(path).values(), unusable)
+    scale = _scale(args, pipeline.estimator)
+    frames = named_frames(args, ".npy", _SUFFIXES, outputs, unusable)
     summaries: list[dict[str, Any]] = []
     config = pipeline.estimator.config
     with shown:
@@ -250,13 +253,13 @@ def _summary(
     return summary
 
 
-def _scale(args: argparse.Namespace, stack: Any, camera: Any) -> tuple[float, float, str]:
+def _scale(args: argparse.Namespace, estimator: Any) -> tuple[float, float, str]:
     """Return ends and unit of the scale that all pictures of a video have: depths, or levels."""
     import numpy as np
 
-    depths = stack.depths_m if camera is None else camera.depth_m(stack.blur_sizes_px)
+    depths = estimator.depths_m
     if args.as_levels or depths is None:
-        return 0.0, len(stack) - 1.0, ""
+        return 0.0, len(estimator.model.stack) - 1.0, ""
     nearest_m, farthest_m = np.nanmin(depths), np.nanmax(depths)
     return float(nearest_m), float(min(farthest_m, _FARTHEST * nearest_m)), "m"
 

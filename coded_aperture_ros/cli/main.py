@@ -13,7 +13,7 @@ from importlib import import_module
 from typing import Any
 
 from coded_aperture_ros.cli.extension import BENCH, VIEW
-from coded_aperture_ros.cli.options import add_commands
+from coded_aperture_ros.cli.options import add_commands, show_late_options
 from coded_aperture_ros.cli.version import ShowVersion
 from coded_aperture_ros.core.blas import slow_blas_warning
 from coded_aperture_ros.core.errors import InputError
@@ -45,6 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if "_ARGCOMPLETE" in os.environ:  # a shell asks what may come next
             import argcomplete
 
+            # It knows the values of those options only that are there when it begins.
+            show_late_options(parser, os.environ.get("COMP_LINE", "").split())
             argcomplete.autocomplete(parser)
         options = parser.parse_args(arguments)
         if warning := slow_blas_warning():

@@ -33,10 +33,19 @@ class CommandParser(argparse.ArgumentParser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Add the late options, then parse; see `argparse.ArgumentParser`."""
-        if self.add_late_options is not None:
-            late, self.add_late_options = self.add_late_options, None
-            late(self)
+        show_late_options(self, ())
         return super().parse_known_args(args, namespace)
+
+
+def show_late_options(parser: argparse.ArgumentParser, words: Sequence[str]) -> None:
+    """Add the late options of a parser, and of those of its commands that `words` name."""
+    if isinstance(parser, CommandParser) and parser.add_late_options is not None:
+        late, parser.add_late_options = parser.add_late_options, None
+        late(parser)
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for word in set(words) & set(action.choices):
+                show_late_options(action.choices[word], words)
 
 
 def add_commands(

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TypeVar
 
 from coded_aperture_ros.core.errors import InputError
@@ -22,7 +22,7 @@ class Workers:
     long as each call has enough to do. The numerical libraries themselves should use one thread
     each beside this (``OPENBLAS_NUM_THREADS=1``, which the nodes and the command line set). Raises
     `InputError` if there are fewer processors. There are at most as many `threads` as processors,
-    and the calling thread is one of them.
+    and the calling thread is one of them. What they run must not ask the same workers for more.
     """
 
     def __init__(self, threads: int = 1) -> None:
@@ -30,10 +30,14 @@ class Workers:
         self.threads = threads
         self._others = ThreadPoolExecutor(threads - 1, "engine") if threads > 1 else None
 
-    def each(self, work: Callable[[Item, int], None], items: Sequence[Item]) -> None:
+    def each(
+        self, work: Callable[[Item, int], None], items: Sequence[Item], *, sums: bool = False
+    ) -> None:
         """Call ``work(item, thread)`` for every item; `thread` counts from 0.
 
-        No two calls with the same `thread` overlap, so that it can choose among buffers.
+        No two calls with the same `thread` overlap, so that it can choose among buffers. With
+        `sums` the same items always go to the same thread: what is added up in the order of the
+        calls would otherwise differ in its last digits.
         """
         if self._others is None:
             for item in items:
@@ -44,11 +48,14 @@ class Workers:
         remaining = iter(items)
 
         def share(thread: int) -> None:
-            for item in remaining:
+            for item in items[thread :: self.threads] if sums else remaining:
                 work(item, thread)
 
         others = [self._others.submit(share, thread) for thread in range(1, self.threads)]
-        share(0)
+        try:
+            share(0)
+        finally:
+            wait(others)  # buffers are theirs until then
         for other in others:
             other.result()
 
@@ -59,7 +66,11 @@ class Workers:
         if self._others is None:
             return first(), second()
         other = self._others.submit(second)
-        return first(), other.result()
+        try:
+            found = first()
+        finally:
+            wait([other])
+        return found, other.result()
 
     def close(self) -> None:
         """End the threads."""

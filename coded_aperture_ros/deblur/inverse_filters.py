@@ -113,7 +113,7 @@ class InverseFilters:
             filtered = scipy.fft.irfft2(spectrum * transforms[kernel], shape, overwrite_x=True)
             cv2.accumulateProduct(filtered[:height, :width], weights[kernel], sums[thread])
 
-        self._workers.each(add, range(len(weights)))
+        self._workers.each(add, range(len(weights)), sums=True)
         return np.sum(sums, axis=0) if len(sums) > 1 else sums[0]
 
     def _new_transforms(self, noise: float, shape: tuple[int, int]) -> NDArray[np.complex64]:

@@ -133,7 +133,7 @@ def preconditioner(
             solved = scipy.fft.irfft2(inverse * spectrum, scene[0].shape)
             sums[thread] += share * solved
 
-        operator.workers.each(add, inverses)
+        operator.workers.each(add, inverses, sums=True)
         front = sum(sums[1:], sums[0])
         if operator.hidden is None:
             return front[None]

@@ -109,7 +109,7 @@ class OccludedBlur(BlurOperator):
             band = slice(top, top + _BAND_ROWS)
             spread(self._weights[:, band], self._first, frame[band], scenes[thread][0, top:])
 
-        self.workers.each(add, range(0, self.shape[0], _BAND_ROWS))
+        self.workers.each(add, range(0, self.shape[0], _BAND_ROWS), sums=True)
         scene = scenes[0]
         for other in scenes[1:]:
             scene[0] += other[0]

@@ -168,7 +168,7 @@ class SpreadingBlur(BlurOperator):
             spectrum *= self._transform(*term)
             sums[thread] += spectrum
 
-        self.workers.each(add, self._terms)
+        self.workers.each(add, self._terms, sums=True)
         blurred = scipy.fft.irfft2(np.sum(sums, axis=0), self.scene_shape)
         return frame_within(blurred, self) * self._scale
 
@@ -181,7 +181,7 @@ class SpreadingBlur(BlurOperator):
             passed = scipy.fft.irfft2(spectrum * self._transform(*term).conj(), self.scene_shape)
             cv2.accumulateProduct(passed, self._share(*term), sums[thread])
 
-        self.workers.each(add, self._terms)
+        self.workers.each(add, self._terms, sums=True)
         return np.sum(sums, axis=0)[None]
 
     def ranges(self, count: int) -> list[tuple[FloatArray, FloatArray]]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from coded_aperture_ros.bank import FilterBank
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.core.workers import Workers, thread_count
 from coded_aperture_ros.depth.config import DepthConfig
@@ -98,6 +98,11 @@ class DepthEstimator:
         self._planned: _Planned | None = None
         if like is not None and like.model is model and "small_bank" in like.__dict__:
             self.small_bank = like.small_bank
+
+    @property
+    def depths_m(self) -> DoubleArray | None:
+        """Depths of the levels, m [L], from whoever knows them best; None if nobody does."""
+        return self._levels.depths_m
 
     @cached_property
     def small_bank(self) -> FilterBank:

@@ -17,14 +17,14 @@ _RATE_HZ = 10.0
 def movie(path: str | os.PathLike[str]) -> Iterator[Callable[[NDArray], None]]:
     """Yield what takes the pictures, uint8 [h, w, RGB], all of one size, at 10 a second.
 
-    The file appears when all are there. Raises `InputError` if it cannot be written, or a picture
-    has another size.
+    The file appears when all are there. Raises `InputError` if it cannot be written, a picture has
+    another size, or there is none.
     """
     with atomic_output(path) as file:
-        writer, size = cv2.VideoWriter(), (0, 0)
+        writer, size, count = cv2.VideoWriter(), (0, 0), 0
 
         def add(picture: NDArray) -> None:
-            nonlocal size
+            nonlocal size, count
             if not writer.isOpened():
                 size = picture.shape[1], picture.shape[0]
                 writer.open(str(file), cv2.VideoWriter.fourcc(*"mp4v"), _RATE_HZ, size)
@@ -33,8 +33,14 @@ def movie(path: str | os.PathLike[str]) -> Iterator[Callable[[NDArray], None]]:
             if picture.shape[1::-1] != size:
                 raise InputError(f"{path}: expected pictures of one size, give one video at a time")
             writer.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+            count += 1
 
         try:
             yield add
         finally:
             writer.release()
+        if not count:
+            raise InputError(f"no frame could be used: {path} was not written")
+        # OpenCV does not say whether it could write.
+        if cv2.VideoCapture(str(file)).get(cv2.CAP_PROP_FRAME_COUNT) != count:
+            raise InputError(f"cannot write {path}: is the disk full?")

@@ -205,6 +205,45 @@ def test_a_movie_has_one_kind_of_file(scene, tmp_path, capsys):
     assert names(tmp_path) == []
 
 
+def test_a_movie_never_takes_the_place_of_what_is_there(scene, tmp_path, capsys):
+    video, other = tmp_path / "in.mp4", tmp_path / "other.mp4"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"mp4v"), 10, (WIDTH, HEIGHT))
+    writer.write(np.rint(255 * np.load(scene.coded_npy)).astype(np.uint8)[..., ::-1].copy())
+    writer.release()
+    before = video.read_bytes()
+    asked = "depth", "--bank", scene.bank, "-o", f"{tmp_path}/depth/"
+    result = call(capsys, *asked, video, "--movie", video)
+    assert result.status == 1 and "is an input" in result.err
+    assert video.read_bytes() == before
+    # Of no frame that could be used there is no movie.
+    other.write_bytes(before)
+    small = tmp_path / "small"
+    small.mkdir()
+    for name in ("a.png", "b.png"):
+        (small / name).write_bytes(b"not a picture")
+    result = call(capsys, *asked, small, "--movie", other)
+    assert result.status == 1 and f"{other} was not written" in result.err
+    assert other.read_bytes() == before
+
+
+def test_a_movie_that_was_cut_off_is_not_left_behind(tmp_path):
+    """A limit of the size of files stands in for a full disk."""
+    program = (
+        "import resource, signal, numpy as np\n"
+        "from coded_aperture_ros.io.movie_file import movie\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))\n"
+        "random = np.random.default_rng(0)\n"
+        "with movie('full.mp4') as add:\n"
+        "    for _ in range(20):\n"
+        "        add(random.integers(0, 256, (240, 320, 3), np.uint8))\n"
+    )
+    ran = [sys.executable, "-c", program]
+    result = subprocess.run(ran, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert "cannot write full.mp4: is the disk full?" in result.stderr
+    assert names(tmp_path) == []
+
+
 def test_a_video(scene, tmp_path, capsys):
     pixels = np.rint(255 * np.load(scene.coded_npy)).astype(np.uint8)
     video = tmp_path / "pan.avi"

@@ -54,10 +54,18 @@ def test_version(module):
     assert (result.returncode, result.stderr) == (0, "")
 
 
-def test_a_shell_is_told_what_may_come_next(tmp_path):
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("coded_aperture de", ["demo", "depth", "deblur"]),
+        ("coded_aperture depth --regularize s", ["semiglobal"]),  # an option that comes late
+        ("coded_aperture calibrate bl", ["blind"]),
+    ],
+)
+def test_a_shell_is_told_what_may_come_next(tmp_path, line, expected):
     """As bash asks: the line so far comes in variables, the answer goes to a file."""
     pytest.importorskip("argcomplete")
-    answer, line = tmp_path / "answer", "coded_aperture de"
+    answer = tmp_path / "answer"
     asked = {
         "_ARGCOMPLETE": "1",
         "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
@@ -66,7 +74,7 @@ def test_a_shell_is_told_what_may_come_next(tmp_path):
     }
     program = [sys.executable, "-m", "coded_aperture_ros"]
     subprocess.run(program, env={**os.environ, **asked}, timeout=60, check=True)
-    assert answer.read_text().replace("\013", " ").split() == ["demo", "depth", "deblur"]
+    assert answer.read_text().replace("\013", " ").split() == expected
 
 
 @pytest.mark.parametrize("arguments", [[], ["unknown"], ["--unknown"]])
