@@ -36,6 +36,8 @@ _ACCURACY = Group(
     coded_aperture bench accuracy simple
   metric depth of ray-traced scenes:
     coded_aperture bench accuracy scenes desk/ corridor/
+  pictures of other kinds with measured depth:
+    coded_aperture bench accuracy pictures data/
   how much less the depth of a video flickers when it is filtered over time:
     coded_aperture bench accuracy video rendered/video/
 """,
@@ -44,6 +46,7 @@ _ACCURACY = Group(
         "two-plane": "two planes, one before the other",
         "simple": "planes behind masks of a few equal holes",
         "scenes": "ray-traced scenes with true depth",
+        "pictures": "pictures with measured depth, behind many masks",
         "video": "videos with true depth, filtered over time",
     },
 )

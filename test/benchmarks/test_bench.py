@@ -14,6 +14,7 @@ import pytest
 from cli_scene import CAMERA, HEIGHT, WIDTH, call, texture
 from coded_aperture_benchmarks.frames.misfits import LIGHT, MISFITS, Fitting, recorded
 from coded_aperture_benchmarks.reference import REFERENCE_METHODS
+from coded_aperture_benchmarks.suites import pictures
 from coded_aperture_benchmarks.suites.stair import lost_cells
 
 from coded_aperture_ros.cli import extension
@@ -233,6 +234,17 @@ def test_what_fits_is_said_to_fit(capsys, folder):
     assert all(row["coverage"] <= row["coverage_unchecked"] for row in results["rows"])
     assert "of 5 frames that fit" in call(capsys, *arguments).out
     assert "use levin" in call(capsys, "bench", "fitting", folder, "--masks", "zhou").err
+
+
+def test_pictures_are_seen_by_many_cameras(capsys, tmp_path):
+    result = call(capsys, "bench", "accuracy", "pictures", tmp_path)
+    assert result.status == 1 and "expected a folder with video_livingroom1/" in result.err
+    rows = pictures.measure(pictures.Cell(tmp_path, 0, "levin", "near", (3.0, 14.0)))
+    assert [row["recorded"] for row in rows] == ["noise 0.002", "noise 0.005", "8 bits"]
+    for row in rows:
+        assert row["fits"] and row["picture"] == "motorcycle"
+        assert row["right_confident"] > 0.85 and row["coverage"] > 0.7
+    assert "motorcycle" in pictures.SUITE.text({"cells": rows})
 
 
 def test_a_camera_gets_its_data_sheet(capsys, tmp_path):
