@@ -1,8 +1,6 @@
 """Learning a filter bank from the PSFs of a mask and the natural-image prior."""
 
 import dataclasses
-from collections.abc import Callable, Iterable
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +13,7 @@ from coded_aperture_ros.bank.prior import NaturalImagePrior
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
 
 # Blur levels that a depth range is divided into, unless something else is asked for.
@@ -101,7 +100,7 @@ def learn_bank_for_camera(
     far_m: float,
     level_count: int,
     config: LearnConfig | None = None,
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    progress: Progress = iter,
     prior: NaturalImagePrior | None = None,
 ) -> FilterBank:
     """Learn the bank of a camera for a depth range, from its mask alone.
@@ -222,7 +221,7 @@ def learn_bank(
     prior: NaturalImagePrior | None = None,
     learned_from: str = "PSFs, natural-image prior",
     mask: Mask | None = None,
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    progress: Progress = iter,
     components: FloatArray | None = None,
 ) -> FilterBank:
     """Learn the bank that identifies the blur levels of a PSF stack.

@@ -1,8 +1,6 @@
 """The field curvature of a lens, from planes at known depths."""
 
 import dataclasses
-from collections.abc import Callable, Iterable
-from typing import Any
 
 import numpy as np
 
@@ -10,6 +8,7 @@ from coded_aperture_ros.bank import learn_bank
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.optics import Camera, FieldCurvature, render_psf_stack
 
@@ -38,9 +37,7 @@ class FieldFit:
     misplaced: tuple[int, ...]
 
 
-def fit_field(
-    camera: Camera, planes: Planes, progress: Callable[[Iterable[Any]], Iterable[Any]] = iter
-) -> FieldFit:
+def fit_field(camera: Camera, planes: Planes, progress: Progress = iter) -> FieldFit:
     """Fit field curvature and mask extent to the blur that a bank of the axis finds everywhere.
 
     An `InputError` if too few planes are blurred enough, or pictures have other proportions.

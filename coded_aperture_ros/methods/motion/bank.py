@@ -1,12 +1,9 @@
 """The filter bank of defocus and motion together: motions as further hypotheses."""
 
 import dataclasses
-from collections.abc import Callable, Iterable
-from typing import Any
 
 import numpy as np
 import scipy.fft
-import scipy.linalg
 
 from coded_aperture_ros.bank import (
     EmpiricalPrior,
@@ -18,6 +15,7 @@ from coded_aperture_ros.bank import (
 from coded_aperture_ros.bank.factoring import common_basis, fitted_coefficients
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.methods.motion.kernels import Motions, blurred_psf, motion_kernel
 from coded_aperture_ros.optics import PsfStack
 
@@ -57,10 +55,7 @@ class MotionBank:
 
 
 def learn_motion_bank(
-    bank: FilterBank,
-    motions: Motions,
-    rank: int = 128,
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    bank: FilterBank, motions: Motions, rank: int = 128, progress: Progress = iter
 ) -> MotionBank:
     """Extend a bank of blur levels by motions.
 
@@ -126,9 +121,7 @@ def learn_motion_bank(
     return MotionBank(bank, motions, product, expected)
 
 
-def expected_powers(
-    bank: FilterBank, motions: Motions, progress: Callable[[Iterable[Any]], Iterable[Any]] = iter
-) -> FloatArray:
+def expected_powers(bank: FilterBank, motions: Motions, progress: Progress = iter) -> FloatArray:
     """Return the expected power of every product of motion and level [slopes, M * L, K].
 
     This is `WindowedFourierBasis.expected_power` in another order: the window's own spectrum
