@@ -8,10 +8,14 @@ from sensor_msgs.msg import Image
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.messages import depth_from_pixels
+from coded_aperture_ros.io.messages import (
+    MessageError,
+    array_from_image,
+    depth_from_pixels,
+    frame_from_image,
+)
 from coded_aperture_ros.io.sources import Capture
 from coded_aperture_ros.optics import Camera
-from coded_aperture_ros.ros.messages import MessageError, array_from_image, frame_from_image
 from coded_aperture_ros.ros.messages import stamp_ns as stamp_of
 from coded_aperture_ros.ros.pairing import StampPairs
 from coded_aperture_ros.ros.topics import Inputs

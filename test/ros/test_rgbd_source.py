@@ -11,15 +11,10 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
+from coded_aperture_ros.io.messages import MessageError, array_from_image, millimetres_from_depth
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
-from coded_aperture_ros.ros.messages import (
-    MessageError,
-    array_from_image,
-    image_from_array,
-    millimetres_from_depth,
-    stamp_ns,
-)
+from coded_aperture_ros.ros.messages import image_from_array, stamp_ns
 from coded_aperture_ros.ros.pace import Pace
 from coded_aperture_ros.ros.rgbd_source import depth_in_metres
 from coded_aperture_ros.simulation import render_coded_frame
