@@ -5,13 +5,7 @@ import dataclasses
 import numpy as np
 import scipy.fft
 
-from coded_aperture_ros.bank import (
-    EmpiricalPrior,
-    FilterBank,
-    WindowedFourierBasis,
-    power_spectrum,
-    with_all_frequencies,
-)
+from coded_aperture_ros.bank import FilterBank, WindowedFourierBasis, with_all_frequencies
 from coded_aperture_ros.bank.factoring import common_basis, fitted_coefficients
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
@@ -131,12 +125,7 @@ def expected_powers(bank: FilterBank, motions: Motions, progress: Progress = ite
     n, psfs = bank.window_px, bank.stack.psfs
     period = 4 * n
     torus = (period, period)
-    prior = bank.prior
-    textures = (
-        [texture(torus) for texture in prior.spectra]
-        if isinstance(prior, EmpiricalPrior)
-        else [power_spectrum(slope, torus) for slope in prior.slopes]
-    )
+    textures = [texture(torus) for texture in bank.prior.spectra]
     defocus = np.abs(scipy.fft.rfft2(psfs.astype(np.float64), torus)) ** 2
     spread = _spread(bank.fourier, period)
     # The power at (-v, -h) is that at (v, h): half of all frequencies, in two parts, are enough.
