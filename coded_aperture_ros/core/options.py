@@ -72,6 +72,12 @@ def option(
     return dataclasses.field(default=default, metadata={"option": known})
 
 
+def option_of(config: type, name: str) -> Any:
+    """Declare a dataclass field with default and `Option` of one of another configuration."""
+    field, known = options_of(config)[name]
+    return dataclasses.field(default=field.default, metadata={"option": known})
+
+
 def options_of(config: Any) -> dict[str, tuple[dataclasses.Field[Any], Option]]:
     """Return `{name: (field, option)}` of a configuration dataclass or an instance of one."""
     return {
