@@ -59,7 +59,7 @@ def fit_field(camera: Camera, planes: Planes, progress: Progress = iter) -> Fiel
     config = DepthConfig(regularize="semiglobal", check_fit=False, threads=0)
     estimator = DepthEstimator(bank, config)
     tangent2 = FieldCurvature(1.0).dioptres(camera.intrinsics, (rows, columns))
-    unit = camera.mask_extent_mm * 1e-3 * camera.focal_length_px  # px per dioptre
+    unit = camera.blur_per_dioptre_px
     # Nearer to the border no window is centred.
     points, margin = [], bank.window_px // 2
     some = np.s_[margin:-margin:_EVERY_PX, margin:-margin:_EVERY_PX]
