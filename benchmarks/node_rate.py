@@ -164,8 +164,8 @@ def _longest_row(missing: Iterator[bool]) -> int:
 
 def render_frames(camera_file: Path) -> NDArray[np.uint8]:
     """Return different views of a real scene, coded by the camera's mask, with noise; mono8."""
+    from coded_aperture_ros.io.messages import luminance, pixels_from_frame
     from coded_aperture_ros.optics import load_camera
-    from coded_aperture_ros.ros.messages import luminance, pixels_from_frame
     from coded_aperture_ros.simulation import PanningScene, SensorModel, motorcycle_scene
 
     panning = PanningScene(motorcycle_scene(), load_camera(camera_file), period_s=2.0 * FRAMES)

@@ -28,9 +28,10 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
+from coded_aperture_ros.io.messages import array_from_image
 from coded_aperture_ros.ros.deblur_node import StampPairs
 from coded_aperture_ros.ros.frame_node import FrameNode
-from coded_aperture_ros.ros.messages import array_from_image, image_from_array, stamp_ns
+from coded_aperture_ros.ros.messages import image_from_array, stamp_ns
 from coded_aperture_ros.ros.topics import LocalTopics, Outputs
 
 PROFILE = Path(__file__).resolve().parent.parent / "config" / "fastdds_shared_memory.xml"

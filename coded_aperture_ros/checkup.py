@@ -46,9 +46,8 @@ def camera_findings(camera: Camera, near_m: float, far_m: float) -> list[Finding
         f"{step:.2g} m at {depth:.3g} m" if math.isfinite(step) else f"none beyond {depth:.3g} m"
         for depth, step in told_apart.values()
     )
-    told = FAILED if setting.levels < _FEWEST_LEVELS else OK
-    if told == OK and setting.levels < _FEW_LEVELS:
-        told = WARNING
+    few, fewest = setting.levels < _FEW_LEVELS, setting.levels < _FEWEST_LEVELS
+    told = FAILED if fewest else WARNING if few else OK
     holes_px = min(setting.hole_blur_near_px, setting.hole_blur_far_px)
     largest_px = max(setting.hole_blur_near_px, setting.hole_blur_far_px)
     coded = FAILED if largest_px < _LEAST_HOLE_PX else OK if holes_px > _LEAST_HOLE_PX else WARNING

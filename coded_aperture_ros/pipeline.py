@@ -11,6 +11,7 @@ from typing import Any
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.core.stamp_order import StampOrder
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator, estimate_video
@@ -82,7 +83,7 @@ class FramePipeline:
         camera: Camera | None = None,
         depth: DepthConfig | None = None,
         deblur: DeblurConfig | None = DeblurConfig(),  # noqa: B008  frozen
-        progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+        progress: Progress = iter,
     ) -> None:
         self.estimator, self._progress = DepthEstimator(model, depth, camera), progress
         self._deblurrer = None if deblur is None else Deblurrer(model.stack, deblur, progress)

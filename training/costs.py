@@ -148,7 +148,7 @@ def shown(number: int, light: np.ndarray, blur_px: np.ndarray, folder: Path) -> 
     sizes = bank.blur_sizes_px * how.scale
     near = {"far": 0.0, "near": 1.0, "both": 0.5}[what.side]
     grid = observed.grid
-    truth = blur_px[np.ix_(grid.row_centres, grid.column_centres)]
+    truth = grid.at_centres(blur_px)
     about = np.abs(sizes[cost.volume.argmin(-1)] - truth) < 1
     return {
         "costs": _whole(cost_features(looks, around, cells, sizes, near), CELLS),

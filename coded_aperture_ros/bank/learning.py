@@ -1,8 +1,6 @@
 """Learning a filter bank from the PSFs of a mask and the natural-image prior."""
 
 import dataclasses
-from collections.abc import Callable, Iterable
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +13,7 @@ from coded_aperture_ros.bank.prior import NaturalImagePrior
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
 
 # Blur levels that a depth range is divided into, unless something else is asked for.
@@ -101,7 +100,7 @@ def learn_bank_for_camera(
     far_m: float,
     level_count: int,
     config: LearnConfig | None = None,
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    progress: Progress = iter,
     prior: NaturalImagePrior | None = None,
 ) -> FilterBank:
     """Learn the bank of a camera for a depth range, from its mask alone.
@@ -222,7 +221,7 @@ def learn_bank(
     prior: NaturalImagePrior | None = None,
     learned_from: str = "PSFs, natural-image prior",
     mask: Mask | None = None,
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    progress: Progress = iter,
     components: FloatArray | None = None,
 ) -> FilterBank:
     """Learn the bank that identifies the blur levels of a PSF stack.
@@ -249,7 +248,6 @@ def learn_bank(
         If there are fewer than two levels, they are not in order, or a PSF is larger than the
         window.
     """
-    config = config or LearnConfig()
     prior = prior or NaturalImagePrior()
     check_levels(len(stack))
     for name, values in (("blur sizes", stack.blur_sizes_px), ("depths", stack.depths_m)):
@@ -258,28 +256,12 @@ def learn_bank(
             raise InputError(
                 f"{name}: levels must be in order, all increasing or all decreasing: sort the PSFs"
             )
-    widest = stack.psfs.shape[-1]
-    stride_px = DEFAULT_STRIDE_PX
-    if not config.window_px:
-        largest_px = float(np.abs(stack.blur_sizes_px).max()) if stack.in_pixels else 0.0
-        config = config.for_blur(largest_px, widest)
-        stride_px = config.window_px // _STRIDES_PER_WINDOW // 4 * 4
-        stride_px = min(max(stride_px, DEFAULT_STRIDE_PX), _LARGEST_STRIDE_PX)
-    if widest > config.window_px:
-        raise InputError(
-            f"a PSF of {widest} px does not fit the {config.window_px} px window: "
-            "use a larger window, or fewer or smaller blur sizes"
-        )
-    highest_frequency = config.highest_frequency or _HIGHEST_FREQUENCY
-    sharp = stack.in_pixels and np.abs(stack.blur_sizes_px).min() < _SHARP_PX
-    if sharp and not config.highest_frequency:
-        highest_frequency = 1.0
-    fourier = WindowedFourierBasis(config.window_px, highest_frequency)
+    config, stride_px = _suiting(stack, config or LearnConfig())
+    fourier = WindowedFourierBasis(config.window_px, config.highest_frequency)
     of_levels = stack.psfs[:, None] if components is None else components.swapaxes(0, 1)
-    textures = prior.spectra if isinstance(prior, EmpiricalPrior) else prior.slopes
     expected = np.array(
         [
-            [sum(fourier.expected_power(psf, texture) for psf in psfs) for texture in textures]
+            [sum(fourier.expected_power(psf, texture) for psf in psfs) for texture in prior.spectra]
             for psfs in progress(of_levels)
         ]
     )  # [L, slopes, K]
@@ -308,9 +290,29 @@ def learn_bank(
         noise=config.noise,
         mask_digest=mask.digest if mask else "",
         learned_from=learned_from,
-        highest_frequency=highest_frequency,
+        highest_frequency=config.highest_frequency,
         stride_px=stride_px,
     )
+
+
+def _suiting(stack: PsfStack, config: LearnConfig) -> tuple[LearnConfig, int]:
+    """Choose by the blur what settings leave open; return them, and the stride of the patches."""
+    sizes_px, widest = np.abs(stack.blur_sizes_px), stack.psfs.shape[-1]
+    stride_px = DEFAULT_STRIDE_PX
+    if not config.window_px:
+        config = config.for_blur(float(sizes_px.max()) if stack.in_pixels else 0.0, widest)
+        stride_px = config.window_px // _STRIDES_PER_WINDOW // 4 * 4
+        stride_px = min(max(stride_px, DEFAULT_STRIDE_PX), _LARGEST_STRIDE_PX)
+    if widest > config.window_px:
+        raise InputError(
+            f"a PSF of {widest} px does not fit the {config.window_px} px window: "
+            "use a larger window, or fewer or smaller blur sizes"
+        )
+    if not config.highest_frequency:
+        sharp = stack.in_pixels and sizes_px.min() < _SHARP_PX
+        highest = 1.0 if sharp else _HIGHEST_FREQUENCY
+        config = dataclasses.replace(config, highest_frequency=highest)
+    return config, stride_px
 
 
 def relearned(bank: FilterBank, window_px: int, levels: IndexArray) -> FilterBank:

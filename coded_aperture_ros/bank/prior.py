@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -45,6 +46,11 @@ class NaturalImagePrior:
             raise InputError(f"prior contrasts: expected positive numbers, got {self.contrasts}")
         if not 0 <= self.model_error < 1:
             raise InputError(f"prior model error: expected 0 to 1, got {self.model_error}")
+
+    @property
+    def spectra(self) -> tuple[Callable[[tuple[int, int]], DoubleArray], ...]:
+        """For each slope, `power_spectrum` as a function of an image's shape."""
+        return tuple(partial(power_spectrum, slope) for slope in self.slopes)
 
 
 def power_spectrum(

@@ -52,12 +52,7 @@ def remap_bank(
         raise InputError(f"the bank is for another mask than the camera's {camera.mask.name}")
     if near_m is None or far_m is None:
         return _with_new_depths(bank, pattern, camera, learned_from)
-    config = LearnConfig(
-        window_px=bank.window_px,
-        rank=bank.basis_vectors,
-        highest_frequency=bank.highest_frequency,
-        noise=bank.noise,
-    )
+    config = LearnConfig(bank.window_px, bank.basis_vectors, bank.highest_frequency, bank.noise)
     count = bank.levels if level_count is None else level_count
     if pattern is not None:
         camera.blur_range_px(near_m, far_m)  # refuses what is not on the camera's side

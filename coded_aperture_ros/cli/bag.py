@@ -1,7 +1,6 @@
 """`coded_aperture bag`: depth and all-in-focus frames of a recorded bag, and how good they are."""
 
 import argparse
-import json
 import logging
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from coded_aperture_ros.cli.estimators import (
     expected_motion_of,
     pipeline_of,
 )
+from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import add_bits_option, add_gamma_option, add_options
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.workers import load_in_fork_server, processors
@@ -120,8 +120,7 @@ def run(args: argparse.Namespace) -> int:
         logging.warning(f"{source}: processed up to the damage: {results['damage']}")
     for fault, reason in results["fault_reasons"].items():
         logging.warning(f"{results['faults'][fault]} frame(s) not used ({fault}): {reason}")
-    print(json.dumps(results) if args.json else _in_words(results))
-    return 0
+    return tell(args, results, _in_words)
 
 
 def _in_words(results: dict[str, Any]) -> str:

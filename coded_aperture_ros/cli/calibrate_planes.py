@@ -239,7 +239,7 @@ def _summary(args: argparse.Namespace, found: Any, camera: Any, seconds: float) 
     if camera is not None:
         summary["camera"] = args.camera
         summary["camera_focus_distance_m"] = camera.focus_distance_m
-        summary["camera_slope_px_m"] = camera.mask_extent_mm * 1e-3 * camera.focal_length_px
+        summary["camera_slope_px_m"] = camera.blur_per_dioptre_px
         summary["mask_extent_mm"] = round(pattern.slope_px_m / camera.focal_length_px * 1e3, 4)
     return summary
 

@@ -92,11 +92,10 @@ def _learned(camera: Any, range_m: Any) -> Any:
     from coded_aperture_ros.bank.learning import DEFAULT_LEVEL_COUNT
     from coded_aperture_ros.cli.progress import progress
 
-    def watched(levels: Any) -> Any:
-        return progress(levels, DEFAULT_LEVEL_COUNT, "level")
-
-    near_m, far_m = range_m
-    return learn_bank_for_camera(camera, near_m, far_m, DEFAULT_LEVEL_COUNT, progress=watched)
+    (near_m, far_m), count = range_m, DEFAULT_LEVEL_COUNT
+    return learn_bank_for_camera(
+        camera, near_m, far_m, count, progress=lambda levels: progress(levels, count, "level")
+    )
 
 
 def _frames(args: argparse.Namespace) -> Any:

@@ -9,6 +9,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from coded_aperture_ros.cli.measuring import rounded
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -41,7 +43,7 @@ def summarise(monitor: "DemoMonitor", seconds: float) -> dict[str, Any]:
             "frames": len(arrivals),
             "rate_hz": round(len(arrivals) / seconds, 3),
             "frames_in_each_second": of_second[: int(seconds)].tolist(),
-            **dict(zip(_LATENCIES, map(_number, latencies_s), strict=True)),
+            **dict(zip(_LATENCIES, (rounded(s, 4) for s in latencies_s), strict=True)),
         }
         if node is not None:
             summary[name] |= {key: monitor.count(node, key) for key in ("dropped", "rejected")}
@@ -160,21 +162,16 @@ def figures_of_snapshot(snapshot: "dict[str, NDArray]") -> dict[str, Any]:
     return {
         "frame": [*sharp.shape[1::-1]],
         "depth_image": [*depth_m.shape[::-1]],
-        "psnr_coded_db": _number(psnr_db(snapshot[topics.CODED], sharp)),
-        "psnr_all_in_focus_db": _number(psnr_db(snapshot[topics.DEBLURRED], sharp)),
+        "psnr_coded_db": rounded(psnr_db(snapshot[topics.CODED], sharp), 4),
+        "psnr_all_in_focus_db": rounded(psnr_db(snapshot[topics.DEBLURRED], sharp), 4),
         "snapshot_depth": {
-            name: _number(value) for name, value in dataclasses.asdict(error).items()
+            name: rounded(value, 4) for name, value in dataclasses.asdict(error).items()
         },
     }
-
-
-def _number(value: float) -> float | None:
-    """Return a number that JSON can hold."""
-    return round(value, 4) if math.isfinite(value) else None
 
 
 def _median(values: Sequence[float]) -> float | None:
     import numpy as np
 
     known = [value for value in values if math.isfinite(value)]
-    return _number(float(np.median(known))) if known else None
+    return rounded(float(np.median(known)), 4) if known else None

@@ -7,7 +7,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, nullcontext
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -110,26 +110,13 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.methods.choose import bank_of
     from coded_aperture_ros.optics import load_camera
 
-    check_estimator_options(args)
-    if args.look_ahead and not args.temporal_frames:
-        args.usage_error("--look-ahead: needs --temporal-frames above 0 too")
-    if args.look_ahead and args.angular_velocity is not None:
-        args.usage_error("--look-ahead: not with --angular-velocity, which is of one frame")
-    if args.as_levels and args.output.lower().endswith(".png"):
-        raise InputError(f"{args.output}: a PNG has depths in mm, write levels to .npy or .tiff")
-    if args.points and (args.as_levels or not args.camera):
-        args.usage_error("--points: needs --camera, and no --as-levels")
-    if args.frame_scale != 1 and (args.look_ahead or args.motion):
-        args.usage_error("--frame-scale: not with --look-ahead or --motion")
-    if args.movie:
-        check_suffix(args.movie, (".mp4",))
+    _check_usage(args)
     camera = load_camera(args.camera) if args.camera else None
     if args.frame_scale != 1 and camera is not None:
         # Resampling changes the noise: it is estimated.
         camera = dataclasses.replace(camera, noise=0.0, noise_gain=0.0)
     pipeline = pipeline_of(args, camera)
     prior = expected_motion_of(args, camera)
-    levels = len(pipeline.estimator.model.stack)
     both_sides = pipeline.estimator.model.stack.has_both_sides
 
     def files(path: Path) -> dict[str, Path]:
@@ -139,13 +126,12 @@ def run(args: argparse.Namespace) -> int:
         return [*files(path).values(), *([Path(args.movie)] if args.movie else [])]
 
     unusable, bank = Unusable(), bank_of(pipeline.estimator.model)
-    shown = ExitStack()
-    add_to_movie = shown.enter_context(movie(args.movie)) if args.movie else None
+    shown: AbstractContextManager[Any] = movie(args.movie) if args.movie else nullcontext()
     scale = _scale(args, pipeline.estimator)
     frames = named_frames(args, ".npy", _SUFFIXES, outputs, unusable)
     summaries: list[dict[str, Any]] = []
     config = pipeline.estimator.config
-    with shown:
+    with shown as add_to_movie:
         for (_, lost), video in groupby(frames, key=lambda frame: (frame.video, frame.least_noise)):
             least_noise = max(config.least_noise, lost)
             pipeline.reconfigure(depth=dataclasses.replace(config, least_noise=least_noise))
@@ -160,7 +146,7 @@ def run(args: argparse.Namespace) -> int:
                 values = estimate.depth_m
                 if args.as_levels or values is None:
                     values = estimate.level
-                _write(files(frame.output), values, estimate, args, levels)
+                _write(files(frame.output), values, estimate, args, scale)
                 if args.points and camera is not None:
                     points = points_of_frame(estimate, frame.image, camera, args.gamma)
                     write_points(files(frame.output)["points"], points)
@@ -173,6 +159,23 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(summaries))
     return unusable.status()
+
+
+def _check_usage(args: argparse.Namespace) -> None:
+    """Refuse options that do not go together, or with the output."""
+    check_estimator_options(args)
+    if args.look_ahead and not args.temporal_frames:
+        args.usage_error("--look-ahead: needs --temporal-frames above 0 too")
+    if args.look_ahead and args.angular_velocity is not None:
+        args.usage_error("--look-ahead: not with --angular-velocity, which is of one frame")
+    if args.as_levels and args.output.lower().endswith(".png"):
+        raise InputError(f"{args.output}: a PNG has depths in mm, write levels to .npy or .tiff")
+    if args.points and (args.as_levels or not args.camera):
+        args.usage_error("--points: needs --camera, and no --as-levels")
+    if args.frame_scale != 1 and (args.look_ahead or args.motion):
+        args.usage_error("--frame-scale: not with --look-ahead or --motion")
+    if args.movie:
+        check_suffix(args.movie, (".mp4",))
 
 
 def _in_turn(
@@ -317,7 +320,7 @@ def _files(path: Path, args: argparse.Namespace, both_sides: bool) -> dict[str, 
 
 
 def _write(
-    files: dict[str, Path], values: Any, estimate: Any, args: argparse.Namespace, levels: int
+    files: dict[str, Path], values: Any, estimate: Any, args: argparse.Namespace, scale: Any
 ) -> None:
     from coded_aperture_ros.io import confidence_picture, depth_picture, write_depth, write_image
 
@@ -329,9 +332,6 @@ def _write(
     for name in results.keys() & files.keys():
         write_depth(files[name], results[name])
     if args.pictures:
-        if args.as_levels:
-            picture = depth_picture(values, 0, levels - 1, unit="")
-        else:
-            picture = depth_picture(values)
-        write_image(files["picture"], picture)
+        # Depths of each frame have a scale of their own, which shows more.
+        write_image(files["picture"], depth_picture(values, *(scale if args.as_levels else ())))
         write_image(files["confidence picture"], confidence_picture(estimate.confidence))

@@ -85,8 +85,8 @@ def named_frames(
     args: argparse.Namespace,
     suffix: str,
     suffixes: Sequence[str],
-    outputs: Callable[[Path], Iterable[Path]] = lambda output: (output,),
-    unusable: Unusable | None = None,
+    outputs: Callable[[Path], Iterable[Path]],
+    unusable: Unusable,
 ) -> Iterator[NamedFrame]:
     """Go through every frame of every input.
 
@@ -95,7 +95,7 @@ def named_frames(
     that ends in `suffix`. `outputs` gives all the files that belong to an output. That they can be
     written is checked before a frame is handed out. Raises `InputError` if several frames would go
     to one file, an input cannot be read, or an output cannot be written or would overwrite an
-    input. Of several pictures, those that cannot be read are left to `unusable`, if it is given.
+    input. Of several pictures, those that cannot be read are left to `unusable`.
     """
     import numpy as np
 
@@ -126,9 +126,7 @@ def named_frames(
             "use a folder for each"
         )
 
-    on_error = None if unusable is None else unusable.note
-    if unusable is not None:
-        unusable.alone = total == 1 or len(pictures) < len(sources)
+    unusable.alone = total == 1 or len(pictures) < len(sources)
 
     def frames() -> Iterator[tuple[str, Any, int]]:
         video, alone = 0, False
@@ -136,7 +134,7 @@ def named_frames(
             before = alone
             alone = isinstance(source, PictureSource) and source.files == (Path(given),)
             video += not (before and alone)
-            for capture in captures(source, on_error):
+            for capture in captures(source, unusable.note):
                 yield given if alone else f"{given}, frame {capture.name}", capture, video
             if source.damage:
                 logging.warning(f"{given}: read up to the damage: {source.damage}")

@@ -13,6 +13,7 @@ from coded_aperture_ros.cli.measuring import (
     add_depths_option,
     add_level_count_option,
     checked_config,
+    rounded,
     tell,
 )
 from coded_aperture_ros.cli.options import (
@@ -268,10 +269,7 @@ def _resolution(camera: Any, bank: Any) -> dict[str, float | None]:
     if camera is None or bank.stack.depths_m is None:
         return {}
     told_apart = resolutions_m(camera, *sorted(bank.stack.depths_m[[0, -1]].tolist()))
-    return {
-        f"resolution_{name}_m": round(step, 4) if math.isfinite(step) else None
-        for name, (_, step) in told_apart.items()
-    }
+    return {f"resolution_{name}_m": rounded(step, 4) for name, (_, step) in told_apart.items()}
 
 
 def _prior(args: argparse.Namespace) -> Any:

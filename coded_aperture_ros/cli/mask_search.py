@@ -68,6 +68,9 @@ def _add_late_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
+    import numpy as np
+
+    from coded_aperture_ros.io import write_image
     from coded_aperture_ros.mask_design import SceneConfig
     from coded_aperture_ros.mask_design.checkpoint import load_checkpoint, save_checkpoint
     from coded_aperture_ros.mask_design.search import SearchConfig, first_state, search_epochs
@@ -92,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
             if args.checkpoint is not None:
                 save_checkpoint(args.checkpoint, state, config, scene)
     if args.output is not None:
-        _write_mask(args.output, state.best)
+        write_image(args.output, state.best.astype(np.float32))
     _report(args, state)
     return 0
 
@@ -131,19 +134,6 @@ def _run(task: tuple[Any, ...]) -> Any:
     from coded_aperture_ros.mask_design.search import run_epoch
 
     return run_epoch(*task)
-
-
-def _write_mask(name: str, grid: Any) -> None:
-    import numpy as np
-
-    from coded_aperture_ros.core.files import atomic_output
-    from coded_aperture_ros.io import write_image
-
-    if name.lower().endswith(".png"):
-        write_image(name, grid.astype(np.float32))
-    else:
-        with atomic_output(name) as path:
-            np.save(path, grid.astype(np.float32))
 
 
 def _report(args: argparse.Namespace, state: Any) -> None:

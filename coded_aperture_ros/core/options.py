@@ -72,6 +72,12 @@ def option(
     return dataclasses.field(default=default, metadata={"option": known})
 
 
+def option_of(config: type, name: str) -> Any:
+    """Declare a dataclass field with default and `Option` of one of another configuration."""
+    field, known = options_of(config)[name]
+    return dataclasses.field(default=field.default, metadata={"option": known})
+
+
 def options_of(config: Any) -> dict[str, tuple[dataclasses.Field[Any], Option]]:
     """Return `{name: (field, option)}` of a configuration dataclass or an instance of one."""
     return {
@@ -119,7 +125,7 @@ def check_options(config: Any) -> None:
 def check_option(name: str, value: Any, expected: type, described: Option) -> None:
     """Check one value; see `check_options`."""
     allowed = f" ({described.allowed})" if described.allowed else ""
-    if not _has_type(value, expected):
+    if not has_type(value, expected):
         raise InputError(f"{name}: expected {expected.__name__}{allowed}, got {value!r}")
     if described.choices is not None and value not in described.choices:
         raise InputError(f"{name}: {value!r} is not allowed, use {described.allowed}")
@@ -131,9 +137,8 @@ def check_option(name: str, value: Any, expected: type, described: Option) -> No
             raise InputError(f"{name}: {value!r} is out of range{allowed}")
 
 
-def _has_type(value: Any, expected: type) -> bool:
-    if expected is float:
-        return isinstance(value, (int, float)) and not isinstance(value, bool)
-    if expected is int:
-        return isinstance(value, int) and not isinstance(value, bool)
-    return isinstance(value, expected)
+def has_type(value: Any, expected: type) -> bool:
+    """Return whether a value is of a type: integers are floats too, true and false no numbers."""
+    if isinstance(value, bool):
+        return expected is bool
+    return isinstance(value, (int, float) if expected is float else expected)

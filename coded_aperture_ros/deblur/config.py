@@ -2,8 +2,9 @@
 
 import dataclasses
 
-from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.core.options import check_options, option, option_of
 from coded_aperture_ros.core.workers import thread_count
+from coded_aperture_ros.depth.config import DepthConfig
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,18 +19,8 @@ class DeblurConfig:
         choices=("fast", "inverse", "cg", "sparse"),
         parameter="deblur.method",
     )
-    noise: float = option(
-        0.0,
-        "Standard deviation of one channel's noise, linear light; 0: estimated in each frame.",
-        within=(0.0, 0.5),
-        parameter="noise.sigma",
-    )
-    noise_gain: float = option(
-        0.0,
-        "Variance of one channel's shot noise per unit of light; adds to the variance of noise.",
-        within=(0.0, 0.1),
-        parameter="noise.gain",
-    )
+    noise: float = option_of(DepthConfig, "noise")
+    noise_gain: float = option_of(DepthConfig, "noise_gain")
     smoothness: float = option(
         1.0,
         "Trades sharpness (below 1) against noise and ringing (above 1).",

@@ -6,6 +6,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.core.workers import Workers, thread_count
 from coded_aperture_ros.deblur.blend import Blend, untrained
 from coded_aperture_ros.deblur.blur_map import (
@@ -20,7 +21,6 @@ from coded_aperture_ros.deblur.least_squares import ConjugateGradients, Sparse
 from coded_aperture_ros.deblur.problem import (
     Method,
     Problem,
-    Progress,
     VideoState,
     measured_pixels,
     motion_of_frame,

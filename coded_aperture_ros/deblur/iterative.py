@@ -10,6 +10,7 @@ import numpy as np
 import scipy.fft
 
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blend import Blend
 from coded_aperture_ros.deblur.blur_map import filled_blur_map, model_weight
@@ -17,7 +18,7 @@ from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fast import ClosedForm
 from coded_aperture_ros.deblur.occlusion import OccludedBlur
 from coded_aperture_ros.deblur.operator import BlurOperator, SpreadingBlur, motion_parts
-from coded_aperture_ros.deblur.problem import Problem, Progress, VideoState, from_opponents
+from coded_aperture_ros.deblur.problem import Problem, VideoState, from_opponents
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 
 # Occlusion is reckoned with, unless asked otherwise, where its weights fit into so much memory.

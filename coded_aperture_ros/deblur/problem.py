@@ -1,14 +1,14 @@
 """What a method of deblurring gets, of a frame and of a video, and what it has to do."""
 
 import dataclasses
-from collections.abc import Callable, Iterable
-from typing import Any, Protocol
+from typing import Protocol
 
 import cv2
 import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.imaging import StaticAverage, filled
 
 # One bad pixel below this would spoil the whole frame through its Fourier transform.
@@ -17,7 +17,6 @@ _DARKEST = -1.0
 _OPPONENTS = np.float32(np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]]))
 # A place that is the mean of more frames than this has not changed.
 _STATIC = 1.5
-Progress = Callable[[Iterable[Any]], Iterable[Any]]
 
 
 def measured_pixels(frame: FloatArray, saturation: float) -> tuple[FloatArray, BoolArray]:

@@ -2,8 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -12,6 +11,7 @@ from scipy.signal import fftconvolve
 from coded_aperture_ros.bank import FilterBank, LearnConfig, power_spectrum
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.core.workers import thread_count
 from coded_aperture_ros.depth.config import VIDEO_FRAMES, DepthConfig
 from coded_aperture_ros.depth.estimator import DepthEstimator
@@ -49,7 +49,7 @@ def tune(
     shape: tuple[int, int],
     budget_ms: float,
     config: DepthConfig | None = None,
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    progress: Progress = iter,
 ) -> tuple[FilterBank, list[Trial]]:
     """Learn the most accurate bank that needs no more than a time per frame on this machine.
 

@@ -71,13 +71,19 @@ class PatchGrid:
         """Pixel column of the centre of each column of windows."""
         return self.left + self.window_px // 2 + self.stride_px * np.arange(self.columns)
 
+    def at_centres(self, values: FloatArray, cell_px: int = 1) -> FloatArray:
+        """Return a map of the frame, by cells of so many pixels, at the centre of every window."""
+        rows = np.minimum(self.row_centres // cell_px, len(values) - 1)
+        columns = np.minimum(self.column_centres // cell_px, values.shape[1] - 1)
+        return values[np.ix_(rows, columns)]
+
 
 def usable_windows(unusable: BoolArray, grid: PatchGrid) -> BoolArray:
     """Return which windows of a grid have few enough unusable pixels [rows, columns]."""
     # The Hann window's weight is within half its side around the centre, for the most part.
     side = grid.window_px // 2
     share = cv2.boxFilter(unusable.astype(np.float32), -1, (side, side))
-    return share[np.ix_(grid.row_centres, grid.column_centres)] <= _TOLERATED
+    return grid.at_centres(share) <= _TOLERATED
 
 
 def brightness_at(grey: FloatArray, grid: PatchGrid) -> FloatArray:
@@ -91,7 +97,4 @@ def mean_at(values: FloatArray, grid: PatchGrid, side_px: int) -> FloatArray:
     scale = 1 / _BLOCK_PX
     blocks = cv2.resize(values, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     side = max(side_px // _BLOCK_PX, 1)
-    mean: FloatArray = cv2.blur(blocks, (side, side))
-    rows = np.minimum(grid.row_centres // _BLOCK_PX, len(mean) - 1)
-    columns = np.minimum(grid.column_centres // _BLOCK_PX, mean.shape[1] - 1)
-    return mean[np.ix_(rows, columns)]
+    return grid.at_centres(cv2.blur(blocks, (side, side)), _BLOCK_PX)

@@ -77,9 +77,7 @@ def frames_of_patches(frames: FloatArray, grid: PatchGrid) -> FloatArray:
     """Return how many frames the mean is of, as every patch's noise has it [rows, columns]."""
     side = max(grid.window_px // 2 // _SQUARE_PX, 1)
     share = cv2.blur(1 / frames, (side, side))
-    rows = np.minimum(grid.row_centres // _SQUARE_PX, len(share) - 1)
-    columns = np.minimum(grid.column_centres // _SQUARE_PX, share.shape[1] - 1)
-    return np.asarray(1 / share[np.ix_(rows, columns)], np.float32)
+    return np.asarray(1 / grid.at_centres(share, _SQUARE_PX), np.float32)
 
 
 def joined(

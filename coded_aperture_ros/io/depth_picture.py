@@ -83,8 +83,8 @@ def _range(depth_m: NDArray, near_m: float | None, far_m: float | None) -> tuple
 
 
 def _turbo(values: NDArray) -> NDArray[np.uint8]:
-    levels = np.rint(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
-    return cv2.cvtColor(cv2.applyColorMap(levels, cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
+    coloured = cv2.applyColorMap(grey_picture(values), cv2.COLORMAP_TURBO)
+    return cv2.cvtColor(coloured, cv2.COLOR_BGR2RGB)
 
 
 def _scale_strip(

@@ -5,7 +5,6 @@ from coded_aperture_ros.likelihood.backends import (
     EngineLikelihood,
     check_backend,
     new_engine,
-    torch_device,
 )
 from coded_aperture_ros.likelihood.numpy_engine import NumpyEngine
 from coded_aperture_ros.likelihood.plan import Plan
@@ -33,5 +32,4 @@ __all__ = [
     "plausible_ratios",
     "relative_cost",
     "take_logarithm",
-    "torch_device",
 ]

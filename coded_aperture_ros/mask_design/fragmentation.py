@@ -5,7 +5,6 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.methods.motion.kernels import Motions, motion_kernel
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
@@ -105,7 +105,7 @@ def analyse_fragmentation(
     blur_sizes_px: ArrayLike,
     motions: Motions,
     noise_levels: Iterable[float] = NOISE_LEVELS,
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    progress: Progress = iter,
     seed: int = 0,
 ) -> Fragmentation:
     """Count the frequencies above the noise for every way to place holes (thesis 7.4.2).

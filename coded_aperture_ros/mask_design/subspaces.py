@@ -19,7 +19,8 @@ _PATCH_PX = 33
 _COSINES = 10
 _TORUS_PX = 96
 _SLOPE = 2.4
-_CONTRAST = 1e-2
+# Variance of the texture, and standard deviation of the noise behind an open aperture.
+_CONTRAST, _SIGMA = 1e-2, 0.01
 # Table 9.1 of the thesis: masks (a) to (h) of its figure 9.4.
 THESIS_L1 = dict(zip("abcdefgh", (8.24, 6.62, 8.21, 5.63, 8.37, 16.96, 8.17, 16.13), strict=True))
 # Figure 4.4 shows patterns without a list of cells. These two are the same patterns as ours; the
@@ -56,23 +57,19 @@ class SubspaceDistances:
 
 
 def subspace_distances(
-    mask: Mask, blur_sizes_px: Sequence[float] | NDArray[np.floating], sigma: float = 0.01
+    mask: Mask, blur_sizes_px: Sequence[float] | NDArray[np.floating]
 ) -> SubspaceDistances:
     """Compare the subspaces that patches of natural texture lie in after each blur.
 
     The thesis finds each subspace by the singular values of training patches. Here they are the
     leading eigenvectors of the covariance that the natural-image prior has after the blur, which
-    needs no pictures, on the lowest cosines of a patch. `sigma` is the noise behind an open
-    aperture (standard deviation, texture of contrast 0.01); the less light a mask passes, the more
-    noise. An `InputError` if there are fewer than two blur sizes, or they or the noise are not
-    above 0.
+    needs no pictures, on the lowest cosines of a patch. The less light a mask passes, the more
+    noise there is. An `InputError` if there are fewer than two blur sizes, or they are not above 0.
     """
     sizes = [float(size) for size in blur_sizes_px]
     if len(sizes) < 2 or min(sizes) <= 0:
         raise InputError(f"blur sizes: expected at least 2, above 0 px, got {sizes}")
-    if not sigma > 0:
-        raise InputError(f"sigma: expected a noise above 0, got {sigma}")
-    noise = (sigma / mask.open_fraction) ** 2 / _CONTRAST
+    noise = (_SIGMA / mask.open_fraction) ** 2 / _CONTRAST
     transform = _cosine_transform()
     texture = power_spectrum(_SLOPE, (_TORUS_PX, _TORUS_PX))
     full = np.concatenate([texture, texture[:, -2:0:-1]], axis=1)

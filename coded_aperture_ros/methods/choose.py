@@ -1,8 +1,6 @@
 """Which method turns frames into depth: the one place that chooses, for node, command and bag."""
 
 import dataclasses
-from collections.abc import Callable, Iterable
-from typing import Any
 
 from coded_aperture_ros.bank import (
     DEFAULT_LEVEL_COUNT,
@@ -11,6 +9,7 @@ from coded_aperture_ros.bank import (
     learn_bank_for_camera,
 )
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.methods.motion import MotionConfig, MotionModel, learn_motion_bank
 from coded_aperture_ros.methods.two_pixel import SimpleConfig, neighbour_model_for_camera
@@ -29,7 +28,7 @@ def new_model(
     learn: LearnConfig | None = None,
     simple: SimpleConfig | None = None,
     motion: MotionConfig | None = None,
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    progress: Progress = iter,
 ) -> LikelihoodModel:
     """Return what a method needs to know about a mask.
 

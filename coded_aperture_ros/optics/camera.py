@@ -183,7 +183,7 @@ class Camera:
     @property
     def blur_at_infinity_px(self) -> float:
         """Blur size of a point infinitely far away: `M f / z_focus`."""
-        return self.mask_extent_mm * 1e-3 * self.focal_length_px / self.focus_distance_m
+        return self.blur_per_dioptre_px / self.focus_distance_m
 
     @property
     def f_number(self) -> float | None:
@@ -244,7 +244,7 @@ class Camera:
             return size
         missing = self.field_curvature.dioptres(self.intrinsics, depth_m.shape)
         with np.errstate(divide="ignore", invalid="ignore"):
-            slope = self._blur_per_dioptre_px / (1 - self._lens_mask_distance_m / depth_m)
+            slope = self.blur_per_dioptre_px / (1 - self._lens_mask_distance_m / depth_m)
         return np.asarray(size - slope * missing)
 
     def depth_in_field(self, axial_m: FloatArray) -> FloatArray:
@@ -267,14 +267,14 @@ class Camera:
         if self.field_curvature is None:
             return smallest, largest
         shape = (self.image_height, self.image_width)
-        missing = self.field_curvature.dioptres(self.intrinsics, shape) * self._blur_per_dioptre_px
+        missing = self.field_curvature.dioptres(self.intrinsics, shape) * self.blur_per_dioptre_px
         low, high = smallest - max(missing.max(), 0), largest - min(missing.min(), 0)
         if smallest > 0:
             return max(low, min(smallest, _LEAST_BLUR_PX)), high
         return low, (min(high, max(largest, -_LEAST_BLUR_PX)) if largest < 0 else high)
 
     @property
-    def _blur_per_dioptre_px(self) -> float:
+    def blur_per_dioptre_px(self) -> float:
         """``M f``: how fast the blur grows as the inverse depth falls."""
         return self.mask_extent_mm * 1e-3 * self.focal_length_px
 

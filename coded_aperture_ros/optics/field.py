@@ -9,6 +9,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.options import has_type
 from coded_aperture_ros.optics.intrinsics import Intrinsics
 
 _MOST = 1000.0  # than any lens that takes pictures has at 45 degrees
@@ -29,8 +30,7 @@ class FieldCurvature:
 
     def __post_init__(self) -> None:
         for value in (self.second, self.fourth):
-            number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            if not number or not math.isfinite(value) or abs(value) > _MOST:
+            if not has_type(value, float) or not math.isfinite(value) or abs(value) > _MOST:
                 raise InputError(f"field_curvature: {value!r} is not a number up to {_MOST:g}")
 
     @classmethod

@@ -19,6 +19,7 @@ import yaml
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.core.options import has_type
 from coded_aperture_ros.optics.view import View
 
 _IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -65,7 +66,7 @@ class Intrinsics:
     def __post_init__(self) -> None:
         for name in ("image_width", "image_height"):
             value = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+            if not has_type(value, int) or value < 1:
                 raise InputError(f"{name}: expected a whole number of pixels, got {value!r}")
         if not self.projection_matrix:
             k = self.camera_matrix
@@ -227,9 +228,7 @@ def _data(key: str, entry: Any, rows: int, columns: int | None) -> tuple[float, 
         wanted = f"{rows} rows" + ("" if columns is None else f" and {columns} cols")
         raise InputError(f"{key}: expected {wanted}, got {shape[0]!r} and {shape[1]!r}")
     data = entry["data"]
-    numbers = isinstance(data, list) and all(
-        isinstance(value, (int, float)) and not isinstance(value, bool) for value in data
-    )
+    numbers = isinstance(data, list) and all(has_type(value, float) for value in data)
     if not numbers or len(data) != rows * shape[1]:
         raise InputError(f"{key}: data: expected {rows} x {shape[1]!r} numbers, got {data!r}")
     return tuple(float(value) for value in data)

@@ -12,6 +12,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.options import option
+from coded_aperture_ros.io.messages import MessageError, frame_from_pixels, pixels_from_frame
 from coded_aperture_ros.io.sources import (
     SIMULATOR,
     Capture,
@@ -30,12 +31,9 @@ from coded_aperture_ros.ros.diagnostics import (
 )
 from coded_aperture_ros.ros.managed_node import ManagedNode
 from coded_aperture_ros.ros.messages import (
-    MessageError,
     camera_info_from_camera,
     camera_info_from_intrinsics,
-    frame_from_pixels,
     image_from_array,
-    pixels_from_frame,
     scaled_camera_info,
 )
 from coded_aperture_ros.ros.pace import Pace

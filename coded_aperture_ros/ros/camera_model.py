@@ -4,13 +4,9 @@ from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.io.messages import MessageError, view_of
 from coded_aperture_ros.optics import Camera, View, load_camera
-from coded_aperture_ros.ros.messages import (
-    MessageError,
-    camera_info_from_camera,
-    scaled_camera_info,
-    view_of,
-)
+from coded_aperture_ros.ros.messages import camera_info_from_camera, scaled_camera_info
 
 
 def required_camera(path: str) -> Camera:

@@ -12,21 +12,19 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stamp_order import StampOrder
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, blur_levels, covers_frame
 from coded_aperture_ros.imaging import KnownNoise, channel_noise
+from coded_aperture_ros.io.messages import (
+    MessageError,
+    array_from_image,
+    compressed_picture,
+    frame_from_image,
+    pixels_from_frame,
+    written_encoding,
+)
 from coded_aperture_ros.likelihood import BlurLevels
 from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
 from coded_aperture_ros.ros.frame_node import FrameNode
-from coded_aperture_ros.ros.messages import (
-    MessageError,
-    array_from_image,
-    compressed_message,
-    compressed_picture,
-    frame_from_image,
-    image_from_array,
-    pixels_from_frame,
-    stamp_ns,
-    written_encoding,
-)
+from coded_aperture_ros.ros.messages import compressed_message, image_from_array, stamp_ns
 from coded_aperture_ros.ros.pairing import StampPairs
 
 # Frames to keep while depth_node works on them. Those that come meanwhile must not push out the one

@@ -14,8 +14,9 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.io.messages import array_from_image, frame_from_image
 from coded_aperture_ros.metrics.errors import DepthError, depth_error
-from coded_aperture_ros.ros.messages import array_from_image, frame_from_image, stamp_ns
+from coded_aperture_ros.ros.messages import stamp_ns
 from coded_aperture_ros.ros.running import running_apart
 
 CODED, DEBLURRED = "image_raw", "deblurred/image"

@@ -28,6 +28,15 @@ from coded_aperture_ros.depth import (
     side_warning,
 )
 from coded_aperture_ros.depth.config import VIDEO_FRAMES
+from coded_aperture_ros.io.messages import (
+    DEPTH_FORMATS,
+    MessageError,
+    compressed_depth,
+    frame_from_image,
+    limit_depth,
+    millimetres_from_depth,
+    pixels_from_frame,
+)
 from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.methods.choose import METHODS, new_model, with_settings
 from coded_aperture_ros.methods.motion import MotionConfig
@@ -40,17 +49,10 @@ from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
 from coded_aperture_ros.ros.frame_node import FrameNode
 from coded_aperture_ros.ros.gyro import Gyro, GyroConfig
 from coded_aperture_ros.ros.messages import (
-    DEPTH_FORMATS,
-    MessageError,
     cloud_from_points,
-    compressed_depth,
     compressed_message,
-    frame_from_image,
     image_from_array,
     image_from_motion,
-    limit_depth,
-    millimetres_from_depth,
-    pixels_from_frame,
     stamp_ns,
 )
 

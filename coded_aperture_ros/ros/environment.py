@@ -69,7 +69,7 @@ def prepare_ros_environment() -> None:
     if not _rclpy_is_a_wheel():
         return
     os.environ.setdefault("ROS_DISTRO", "jazzy")
-    prefixes = _split(os.environ.get("AMENT_PREFIX_PATH"))
+    prefixes = [one for one in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if one]
     if sys.prefix not in prefixes:
         os.environ["AMENT_PREFIX_PATH"] = os.pathsep.join([sys.prefix, *prefixes])
 
@@ -81,7 +81,3 @@ def _rclpy_is_a_wheel() -> bool:
     if rclpy is None or bootstrap is None or rclpy.origin is None or bootstrap.origin is None:
         return False
     return Path(rclpy.origin).parents[1] == Path(bootstrap.origin).parents[1]
-
-
-def _split(variable: str | None) -> list[str]:
-    return [entry for entry in (variable or "").split(os.pathsep) if entry]

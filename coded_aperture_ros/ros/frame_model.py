@@ -21,10 +21,10 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.depth import depths_are_measured
+from coded_aperture_ros.io.messages import MessageError
 from coded_aperture_ros.likelihood import BlurLevels
 from coded_aperture_ros.optics import Camera, View
 from coded_aperture_ros.ros.camera_model import fitted_camera, required_camera
-from coded_aperture_ros.ros.messages import MessageError
 from coded_aperture_ros.ros.parameters import NodeParameters
 
 Model = TypeVar("Model", bound=BlurLevels)

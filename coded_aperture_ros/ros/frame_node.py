@@ -14,6 +14,7 @@ from std_msgs.msg import Header
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.imaging import noise_hidden_by_compression
+from coded_aperture_ros.io.messages import MessageError, array_from_image
 from coded_aperture_ros.ros.diagnostics import (
     Complaint,
     DiagnosticsConfig,
@@ -22,12 +23,7 @@ from coded_aperture_ros.ros.diagnostics import (
     camera_of,
 )
 from coded_aperture_ros.ros.managed_node import ManagedNode
-from coded_aperture_ros.ros.messages import (
-    MessageError,
-    array_from_image,
-    image_from_compressed,
-    stamp_ns,
-)
+from coded_aperture_ros.ros.messages import image_from_compressed, stamp_ns
 from coded_aperture_ros.ros.newest import NewestWorker
 from coded_aperture_ros.ros.pace import RateLimit
 from coded_aperture_ros.ros.topics import Inputs, LocalTopics, Outputs

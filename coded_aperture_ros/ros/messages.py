@@ -10,27 +10,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, Poi
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.io.messages import (  # noqa: F401 (nodes take them from here)
-    DEPTH_FORMATS,
-    ENCODINGS,
-    Encoding,
-    MessageError,
-    array_from_compressed,
-    array_from_image,
-    check_pixels,
-    compressed_depth,
-    compressed_picture,
-    encoding_of,
-    frame_from_image,
-    frame_from_pixels,
-    limit_depth,
-    luminance,
-    millimetres_from_depth,
-    pixels_from_frame,
-    scaled_matrices,
-    view_of,
-    written_encoding,
-)
+from coded_aperture_ros.io.messages import array_from_compressed, check_pixels, scaled_matrices
 from coded_aperture_ros.optics import Camera, Intrinsics
 
 

@@ -8,10 +8,14 @@ from sensor_msgs.msg import Image
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.messages import depth_from_pixels
+from coded_aperture_ros.io.messages import (
+    MessageError,
+    array_from_image,
+    depth_from_pixels,
+    frame_from_image,
+)
 from coded_aperture_ros.io.sources import Capture
 from coded_aperture_ros.optics import Camera
-from coded_aperture_ros.ros.messages import MessageError, array_from_image, frame_from_image
 from coded_aperture_ros.ros.messages import stamp_ns as stamp_of
 from coded_aperture_ros.ros.pairing import StampPairs
 from coded_aperture_ros.ros.topics import Inputs
@@ -35,9 +39,8 @@ class RgbdSource:
     live = True
 
     def __init__(self, node: Node, camera: Camera, noise: float) -> None:
-        self._camera, self._noise = camera, noise
+        self._camera, self._sensor = camera, SensorModel(noise)
         self._random = np.random.default_rng(0)
-        self._sensor = SensorModel()
         self._pairs: StampPairs[Image, Image] = StampPairs(_WAITING, lambda: None)
         self._changed = threading.Condition()
         self._pair: tuple[Image, Image] | None = None
@@ -57,7 +60,7 @@ class RgbdSource:
         if sharp.shape[:2] != depth_m.shape:
             raise MessageError("size", f"{_IMAGE} and {_DEPTH} are not of one size")
         coded = render_coded_frame(sharp, depth_m, self._camera)
-        coded += np.float32(self._noise) * self._random.standard_normal(coded.shape, np.float32)
+        coded = self._sensor.expose(coded, self._random)
         return Capture(coded, depth_m, sharp, stamp_of(pair[0].header))
 
     def close(self) -> None:

@@ -20,23 +20,23 @@ from coded_aperture_ros.core.errors import InputError
 _Node = TypeVar("_Node", bound=Node)
 
 
-def run_nodes(factories: Sequence[Callable[[], Any]], args: Sequence[str] | None = None) -> int:
+def run_nodes(factories: Sequence[Callable[[], Any]]) -> int:
     """Run nodes in this process until SIGINT or SIGTERM.
 
     The callbacks of all nodes share one executor thread: they only hand over the newest message,
     the work is done in each node's own thread. The order of the end matters: first the work
     stops, then the middleware, so that nothing is published on a context that is gone.
 
-    Each of `factories` makes one node, whose method `close` ends its own threads; `args` is a
-    command line with ROS arguments. Returns the exit status: 0 after a signal; 1 where a node could
-    not start (after one line on stderr) or a callback failed.
+    Each of `factories` makes one node, whose method `close` ends its own threads. Returns the exit
+    status: 0 after a signal; 1 where a node could not start (after one line on stderr) or a
+    callback failed.
     """
     stop = _Stop()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop.on_signal)
     nodes: list[Any] = []
     try:
-        _init(args)
+        _init()
         executor = SingleThreadedExecutor()
         for factory in factories:
             nodes.append(factory())
@@ -66,9 +66,9 @@ def run_nodes(factories: Sequence[Callable[[], Any]], args: Sequence[str] | None
     return stop.status
 
 
-def _init(args: Sequence[str] | None) -> None:
+def _init() -> None:
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # the base of rclpy's own errors, which are private
         raise InputError(f"cannot start ROS: {str(error).splitlines()[0]}") from error
 

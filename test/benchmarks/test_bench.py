@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 import pytest
-from cli_scene import CAMERA, HEIGHT, WIDTH, call, texture
+from cli_scene import CAMERA, HEIGHT, WIDTH, call, json_of, texture
 from coded_aperture_benchmarks.frames.misfits import LIGHT, MISFITS, Fitting, recorded
 from coded_aperture_benchmarks.reference import REFERENCE_METHODS
 from coded_aperture_benchmarks.suites import pictures
@@ -29,12 +29,6 @@ TWO_PLANE = (
     *("bench", "accuracy", "two-plane", "--texture", "random", "--size", 64, 96),
     *("--blurs", "8,28", *SMALL),
 )
-
-
-def json_of(capsys, *arguments):
-    result = call(capsys, *arguments, "--json")
-    assert (result.status, result.err) == (0, "")
-    return json.loads(result.out)
 
 
 def test_a_stair_of_three_steps_is_recognised(capsys):

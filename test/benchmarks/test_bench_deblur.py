@@ -6,7 +6,7 @@ import sys
 import cv2
 import numpy as np
 import pytest
-from cli_scene import CAMERA, call, texture
+from cli_scene import CAMERA, call, json_of, texture
 from coded_aperture_benchmarks.deblurring import ahead, ahead_text, own_methods
 from coded_aperture_benchmarks.frames.stair import make_stair
 from coded_aperture_benchmarks.reference.deblurring import (
@@ -33,12 +33,6 @@ from coded_aperture_ros.simulation import render_coded_frame
 LEVIN = Mask.named("levin")
 SMALL = ("--levels", 3, "--side", 48, "--window", 32, "--rank", 64, "--masks", "levin", "--jobs", 1)
 STAIR = ("bench", "deblur", "stair", *SMALL)
-
-
-def json_of(capsys, *arguments):
-    result = call(capsys, *arguments, "--json")
-    assert (result.status, result.err) == (0, "")
-    return json.loads(result.out)
 
 
 class TestError:

@@ -178,7 +178,8 @@ def camera(pictures):
     from sensor_msgs.msg import Image
     from std_msgs.msg import Header
 
-    from coded_aperture_ros.ros.messages import image_from_array, pixels_from_frame
+    from coded_aperture_ros.io.messages import pixels_from_frame
+    from coded_aperture_ros.ros.messages import image_from_array
 
     ros = Ros()
     publisher = ros.publisher("image_raw", Image, qos_profile_sensor_data)

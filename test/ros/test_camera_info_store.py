@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from cameras import TINY
 from ros_helpers import Ros, wait_until
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
@@ -14,14 +15,6 @@ from coded_aperture_ros.optics import Intrinsics, load_intrinsics
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.camera_info_store import camera_info_path
 
-CAMERA = {
-    "focal_length_px": 119.4,
-    "focus_distance_m": 1.9,
-    "image_width": 64,
-    "image_height": 48,
-    "mask": {"name": "levin"},
-    "mask_extent_mm": 52.0,
-}
 MEASURED = Intrinsics(64, 48, (121.0, 0.0, 30.0, 0.0, 122.0, 25.0, 0.0, 0.0, 1.0), (0.1,) * 5)
 
 
@@ -40,7 +33,7 @@ def ros(home):
 
 def drive(ros, tmp_path, **parameters):
     camera_file = tmp_path / "camera.yaml"
-    camera_file.write_text(yaml.safe_dump(CAMERA))
+    camera_file.write_text(yaml.safe_dump(TINY))
     given = {"camera_file": str(camera_file), "rate_hz": 50.0, **parameters}
     return ros.make(CameraDriverNode, given)
 
@@ -144,7 +137,7 @@ def test_a_folder_that_cannot_be_written_is_told(ros, home, tmp_path):
 
 def test_two_cameras_have_calibrations_of_their_own(ros, home, tmp_path):
     camera_file = tmp_path / "camera.yaml"
-    camera_file.write_text(yaml.safe_dump(CAMERA))
+    camera_file.write_text(yaml.safe_dump(TINY))
     for name in ("left", "right"):
         ros.make(CameraDriverNode, {"camera_file": str(camera_file)}, namespace=f"/robot/{name}")
     assert set_info(ros, message(), "/robot/left/set_camera_info").success

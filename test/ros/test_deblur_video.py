@@ -9,10 +9,11 @@ from sensor_msgs.msg import Image
 
 from coded_aperture_ros.bank import learning
 from coded_aperture_ros.deblur import Deblurrer
+from coded_aperture_ros.io.messages import array_from_image, pixels_from_frame
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
-from coded_aperture_ros.ros.messages import array_from_image, image_from_array, pixels_from_frame
+from coded_aperture_ros.ros.messages import image_from_array
 from coded_aperture_ros.ros.topics import LocalTopics
 
 VIDEO = {"temporal.frames": 5.0}

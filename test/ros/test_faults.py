@@ -14,8 +14,9 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, PointCloud2
 from small_camera import coded_wall, write_model
 
+from coded_aperture_ros.io.messages import pixels_from_frame
 from coded_aperture_ros.optics import load_camera
-from coded_aperture_ros.ros.messages import image_from_array, pixels_from_frame
+from coded_aperture_ros.ros.messages import image_from_array
 
 # After a fault has ended. Two seconds are promised, and `make soak` holds the nodes to it; a busy
 # machine may take longer, also to start a program.

@@ -13,11 +13,12 @@ from small_camera import FAR_M, NEAR_M, coded_wall
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.io.messages import array_from_image, pixels_from_frame
 from coded_aperture_ros.optics import Intrinsics, load_camera
 from coded_aperture_ros.optics.rotation import rotation_of
 from coded_aperture_ros.ros.depth_node import DepthNode
 from coded_aperture_ros.ros.gyro import Gyro, GyroConfig
-from coded_aperture_ros.ros.messages import array_from_image, image_from_array, pixels_from_frame
+from coded_aperture_ros.ros.messages import image_from_array
 
 CAMERA = Intrinsics.pinhole(500.0, 640, 480)
 

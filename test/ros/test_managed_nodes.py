@@ -13,10 +13,11 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.io.messages import pixels_from_frame
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
-from coded_aperture_ros.ros.messages import image_from_array, pixels_from_frame
+from coded_aperture_ros.ros.messages import image_from_array
 from coded_aperture_ros.ros.topics import LocalTopics
 
 SECONDS = itertools.count(100)

@@ -25,19 +25,17 @@ from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera, load_ban
 from coded_aperture_ros.bank.learning import guarded_range
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import map_size
+from coded_aperture_ros.io.messages import (
+    array_from_image,
+    millimetres_from_depth,
+    pixels_from_frame,
+)
 from coded_aperture_ros.optics import load_camera, render_psf
 from coded_aperture_ros.ros import frame_node
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
 from coded_aperture_ros.ros.diagnostics import DiagnosticsConfig, status_of
-from coded_aperture_ros.ros.messages import (
-    array_from_image,
-    camera_info_from_camera,
-    image_from_array,
-    millimetres_from_depth,
-    pixels_from_frame,
-    stamp_ns,
-)
+from coded_aperture_ros.ros.messages import camera_info_from_camera, image_from_array, stamp_ns
 from coded_aperture_ros.ros.pace import RateLimit
 
 

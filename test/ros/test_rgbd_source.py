@@ -6,39 +6,27 @@ import time
 import numpy as np
 import pytest
 import yaml
+from cameras import TINY
 from ros_helpers import wait_until
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
+from coded_aperture_ros.io.messages import MessageError, array_from_image, millimetres_from_depth
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
-from coded_aperture_ros.ros.messages import (
-    MessageError,
-    array_from_image,
-    image_from_array,
-    millimetres_from_depth,
-    stamp_ns,
-)
+from coded_aperture_ros.ros.messages import image_from_array, stamp_ns
 from coded_aperture_ros.ros.pace import Pace
 from coded_aperture_ros.ros.rgbd_source import depth_in_metres
 from coded_aperture_ros.simulation import render_coded_frame
 
 SHAPE = (48, 64)
-CAMERA = {
-    "focal_length_px": 119.4,
-    "focus_distance_m": 1.9,
-    "image_width": 64,
-    "image_height": 48,
-    "mask": {"name": "levin"},
-    "mask_extent_mm": 52.0,
-}
 
 
 @pytest.mark.parametrize("encoding", ["32FC1", "16UC1"])
 def test_an_rgbd_pair_becomes_a_coded_frame_with_its_truth(ros, tmp_path, encoding):
     camera_file = tmp_path / "camera.yaml"
-    camera_file.write_text(yaml.safe_dump(CAMERA))
+    camera_file.write_text(yaml.safe_dump(TINY))
     parameters = {"camera_file": str(camera_file), "source": "rgbd", "noise": 0.0}
     parameters |= {"encoding": "mono16", "publish_clock": True}
     ros.make(CameraDriverNode, parameters)
@@ -64,7 +52,7 @@ def test_an_rgbd_pair_becomes_a_coded_frame_with_its_truth(ros, tmp_path, encodi
 
 def test_pairs_that_cannot_be_used_are_told_and_the_next_is_taken(ros, tmp_path):
     camera_file = tmp_path / "camera.yaml"
-    camera_file.write_text(yaml.safe_dump(CAMERA))
+    camera_file.write_text(yaml.safe_dump(TINY))
     node = ros.make(CameraDriverNode, {"camera_file": str(camera_file), "source": "rgbd"})
     coded = ros.subscribe("image_raw", Image)
     images, depths = ros.publisher("rgbd/image", Image), ros.publisher("rgbd/depth", Image)

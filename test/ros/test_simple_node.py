@@ -12,9 +12,10 @@ from small_camera import CAMERA, DEPTH_M, FAR_M, NEAR_M, coded_wall
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.io.messages import array_from_image, pixels_from_frame
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.ros.depth_node import DepthNode
-from coded_aperture_ros.ros.messages import array_from_image, image_from_array, pixels_from_frame
+from coded_aperture_ros.ros.messages import image_from_array
 
 
 def parameters(folder, mask="two_hole", **changes):

@@ -3,21 +3,15 @@
 import json
 
 import numpy as np
+from planes_scene import texture
 from scipy.signal import fftconvolve
 
-from coded_aperture_ros.bank import power_spectrum
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.optics import Mask, render_psf
 
 WINDOW, NOISE = 24, 0.001
-
-
 FOCUS_M, LARGEST_PX = 1.0, 11.0
-
-
 MASK = Mask.named("veeraraghavan")  # not symmetric
-
-
 DEPTHS_M = 1 / np.linspace(0.85, 0.25, 7)
 
 
@@ -26,14 +20,9 @@ def blur_size_px(depth_m):
 
 
 def plane(depth_m, seed, size=144):
-    """Photograph of a plane with texture that is nowhere quite a power law of one slope."""
+    """Photograph of a plane."""
     random = np.random.default_rng(seed)
-    shape = (2 * size, 2 * size)
-    texture = np.zeros(shape)
-    for slope in (1.8, 2.6):
-        spectrum = np.fft.rfft2(random.normal(size=shape)) * np.sqrt(power_spectrum(slope, shape))
-        texture += np.fft.irfft2(spectrum, shape)
-    blurred = fftconvolve(texture, render_psf(MASK, blur_size_px(depth_m)), "same")
+    blurred = fftconvolve(texture(random, size), render_psf(MASK, blur_size_px(depth_m)), "same")
     blurred = 0.45 + 0.07 * blurred[:size, :size]
     return (blurred + random.normal(0, NOISE, blurred.shape)).astype(np.float32)
 

@@ -16,7 +16,7 @@ CONFIG = BlindConfig(largest_blur_px=14, least_cells=4, most_cells=6)
 def plane(size_px, seed, mask=MASK, side=208, noise=NOISE):
     """Photograph of a plane of its own texture, in 256 steps."""
     random = np.random.default_rng(500 + seed)
-    sharp = texture(seed, side)
+    sharp = texture(np.random.default_rng(seed), side)
     if size_px:
         sharp = fftconvolve(sharp, render_psf(mask, size_px), "same")
     image = 0.45 + 0.07 * sharp[:side, :side] + random.normal(0, noise, (side, side))

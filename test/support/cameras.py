@@ -12,6 +12,16 @@ THESIS = {
     "mask_extent_mm": 11,
 }
 
+# The smallest that anything can be done with.
+TINY = {
+    "focal_length_px": 119.4,
+    "focus_distance_m": 1.9,
+    "image_width": 64,
+    "image_height": 48,
+    "mask": {"name": "levin"},
+    "mask_extent_mm": 52.0,
+}
+
 
 def pinhole(**changes):
     values = {

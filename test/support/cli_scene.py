@@ -1,6 +1,7 @@
 """A small scene in front of a small camera, and a bank, made by the program; and how to call it."""
 
 import dataclasses
+import json
 import shlex
 from pathlib import Path
 
@@ -40,6 +41,13 @@ def call(capsys, *arguments):
     except SystemExit as error:
         status = error.code
     return Result(status, *capsys.readouterr())
+
+
+def json_of(capsys, *arguments):
+    """Call the program, and return the JSON that it prints."""
+    result = call(capsys, *arguments, "--json")
+    assert (result.status, result.err) == (0, "")
+    return json.loads(result.out)
 
 
 def texture(height=HEIGHT, width=WIDTH, seed=1):

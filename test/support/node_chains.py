@@ -8,9 +8,10 @@ from sensor_msgs.msg import CameraInfo, Image
 from small_camera import DEPTH_M, HEIGHT, WIDTH
 from std_msgs.msg import Header
 
+from coded_aperture_ros.io.messages import pixels_from_frame
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
-from coded_aperture_ros.ros.messages import image_from_array, pixels_from_frame
+from coded_aperture_ros.ros.messages import image_from_array
 
 DEPTH_OUTPUTS = {
     "depth/image": Image,

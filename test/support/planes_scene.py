@@ -11,8 +11,8 @@ FOCUS_M, SLOPE_PX_M = 1.0, 11.0 / 0.75
 DEPTHS_M = 1 / np.linspace(0.85, 0.25, 8)
 
 
-def texture(seed, size):
-    random = np.random.default_rng(seed)
+def texture(random, size):
+    """Texture that is nowhere quite a power law of one slope."""
     shape = (2 * size, 2 * size)
     texture = np.zeros(shape)
     for slope in (1.8, 2.6):
@@ -28,7 +28,7 @@ def blur_size_px(depth_m, focus_m=FOCUS_M):
 def plane(depth_m, seed, mask="levin", size=SIZE, focus_m=FOCUS_M, noise=NOISE, tilt_px=0.0):
     """Photograph of a plane; with a tilt, the blur grows from left to right by so many px."""
     random = np.random.default_rng(1000 + seed)
-    sharp = texture(seed, size)
+    sharp = texture(np.random.default_rng(seed), size)
     middle = float(blur_size_px(depth_m, focus_m))
     strips = 9 if tilt_px else 1
     image = np.zeros((size, size))

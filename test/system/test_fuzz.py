@@ -25,18 +25,13 @@ from std_msgs.msg import Header
 from coded_aperture_ros.bank import LearnConfig, learn_bank, load_bank, save_bank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stamp_order import StampOrder
+from coded_aperture_ros.io.messages import ENCODINGS, array_from_image, pixels_from_frame
 from coded_aperture_ros.optics import Mask, load_camera, load_intrinsics, render_psf_stack
 from coded_aperture_ros.ros.camera_info_store import camera_info_path, intrinsics_of
 from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
-from coded_aperture_ros.ros.messages import (
-    ENCODINGS,
-    array_from_image,
-    image_from_array,
-    image_from_compressed,
-    pixels_from_frame,
-)
+from coded_aperture_ros.ros.messages import image_from_array, image_from_compressed
 from coded_aperture_ros.ros.pairing import StampPairs
 from coded_aperture_ros.ros.rgbd_source import depth_in_metres
 

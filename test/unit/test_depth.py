@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy import ndimage
+from textures import natural_texture
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
@@ -33,15 +34,6 @@ def camera():
 @pytest.fixture(scope="module")
 def bank(camera):
     return learn_bank_for_camera(camera, NEAR_M, FAR_M, 20, LearnConfig(window_px=32))
-
-
-def natural_texture(shape, seed=0, contrast=0.01):
-    random = np.random.default_rng(seed)
-    rows, columns = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])
-    frequency = np.hypot(rows, columns)
-    frequency[0, 0] = np.inf
-    texture = np.fft.irfft2(np.fft.rfft2(random.normal(size=shape)) * frequency**-1.2, shape)
-    return (0.4 + texture * np.sqrt(contrast) / texture.std()).astype(np.float32)
 
 
 def with_noise(frame, noise=NOISE, seed=1):

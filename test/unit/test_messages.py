@@ -11,8 +11,14 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.io import messages
 from coded_aperture_ros.optics import Camera, Mask
-from coded_aperture_ros.ros import messages
+from coded_aperture_ros.ros.messages import (
+    camera_info_from_camera,
+    image_from_array,
+    scaled_camera_info,
+    stamp_ns,
+)
 
 SIZES = hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=9)
 TYPES = {"mono8": np.uint8, "8UC1": np.uint8, "mono16": np.uint16, "16UC1": np.uint16}
@@ -36,7 +42,7 @@ def image(encoding="mono8", height=4, width=6, step=None, data=None, bigendian=0
 @given(data=st.data())
 def test_grey_integers_survive_the_round_trip(encoding, data):
     pixels = data.draw(hnp.arrays(TYPES[encoding], SIZES))
-    message = messages.image_from_array(pixels, encoding, header())
+    message = image_from_array(pixels, encoding, header())
     np.testing.assert_array_equal(messages.array_from_image(message), pixels)
     frame = messages.frame_from_image(message)
     assert frame.dtype == np.float32
@@ -45,7 +51,7 @@ def test_grey_integers_survive_the_round_trip(encoding, data):
 
 @given(pixels=hnp.arrays(np.float32, SIZES, elements=st.floats(width=32, allow_nan=True)))
 def test_floats_survive_the_round_trip_with_nan_and_infinity(pixels):
-    message = messages.image_from_array(pixels, "32FC1", header())
+    message = image_from_array(pixels, "32FC1", header())
     np.testing.assert_array_equal(messages.frame_from_image(message), pixels)
 
 
@@ -56,7 +62,7 @@ def test_colours_come_out_as_rgb_and_go_back(encoding, data):
     stored = data.draw(
         hnp.arrays(np.uint8, st.tuples(st.integers(1, 7), st.integers(1, 7), st.just(channels)))
     )
-    message = messages.image_from_array(stored, encoding, header())
+    message = image_from_array(stored, encoding, header())
     rgb = messages.array_from_image(message)
     np.testing.assert_array_equal(rgb, stored[:, :, COLOURS[encoding]])
     again = messages.pixels_from_frame(messages.frame_from_image(message), encoding)
@@ -66,7 +72,7 @@ def test_colours_come_out_as_rgb_and_go_back(encoding, data):
 @pytest.mark.parametrize(("encoding", "coloured"), [("mono16", False), ("bayer_gbrg16", True)])
 def test_bits_that_a_sensor_does_not_scale(encoding, coloured):
     stored = np.array([[0, 819, 4095], [1638, 2457, 4095]], np.uint16)
-    message = messages.image_from_array(stored, encoding, Header())
+    message = image_from_array(stored, encoding, Header())
     frame = messages.frame_from_image(message, bits=12, coloured=coloured)
     if coloured:
         frame = messages.pixels_from_frame(frame, encoding) / 65535
@@ -140,7 +146,7 @@ def test_values_are_linear_light():
 
 def test_gamma_is_undone_on_the_way_back():
     pixels = np.arange(256, dtype=np.uint8).reshape(16, 16)
-    frame = messages.frame_from_image(messages.image_from_array(pixels, "mono8", header()), 2.2)
+    frame = messages.frame_from_image(image_from_array(pixels, "mono8", header()), 2.2)
     np.testing.assert_array_equal(messages.pixels_from_frame(frame, "mono8", 2.2), pixels)
 
 
@@ -160,7 +166,7 @@ def test_grey_and_colour_convert_into_each_other():
 
 def test_data_is_assigned_as_a_block():
     """rclpy checks any other sequence element by element: 100 ms instead of 0.2 for 1 MB."""
-    message = messages.image_from_array(np.zeros((480, 640), np.float32), "32FC1", header())
+    message = image_from_array(np.zeros((480, 640), np.float32), "32FC1", header())
     assert isinstance(message.data, array.array)
     assert len(message.data) == 480 * message.step == 480 * 640 * 4
 
@@ -168,15 +174,15 @@ def test_data_is_assigned_as_a_block():
 def test_wrong_pixels_are_refused():
     for pixels in (np.zeros((2, 2), np.float64), np.zeros((2, 2, 3), np.uint8), np.zeros(4, "u1")):
         with pytest.raises(messages.MessageError, match="mono8 needs uint8"):
-            messages.image_from_array(pixels, "mono8", header())
+            image_from_array(pixels, "mono8", header())
 
 
 def test_headers_are_copied_not_shared():
     original = header()
-    message = messages.image_from_array(np.zeros((1, 1), np.uint8), "mono8", original)
+    message = image_from_array(np.zeros((1, 1), np.uint8), "mono8", original)
     original.frame_id, original.stamp.sec = "moved", 99
     assert message.header == header()
-    assert messages.stamp_ns(message.header) == 12_345_678_901
+    assert stamp_ns(message.header) == 12_345_678_901
 
 
 def test_millimetres_saturate_and_never_wrap():
@@ -220,7 +226,7 @@ def project(info, point):
 
 
 def test_camera_info_of_a_camera_file():
-    info = messages.camera_info_from_camera(camera(), header())
+    info = camera_info_from_camera(camera(), header())
     assert (info.width, info.height, info.distortion_model) == (640, 480, "plumb_bob")
     assert list(info.d) == [0.0] * 5
     assert list(info.k) == [800, 0, 319.5, 0, 800, 239.5, 0, 0, 1]
@@ -232,8 +238,8 @@ def test_camera_info_of_a_camera_file():
 @given(st.integers(1, 800), st.integers(1, 800), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
 def test_a_decimated_camera_sees_a_point_at_the_same_place(width, height, x, y):
     """Pixel i covers [i - 1/2, i + 1/2]: relative to the image's edges nothing may move."""
-    full = messages.camera_info_from_camera(camera(), header())
-    small = messages.scaled_camera_info(full, width, height, header())
+    full = camera_info_from_camera(camera(), header())
+    small = scaled_camera_info(full, width, height, header())
     for centre, length, small_centre, small_length in zip(
         project(full, (x, y, 1)), (640, 480), project(small, (x, y, 1)), (width, height),
         strict=True,
@@ -243,10 +249,10 @@ def test_a_decimated_camera_sees_a_point_at_the_same_place(width, height, x, y):
 
 
 def test_scaling_keeps_distortion_rotation_and_baseline():
-    info = messages.camera_info_from_camera(camera(), header())
+    info = camera_info_from_camera(camera(), header())
     info.d = [0.1, -0.2, 0.001, 0.002, 0.03]
     info.p[3] = -80.0
-    half = messages.scaled_camera_info(info, 320, 240, header("other"))
+    half = scaled_camera_info(info, 320, 240, header("other"))
     assert list(half.d) == [0.1, -0.2, 0.001, 0.002, 0.03]
     assert half.p[3] == -40.0
     assert half.k[2] == pytest.approx(159.5) and half.k[5] == pytest.approx(119.5)
@@ -254,13 +260,13 @@ def test_scaling_keeps_distortion_rotation_and_baseline():
 
 
 def test_a_missing_projection_matrix_is_filled_in():
-    info = messages.camera_info_from_camera(camera(), header())
+    info = camera_info_from_camera(camera(), header())
     info.p = [0.0] * 12
-    half = messages.scaled_camera_info(info, 320, 240, header())
+    half = scaled_camera_info(info, 320, 240, header())
     assert list(half.p) == [400, 0, 159.5, 0, 0, 400, 119.5, 0, 0, 0, 1, 0]
 
 
 def test_an_uncalibrated_camera_is_a_named_error():
     with pytest.raises(messages.MessageError) as caught:
-        messages.scaled_camera_info(CameraInfo(width=640, height=480), 320, 240, header())
+        scaled_camera_info(CameraInfo(width=640, height=480), 320, 240, header())
     assert caught.value.kind == "camera_info"

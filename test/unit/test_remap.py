@@ -186,7 +186,7 @@ def test_wrong_usage(capsys, arguments, phrase):
 
 
 def median_depth_m(chain, image):
-    from coded_aperture_ros.ros.messages import array_from_image
+    from coded_aperture_ros.io.messages import array_from_image
 
     depth_m = array_from_image(chain.result(image))
     return float(np.median(depth_m[np.isfinite(depth_m)]))

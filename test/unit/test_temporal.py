@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
+from textures import natural_texture
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
@@ -38,16 +39,6 @@ def fine_bank(camera):
     return learn_bank_for_camera(camera, 1.0, 2.2, 22, LearnConfig(window_px=32))
 
 
-def texture_of(shape=SHAPE, seed=0, contrast=0.01):
-    """Natural texture of some variance around 0.4."""
-    random = np.random.default_rng(seed)
-    rows, columns = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])
-    frequency = np.hypot(rows, columns)
-    frequency[0, 0] = np.inf
-    texture = np.fft.irfft2(np.fft.rfft2(random.normal(size=shape)) * frequency**-1.2, shape)
-    return (0.4 + texture * np.sqrt(contrast) / texture.std()).astype(np.float32)
-
-
 def fine_texture(shape=SHAPE, seed=0):
     """Texture that has nothing in common with itself shifted by 4 px."""
     texture = gaussian_filter(np.random.default_rng(seed).normal(size=shape), 1.0)
@@ -62,7 +53,7 @@ def noisy(frame, count, noise=NOISE, seed=1):
 
 def blurred(camera, depth_m, seed=0, contrast=0.01):
     depth = np.full(SHAPE, depth_m, np.float32)
-    return render_coded_frame(texture_of(seed=seed, contrast=contrast), depth, camera)
+    return render_coded_frame(natural_texture(SHAPE, seed, contrast), depth, camera)
 
 
 # The mean of what is still.
@@ -389,7 +380,7 @@ def test_stages_are_timed_in_order(fine_bank, weak_scene, frames, regularize, ow
 @pytest.fixture(scope="module")
 def moving_object(bank, camera):
     """A near square that moves by 3 px a frame: frames, and where it is."""
-    behind, on_it = texture_of(seed=3), texture_of((80, 80), seed=4)
+    behind, on_it = natural_texture(SHAPE, seed=3), natural_texture((80, 80), seed=4)
     frames, objects = [], []
     for i in range(10):
         left = 40 + 3 * i

@@ -2,14 +2,14 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.simulation.render import render_coded_frame
 
@@ -97,7 +97,7 @@ def render_moving_frame(
     *,
     layer_spacing_px: float = 0.5,
     aperture_blocks: int = 2,
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    progress: Progress = iter,
 ) -> MovingFrame:
     """Render what a coded-aperture camera records while objects move at constant speed.
 

@@ -5,7 +5,7 @@ estimator for each side, of which the right one counts.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from scipy.signal import fftconvolve
 
 from coded_aperture_benchmarks.frames.stair import check_frame_options, crops_generator, with_noise
 from coded_aperture_ros.bank import learn_bank_for_camera
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
 from coded_aperture_ros.mask_design.textures import Textures
 from coded_aperture_ros.optics import Camera, Mask, render_psf
@@ -143,7 +144,7 @@ class SideEstimators:
         far_m: float,
         levels: int,
         config: DepthConfig,
-        progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+        progress: Progress = iter,
     ) -> None:
         self.threshold = config.confidence_threshold
         everywhere = dataclasses.replace(config, confidence_threshold=0.0)

@@ -1,8 +1,6 @@
 """Choice of the level by reconstruction error, the way of the methods we compare with."""
 
 import dataclasses
-from collections.abc import Callable, Iterable
-from typing import Any
 
 import cv2
 import numpy as np
@@ -15,6 +13,7 @@ from coded_aperture_benchmarks.reference.deconvolution import (
     transfer_function,
 )
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.optics import PsfStack
 
 _LEARNING_STRIDE_PX = 8
@@ -74,9 +73,7 @@ class HypothesisPlanes:
         weights.setflags(write=False)
         object.__setattr__(self, "weights", weights)
 
-    def errors(
-        self, coded: NDArray[np.float32], progress: Callable[[Iterable[Any]], Iterable[Any]] = iter
-    ) -> NDArray[np.float32]:
+    def errors(self, coded: NDArray[np.float32], progress: Progress = iter) -> NDArray[np.float32]:
         """Return the locally averaged reconstruction error of every level, without weights.
 
         Parameters
@@ -112,19 +109,14 @@ class HypothesisPlanes:
             errors[level] = _local_mean(residual**2, self.window_px, width // 2)
         return errors
 
-    def levels(
-        self, coded: NDArray[np.float32], progress: Callable[[Iterable[Any]], Iterable[Any]] = iter
-    ) -> NDArray[np.intp]:
+    def levels(self, coded: NDArray[np.float32], progress: Progress = iter) -> NDArray[np.intp]:
         """Return the level of least weighted error at every pixel [h, w]; see `errors`."""
         errors = self.errors(coded, progress)
         errors *= self.weights[:, None, None].astype(np.float32)
         return np.argmin(errors, axis=0)
 
     def with_learned_weights(
-        self,
-        coded: NDArray[np.float32],
-        true_level: NDArray[np.integer],
-        progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+        self, coded: NDArray[np.float32], true_level: NDArray[np.integer], progress: Progress = iter
     ) -> "HypothesisPlanes":
         """Return a copy with the weights that suit a training picture best.
 

@@ -11,8 +11,7 @@ told apart.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -36,10 +35,10 @@ from coded_aperture_ros.calibration.planes.checks import check_pictures
 from coded_aperture_ros.calibration.planes.pictures import check_picture
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.imaging import channel_mean
 from coded_aperture_ros.optics import Mask
 
-Progress = Callable[[Iterable[Any]], Iterable[Any]]
 FreeFit = MaskFit[FreeSizes]
 
 _FEWEST = 4

@@ -41,7 +41,6 @@ def retrieved_masks(parts: DoubleArray, count: int) -> list[DoubleArray]:
 
     Phase retrieval for a non-negative mask of limited support, the best of many random starts.
     """
-    import scipy.fft
     import scipy.optimize
 
     cells = parts.shape[-1]

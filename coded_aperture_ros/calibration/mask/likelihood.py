@@ -91,21 +91,17 @@ class MaskLikelihood:
     def group(self, parts: NDArray, sizes_px: NDArray, log_noise: NDArray) -> Groups:
         """Give every window its best hypothesis, and average the windows that share one."""
         expected = self.spectra.expected(parts, sizes_px).power
-        plane, slope, contrast, count, mean = [], [], [], [], []
+        found = []
         for i, powers in enumerate(self.powers):
             best = self._costs(i, expected[:, i], log_noise).argmin(axis=1)
             for hypothesis in np.unique(best):
                 members = best == hypothesis
-                plane.append(i)
-                contrast.append(hypothesis // len(SLOPES))
-                slope.append(hypothesis % len(SLOPES))
-                count.append(members.sum())
-                mean.append(powers[members].mean(axis=0))
+                contrast, slope = divmod(hypothesis, len(SLOPES))
+                found.append((i, slope, contrast, members.sum(), powers[members].mean(axis=0)))
+        plane, slopes, contrasts, count, mean = map(np.array, zip(*found, strict=True))
         textures = np.zeros((len(plane), len(self.texture)))
-        textures[:, 0] = np.log(_CONTRASTS[contrast])
-        groups = Groups(
-            np.array(plane), np.array(slope), np.array(count, float), np.array(mean), textures
-        )
+        textures[:, 0] = np.log(_CONTRASTS[contrasts])
+        groups = Groups(plane, slopes, count.astype(float), mean, textures)
         return self._with_own_textures(groups, expected, log_noise)
 
     def _costs(self, plane: int, expected: NDArray, log_noise: NDArray) -> NDArray:

@@ -15,8 +15,7 @@ What is wrong with a picture is an error that names it, what could be better is 
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -42,6 +41,7 @@ from coded_aperture_ros.calibration.planes.measure import MeasuredPlane, measure
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.calibration.planes.search import LensFit, MaskSearch, pattern_of
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.optics import MASK_NAMES, Mask
 
 # A bank may go this far beyond the planes, as a share of their range of blur sizes.
@@ -81,7 +81,7 @@ def calibrate_planes(
     config: LearnConfig | None = None,
     depth_range_m: tuple[float, float] | None = None,
     mask: Mask | None = None,
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    progress: Progress = iter,
 ) -> PlanesCalibration:
     """Learn a bank from planes, with focus and blur slope, and say how good it will be.
 
@@ -149,7 +149,7 @@ def learn_bank_from_planes(
     level_count: int = DEFAULT_LEVEL_COUNT,
     config: LearnConfig | None = None,
     prior: NaturalImagePrior | None = None,
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    progress: Progress = iter,
 ) -> FilterBank:
     """Learn the bank alone, of a mask that is none of those with names.
 

@@ -1,8 +1,6 @@
 """The field curvature of a lens, from planes at known depths."""
 
 import dataclasses
-from collections.abc import Callable, Iterable
-from typing import Any
 
 import numpy as np
 
@@ -10,6 +8,7 @@ from coded_aperture_ros.bank import learn_bank
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.optics import Camera, FieldCurvature, render_psf_stack
 
@@ -38,9 +37,7 @@ class FieldFit:
     misplaced: tuple[int, ...]
 
 
-def fit_field(
-    camera: Camera, planes: Planes, progress: Callable[[Iterable[Any]], Iterable[Any]] = iter
-) -> FieldFit:
+def fit_field(camera: Camera, planes: Planes, progress: Progress = iter) -> FieldFit:
     """Fit field curvature and mask extent to the blur that a bank of the axis finds everywhere.
 
     An `InputError` if too few planes are blurred enough, or pictures have other proportions.
@@ -62,7 +59,7 @@ def fit_field(
     config = DepthConfig(regularize="semiglobal", check_fit=False, threads=0)
     estimator = DepthEstimator(bank, config)
     tangent2 = FieldCurvature(1.0).dioptres(camera.intrinsics, (rows, columns))
-    unit = camera.mask_extent_mm * 1e-3 * camera.focal_length_px  # px per dioptre
+    unit = camera.blur_per_dioptre_px
     # Nearer to the border no window is centred.
     points, margin = [], bank.window_px // 2
     some = np.s_[margin:-margin:_EVERY_PX, margin:-margin:_EVERY_PX]

@@ -14,6 +14,7 @@ from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.core.options import has_type
 from coded_aperture_ros.imaging import Gamma
 from coded_aperture_ros.io import picture_files, read_image, write_image
 
@@ -121,10 +122,10 @@ def _entry(path: Path, where: str, entry: Any) -> tuple[Path, float]:
     """Return file and depth of an entry of a list, or say what is wrong with it."""
     if not isinstance(entry, dict):
         raise InputError(f"{path}: {where}: expected file and depth_m, got {entry!r}")
-    for key, kinds in (("file", str), ("depth_m", (int, float))):
+    for key, kind in (("file", str), ("depth_m", float)):
         if key not in entry:
             raise InputError(f"{path}: {where} has no {key}")
-        if not isinstance(entry[key], kinds) or isinstance(entry[key], bool):
+        if not has_type(entry[key], kind):
             raise InputError(f"{path}: {where}: {key} cannot be {entry[key]!r}")
     return path.parent / entry["file"], float(entry["depth_m"])
 

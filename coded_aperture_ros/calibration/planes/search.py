@@ -2,8 +2,6 @@
 
 import dataclasses
 import logging
-from collections.abc import Callable, Iterable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +13,7 @@ from coded_aperture_ros.calibration.mask.likelihood import MaskLikelihood
 from coded_aperture_ros.calibration.mask.sizes import LensSizes
 from coded_aperture_ros.calibration.mask.spectra import window_powers
 from coded_aperture_ros.calibration.planes.pictures import Planes
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.optics import Mask
 
 # Masks are sought up to this part of the window: a wider blur leaves too few independent
@@ -31,7 +30,6 @@ _CANDIDATES, _SINGLE_STEPS = 4, 60
 
 _logger = logging.getLogger(__name__)
 
-Progress = Callable[[Iterable[Any]], Iterable[Any]]
 LensFit = MaskFit[LensSizes]
 
 

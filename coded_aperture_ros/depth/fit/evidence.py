@@ -153,9 +153,7 @@ def _chosen_windows(
     fine = cv2.absdiff(some, cv2.blur(some, (_BLUR_PX, _BLUR_PX // 2)))
     blocks = [max(length // _STRIDE_PX, 1) for length in grey.shape[::-1]]
     mean = cv2.blur(cv2.resize(fine, blocks, interpolation=cv2.INTER_AREA), (3, 3))
-    at_rows = np.minimum(grid.row_centres // _STRIDE_PX, len(mean) - 1)
-    at_columns = np.minimum(grid.column_centres // _STRIDE_PX, mean.shape[1] - 1)
-    texture = mean[np.ix_(at_rows, at_columns)]
+    texture = grid.at_centres(mean, _STRIDE_PX)
     if unusable is not None:
         share = mean_at(unusable.astype(np.float32), grid, WINDOW_PX * 3 // 4)
         texture[share > _TOLERATED] = -1

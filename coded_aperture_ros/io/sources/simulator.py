@@ -4,7 +4,7 @@ import numpy as np
 
 from coded_aperture_ros.io.sources.source import Capture
 from coded_aperture_ros.optics import Camera
-from coded_aperture_ros.simulation import PanningScene, SensorModel, motorcycle_scene
+from coded_aperture_ros.simulation import PanningScene, motorcycle_scene
 
 _SCENE_SCALE = 1.2
 _NOISE_MARGIN_PX = 128
@@ -23,7 +23,7 @@ class SimulatorSource:
     def __init__(self, camera: Camera, rate_hz: float, noise: float) -> None:
         # Leaves the camera room to move about in, whatever its resolution.
         scale = _SCENE_SCALE * max(camera.image_width / 640, camera.image_height / 480)
-        self._scene = PanningScene(motorcycle_scene(scale), camera, SensorModel())
+        self._scene = PanningScene(motorcycle_scene(scale), camera)
         self._rate_hz = rate_hz
         self._frames = 0
         self._random = np.random.default_rng(0)

@@ -1,23 +1,15 @@
 """The filter bank of defocus and motion together: motions as further hypotheses."""
 
 import dataclasses
-from collections.abc import Callable, Iterable
-from typing import Any
 
 import numpy as np
 import scipy.fft
-import scipy.linalg
 
-from coded_aperture_ros.bank import (
-    EmpiricalPrior,
-    FilterBank,
-    WindowedFourierBasis,
-    power_spectrum,
-    with_all_frequencies,
-)
+from coded_aperture_ros.bank import FilterBank, WindowedFourierBasis, with_all_frequencies
 from coded_aperture_ros.bank.factoring import common_basis, fitted_coefficients
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.methods.motion.kernels import Motions, blurred_psf, motion_kernel
 from coded_aperture_ros.optics import PsfStack
 
@@ -57,10 +49,7 @@ class MotionBank:
 
 
 def learn_motion_bank(
-    bank: FilterBank,
-    motions: Motions,
-    rank: int = 128,
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    bank: FilterBank, motions: Motions, rank: int = 128, progress: Progress = iter
 ) -> MotionBank:
     """Extend a bank of blur levels by motions.
 
@@ -126,9 +115,7 @@ def learn_motion_bank(
     return MotionBank(bank, motions, product, expected)
 
 
-def expected_powers(
-    bank: FilterBank, motions: Motions, progress: Callable[[Iterable[Any]], Iterable[Any]] = iter
-) -> FloatArray:
+def expected_powers(bank: FilterBank, motions: Motions, progress: Progress = iter) -> FloatArray:
     """Return the expected power of every product of motion and level [slopes, M * L, K].
 
     This is `WindowedFourierBasis.expected_power` in another order: the window's own spectrum
@@ -138,12 +125,7 @@ def expected_powers(
     n, psfs = bank.window_px, bank.stack.psfs
     period = 4 * n
     torus = (period, period)
-    prior = bank.prior
-    textures = (
-        [texture(torus) for texture in prior.spectra]
-        if isinstance(prior, EmpiricalPrior)
-        else [power_spectrum(slope, torus) for slope in prior.slopes]
-    )
+    textures = [texture(torus) for texture in bank.prior.spectra]
     defocus = np.abs(scipy.fft.rfft2(psfs.astype(np.float64), torus)) ** 2
     spread = _spread(bank.fourier, period)
     # The power at (-v, -h) is that at (v, h): half of all frequencies, in two parts, are enough.
