@@ -21,14 +21,15 @@ _HIDDEN, _EPOCHS, _BATCH = 256, 60, 256
 _MEMBERS = 4
 # How much fitting frames, and wrong depth that would be published, count beside the rest.
 _OF_FITS, _OF_WRONG = 5.0, 6.0
-# What is the easiest to overlook counts more, where its depth is wrong.
-_OVERLOOKED = "no mask", "other mask", "all in focus", "correlated noise", "mask inverted"
-_OF_OVERLOOKED = 5.0
+# What is the easiest to overlook counts so many times, where its depth is wrong.
+_OVERLOOKED = {"all in focus": 6.0} | dict.fromkeys(
+    ("no mask", "other mask", "correlated noise", "mask inverted"), 2.0
+)
 _COVERED = 0.1
 # What is published is right if its error exceeds that of the same scene, where it fits, by less
 # than the first, and wrong from the second on: many scenes are near infinity, and hard to measure.
 _RIGHT, _WRONG = 0.06, 0.12
-_NOISE, _DROPPED = 0.2, 0.5
+_NOISE, _DROPPED = 0.1, 0.5
 
 
 class _Network(torch.nn.Sequential):
@@ -69,7 +70,8 @@ def targets(told: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.nda
     wrong = np.where(fits, 0, np.clip((excess(told) - _RIGHT) / (_WRONG - _RIGHT), 0, 1))
     counts = np.where(fits, _OF_FITS, np.where(wrong > 0.5, _OF_WRONG, 1))
     counts[~fits & (told["coverage"] < _COVERED)] = 0.3
-    counts[np.isin(told["kind"], _OVERLOOKED) & (wrong > 0.5)] *= _OF_OVERLOOKED
+    overlooked = np.array([_OVERLOOKED.get(str(kind), 1.0) for kind in told["kind"]])
+    counts *= np.where(wrong > 0.5, overlooked, 1)
     cause_counts = np.where(fits, 0, np.where(wrong > 0, 1, 0.3))
     frequency = np.bincount(told["cause"][~fits], minlength=len(CAUSES))
     cause_counts *= (frequency.mean() / np.maximum(frequency, 1))[told["cause"]] ** 0.6
