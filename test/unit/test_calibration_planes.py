@@ -1,7 +1,6 @@
 """Calibration from planes: what is measured, what is advised, and what is refused."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
@@ -234,9 +233,15 @@ def test_what_cannot_be_added(tmp_path):
     with pytest.raises(InputError, match="depth 0 is not a positive"):
         add_plane(tmp_path / "new", grey, 0.0)
     assert not (tmp_path / "new").exists()
-    (tmp_path / "planes.json").write_text(json.dumps([{"file": "a.png"}]))
-    with pytest.raises(InputError, match=r"planes.json: not a list of planes"):
-        add_plane(tmp_path, grey, 1.0)
+    for content, phrase in (
+        ('[{"file": "a.png"}]', "entry 0 has no depth_m"),
+        ('[{"file": "a.png", "depth_m": "1.2"}]', "entry 0: depth_m cannot be '1.2'"),
+        ("7", "not a list of planes"),
+        ("{", "not a list of planes"),
+    ):
+        (tmp_path / "planes.json").write_text(content)
+        with pytest.raises(InputError, match=f"planes.json: {phrase}.*: correct it"):
+            add_plane(tmp_path, grey, 1.0)
     assert [path.name for path in tmp_path.iterdir()] == ["planes.json"]
 
 

@@ -163,13 +163,15 @@ def _entries(folder: Path) -> list[dict[str, Any]]:
     path = folder / PLANES_JSON
     try:
         entries = json.loads(path.read_text(encoding="utf-8"))
-        for entry in entries:
-            float(entry["depth_m"]), str(entry["file"])
+        for number, entry in enumerate(entries):  # what could not be loaded later
+            _entry(path, f"entry {number}", entry)
     except FileNotFoundError:
         return []
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    except (ValueError, TypeError, KeyError) as error:
+    except InputError as error:
+        raise InputError(f"{error}: correct it, or begin in another folder") from error
+    except (ValueError, TypeError) as error:
         raise InputError(
             f"{path}: not a list of planes: correct it, or begin in another folder"
         ) from error
