@@ -60,6 +60,8 @@ class Recorded:
     known_noise: float = 0.0
 
 
+# Of frames that fit: share of the light, and times the noise.
+FITTING_LIGHT = ((1.0, 1.0), (1.0, 0.5), (1.0, 2.0), (0.5, 1.0), (0.25, 1.0))
 Change = Callable[[Fitting, float, np.random.Generator], Recorded | None]
 
 

@@ -79,7 +79,7 @@ class RayTracedScene:
         `depth_NNN.png` and coded pictures.
         """
         camera = scene_camera(folder, mask_name)  # first: it checks what the folder says
-        frames = _meta(folder).get("frames")
+        frames = scene_meta(folder).get("frames")
         if frames is None:
             return [cls.load(folder, mask_name)]
         numbers = np.unique(np.linspace(0, frames - 1, most).round().astype(int))
@@ -130,7 +130,7 @@ def load_sharp(folder: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
 
 def scene_camera(folder: Path, mask_name: str) -> Camera:
     """Read from a scene's folder the camera that it was rendered with."""
-    meta = _meta(folder)
+    meta = scene_meta(folder)
     try:
         rows = meta["masks"].get(mask_name)
         if rows is None:
@@ -151,7 +151,8 @@ def scene_camera(folder: Path, mask_name: str) -> Camera:
         raise InputError(f"{folder / _META}: expected an object with objects: {error}") from error
 
 
-def _meta(folder: Path) -> dict[str, Any]:
+def scene_meta(folder: Path) -> dict[str, Any]:
+    """Read what a scene's folder says of itself; an `InputError` if it says nothing."""
     try:
         meta: dict[str, Any] = json.loads((folder / _META).read_text())
     except OSError as error:

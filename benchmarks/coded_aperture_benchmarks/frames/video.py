@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from coded_aperture_benchmarks.frames.cameras import camera_for_blur
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import SRGB
@@ -205,15 +206,12 @@ def _camera_for(folder: Path, depths: list[NDArray[np.float32]], mask: Mask) -> 
     farthest = float(max(np.fmax.reduce(depth_m, axis=None) for depth_m in depths))
     if not nearest < farthest:
         raise InputError(f"{folder}: all depths are {nearest:g} m, expected a scene with depth")
-    # The blur size grows by this, in pixels, when the inverse of the depth falls by 1/m.
-    blur_px_m = (_LARGEST_BLUR_PX - _SMALLEST_BLUR_PX) / (1 / nearest - 1 / farthest)
-    return Camera(
-        focal_length_px=focal_length_px,
-        focus_distance_m=1 / (1 / nearest + _SMALLEST_BLUR_PX / blur_px_m),
-        image_width=width,
-        image_height=height,
-        mask=mask,
-        mask_extent_mm=1e3 * blur_px_m / focal_length_px,
+    return camera_for_blur(
+        mask,
+        focal_length_px,
+        (height, width),
+        (nearest, farthest),
+        (_SMALLEST_BLUR_PX, _LARGEST_BLUR_PX),
     )
 
 

@@ -10,8 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, bank_for, scene_camera
+from coded_aperture_benchmarks.frames.misfits import FITTING_LIGHT
+from coded_aperture_benchmarks.frames.ray_traced import (
+    RayTracedScene,
+    bank_for,
+    scene_camera,
+    scene_meta,
+)
 from coded_aperture_benchmarks.frames.video import load_video
+from coded_aperture_benchmarks.metrics.published import COVERED, WRONG, published
 from coded_aperture_benchmarks.rows import columns, grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.bank import FilterBank, LearnConfig
@@ -20,12 +27,7 @@ from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
 from coded_aperture_ros.io import read_image
 
 _LEVELS, _WINDOW_PX, _NOISE, _TEMPORAL = 30, 48, 0.002, 5.0
-_THRESHOLD = DepthConfig().confidence_threshold
-_WRONG, _COVERED = 0.1, 0.2
-_FEWEST = 50
 _PLANES, _META = "planes.json", "meta.json"
-# Of stills: share of the light, and times the noise.
-_STILLS = ((1.0, 1.0), (1.0, 0.5), (1.0, 2.0), (0.5, 1.0), (0.25, 1.0))
 # Of videos: share of the light in a frame, by its number.
 _AS_IT_IS = "as it is"
 _LIGHT: dict[str, Callable[[int], float]] = {
@@ -61,14 +63,12 @@ class _Frame:
 def _is_video(folder: Path) -> bool:
     if (folder / _PLANES).is_file():
         return False
-    meta = folder / _META
-    return not meta.is_file() or "frames" in json.loads(meta.read_text())
+    return not (folder / _META).is_file() or "frames" in scene_meta(folder)
 
 
 def _masks(folder: Path) -> list[str]:
     """Return the masks of a folder; one without them is simulated, with one of them."""
-    meta = folder / _META
-    return list(json.loads(meta.read_text())["masks"]) if meta.is_file() else ["levin"]
+    return list(scene_meta(folder)["masks"]) if (folder / _META).is_file() else ["levin"]
 
 
 def _cells(args: options.Args) -> list[Cell]:
@@ -108,7 +108,7 @@ def _frames(folder: Path, mask: str) -> tuple[FilterBank, tuple[_Frame, ...]]:
         scene = RayTracedScene.load(folder, mask)
         camera = scene.camera
         depth_m = np.where(scene.depth_m > 0, scene.depth_m, np.float32(np.nan))
-        frames = [_Frame(scene.coded * share, depth_m, noise) for share, noise in _STILLS]
+        frames = [_Frame(scene.coded * share, depth_m, noise) for share, noise in FITTING_LIGHT]
     depths = np.stack([frame.depth_m for frame in frames])
     return bank_for(camera, depths, _LEVELS, config), tuple(frames)
 
@@ -138,13 +138,8 @@ def measure(cell: Cell) -> list[Row]:
 def _row(
     cell: Cell, number: int, frame: _Frame, estimate: DepthEstimate, trusting: DepthEstimate
 ) -> Row:
-    known = np.isfinite(frame.depth_m)
-    published = known & (estimate.confidence >= _THRESHOLD)
-    coverage = float(published.sum() / max(known.sum(), 1))
-    before = float((known & (trusting.confidence >= _THRESHOLD)).sum() / max(known.sum(), 1))
-    median = None
-    if estimate.depth_m is not None and published.sum() > _FEWEST:
-        median = float(np.median(np.abs(estimate.depth_m / frame.depth_m - 1)[published]))
+    assert estimate.depth_m is not None  # there is a camera
+    known, error = np.isfinite(frame.depth_m), np.abs(estimate.depth_m / frame.depth_m - 1)
     health = estimate.health
     return {
         "frames": f"{cell.folder.resolve().parent.name}/{cell.folder.resolve().name}",
@@ -154,10 +149,8 @@ def _row(
         "frame": number,
         "health": None if health is None else round(health.value, 3),
         "cause": "" if health is None else health.cause,
-        "error": None if median is None else round(median, 4),
-        "coverage": round(coverage, 4),
-        "coverage_unchecked": round(before, 4),
-        "wrong": bool(median is not None and median > _WRONG and coverage > _COVERED),
+        **published(error, estimate.confidence, known),
+        "coverage_unchecked": published(error, trusting.confidence, known)["coverage"],
     }
 
 
@@ -217,7 +210,7 @@ def _text(results: Row) -> str:
         )
         + f"\n\nsaid to fit: {100 * results['said_to_fit']:.2f} % of {results['fitting']} frames "
         f"that fit; coverage lost: {100 * results['coverage_lost']:.2f} points\npublished with a "
-        f"median error above {100 * _WRONG:.0f} % at a coverage above {100 * _COVERED:.0f} %: "
+        f"median error above {100 * WRONG:.0f} % at a coverage above {100 * COVERED:.0f} %: "
         f"{results['wrong']} of all {len(results['rows'])}, {results['changing']} of which are "
         "videos whose light changes"
     )

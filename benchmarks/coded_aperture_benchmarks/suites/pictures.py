@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.frames.cameras import camera_for_blur
 from coded_aperture_benchmarks.rows import columns, grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.bank import learn_bank_for_camera
@@ -19,7 +20,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
 from coded_aperture_ros.imaging import SRGB, decode, encode
 from coded_aperture_ros.io import read_depth, read_image
-from coded_aperture_ros.optics import Camera, Mask
+from coded_aperture_ros.optics import Mask
 from coded_aperture_ros.simulation import motorcycle_scene, render_coded_frame
 from coded_aperture_ros.simulation.scene import fill_unknown
 
@@ -30,8 +31,6 @@ _CONFIDENT, _RIGHT, _EXACT = DepthConfig().confidence_threshold, 0.1, 0.05
 _ROOM, _KINECT = "video_livingroom1", "rgbd"
 _OF_ROOM = 0, 24, 47
 _RANDOM = "random"
-# As the inverse of metres.
-_FARTHEST_FOCUS = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,26 +88,6 @@ def _cells(args: options.Args) -> list[Cell]:
     return [Cell(args.data, *way) for way in ways]
 
 
-def _camera_for(picture: Picture, mask: Mask, blur_px: tuple[float, float], side: str) -> Camera:
-    """Return a camera in whose frames the picture's depths have these blur sizes."""
-    near, far = 1 / picture.depth_m.min(), 1 / picture.depth_m.max()
-    per_dioptre = (blur_px[1] - blur_px[0]) / (near - far)
-    # A focus beyond infinity is no focus: then the smallest blur is a little larger.
-    at_focus = near + blur_px[0] / per_dioptre
-    if side == "near":
-        at_focus = max(far - blur_px[0] / per_dioptre, _FARTHEST_FOCUS)
-    rows, columns = picture.depth_m.shape
-    return Camera(
-        focal_length_px=_FOCAL_LENGTH_PX,
-        focus_distance_m=float(1 / at_focus),
-        image_width=columns,
-        image_height=rows,
-        mask=mask,
-        mask_extent_mm=float(1e3 * per_dioptre / _FOCAL_LENGTH_PX),
-        side=side,
-    )
-
-
 def _mask(name: str) -> Mask:
     """Return a mask by its name, or one that chance has made."""
     if name != _RANDOM:
@@ -119,13 +98,16 @@ def _mask(name: str) -> Mask:
 def measure(cell: Cell) -> list[Row]:
     """Return a row for each way to record a frame of the picture."""
     picture = _picture(cell.folder, cell.picture)
-    camera = _camera_for(picture, _mask(cell.mask), cell.blur_px, cell.side)
+    size = picture.depth_m.shape[0], picture.depth_m.shape[1]
     near_m, far_m = float(picture.depth_m.min()), float(picture.depth_m.max())
+    camera = camera_for_blur(
+        _mask(cell.mask), _FOCAL_LENGTH_PX, size, (near_m, far_m), cell.blur_px, cell.side
+    )
     bank = learn_bank_for_camera(camera, 0.95 * near_m, 1.05 * far_m, _LEVELS)
     light = render_coded_frame(picture.light, picture.depth_m, camera, aperture_blocks=2)
     estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0.0), camera)
     random = np.random.default_rng(0)
-    rows = []
+    found = []
     for recorded, noise in _RECORDED.items():
         frame = light + np.float32(noise) * random.standard_normal(light.shape, dtype=np.float32)
         frame = np.clip(frame, 0, 1)
@@ -133,9 +115,9 @@ def measure(cell: Cell) -> list[Row]:
             frame = decode(np.rint(255 * encode(frame, SRGB)) / 255, SRGB).astype(np.float32)
         kind = {"picture": picture.name, "mask": cell.mask, "side": cell.side}
         scores = _score(estimator.estimate(frame), picture)
-        rows.append({**kind, "recorded": recorded, "blur_px": cell.blur_px, **scores})
+        found.append({**kind, "recorded": recorded, "blur_px": cell.blur_px, **scores})
     estimator.close()
-    return rows
+    return found
 
 
 def _score(estimate: DepthEstimate, picture: Picture) -> Row:

@@ -9,6 +9,7 @@ import numpy as np
 
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.frames.misfits import (
+    FITTING_LIGHT,
     LIGHT,
     MISFITS,
     Change,
@@ -17,6 +18,7 @@ from coded_aperture_benchmarks.frames.misfits import (
     recorded,
 )
 from coded_aperture_benchmarks.frames.ray_traced import RANGE_MARGIN, RayTracedScene
+from coded_aperture_benchmarks.metrics.published import COVERED, WRONG, published
 from coded_aperture_benchmarks.rows import mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.suites.deblur_photograph import photograph
@@ -31,13 +33,9 @@ from coded_aperture_ros.optics import Mask, PsfStack, render_psf
 from coded_aperture_ros.simulation.render import render_coded_frame
 
 _LEVELS, _WINDOW_PX, _NOISE = 30, 48, 0.002
-_THRESHOLD = DepthConfig().confidence_threshold
-_RIGHT, _WRONG, _COVERED = 0.05, 0.1, 0.2
-_FEWEST = 50
+_RIGHT = 0.05
 _FITS = "fits"
 _STRENGTHS = (0.0, 0.25, 0.5, 0.75, 1.0)
-# Of the fitting frames: share of the light, and times the noise.
-_FITTING = ((1.0, 1.0), (1.0, 0.5), (1.0, 2.0), (0.5, 1.0), (0.25, 1.0))
 # A photograph's PSF is scaled to these sizes; its nominal one, and its own noise's twin.
 _PHOTO_SIZES_PX, _PHOTO_PX, _PHOTO_NOISE = np.arange(6.0, 20.1, 0.5), 13.0, 0.0005
 _PHOTO_WIDTH = 25
@@ -134,7 +132,7 @@ def measure(cell: Cell) -> Measured:
     for number, strength in enumerate(_STRENGTHS):
         random = np.random.default_rng([cell.seed, number])
         if cell.kind == _FITS:
-            share, noise = _FITTING[number]
+            share, noise = FITTING_LIGHT[number]
             other = dataclasses.replace(fitting, noise=fitting.noise * noise)
             one: Recorded | None = recorded(other, fitting.light * share, random)
         else:
@@ -173,10 +171,6 @@ def _error(estimate: DepthEstimate, one: Recorded) -> FloatArray:
 
 
 def _row(cell: Cell, strength: float, estimate: DepthEstimate, error: FloatArray) -> Row:
-    known = np.isfinite(error)
-    published = known & (estimate.confidence >= _THRESHOLD)
-    median = float(np.median(error[published])) if published.sum() > _FEWEST else None
-    coverage = float(published.sum() / max(known.sum(), 1))
     health = estimate.health
     misfit = MISFITS.get(cell.kind)
     return {
@@ -184,9 +178,7 @@ def _row(cell: Cell, strength: float, estimate: DepthEstimate, error: FloatArray
         "kind": cell.kind,
         "strength": strength,
         "traced": misfit is None or misfit.traced,
-        "error": None if median is None else round(median, 4),
-        "coverage": round(coverage, 4),
-        "wrong": bool(median is not None and median > _WRONG and coverage > _COVERED),
+        **published(error, estimate.confidence, np.isfinite(error)),
         "health": None if health is None else round(health.value, 3),
         "cause": "" if health is None else health.cause,
         "cause_right": bool(health and misfit and health.cause in misfit.causes),
@@ -240,8 +232,8 @@ def _text(results: Row) -> str:
         [*names, *each, *[""] * (len(_STRENGTHS) - len(each))] for names, each in lines.items()
     ]
     return (
-        f"{table(_HEADER, cells)}\n\n* published with a median error above {100 * _WRONG:.0f} % at "
-        f"a coverage above {100 * _COVERED:.0f} %: {100 * results['wrong']:.1f} % of "
+        f"{table(_HEADER, cells)}\n\n* published with a median error above {100 * WRONG:.0f} % at "
+        f"a coverage above {100 * COVERED:.0f} %: {100 * results['wrong']:.1f} % of "
         f"{results['cells']} cells that leave a trace\ncause right: "
         f"{100 * results['cause_right']:.0f} % of {results['named']} named; fitting frames that "
         f"were not said to fit: {100 * results['false_alarms']:.1f} %; calibration error of the "
