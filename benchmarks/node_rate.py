@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT
 from coded_aperture_ros.cli.demo import CAMERA_FILE, FAR_M, NEAR_M
-from coded_aperture_ros.cli.demo_processes import private_network, sigterm_like_ctrl_c
+from coded_aperture_ros.cli.demo_processes import private_network
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.interrupt import sigterm_like_ctrl_c
 from coded_aperture_ros.core.share import SHARED_MEMORY_MB, share_directory, shared_memory_suffices
 
 FRAMES = 8

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from coded_aperture_ros.cli.checks import check_output
-from coded_aperture_ros.cli.demo_processes import Children, private_network, sigterm_like_ctrl_c
+from coded_aperture_ros.cli.demo_processes import Children, private_network
 from coded_aperture_ros.cli.demo_report import (
     RESULTS,
     Speaker,
@@ -87,7 +87,6 @@ def run(options: argparse.Namespace) -> int:
     from coded_aperture_ros.ros.demo_monitor import running_monitor
 
     with (
-        sigterm_like_ctrl_c(),
         tempfile.TemporaryDirectory(prefix="coded_aperture-demo-") as folder,
         Children(Path(folder)) as children,
     ):

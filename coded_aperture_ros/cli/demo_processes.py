@@ -1,13 +1,11 @@
 """The demo's processes, and the network that they have to themselves."""
 
-import contextlib
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -82,17 +80,3 @@ def private_network(shared_memory: bool) -> dict[str, str]:
     if shared_memory:
         environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(shared_memory_profile())
     return environment
-
-
-@contextlib.contextmanager
-def sigterm_like_ctrl_c() -> Iterator[None]:
-    """Let SIGTERM end the block as Ctrl-C does, so that it cleans up."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

@@ -17,6 +17,7 @@ from coded_aperture_ros.cli.options import add_commands, show_late_options
 from coded_aperture_ros.cli.version import ShowVersion
 from coded_aperture_ros.core.blas import slow_blas_warning
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.interrupt import sigterm_like_ctrl_c
 
 PROGRAM = "coded_aperture"
 _BEGIN = "demo", "sample", "check", "calibrate", "mask", "learn"
@@ -51,7 +52,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = parser.parse_args(arguments)
         if warning := slow_blas_warning():
             logging.warning(warning)
-        status: int = COMMANDS[options.command].run(options)
+        with sigterm_like_ctrl_c():
+            status: int = COMMANDS[options.command].run(options)
         sys.stdout.flush()
     except InputError as error:
         print(f"{PROGRAM}: error: {error}", file=sys.stderr)

@@ -152,7 +152,7 @@ def read_depth(path: str | os.PathLike[str], metres_per_unit: float | None = Non
 def write_depth(path: str | os.PathLike[str], depth_m: NDArray) -> None:
     """Write a depth map: 16-bit millimetres to `.png`, float metres to `.tif` and `.npy`.
 
-    In millimetres unknown is 0, and what is beyond 65.535 m is stored as that.
+    In millimetres what has no distance is 0, and what is beyond 65.535 m is stored as that.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def write_depth(path: str | os.PathLike[str], depth_m: NDArray) -> None:
         _write(path, depth_m.astype(np.float32))
     elif suffix == ".png":
         millimetres = np.clip(np.rint(depth_m / _MILLIMETRE), 1, 65535)
-        _write(path, np.nan_to_num(millimetres, nan=0.0).astype(np.uint16))
+        _write(path, np.where(depth_m > 0, millimetres, 0).astype(np.uint16))
     else:
         raise InputError(f"{path}: unknown depth format, use .npy, .tif or .png")
 

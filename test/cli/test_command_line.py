@@ -4,8 +4,10 @@ import argparse
 import dataclasses
 import os
 import platform
+import signal
 import subprocess
 import sys
+import time
 from types import SimpleNamespace
 
 import cv2
@@ -16,6 +18,7 @@ import coded_aperture_ros
 from coded_aperture_ros.cli import main as program
 from coded_aperture_ros.cli.options import add_config_options, add_deprecated_alias, config_from
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.core.options import check_options, option
 
 
@@ -108,6 +111,18 @@ def test_an_interrupt_is_quiet(command, capsys):
     command(run)
     assert program.main(["act"]) == 130
     assert capsys.readouterr() == ("", "")
+
+
+def test_a_program_that_is_told_to_end_cleans_up(command, tmp_path):
+    def run(options):
+        with atomic_output(tmp_path / "depth.npy") as temporary:
+            assert temporary.exists()
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(10)  # never that long
+
+    command(run)
+    assert program.main(["act"]) == 130
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_interrupt_while_options_are_collected_is_quiet(monkeypatch, capsys):

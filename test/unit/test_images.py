@@ -150,13 +150,14 @@ def test_unknown_output_format_is_refused_and_nothing_is_left(tmp_path):
 
 
 def test_depth_round_trips(tmp_path):
-    depth = np.array([[1.234, np.nan, 70.0, np.inf, 0.0002]], np.float32)
+    depth = np.array([[1.234, np.nan, 70.0, np.inf, 0.0002, 0, -np.inf]], np.float32)
     write_depth(tmp_path / "d.png", depth)
-    expected = [1.234, np.nan, 65.535, 65.535, 0.001]
+    expected = [1.234, np.nan, 65.535, 65.535, 0.001, np.nan, np.nan]
     assert read_depth(tmp_path / "d.png")[0] == pytest.approx(expected, nan_ok=True)
     for name in ("d.npy", "d.tif"):
         write_depth(tmp_path / name, depth)
-        assert np.array_equal(read_depth(tmp_path / name), depth, equal_nan=True)
+        told = np.where(depth > 0, depth, np.nan)
+        assert np.array_equal(read_depth(tmp_path / name), told, equal_nan=True)
 
 
 def test_depth_units(tmp_path):
