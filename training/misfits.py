@@ -43,6 +43,8 @@ _OF_PSFS = (
 )
 _STEPS = 5
 _FITTING_FRAMES = 3
+# Small parts are shown beside: of every fitting frame, and of some of the others.
+_SMALL_PX, _SHARE_OF_SMALL = (96, 160), 0.5
 _WINDOW_PX, _CONFIDENT, _ENOUGH = 48, 0.55, 200
 _NEAR_INFINITY_PX = 3.0
 FITS = "fits"
@@ -223,6 +225,22 @@ def _frames(
         yield kind, strength, one, of_bank
 
 
+def _with_small_part(one: Recorded, fits: bool, random: np.random.Generator) -> Iterator[Recorded]:
+    """Yield what is recorded and, often, a small part of it, as a region of interest is."""
+    yield one
+    if not fits and random.random() > _SHARE_OF_SMALL:
+        return
+    cut = []
+    for length in one.frame.shape:
+        size = min(int(random.integers(*_SMALL_PX)), length)
+        first = int(random.integers(length - size + 1))
+        cut.append(slice(first, first + size))
+    frame, truth = one.frame[tuple(cut)], one.blur_size_px[tuple(cut)]
+    if not one.known_noise and random.random() < 0.5:
+        frame = np.rint(frame * 255).astype(np.float32) / 255
+    yield dataclasses.replace(one, frame=frame, blur_size_px=truth)
+
+
 def _told(
     one: Recorded, shown: _Shown, infinity_px: float
 ) -> tuple[np.ndarray, float, float] | None:
@@ -266,15 +284,16 @@ def shown_shard(
         far = -1 if drawn(number).side == "near" else 1
         infinity_px = far * max(abs(float(infinity[index])), 1.2 * float(np.nanmax(blur_px)))
         frame, blur_px = _light(number, frame * np.float32(LIGHT_STEP), blur_px)
-        for kind, strength, one, shown in _frames(number, frame, blur_px, folder):
-            told = _told(one, shown, infinity_px)
-            if told is None:
-                continue
+        of_parts = np.random.default_rng([24, number])
+        for kind, strength, whole, shown in _frames(number, frame, blur_px, folder):
             causes = MISFITS[kind].causes if kind != FITS else ()
             cause = list(CAUSES).index(causes[0]) if causes else -1
-            row = (told[0], told[1], told[2], cause, kind, strength, number)
-            for name, value in zip(_ARRAYS, row, strict=True):
-                found[name].append(value)
+            for one in _with_small_part(whole, kind == FITS, of_parts):
+                if (told := _told(one, shown, infinity_px)) is None:
+                    continue
+                row = (*told, cause, kind, strength, number)
+                for name, value in zip(_ARRAYS, row, strict=True):
+                    found[name].append(value)
     return {name: np.array(values) for name, values in found.items()}
 
 

@@ -40,7 +40,7 @@ _TRUSTED, WITHHELD, _BY_CHANCE = 0.7, 0.2, 0.2
 LARGEST_PX = 22.5
 LIMIT, SCALED_LIMIT = 20.0, 5.0
 _LAYERS = 3
-# Of the frames that the network has learned from.
+# Of the largest frames that the network has learned from: what smaller ones say is less certain.
 _USUAL_PIXELS = 288 * 288
 _LEAST_NOISE, _CLEANEST, _DITHER = 2e-4, 3e-4, 6e-4
 _UNSURE_PX, _FAR_PX = 4.0, 1.5
@@ -156,8 +156,6 @@ class FitCheck:
         outputs = None
         for features in self.looks(seen, misfit, level, confidence):
             outputs = _weights()(features)
-            # What a smaller frame says is said by fewer windows.
-            outputs[0] += max(0.0, np.log(_USUAL_PIXELS / seen.grey.size))
             if _health_of(outputs).value > _TRUSTED:
                 break
         if outputs is None:
@@ -180,12 +178,13 @@ class FitCheck:
             grey, noise = grey + np.float32(_DITHER) * dither, float(np.hypot(noise, _DITHER))
         known = seen.noise.sigma if seen.noise.highest is None else 0.0
         once = cache(partial(traces, grey, noise, known))
+        smaller = max(0.0, float(np.log(_USUAL_PIXELS / grey.size)))
         for cells in _CELLS:
             ask = partial(self._witness.ask, grey, noise, seen.unusable, cells)
             windows, of_file = self._workers.both(ask, once)
             if windows is not None:
                 of_maps = self._of_maps(windows, seen, misfit, level, confidence)
-                numbers = [*windows.features, *of_file, *of_maps]
+                numbers = [*windows.features, *of_file, *of_maps, smaller]
                 yield np.nan_to_num(np.array(numbers, np.float32))
 
     def _of_maps(
