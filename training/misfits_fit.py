@@ -111,18 +111,15 @@ def fitted(
     return network.eval()
 
 
-def together(networks: list[_Network]) -> list[tuple[torch.Tensor, torch.Tensor]]:
-    """Return weight and bias of each layer of one network that says the mean of what these say."""
-    layers = [[part for part in one if isinstance(part, torch.nn.Linear)] for one in networks]
-    first, second, last = (
-        ([one.weight.detach() for one in some], [one.bias.detach() for one in some])
-        for some in zip(*layers, strict=True)
-    )
-    return [
-        (torch.cat(first[0]), torch.cat(first[1])),
-        (torch.block_diag(*second[0]), torch.cat(second[1])),
-        (torch.cat(last[0], 1) / len(networks), torch.stack(last[1]).mean(0)),
-    ]
+def together(networks: list[_Network]) -> dict[str, np.ndarray]:
+    """Return weights [members, outputs, inputs] and biases [members, outputs] of every layer."""
+    linear = ([part for part in one if isinstance(part, torch.nn.Linear)] for one in networks)
+    layers = zip(*linear, strict=True)
+    arrays = {}
+    for number, members in enumerate(layers):
+        arrays[f"weight{number}"] = torch.stack([one.weight.detach() for one in members]).numpy()
+        arrays[f"bias{number}"] = torch.stack([one.bias.detach() for one in members]).numpy()
+    return arrays
 
 
 def main() -> None:
@@ -138,9 +135,7 @@ def main() -> None:
     mean, scale = features[learned].mean(0), features[learned].std(0) + 1e-3
     values = np.clip((features - mean) / scale, -SCALED_LIMIT, SCALED_LIMIT).astype(np.float32)
     networks = [fitted(values, told, learned, seed) for seed in range(_MEMBERS)]
-    arrays = {"mean": mean, "scale": scale}
-    for number, (weight, bias) in enumerate(together(networks)):
-        arrays |= {f"weight{number}": weight.numpy(), f"bias{number}": bias.numpy()}
+    arrays = {"mean": mean, "scale": scale, **together(networks)}
     halves = {name: array.astype(np.float16) for name, array in arrays.items()}
     write_archive(args.output, SCHEMA, SCHEMA_VERSION, halves)
     with torch.no_grad():

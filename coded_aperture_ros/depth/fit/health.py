@@ -87,19 +87,20 @@ class Health:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Weights:
-    """A small network: features, standardised, through two layers; health, then causes."""
+    """Some small networks: features, standardised, through two layers; health, then causes."""
 
     mean: FloatArray
     scale: FloatArray
-    layers: tuple[tuple[FloatArray, FloatArray], ...]
+    layers: tuple[tuple[FloatArray, FloatArray], ...]  # weights [members, outputs, inputs], biases
 
     def __call__(self, features: FloatArray) -> FloatArray:
+        """Return the mean of what they say."""
         values = (np.clip(features, -LIMIT, LIMIT) - self.mean) / self.scale
-        values = np.clip(values, -SCALED_LIMIT, SCALED_LIMIT)
+        values = np.clip(values, -SCALED_LIMIT, SCALED_LIMIT)[:, None]
         for weight, bias in self.layers[:-1]:
-            values = np.maximum(weight @ values + bias, 0)
+            values = np.maximum(weight @ values + bias[..., None], 0)
         weight, bias = self.layers[-1]
-        return weight @ values + bias
+        return np.asarray((weight @ values)[..., 0] + bias).mean(axis=0)
 
 
 @lru_cache(maxsize=1)
