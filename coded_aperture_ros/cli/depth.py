@@ -286,7 +286,9 @@ def _in_words(summary: dict[str, Any]) -> str:
     from coded_aperture_ros.depth import Health
 
     if summary["median"] is None:
-        found = "depth unknown everywhere (too dark, saturated, or without texture)"
+        found = "depth unknown everywhere"
+        if not summary["cause"]:
+            found += " (too dark, saturated, or without texture)"
     else:
         median = f"{summary['median']:.4g} {summary['unit']}"
         found = f"depth at {100 * summary['known']:.0f} % of the pixels, median {median}"
