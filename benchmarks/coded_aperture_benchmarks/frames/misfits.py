@@ -332,13 +332,13 @@ def _flicker(frame: FloatArray, strength: float, random: np.random.Generator) ->
     return np.asarray(frame * rows.reshape(-1, *[1] * (frame.ndim - 1)), np.float32)
 
 
-def _rescaled(factors: Sequence[float]) -> Change:
+def _rescaled(factors: Sequence[float], enlarge: int = cv2.INTER_CUBIC) -> Change:
     """Return a frame that was enlarged and cropped, or shrunk."""
 
     def changed(fit: Fitting, strength: float, random: np.random.Generator) -> Recorded:
         factor = _at(strength, *factors)
         whole = recorded(fit, fit.light, random)
-        way = cv2.INTER_CUBIC if factor > 1 else cv2.INTER_AREA
+        way = enlarge if factor > 1 else cv2.INTER_AREA
         frame = cv2.resize(whole.frame, None, fx=factor, fy=factor, interpolation=way)
         truth = cv2.resize(fit.blur_size_px, frame.shape[1::-1], interpolation=cv2.INTER_NEAREST)
         top, left = (
@@ -376,6 +376,10 @@ def _denoised(frame: FloatArray, strength: float, random: np.random.Generator) -
         lambda: cv2.GaussianBlur(frame, (0, 0), 1.2),
     )
     return ways[_step(strength)]()
+
+
+def _smoothed(frame: FloatArray, strength: float, random: np.random.Generator) -> FloatArray:
+    return cv2.GaussianBlur(frame, (0, 0), _at(strength, 0.6, 1.0, 1.5, 2.2, 3.0))
 
 
 def _mosaic(frame: FloatArray, strength: float, random: np.random.Generator) -> FloatArray:
@@ -453,4 +457,8 @@ MISFITS = {
     "interlaced": Misfit(_of_frame(_interlaced), ("processed",)),
     "shrunk": Misfit(_rescaled((0.85, 0.7, 0.6, 0.5, 0.4)), ("scale",), traced=False),
     "other camera": Misfit(_other_camera, ("scale",), traced=False),
+    "smoothed": Misfit(_of_frame(_smoothed), ("processed", "scale")),
+    "enlarged linearly": Misfit(
+        _rescaled((1.25, 1.5, 2.0, 2.5, 3.0), cv2.INTER_LINEAR), ("scale",)
+    ),
 }
