@@ -109,8 +109,11 @@ class FrameCheckup:
         blind = dataclasses.replace(camera, noise=0.0, noise_gain=0.0)
         self._estimator = DepthEstimator(dataclasses.replace(bank, noise=0.0), DepthConfig(), blind)
 
-    def findings(self, frame: FloatArray) -> list[Finding]:
-        """Say what is wrong with a frame [rows, columns(, 3)], linear light."""
+    def findings(self, frame: FloatArray, hidden_noise: float = 0.0) -> list[Finding]:
+        """Say what is wrong with a frame [rows, columns(, 3)], linear light.
+
+        In which compression has hidden some noise; see `imaging.hidden_noise`.
+        """
         expected = self._camera.image_height, self._camera.image_width
         size = "{1}x{0}".format(*frame.shape[:2])
         if frame.shape[:2] != expected:
@@ -120,7 +123,7 @@ class FrameCheckup:
             ]
         found = [Finding("size", OK, size), _saturation(frame)]
         try:
-            estimate = self._estimator.estimate(frame)
+            estimate = self._estimator.estimate(frame, hidden_noise=hidden_noise)
         except InputError as error:
             return [*found, Finding("frame", FAILED, str(error))]
         return [*found, self._noise(estimate), _fit(estimate), _known(estimate)]

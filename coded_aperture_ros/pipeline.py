@@ -108,6 +108,7 @@ class FramePipeline:
         size: tuple[int, int] | None = None,
         prior: ExpectedMotion | None = None,
         coloured: FloatArray | None = None,
+        hidden_noise: float = 0.0,
     ) -> FrameResult:
         """Work on one frame.
 
@@ -123,6 +124,8 @@ class FramePipeline:
             What a gyroscope says; for methods that find motion.
         coloured : ndarray, float32 [rows, columns, 3], optional
             What is deblurred in place of a grey frame; see `colour_from_mosaic`.
+        hidden_noise : float, optional
+            What compression has hidden in the frame; see `DepthEstimator.estimate`.
 
         Raises
         ------
@@ -132,15 +135,18 @@ class FramePipeline:
             If the frame has a wrong shape or type, or is smaller than the model's window.
         """
         self._follow(stamp)
-        estimate = self.estimator.estimate(frame, size, prior)
+        estimate = self.estimator.estimate(frame, size, prior, hidden_noise)
         return self._result(frame if coloured is None else coloured, estimate, stamp)
 
     def video(
-        self, frames: Iterable[FloatArray], size: tuple[int, int] | None = None
+        self,
+        frames: Iterable[FloatArray],
+        size: tuple[int, int] | None = None,
+        hidden_noise: float = 0.0,
     ) -> Iterator[FrameResult]:
         """Work on a recorded video, each frame in the light of those before and after it.
 
-        Needs `DepthConfig.temporal_frames` above 0; see `estimate_video`.
+        Needs `DepthConfig.temporal_frames` above 0. Takes and raises what `estimate_video` does.
         """
         waiting: list[FloatArray] = []
 
@@ -149,7 +155,7 @@ class FramePipeline:
                 waiting.append(frame)
                 yield frame
 
-        for estimate in estimate_video(self.estimator, kept(), size):
+        for estimate in estimate_video(self.estimator, kept(), size, hidden_noise):
             yield self._result(waiting.pop(0), estimate, None)
 
     def reset(self) -> None:
@@ -167,7 +173,8 @@ class FramePipeline:
     ) -> None:
         """Go on with other settings, from the next frame on; what is not given stays.
 
-        What does not change keeps its threads, its plans and its memory of the video.
+        With the same model, camera and settings of depth nothing is planned anew, and the memory of
+        the video is kept; so it is of deblurring while the model stays.
 
         Raises
         ------

@@ -25,7 +25,7 @@ from coded_aperture_ros.core.figures import new_figure
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import map_size
 from coded_aperture_ros.imaging import Gamma
-from coded_aperture_ros.io.bags.codec import hidden_noise, read_picture
+from coded_aperture_ros.io.bags.codec import read_picture
 from coded_aperture_ros.io.bags.reading import Bag
 from coded_aperture_ros.io.bags.recorded import Topic
 from coded_aperture_ros.io.bags.topics import (
@@ -92,15 +92,11 @@ class BagConversion:
         if (bank := bank_of(pipeline.estimator.model)) is not None:
             check_frame_size(bank, view.whole_width, view.whole_height)
         pipeline.reconfigure(camera=camera.cut(view))
-        if hidden := hidden_noise(first, image.type_name, self.gamma):
-            config = pipeline.estimator.config
-            least = max(config.least_noise, hidden)
-            pipeline.reconfigure(depth=dataclasses.replace(config, least_noise=least))
         processor = FrameProcessor(
             pipeline, image.type_name, size, depth_size, self.gamma, self.prior, self.bits
         )
         warm_up(camera)
-        record = Record(image.type_name, self.bits)
+        record = Record(image.type_name, self.bits, self.gamma)
         with frame_workers(processor, first) as submit, bag_output(target, bag.storage) as writer:
             preparation_s = time.perf_counter() - started_s
             for topic in (*bag.topics.values(), *result_topics(outputs, pipeline.deblurs)):
@@ -156,7 +152,7 @@ class BagConversion:
                 },
                 "report": str(target / REPORT / PAGE),
             }
-            write_report(writer.folder / REPORT, results, record, self.gamma)
+            write_report(writer.folder / REPORT, results, record)
         return results
 
     def _topics(self, bag: Bag) -> tuple[Topic, References | None, Outputs]:

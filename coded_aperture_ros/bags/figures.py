@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.bags.record import Sample
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.figures import new_figure, save_figure
-from coded_aperture_ros.imaging import SRGB, Gamma, decode, pixels_from_linear
+from coded_aperture_ros.imaging import SRGB, pixels_from_linear
 from coded_aperture_ros.io import confidence_picture, depth_picture, grey_picture
 from coded_aperture_ros.metrics.figures import reliability_diagram
 from coded_aperture_ros.metrics.reliability import Reliability
@@ -70,18 +70,13 @@ def range_of(samples: Sequence[Sample]) -> tuple[float, float]:
     return float(near), float(far)
 
 
-def pictures_of(
-    sample: Sample, range_m: tuple[float, float], gamma: Gamma
-) -> dict[str, NDArray[np.uint8]]:
-    """Return the pictures of a frame and its results, by their titles.
-
-    `gamma` is how 8-bit frames are encoded.
-    """
-    pictures = {"coded frame": _light(sample.frame, gamma)}
+def pictures_of(sample: Sample, range_m: tuple[float, float]) -> dict[str, NDArray[np.uint8]]:
+    """Return the pictures of a frame and its results, by their titles."""
+    pictures = {"coded frame": _light(sample.frame)}
     pictures["depth"] = depth_picture(_small(sample.maps.depth_m), *range_m)
     pictures["confidence"] = confidence_picture(_small(sample.maps.confidence))
     if sample.sharp is not None:
-        pictures["all in focus"] = _light(sample.sharp, gamma)
+        pictures["all in focus"] = _light(sample.sharp)
     if sample.score is not None:
         reference = sample.score.reference_m
         pictures["reference"] = depth_picture(_small(reference), *range_m)
@@ -96,9 +91,9 @@ def png(picture: NDArray[np.uint8]) -> bytes:
     return bytes(cv2.imencode(".png", stored)[1])
 
 
-def _light(frame: FloatArray, gamma: Gamma) -> NDArray[np.uint8]:
-    """Return a frame, its values as stored, as a display wants it."""
-    return np.asarray(pixels_from_linear(decode(_small(frame), gamma), 8, SRGB), np.uint8)
+def _light(frame: FloatArray) -> NDArray[np.uint8]:
+    """Return a frame as a display wants it."""
+    return np.asarray(pixels_from_linear(_small(frame), 8, SRGB), np.uint8)
 
 
 def _small(values: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.depth import Health
-from coded_aperture_ros.imaging import Gamma
+from coded_aperture_ros.imaging import Gamma, hidden_noise
 from coded_aperture_ros.io.bags.codec import Picture, read_picture
 from coded_aperture_ros.io.messages import MessageError, frame_from_pixels, pixels_from_frame
 from coded_aperture_ros.optics.rotation import ExpectedMotion
@@ -76,7 +76,13 @@ class FrameProcessor:
         try:
             picture, frame, coloured = self._decoded(data)
             stages.lap("decode")
-            result = self.pipeline(frame, size=self.map_size, prior=self.prior, coloured=coloured)
+            result = self.pipeline(
+                frame,
+                size=self.map_size,
+                prior=self.prior,
+                coloured=coloured,
+                hidden_noise=hidden_noise(picture.lost, frame, self.gamma),
+            )
             stages.lap("depth")
         except InputError as error:
             return ProcessedFrame(*_fault(error, "frame"))

@@ -16,7 +16,6 @@ from coded_aperture_ros.bags.figures import (
 )
 from coded_aperture_ros.bags.record import Record
 from coded_aperture_ros.depth.fit import CAUSES
-from coded_aperture_ros.imaging import Gamma
 from coded_aperture_ros.metrics.reliability import Reliability
 
 PAGE, JSON = "report.html", "report.json"
@@ -32,20 +31,15 @@ img { display: block; max-width: 100% }
 """
 
 
-def write_report(
-    folder: Path, results: Mapping[str, Any], record: Record, gamma: Gamma = 1.0
-) -> None:
-    """Write the results, ready for JSON, and the page about them into a folder, which is made.
-
-    `gamma` is how 8-bit frames are encoded.
-    """
+def write_report(folder: Path, results: Mapping[str, Any], record: Record) -> None:
+    """Write the results, ready for JSON, and the page about them into a folder, which is made."""
     folder.mkdir()
     text = json.dumps({**results, "series": record.series()}, indent=1, allow_nan=False)
     (folder / JSON).write_text(text + "\n", encoding="utf-8")
-    (folder / PAGE).write_text(_page(results, record, gamma), encoding="utf-8")
+    (folder / PAGE).write_text(_page(results, record), encoding="utf-8")
 
 
-def _page(results: Mapping[str, Any], record: Record, gamma: Gamma) -> str:
+def _page(results: Mapping[str, Any], record: Record) -> str:
     title = html.escape(f"Depth of {results['input']}")
     warnings = [f'<p class="warning">{html.escape(text)}</p>' for text in _warnings(results)]
     parts = [f"<h1>{title}</h1>", *warnings, _table(_facts(results))]
@@ -63,7 +57,7 @@ def _page(results: Mapping[str, Any], record: Record, gamma: Gamma) -> str:
     for sample in samples:
         figures = [
             f"<figure>{_image(png(picture), name)}<figcaption>{name}</figcaption></figure>"
-            for name, picture in pictures_of(sample, range_m, gamma).items()
+            for name, picture in pictures_of(sample, range_m).items()
         ]
         parts.append(f"<h3>Frame {sample.index}</h3>{''.join(figures)}")
     parts.append(f"<h2>Time</h2>{_table(_times(results))}")

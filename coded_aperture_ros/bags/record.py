@@ -13,6 +13,7 @@ from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
 from coded_aperture_ros.bags.score import FrameScore, summary
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.imaging import Gamma
 from coded_aperture_ros.io.bags.codec import read_picture, stamp_ns_of
 from coded_aperture_ros.io.bags.recorded import Recorded
 from coded_aperture_ros.io.messages import frame_from_pixels
@@ -36,10 +37,13 @@ class Sample:
 
 
 class Record:
-    """Notes the results of all frames, of messages of one type, and keeps a few of them."""
+    """Notes the results of all frames, of messages of one type, and keeps a few of them.
 
-    def __init__(self, type_name: str, bits: int = 16) -> None:
-        self._type_name, self._bits = type_name, bits
+    `bits` are those of 16-bit frames, `gamma` that of 8-bit ones.
+    """
+
+    def __init__(self, type_name: str, bits: int = 16, gamma: Gamma = 1.0) -> None:
+        self._type_name, self._bits, self._gamma = type_name, bits, gamma
         self.frames = 0  # also those that could not be used
         self.faults: Counter[str] = Counter()  # those, by the reason in a word
         self.reasons: dict[str, str] = {}  # the first of each in a line
@@ -162,11 +166,11 @@ class Record:
         self, index: int, recorded: Recorded, result: ProcessedFrame, maps: DepthMaps
     ) -> None:
         """Keep a sample; every other one goes whenever there are too many."""
-        picture = read_picture(recorded.data, self._type_name)
+        picture, gamma = read_picture(recorded.data, self._type_name), self._gamma
         self.samples[index] = Sample(
             index,
-            frame_from_pixels(picture.pixels, 1.0, self._bits, picture.mosaic, coloured=True),
-            None if result.sharp is None else _shown(result.sharp, result.encoding),
+            frame_from_pixels(picture.pixels, gamma, self._bits, picture.mosaic, coloured=True),
+            None if result.sharp is None else _shown(result.sharp, result.encoding, gamma),
             maps,
         )
         while len(self.samples) > _SAMPLES:
@@ -178,10 +182,10 @@ class Record:
             }
 
 
-def _shown(stored: NDArray, encoding: str) -> FloatArray:
-    """Return stored pixels in the order red, green, blue, without alpha."""
+def _shown(stored: NDArray, encoding: str, gamma: Gamma) -> FloatArray:
+    """Return stored pixels as linear light in the order red, green, blue, without alpha."""
     pixels = stored[..., :3] if stored.ndim == 3 else stored
-    return frame_from_pixels(pixels[..., ::-1] if encoding.startswith("bgr") else pixels)
+    return frame_from_pixels(pixels[..., ::-1] if encoding.startswith("bgr") else pixels, gamma)
 
 
 def _number(value: float) -> float | None:

@@ -117,7 +117,7 @@ def _capture(args: argparse.Namespace) -> None:
         _say(f"{folder}: has planes at {', '.join(f'{depth:g}' for depth in there)} m")
     from coded_aperture_ros.ros.plane_capture import FrameGrabber
 
-    with FrameGrabber(args.topic, args.gamma if isinstance(args.gamma, float) else 1.0) as grabber:
+    with FrameGrabber(args.topic, args.gamma) as grabber:
 
         def take(depth_m: float) -> None:
             image = grabber.mean_frame(args.frames, args.timeout)
@@ -240,6 +240,8 @@ def _summary(args: argparse.Namespace, found: Any, camera: Any, seconds: float) 
         summary["camera"] = args.camera
         summary["camera_focus_distance_m"] = camera.focus_distance_m
         summary["camera_slope_px_m"] = camera.blur_per_dioptre_px
+        if math.isfinite(pattern.focus_distance_m):
+            camera = camera.refocused(pattern.focus_distance_m)
         summary["mask_extent_mm"] = round(pattern.slope_px_m / camera.focal_length_px * 1e3, 4)
     return summary
 
@@ -254,23 +256,25 @@ def _write_files(args: argparse.Namespace, found: Any, camera: Any, summary: Any
             folder = Path(args.output)
             write_report(output, folder / _REPORT, summary, found.pattern.mask)
             if camera is not None and math.isfinite(found.pattern.focus_distance_m):
-                output(folder / _CAMERA).write_text(_camera_text(summary, camera), encoding="utf-8")
+                text = _camera_text(summary, Path(args.camera))
+                output(folder / _CAMERA).write_text(text, encoding="utf-8")
         save_bank(found.bank, output(args.bank))
 
 
-def _camera_text(summary: Any, camera: Any) -> str:
-    """Return the camera file with the focus and the mask size that were found."""
+def _camera_text(summary: Any, path: Path) -> str:
+    """Return a camera file with the focus and the mask that were found, for another folder."""
     import yaml
 
-    content = {
-        "focal_length_px": float(camera.focal_length_px),
+    from coded_aperture_ros.optics.intrinsics import read_yaml
+
+    content = read_yaml(path, f"camera file {path}") | {
         "focus_distance_m": summary["focus_distance_m"],
-        "image_width": camera.image_width,
-        "image_height": camera.image_height,
         "side": summary["side"],
         "mask": {"file": "mask.npy"},
         "mask_extent_mm": summary["mask_extent_mm"],
     }
+    if "camera_info" in content:
+        content["camera_info"] = str((path.parent / content["camera_info"]).resolve())
     return str(yaml.safe_dump(content, sort_keys=False))
 
 

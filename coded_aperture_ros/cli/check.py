@@ -69,8 +69,8 @@ def run(args: argparse.Namespace) -> int:
             bank = _learned(camera, range_m)
         with naming(args.bank or args.camera):
             checkup = FrameCheckup(camera, bank)
-        for name, frame in itertools.islice(_frames(args), _MOST_FRAMES):
-            found[name] = checkup.findings(frame)
+        for name, frame, hidden in itertools.islice(_frames(args), _MOST_FRAMES):
+            found[name] = checkup.findings(frame, hidden)
         checkup.close()
     everything = [finding for findings in found.values() for finding in findings]
     failed = any(finding.state == FAILED for finding in everything)
@@ -99,7 +99,8 @@ def _learned(camera: Any, range_m: Any) -> Any:
 
 
 def _frames(args: argparse.Namespace) -> Any:
-    """Yield the name and the linear light of every frame."""
+    """Yield the name, the linear light and the hidden noise of every frame."""
+    from coded_aperture_ros.imaging import hidden_noise
     from coded_aperture_ros.io.messages import frame_from_pixels
     from coded_aperture_ros.io.sources import captures, open_files
 
@@ -108,4 +109,5 @@ def _frames(args: argparse.Namespace) -> Any:
             for capture in captures(open_files(given)):
                 mosaic = capture.mosaic or args.bayer
                 frame = frame_from_pixels(capture.frame, args.gamma, args.bits, mosaic)
-                yield capture.name or given, frame
+                hidden = hidden_noise(capture.lost, frame, args.gamma)
+                yield capture.name or given, frame, hidden

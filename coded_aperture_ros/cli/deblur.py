@@ -129,7 +129,8 @@ def _restorer(args: argparse.Namespace, bank: Any) -> Callable[[NamedFrame], tup
     def restored(frame: NamedFrame) -> tuple[Any, Any]:
         blur_size_px: Any = given
         if given is None:
-            result = pipeline(frame.image, frame.stamp_ns, coloured=frame.coloured)
+            more = {"coloured": frame.coloured, "hidden_noise": frame.hidden_noise}
+            result = pipeline(frame.image, frame.stamp_ns, **more)
             blur_size_px = result.depth.blur_size_px
             if motion_px is None:
                 return result.all_in_focus, blur_size_px

@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
-from itertools import groupby
+from itertools import chain, groupby
 from pathlib import Path
 from typing import Any
 
@@ -51,8 +51,8 @@ _EPILOG = """examples:
 """
 _NOT_ASKED = "nothing expected"
 _LOSSY = (
-    "compressed with loss: reckoned with noise of {:.4f} or more, and less depth is sure: record "
-    "pictures without loss, such as PNG"
+    "%s: compressed with loss: reckoned with noise of about %.4f or more, and less depth is sure: "
+    "record pictures without loss, such as PNG"
 )
 # Beyond so many times the nearest depth hardly any are told apart: scales end there.
 _FARTHEST = 10
@@ -130,16 +130,15 @@ def run(args: argparse.Namespace) -> int:
     scale = _scale(args, pipeline.estimator)
     frames = named_frames(args, ".npy", _SUFFIXES, outputs, unusable)
     summaries: list[dict[str, Any]] = []
-    config = pipeline.estimator.config
     with shown as add_to_movie:
-        for (_, lost), video in groupby(frames, key=lambda frame: (frame.video, frame.least_noise)):
-            least_noise = max(config.least_noise, lost)
-            pipeline.reconfigure(depth=dataclasses.replace(config, least_noise=least_noise))
-            if lost:
-                logging.warning(_LOSSY.format(least_noise))
+        for _, video in groupby(frames, key=lambda frame: frame.video):
             pipeline.reset()
+            first = next(video)
+            if hidden := first.hidden_noise:
+                logging.warning(_LOSSY, first.source, hidden)
+            video = chain([first], video)
             if args.look_ahead:
-                results = _with_look_ahead(pipeline, video, bank)
+                results = _with_look_ahead(pipeline, video, bank, hidden)
             else:
                 results = _in_turn(pipeline, video, prior, bank, args.frame_scale, unusable)
             for frame, estimate, seconds in results:
@@ -192,7 +191,10 @@ def _in_turn(
         try:
             with naming(found.source):
                 frame = suitable(found, bank, scale)
-                estimate = pipeline(frame.image, size=frame.size, prior=prior).depth
+                hidden = frame.hidden_noise
+                estimate = pipeline(
+                    frame.image, size=frame.size, prior=prior, hidden_noise=hidden
+                ).depth
         except InputError as error:
             unusable.note(error)
             continue
@@ -200,7 +202,7 @@ def _in_turn(
 
 
 def _with_look_ahead(
-    pipeline: Any, frames: Iterator[NamedFrame], bank: Any
+    pipeline: Any, frames: Iterator[NamedFrame], bank: Any, hidden_noise: float
 ) -> Iterator[tuple[NamedFrame, Any, float]]:
     """Do the same with frames that are estimated several at a time: the first takes the time."""
     waiting: deque[NamedFrame] = deque()
@@ -216,7 +218,7 @@ def _with_look_ahead(
         except InputError as error:
             unreadable.append(error)  # the frames before it are finished first
 
-    results = pipeline.video(images())
+    results = pipeline.video(images(), hidden_noise=hidden_noise)
     while True:
         start = time.perf_counter()
         try:

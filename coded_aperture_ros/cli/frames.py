@@ -20,7 +20,7 @@ class NamedFrame:
     """A frame, and what is known about it.
 
     `video` changes where other frames begin: with every folder, video and bag. Pictures that are
-    given one after the other belong together. `least_noise` is what lossy compression has hidden,
+    given one after the other belong together. `hidden_noise` is what lossy compression has hidden,
     in linear light; `size` that of the maps, rows and columns, where the frame was resampled;
     `coloured` the picture to be deblurred where that is not the frame itself.
     """
@@ -30,7 +30,7 @@ class NamedFrame:
     image: Any  # linear light
     stamp_ns: int | None  # when it was taken
     video: int
-    least_noise: float = 0.0
+    hidden_noise: float = 0.0
     size: tuple[int, int] | None = None
     coloured: Any = None
 
@@ -97,9 +97,7 @@ def named_frames(
     to one file, an input cannot be read, or an output cannot be written or would overwrite an
     input. Of several pictures, those that cannot be read are left to `unusable`.
     """
-    import numpy as np
-
-    from coded_aperture_ros.imaging import light_per_stored
+    from coded_aperture_ros.imaging import hidden_noise
     from coded_aperture_ros.io.messages import frame_from_pixels
     from coded_aperture_ros.io.sources import PictureSource, captures, open_files
 
@@ -149,8 +147,5 @@ def named_frames(
             image = coloured = frame_from_pixels(*how)
             if mosaic:
                 coloured = frame_from_pixels(*how, coloured=True)
-        light = float(np.nan_to_num(image).mean())
-        least_noise = round(capture.lost * light_per_stored(light, args.gamma), 4)
-        yield NamedFrame(
-            given, target, image, capture.stamp_ns, video, least_noise, coloured=coloured
-        )
+        hidden = hidden_noise(capture.lost, image, args.gamma)
+        yield NamedFrame(given, target, image, capture.stamp_ns, video, hidden, coloured=coloured)

@@ -133,6 +133,7 @@ class DepthEstimator:
         frame: FloatArray,
         size: tuple[int, int] | None = None,
         prior: ExpectedMotion | None = None,
+        hidden_noise: float = 0.0,
     ) -> DepthEstimate:
         """Estimate the depth of every pixel of a frame.
 
@@ -144,6 +145,9 @@ class DepthEstimator:
             Rows and columns of the maps, which cover the whole frame; the frame's by default.
         prior : ExpectedMotion, optional
             Of the picture during the exposure, for methods that find motion.
+        hidden_noise : float, optional
+            Standard deviation of what lossy compression has hidden in this frame, linear light; see
+            `imaging.hidden_noise`.
 
         Raises
         ------
@@ -153,7 +157,7 @@ class DepthEstimator:
         """
         check_map_size(size)
         stages = Stages()
-        seen = self.observe(frame)
+        seen = self.observe(frame, hidden_noise)
         stages.lap("prepare")
         grey, frames = seen.grey, None
         if self._average is not None:
@@ -167,8 +171,8 @@ class DepthEstimator:
             stages.lap("temporal")
         return self.decide(seen, volume, own, size, stages)
 
-    def observe(self, frame: FloatArray) -> Observation:
-        """Look at a frame by itself; the first step of `estimate`.
+    def observe(self, frame: FloatArray, hidden_noise: float = 0.0) -> Observation:
+        """Look at a frame by itself; the first step of `estimate`, with what that is given.
 
         Raises
         ------
@@ -178,7 +182,7 @@ class DepthEstimator:
         grey, unusable = grey_image(frame, self.config.saturation)
         channels = 1 if frame.ndim == 2 else frame.shape[2]
         grid = self._plan_for(grey.shape).likelihood.grid
-        least = self.config.least_noise
+        least = max(self.config.least_noise, hidden_noise)
         return Observation.of(grey, unusable, grid, self.known_noise, channels, least)
 
     def cost(

@@ -21,7 +21,10 @@ _BLOCK = 3
 
 
 def estimate_video(
-    estimator: DepthEstimator, frames: Iterable[FloatArray], size: tuple[int, int] | None = None
+    estimator: DepthEstimator,
+    frames: Iterable[FloatArray],
+    size: tuple[int, int] | None = None,
+    hidden_noise: float = 0.0,
 ) -> Iterator[DepthEstimate]:
     """Estimate the depth of a video's frames from the past and the future.
 
@@ -37,6 +40,8 @@ def estimate_video(
         In order, of one size. A few dozen of them are held at a time.
     size : (int, int), optional
         Rows and columns of the maps; the frames' by default.
+    hidden_noise : float, optional
+        By compression, about the same in all frames; see `DepthEstimator.estimate`.
 
     Yields
     ------
@@ -53,7 +58,7 @@ def estimate_video(
         raise InputError("temporal_frames: a video with past and future needs more than 0")
     check_map_size(size)
     ahead = int(np.ceil(_AHEAD * memory))
-    remaining = (estimator.observe(frame) for frame in frames)
+    remaining = (estimator.observe(frame, hidden_noise) for frame in frames)
     forward_mean, forward_cost = StaticAverage(2 * memory), TemporalFilter(memory)
     means: list[tuple[FloatArray, FloatArray]] = []
     waiting: list[Observation] = []

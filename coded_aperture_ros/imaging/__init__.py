@@ -1,6 +1,6 @@
 """One frame as numbers: linear light, grey, patches, noise, averages over time."""
 
-from coded_aperture_ros.imaging.decoding import decode_picture, noise_hidden_by_compression
+from coded_aperture_ros.imaging.decoding import decode_picture
 from coded_aperture_ros.imaging.frame import (
     channel_mean,
     check_frame,
@@ -14,7 +14,7 @@ from coded_aperture_ros.imaging.light import (
     decode,
     encode,
     gamma_from_text,
-    light_per_stored,
+    hidden_noise,
     linear_from_pixels,
     pixels_from_linear,
 )
@@ -58,10 +58,9 @@ __all__ = [
     "grey_from_mosaic",
     "grey_image",
     "grey_noise",
-    "light_per_stored",
+    "hidden_noise",
     "linear_from_pixels",
     "mosaic_from_colour",
-    "noise_hidden_by_compression",
     "periodic",
     "periodic_shape",
     "pixels_from_linear",

@@ -6,8 +6,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.imaging.light import Gamma, light_per_stored, linear_from_pixels
-
 _PNG_SIGNATURE, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND"
 _JPEG_START, _JPEG_MARKER, _JPEG_TABLES, _JPEG_SHARE = b"\xff\xd8", 0xFF, 0xDB, 0.35
 # As stored; turned upright as EXIF asks, a picture would no longer suit the mask.
@@ -46,16 +44,6 @@ def lost_by_compression(data: bytes) -> float:
             return float(_JPEG_SHARE * np.median(steps) / 255 / np.sqrt(12))
         start += 2 + length
     return 0.0
-
-
-def noise_hidden_by_compression(data: bytes, pixels: NDArray, gamma: Gamma) -> float:
-    """Return about how much noise JPEG has hidden in a frame, in linear light.
-
-    In steps of a square root of 2: the same for all frames of a stream of steady quality.
-    """
-    light = float(linear_from_pixels(pixels[::8, ::8], gamma).mean())
-    lost = lost_by_compression(data) * light_per_stored(light, gamma)
-    return lost and float(2.0 ** (np.ceil(2 * np.log2(lost)) / 2))
 
 
 def _is_whole_png(data: bytes) -> bool:

@@ -47,11 +47,18 @@ def encode(light: ArrayLike, gamma: Gamma) -> FloatArray:
     return values if gamma == 1.0 else np.maximum(values, 0.0) ** np.float32(1.0 / gamma)
 
 
-def light_per_stored(light: float, gamma: Gamma) -> float:
-    """Return by how much linear light changes with the stored value, around some light."""
+def hidden_noise(lost: float, frame: FloatArray, gamma: Gamma) -> float:
+    """Return about how much noise compression has hidden in a frame, linear light.
+
+    Standard deviation; `lost` is what it has hidden of stored values from 0 to 1, 0 for nothing, of
+    a frame [rows, columns(, channels)] that is linear light already. NaN is left out.
+    """
+    if not lost:
+        return 0.0
+    light = float(np.nan_to_num(frame[::8, ::8]).mean())
     stored = float(np.clip(encode(light, gamma), 0.05, 0.95))
     low, high = decode(np.array([stored - 0.01, stored + 0.01]), gamma)
-    return float((high - low) / 0.02)
+    return float(lost * (high - low) / 0.02)
 
 
 def linear_from_pixels(pixels: NDArray, gamma: Gamma = 1.0) -> FloatArray:

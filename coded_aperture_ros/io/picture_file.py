@@ -12,6 +12,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.imaging.decoding import decode_picture, lost_by_compression
 from coded_aperture_ros.imaging.light import Gamma, linear_from_pixels, pixels_from_linear
+from coded_aperture_ros.io.messages.frames import millimetres_from_depth
 
 PICTURE_SUFFIXES = (
     *(".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".webp", ".ppm", ".pgm"),
@@ -152,7 +153,7 @@ def read_depth(path: str | os.PathLike[str], metres_per_unit: float | None = Non
 def write_depth(path: str | os.PathLike[str], depth_m: NDArray) -> None:
     """Write a depth map: 16-bit millimetres to `.png`, float metres to `.tif` and `.npy`.
 
-    In millimetres what has no distance is 0, and what is beyond 65.535 m is stored as that.
+    See `millimetres_from_depth` for what has no distance, and what is beyond 65.535 m.
 
     Raises
     ------
@@ -164,8 +165,7 @@ def write_depth(path: str | os.PathLike[str], depth_m: NDArray) -> None:
     if suffix in (".npy", *_TIFF):
         _write(path, depth_m.astype(np.float32))
     elif suffix == ".png":
-        millimetres = np.clip(np.rint(depth_m / _MILLIMETRE), 1, 65535)
-        _write(path, np.where(depth_m > 0, millimetres, 0).astype(np.uint16))
+        _write(path, millimetres_from_depth(depth_m))
     else:
         raise InputError(f"{path}: unknown depth format, use .npy, .tif or .png")
 

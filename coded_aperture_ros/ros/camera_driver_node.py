@@ -11,6 +11,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.io.messages import MessageError, frame_from_pixels, pixels_from_frame
 from coded_aperture_ros.io.sources import (
@@ -42,6 +43,8 @@ from coded_aperture_ros.ros.static_transform import broadcast_static, optical_tr
 from coded_aperture_ros.ros.topics import LocalTopics, Outputs
 
 _IDLE_S = 0.05
+# A camera that is gone may keep a thread waiting for longer; it is not waited for.
+_LONGEST_FRAME_S = 5.0
 _RETRY_S = (0.5, 10.0)
 
 
@@ -132,7 +135,7 @@ class CameraDriverNode(ManagedNode):
         self._store: CameraInfoStore | None = None
         self._diagnostics: DiagnosticsPublisher | None = None
         self._thread: threading.Thread | None = None
-        self._stopping = threading.Event()
+        self._stopping = threading.Event()  # of the thread
         self._failures = 0
         self._failing = self._warned_of_size = False
         self.begin()
@@ -172,17 +175,17 @@ class CameraDriverNode(ManagedNode):
 
     def start_work(self) -> None:
         """Begin to take frames."""
-        self._stopping.clear()
+        if self._thread is not None and self._thread.is_alive():
+            raise InputError("the camera does not end its last frame: wait, and try again")
+        self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=self.get_name(), daemon=True)
         self._thread.start()
 
     def stop_work(self) -> None:
-        """End the thread, and let go of the camera."""
+        """End the thread, which lets go of the camera, as soon as the frame in work is done."""
         self._stopping.set()
         if self._thread is not None:
-            self._thread.join(5.0)
-        if self._source is not None:
-            self._source.close()
+            self._thread.join(_LONGEST_FRAME_S)
 
     def end(self) -> None:
         """End the thread, and let go of the camera."""
@@ -203,34 +206,43 @@ class CameraDriverNode(ManagedNode):
     def _run(self) -> None:
         source = self._source
         assert source is not None  # it was set up
-        pace = Pace(self._stopping)
+        try:
+            self._take_frames(source, self._stopping)
+        finally:
+            source.close()
+
+    def _take_frames(self, source: Source, stopping: threading.Event) -> None:
+        pace = Pace(stopping)
         retry_s = _RETRY_S[0]
         settings = self.configs[DeviceConfig]
-        while not self._stopping.is_set():
+        while not stopping.is_set():
             # A live source goes on, or the first frame to be published would be an old one.
             lazy = self.configs[LazyConfig].lazy and not source.live
             if lazy and not self._outputs.listened():
-                self._stopping.wait(_IDLE_S)
+                stopping.wait(_IDLE_S)
                 pace.begin()
                 continue
             try:
                 if isinstance(source, DeviceSource):
                     settings = self._keep_settings(source, settings)
+                begun_s = time.monotonic()
                 capture = source.read()
+                # A live source waits for its camera, others work.
+                work_s = 0.0 if source.live else time.monotonic() - begun_s
                 if capture is None:
                     self.get_logger().info(f"end of {self._config.source}")
                     break
                 self.statistics.count_received()
-                taken_s = time.monotonic()
                 if not source.live:
                     pace.wait(1.0 / self._config.rate_hz, capture.stamp_ns)
+                taken_s = time.monotonic()
                 self._publish(capture)
-                self.statistics.count_processed(None, time.monotonic() - taken_s)
+                self.statistics.count_processed(None, work_s + time.monotonic() - taken_s)
             except Exception as error:
                 # A camera that is unplugged, or a driver that fails in its own way: the robot
                 # goes on, and so does this node as soon as there are frames again.
                 self._tell_failure(source, error)
-                self._stopping.wait(retry_s)
+                stopping.wait(retry_s)
                 retry_s = min(2 * retry_s, _RETRY_S[1])
                 continue
             if self._failing:

@@ -82,7 +82,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         self._pairs.clear()
         self._restarting.set()
 
-    def _on_image(self, message: Image) -> None:
+    def _on_image(self, message: Image, _: float) -> None:
         self.statistics.count_received()
         if self._arriving.follow(stamp_ns(message.header)) == "restart":
             # The same stamps may come again, and frames from before are not theirs.
@@ -121,8 +121,11 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
             pixels = pixels_from_frame(sharp, encoding, gamma)
             self.send("deblurred/image", image_from_array(pixels, encoding, header))
         if compressed:
-            content = compressed_picture(pixels, encoding)
-            self.send("deblurred/image/compressed", compressed_message(content, header))
+            try:
+                content = compressed_picture(pixels, encoding)
+                self.send("deblurred/image/compressed", compressed_message(content, header))
+            except MessageError as error:  # the other outputs do not depend on it
+                self.reject(error.kind, str(error))
         if complaint := self._info.complaint(camera, size):
             self.reject("camera_info", complaint)
         if self.wants("deblurred/camera_info"):

@@ -28,6 +28,7 @@ from coded_aperture_ros.depth import (
     side_warning,
 )
 from coded_aperture_ros.depth.config import VIDEO_FRAMES
+from coded_aperture_ros.imaging import hidden_noise
 from coded_aperture_ros.io.messages import (
     DEPTH_FORMATS,
     MessageError,
@@ -98,7 +99,7 @@ class DepthNodeConfig:
     )
 
 
-class DepthNode(FrameNode[Image]):
+class DepthNode(FrameNode[tuple[Image, float]]):
     """Publishes depth of coded frames, how sure it is, and the matching camera model."""
 
     outputs: ClassVar = {
@@ -184,10 +185,16 @@ class DepthNode(FrameNode[Image]):
             identity["motion"] = self._searched and f"all motions tried: {self._searched}"
         return identity
 
-    def process(self, item: Image) -> None:
-        """Estimate and publish the depth of one frame."""
-        header, config = item.header, self.configs[DepthNodeConfig]
-        frame = frame_from_image(item, self.frame_config.gamma, self.frame_config.bits)
+    def process(self, item: tuple[Image, float]) -> None:
+        """Estimate and publish the depth of a frame; with it comes what compression has hidden."""
+        (image, lost), config = item, self.configs[DepthNodeConfig]
+        header, gamma = image.header, self.frame_config.gamma
+        frame = frame_from_image(image, gamma, self.frame_config.bits)
+        if hidden := hidden_noise(lost, frame, gamma):
+            self.get_logger().warning(
+                f"frames are compressed: their noise is taken to be about {hidden:.4f} at least",
+                once=True,
+            )
         frame_size = frame.shape[0], frame.shape[1]
         size = map_size(frame_size, config.output_size)
         self._model.fit(self._info.view(self._model.whole, frame_size))
@@ -195,7 +202,8 @@ class DepthNode(FrameNode[Image]):
         if self._finds_motion:
             prior = self._gyro.expected(header, self.configs[GyroConfig], camera.intrinsics)
         try:
-            result = self._present_pipeline()(frame, stamp_ns(header), size=size, prior=prior)
+            pipeline, stamp = self._present_pipeline(), stamp_ns(header)
+            result = pipeline(frame, stamp, size=size, prior=prior, hidden_noise=hidden)
         except LateFrameError as error:
             raise MessageError("late", str(error)) from error
         estimate = result.depth
@@ -221,7 +229,7 @@ class DepthNode(FrameNode[Image]):
             if self.wants("depth/points"):
                 through = rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
                 small = cv2.resize(frame, size[::-1], interpolation=cv2.INTER_AREA)
-                colours = pixels_from_frame(small, "rgb8", self.frame_config.gamma)
+                colours = pixels_from_frame(small, "rgb8", gamma)
                 maps = depth_m, estimate.confidence, std_dev_m, colours, through
                 points = points_of_depth(*maps, self._range.near_m, config.points_far_m)
                 self.send("depth/points", cloud_from_points(points, header))
@@ -249,9 +257,9 @@ class DepthNode(FrameNode[Image]):
             content = compressed_depth(depth(), self.configs[DepthNodeConfig].compressed_depth)
             self.send(compressed, compressed_message(content, header))
 
-    def _on_image(self, message: Image) -> None:
+    def _on_image(self, message: Image, lost: float) -> None:
         self.statistics.count_received()
-        self.offer(message)
+        self.offer((message, lost))
 
     def _present_pipeline(self) -> FramePipeline:
         """Return the pipeline, brought up to date with the camera, the bank and the parameters."""
@@ -265,8 +273,6 @@ class DepthNode(FrameNode[Image]):
         if cv2.getNumThreads() != (threads := thread_count(self.configs[DepthConfig].threads)):
             cv2.setNumThreads(threads)
         depth = self.configs[DepthConfig]
-        if self.hidden_noise > depth.least_noise:
-            depth = dataclasses.replace(depth, least_noise=self.hidden_noise)
         pipeline.reconfigure(model=model, camera=camera, depth=depth)
         if self._restarting.is_set():
             self._restarting.clear()

@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
@@ -100,7 +101,7 @@ class FrameModel(Generic[Model]):
         model = self._made(self._first_camera, camera, config)
         self._state = _State(self._first_camera, camera, model)
         self._prepared: _State[Model] | None = None
-        self._next: _State[Model] | None = None
+        self._next: deque[_State[Model]] = deque(maxlen=1)  # set and taken in two threads
         parameters.on_change(ModelConfig, self._prepare, self._take_over)
 
     @property
@@ -134,7 +135,9 @@ class FrameModel(Generic[Model]):
         self._prepared = _State(file_camera, camera, self._made(file_camera, camera, config))
 
     def _take_over(self, config: ModelConfig) -> None:
-        self._config, self._next = config, self._prepared
+        assert self._prepared is not None  # by `_prepare`, just before
+        self._config = config
+        self._next.append(self._prepared)
         self._logger.info(f"camera file is {config.camera_file} from the next frame on")
 
     def fit(self, view: View) -> None:
@@ -144,8 +147,8 @@ class FrameModel(Generic[Model]):
         file where the driver says that it bins. Raises `MessageError` of kind "size", where frames
         of this size cannot be the camera's, are too small, or are not those that the bank is for.
         """
-        if self._next is not None:
-            self._state, self._next = self._next, None
+        if self._next:
+            self._state = self._next.pop()
         least_px = self.model.window_px
         if min(view.width, view.height) < least_px:  # before a bank is learned for it in vain
             raise MessageError(
@@ -161,8 +164,8 @@ class FrameModel(Generic[Model]):
                 check_frame_size(bank, *size)
             except InputError as error:
                 raise MessageError("size", str(error)) from error
-        self._view = view
         if camera == self.whole:
+            self._view = view
             return
         scaled = "" if camera == file_camera else ": the camera file is scaled to them"
         self._logger.info(
@@ -170,6 +173,7 @@ class FrameModel(Generic[Model]):
             f"{self.whole.image_height}{scaled}"
         )
         self._state = _State(file_camera, camera, self._made(file_camera, camera, self._config))
+        self._view = view
 
     def change(self, changed: Callable[[Model], Model]) -> None:
         """Go on with a changed model; not while a frame is worked on with it."""

@@ -13,8 +13,8 @@ from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
-from coded_aperture_ros.imaging import noise_hidden_by_compression
-from coded_aperture_ros.io.messages import MessageError, array_from_image
+from coded_aperture_ros.imaging.decoding import lost_by_compression
+from coded_aperture_ros.io.messages import MessageError
 from coded_aperture_ros.ros.diagnostics import (
     Complaint,
     DiagnosticsConfig,
@@ -32,6 +32,8 @@ Item = TypeVar("Item")
 
 _LAZY_PERIOD_S = 0.2
 _LOG_PERIOD_S = 10.0
+# What a node that ends waits for the frame in work.
+_LONGEST_FRAME_S = 5.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +92,6 @@ class FrameNode(ManagedNode, Generic[Item]):
         offered = {topic: kind for topic, kind in self.outputs.items() if self.offers(topic)}
         self._outputs = Outputs(self, offered, local)
         self._inputs = Inputs(self, local)
-        self.hidden_noise = 0.0  # by the compression of the frames, linear light
         self._logged_s: dict[str, float] = {}
         self._taken_up_s = 0.0
         self._rate_limit = RateLimit()
@@ -108,10 +109,13 @@ class FrameNode(ManagedNode, Generic[Item]):
         """Subscribe to an input; under `lazy` only while some output has a subscriber."""
         self._inputs.add(topic, message_type, callback)
 
-    def listen_to_frames(self, topic: str, callback: Callable[[Image], None]) -> None:
-        """Subscribe to frames, raw or compressed as the parameter `image_transport` says."""
+    def listen_to_frames(self, topic: str, callback: Callable[[Image, float], None]) -> None:
+        """Subscribe to frames, raw or compressed as the parameter `image_transport` says.
+
+        The callback gets what compression has hidden, too; see `lost_by_compression`.
+        """
         if self.frame_config.image_transport == "raw":
-            self.listen(topic, Image, callback)
+            self.listen(topic, Image, lambda image: callback(image, 0.0))
             return
 
         def decompress(message: CompressedImage) -> None:
@@ -121,14 +125,7 @@ class FrameNode(ManagedNode, Generic[Item]):
                 self.statistics.count_received()
                 self.reject(error.kind, str(error))
                 return
-            pixels, data = array_from_image(image), bytes(message.data)
-            hidden = noise_hidden_by_compression(data, pixels, self.frame_config.gamma)
-            if hidden > self.hidden_noise:
-                self.get_logger().warning(
-                    f"frames are compressed: their noise is taken to be {hidden:.4f} at least"
-                )
-            self.hidden_noise = hidden
-            callback(image)
+            callback(image, lost_by_compression(bytes(message.data)))
 
         self.listen(f"{topic}/compressed", CompressedImage, decompress)
 
@@ -200,13 +197,13 @@ class FrameNode(ManagedNode, Generic[Item]):
 
     def end(self) -> None:
         """End the threads."""
-        self._end_worker()
+        self._end_worker(_LONGEST_FRAME_S)
         self.unload()
 
-    def _end_worker(self) -> None:
+    def _end_worker(self, timeout_s: float | None = None) -> None:
         worker, self._worker = self._worker, None
         if worker is not None:
-            worker.stop()
+            worker.stop(timeout_s)
 
     def offer(self, item: Item) -> None:
         """Hand an item to the worker, unless the rate is limited; what still waits is dropped."""

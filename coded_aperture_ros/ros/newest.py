@@ -37,8 +37,8 @@ class NewestWorker(Generic[Item]):
         if replaced:
             self._dropped()
 
-    def stop(self, timeout_s: float = 5.0) -> None:
-        """Forget the waiting item, and wait until the one in work is done."""
+    def stop(self, timeout_s: float | None = None) -> None:
+        """Forget the waiting item, and wait until the one in work is done, or for some time."""
         with self._change:
             self._stopping = True
             self._waiting = None

@@ -24,9 +24,10 @@ class RateLimit:
         now_s = self._now()
         if rate_hz <= 0:
             return True
+        period_s = 1.0 / rate_hz
+        self._due_s = min(self._due_s, now_s + period_s)  # the limit may have been lower before
         if now_s < self._due_s:
             return False
-        period_s = 1.0 / rate_hz
         self._due_s = max(self._due_s, now_s - period_s) + period_s
         return True
 

@@ -132,7 +132,9 @@ class NodeParameters:
                 self._logger.warning(renamed(parameter.name, name))
             if name in self._settings:
                 value = _suiting(parameter.value, self._settings[name].kind)
-                parameter = Parameter(name, value=value)
+                # An empty array does not show its type.
+                kept = parameter.type_ if value is parameter.value else None
+                parameter = Parameter(name, kept, value)
             present.append(parameter)
         return present
 

@@ -13,6 +13,7 @@ from sensor_msgs.msg import Image
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.imaging import Gamma
 from coded_aperture_ros.io.messages import MessageError, frame_from_image
 from coded_aperture_ros.ros.running import running_apart
 
@@ -25,7 +26,7 @@ class FrameGrabber:
     the topic's name is none.
     """
 
-    def __init__(self, topic: str, gamma: float = 1.0) -> None:
+    def __init__(self, topic: str, gamma: Gamma = 1.0) -> None:
         self._topic, self._gamma = topic, gamma
         self._changed = threading.Condition()
         self._frames: list[FloatArray] = []

@@ -26,7 +26,7 @@ Needed: camera_file, a camera file (YAML){range}. Example:
   ros2 run coded_aperture_ros {name} --ros-args -p camera_file:=/path/to/camera.yaml{example}
 
 All parameters, with defaults and ranges, while it runs: ros2 param describe /{name} NAME; the most
-useful ones are in the README. Without the program ros2, {name} takes the same arguments.
+useful ones are in docs/robot.md. Without the program ros2, {name} takes the same arguments.
 """
 _WHAT = {
     "camera_driver_node": "Publishes frames of a device, files, a bag or a simulator (source).",
@@ -47,8 +47,7 @@ def _help(names: tuple[str, ...]) -> str:
 def _run(*names: str) -> int:
     """Run nodes in this process until told to stop; return the exit status.
 
-    A parameter given as `-p camera_file:=...` goes to all of them, `-p depth_node:levels:=...`
-    to one.
+    A parameter given as `-p camera_file:=...` goes to all nodes, `-p depth_node:lazy:=...` to one.
     """
     if {"-h", "--help"} & set(sys.argv[1:]):
         sys.stdout.write(_help(names))

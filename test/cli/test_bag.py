@@ -32,6 +32,10 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import CompressionMode
 
+from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
+from coded_aperture_ros.bags.record import Record
+from coded_aperture_ros.io.bags import Recorded
+from coded_aperture_ros.io.bags.codec import read_picture
 from coded_aperture_ros.io.messages import array_from_image
 
 RESULTS = ("depth/image", "depth/confidence", "depth/std_dev", "depth/camera_info")
@@ -140,7 +144,7 @@ def test_a_region_of_interest_has_the_blur_of_the_whole_view(scene, tmp_path, ca
     np.testing.assert_allclose(info.k[[0, 2, 5]], [400, 91 - left, 59 - top])
 
 
-def test_compressed_frames_are_taken_to_be_noisier(scene, tmp_path, capsys):
+def test_compressed_frames_are_taken_to_be_noisier(scene, tmp_path, capsys, caplog):
     noise = []
     for suffix in (".png", ".jpg"):
         quality = (cv2.IMWRITE_JPEG_QUALITY, 50) if suffix == ".jpg" else ()
@@ -151,7 +155,24 @@ def test_compressed_frames_are_taken_to_be_noisier(scene, tmp_path, capsys):
         report = json.loads((target / "report" / "report.json").read_text())
         noise.append(report["series"][0]["noise"])
     # The median step of the standard's luminance table is 56.5.
-    assert noise[1] >= 0.35 * 56.5 / 255 / np.sqrt(12) > 2 * noise[0]
+    assert noise[1] == pytest.approx(0.35 * 56.5 / 255 / np.sqrt(12), rel=0.01)
+    assert noise[1] > 2 * noise[0]
+    depths = tmp_path / "depths"
+    result = call(capsys, "depth", f"bag:{bag}", "--bank", scene.bank, "-o", depths, "--json")
+    assert json.loads(result.out)[0]["noise"] == pytest.approx(noise[1], rel=0.01)
+    assert "compressed with loss" in caplog.text
+
+
+@pytest.mark.parametrize(("encoding", "expected"), [("mono8", 0.5**2.2), ("mono16", 0.5)])
+def test_pictures_of_the_report_are_linear_light(encoding, expected):
+    pixels = np.full((4, 6), {"mono8": 127.5, "mono16": 32767.5}[encoding])
+    pixels = np.rint(pixels).astype({"mono8": np.uint8, "mono16": np.uint16}[encoding])
+    record, data = Record(IMAGE, gamma=2.2), image(pixels, encoding, 0)
+    maps = DepthMaps(*np.ones((3, 4, 6), np.float32), 0.002)
+    result = ProcessedFrame(header=read_picture(data, IMAGE).header, maps=maps, sharp=pixels)
+    record.add(0, Recorded("/eye/image", START_NS, data), result)
+    for shown in (record.samples[0].frame, record.samples[0].sharp):
+        assert shown == pytest.approx(np.full((4, 6), expected), rel=0.01)
 
 
 @pytest.mark.parametrize("storage", STORAGES)

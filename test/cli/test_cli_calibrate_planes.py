@@ -12,6 +12,7 @@ from planes_scene import DEPTHS_M, FOCUS_M, SLOPE_PX_M, WINDOW, plane
 
 from coded_aperture_ros.bank import load_bank
 from coded_aperture_ros.calibration.planes.folder import add_plane
+from coded_aperture_ros.imaging import SRGB
 from coded_aperture_ros.io import read_image, write_image
 from coded_aperture_ros.optics import load_camera
 
@@ -51,13 +52,16 @@ def camera_file(folder, **changes):
         **changes,
     }
     path = folder / "camera.yaml"
-    path.write_text(yaml.safe_dump(values))
+    path.write_text(yaml.safe_dump({name: value for name, value in values.items() if value}))
     return path
 
 
 def test_a_folder_with_a_camera_file(tmp_path, folder, capsys, quick):
     output = tmp_path / "report"
-    arguments = ("calibrate", "planes", folder, "--camera", camera_file(tmp_path), *SMALL)
+    kept = {"noise": 0.001, "wavelength_nm": 600.0, "focal_length_mm": 50.0}
+    kept["pixel_pitch_um"] = 50 * 1100 / 1050 / 0.4
+    path = camera_file(tmp_path, focal_length_px=None, **kept)
+    arguments = ("calibrate", "planes", folder, "--camera", path, *SMALL)
     arguments += ("--output", output, "-o", tmp_path / "bank.npz")
     result = call(capsys, *arguments, "--json")
     assert (result.status, result.err) == (0, "")
@@ -72,7 +76,14 @@ def test_a_folder_with_a_camera_file(tmp_path, folder, capsys, quick):
     assert (bank.levels, bank.window_px) == (7, WINDOW)
     found = load_camera(output / "camera.yaml")
     assert found.focus_distance_m == pytest.approx(summary["focus_distance_m"])
-    assert found.mask_extent_mm == pytest.approx(summary["slope_px_m"] / 0.4, rel=1e-3)
+    # What was not measured stays; the image distance follows the focus.
+    assert {
+        name: yaml.safe_load((output / "camera.yaml").read_text())[name] for name in kept
+    } == kept
+    assert found.mask_extent_mm == pytest.approx(
+        summary["slope_px_m"] / found.focal_length_px * 1e3, rel=1e-3
+    )
+    assert found.focal_length_px == pytest.approx(400, rel=0.01)
     assert found.blur_size_px(DEPTHS_M) == pytest.approx(
         bank.pattern.blur_size_px(DEPTHS_M), abs=0.01
     )
@@ -183,15 +194,15 @@ def camera(pictures):
 
     ros = Ros()
     publisher = ros.publisher("image_raw", Image, qos_profile_sensor_data)
-    shown = {"picture": pictures[0]}
+    shown = {"picture": pictures[0], "encoding": "mono16"}
     stop = threading.Event()
     random = np.random.default_rng(0)
 
     def publish():
         while not stop.wait(0.02):
             frame = shown["picture"] + random.normal(0, 0.01, (SIZE, SIZE)).astype(np.float32)
-            pixels = pixels_from_frame(frame, "mono16")
-            publisher.publish(image_from_array(pixels, "mono16", Header()))
+            pixels = pixels_from_frame(frame, shown["encoding"], SRGB)
+            publisher.publish(image_from_array(pixels, shown["encoding"], Header()))
 
     thread = threading.Thread(target=publish)
     thread.start()
@@ -231,6 +242,14 @@ def test_planes_from_a_topic_as_asked(tmp_path, capsys, camera, pictures, monkey
     assert "far: not a distance" in result.err
     entries = json.loads((folder / "planes.json").read_text())
     assert [entry["depth_m"] for entry in entries] == [1.25, 2]
+
+
+def test_planes_from_a_topic_with_a_tone_curve(tmp_path, capsys, camera, pictures):
+    camera["encoding"] = "mono8"
+    arguments = ("--topic", "image_raw", "--depth", 2, "--gamma", "srgb", "--frames", 4)
+    assert call(capsys, "calibrate", "planes", tmp_path / "planes", *arguments).status == 0
+    (taken,) = (tmp_path / "planes").glob("*.png")
+    assert np.median(read_image(taken) / pictures[0]) == pytest.approx(1, abs=0.03)
 
 
 def test_a_topic_without_frames(tmp_path, capsys):

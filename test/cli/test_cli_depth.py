@@ -21,6 +21,7 @@ from coded_aperture_ros.io import read_depth, read_image
 from coded_aperture_ros.methods.choose import new_model
 from coded_aperture_ros.methods.motion import MotionConfig
 from coded_aperture_ros.optics import load_camera
+from coded_aperture_ros.pipeline import FramePipeline
 
 # Few motions, so that a test takes no time.
 FEW_MOTIONS = MotionConfig(
@@ -467,6 +468,22 @@ def test_jpeg_is_reckoned_with_more_noise(scene, tmp_path, capsys, caplog):
     # Of the mean of three channels the noise is that of one over the root of three.
     assert noises[75] / np.sqrt(3) == pytest.approx(0.0110, abs=0.003)
     assert noises[75] > 1.5 * noises[95]
+
+
+def test_a_lossy_video_stays_one_video_when_the_light_changes(
+    scene, tmp_path, capsys, caplog, monkeypatch
+):
+    begun, reset = [], FramePipeline.reset
+    monkeypatch.setattr(FramePipeline, "reset", lambda self: [begun.append(1), reset(self)])
+    picture, path = np.rint(255 * np.load(scene.coded_npy))[..., ::-1], tmp_path / "v.mp4"
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 10, (WIDTH, HEIGHT))
+    for light in (0.5, 0.7, 0.9):
+        video.write((light * picture).astype(np.uint8))
+    video.release()
+    for number, more in enumerate(((), ("--look-ahead",)), 1):
+        arguments = ("--bank", scene.bank, path, "-o", tmp_path / "d", "--gamma", 2.2, *more)
+        assert call(capsys, "depth", *arguments, "--temporal-frames", 3).status == 0
+        assert caplog.text.count("compressed with loss") == len(begun) == number
 
 
 def test_health_is_told(scene, tmp_path, capsys):

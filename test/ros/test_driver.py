@@ -1,11 +1,13 @@
 """camera_driver_node over real DDS, from every kind of source."""
 
+import threading
 import time
 
 import cv2
 import numpy as np
 import pytest
 import yaml
+from rclpy.lifecycle import TransitionCallbackReturn
 from ros_helpers import wait_until
 from sensor_msgs.msg import CameraInfo, Image
 
@@ -169,6 +171,36 @@ def test_a_device_that_vanishes_is_tried_again(ros, camera_file, tmp_path):
     write_video(tmp_path / "stream.avi")
     assert wait_until(lambda: len(images) >= 10, 20)
     assert stamp_ns(images[5].header) - stamp_ns(images[4].header) > 400_000_000
+
+
+def test_a_camera_that_hangs_is_not_read_by_two_threads(ros, camera_file, folder, monkeypatch):
+    monkeypatch.setattr("coded_aperture_ros.ros.camera_driver_node._LONGEST_FRAME_S", 0.1)
+    images = ros.subscribe("image_raw", Image, 50)
+    node = drive(ros, camera_file, folder)
+    assert wait_until(lambda: images)
+    goes_on, hangs, read = threading.Event(), threading.Event(), node._source.read
+
+    def hang():
+        hangs.set()
+        goes_on.wait()
+        return read()
+
+    monkeypatch.setattr(node._source, "read", hang)
+    assert hangs.wait(5)
+    assert node.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
+    assert node.trigger_activate() != TransitionCallbackReturn.SUCCESS
+    goes_on.set()
+    node._thread.join(5)
+    count = len(images)
+    assert node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+    assert wait_until(lambda: len(images) > count + 2)
+
+
+def test_waiting_for_the_next_frame_is_not_work(ros, camera_file, folder):
+    images = ros.subscribe("image_raw", Image, 50)
+    node = drive(ros, camera_file, folder, rate_hz=4.0)
+    assert wait_until(lambda: len(images) > 2)
+    assert node.statistics.summary().work_s[0] < 0.125
 
 
 def test_a_missing_device_is_an_input_error():

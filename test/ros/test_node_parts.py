@@ -70,6 +70,8 @@ def test_a_rate_limit_takes_frames_at_even_intervals():
                 chosen.append(round(now[0], 3))
         return chosen
 
+    assert taken([1.0, 1.1], 0.02) == [1.0]
+    assert taken([1.2, 1.3], 20.0) == [1.3]  # the lower limit of before is forgotten
     assert taken(np.arange(100, 110, 0.1), 0.0) == [round(t, 3) for t in np.arange(100, 110, 0.1)]
     assert len(taken(np.arange(200, 210, 1 / 30), 10.0)) == pytest.approx(100, abs=1)
     # Frames at 25 Hz that come a little late now and then still give the full 10 Hz.

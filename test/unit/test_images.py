@@ -1,3 +1,5 @@
+import struct
+
 import cv2
 import numpy as np
 import pytest
@@ -152,7 +154,7 @@ def test_unknown_output_format_is_refused_and_nothing_is_left(tmp_path):
 def test_depth_round_trips(tmp_path):
     depth = np.array([[1.234, np.nan, 70.0, np.inf, 0.0002, 0, -np.inf]], np.float32)
     write_depth(tmp_path / "d.png", depth)
-    expected = [1.234, np.nan, 65.535, 65.535, 0.001, np.nan, np.nan]
+    expected = [1.234, np.nan, 65.535, np.nan, 0.001, np.nan, np.nan]
     assert read_depth(tmp_path / "d.png")[0] == pytest.approx(expected, nan_ok=True)
     for name in ("d.npy", "d.tif"):
         write_depth(tmp_path / name, depth)
@@ -219,6 +221,20 @@ def test_video_frames_come_in_order_and_in_rgb(clip):
         frame = linear_from_pixels(capture.frame)
         assert frame.shape == (48, 64, 3)
         assert frame[20, 20] == pytest.approx(np.array([level, 20, 10]) / 255, abs=0.02)
+
+
+def test_a_video_that_asks_to_be_turned_is_read_as_it_was_taken(tmp_path):
+    path = tmp_path / "phone.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 10, (64, 48))
+    writer.write(np.full((48, 64, 3), 100, np.uint8))
+    writer.release()
+    data = path.read_bytes()
+    unturned = struct.pack(">9i", 1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30)
+    place = data.index(unturned, data.index(b"tkhd"))
+    turned = struct.pack(">9i", 0, 1 << 16, 0, -(1 << 16), 0, 0, 48 << 16, 0, 1 << 30)
+    path.write_bytes(data[:place] + turned + data[place + len(turned) :])
+    assert cv2.VideoCapture(str(path)).read()[1].shape[:2] == (64, 48)  # as players do
+    assert [capture.frame.shape[:2] for capture in captures(open_files(str(path)))] == [(48, 64)]
 
 
 def test_files_are_read_over_and_over_or_once(clip, tmp_path):

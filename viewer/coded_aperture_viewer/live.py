@@ -7,12 +7,10 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-import numpy as np
-
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth import DepthConfig, DepthEstimate
-from coded_aperture_ros.imaging import Gamma, light_per_stored
+from coded_aperture_ros.depth import DepthEstimate
+from coded_aperture_ros.imaging import Gamma, hidden_noise
 from coded_aperture_ros.io.messages import frame_from_pixels
 from coded_aperture_ros.io.sources import Capture, Source
 from coded_aperture_ros.pipeline import FramePipeline
@@ -162,9 +160,9 @@ class Live:
         if again:
             self._pipeline.reset()  # it is not a new frame of the video
         try:
-            depth = _for_compressed(settings.depth, capture, frame, stored.gamma)
-            self._pipeline.reconfigure(depth=depth, deblur=settings.deblur)
-            result = self._pipeline(frame, coloured=coloured)
+            self._pipeline.reconfigure(depth=settings.depth, deblur=settings.deblur)
+            hidden = hidden_noise(capture.lost, frame, stored.gamma)
+            result = self._pipeline(frame, coloured=coloured, hidden_noise=hidden)
             shown = dataclasses.replace(shown, estimate=result.depth)
             if settings.look.picture == "none" or not (again or pictures.due):
                 return shown
@@ -174,17 +172,6 @@ class Live:
         except InputError as error:
             return dataclasses.replace(shown, problem=str(error))
         return dataclasses.replace(shown, sharp=sharp, picture=looked_at)
-
-
-def _for_compressed(
-    config: DepthConfig, capture: Capture, frame: FloatArray, gamma: Gamma
-) -> DepthConfig:
-    """Return settings that know how much noise lossy compression has hidden in a frame."""
-    if not capture.lost:
-        return config
-    # Rounded, so that they seldom change.
-    hidden = round(capture.lost * light_per_stored(float(np.nan_to_num(frame).mean()), gamma), 3)
-    return dataclasses.replace(config, least_noise=max(config.least_noise, hidden))
 
 
 def _looked_at(sharp: FloatArray, estimate: DepthEstimate, look: LookConfig) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.imaging import Gamma, noise_hidden_by_compression
+from coded_aperture_ros.imaging.decoding import lost_by_compression
 from coded_aperture_ros.io.bags.recorded import Topic
 from coded_aperture_ros.io.messages import (
     MessageError,
@@ -33,12 +33,14 @@ class Picture:
     """An image message: pixels [row, column(, RGB)] as stored, and an encoding for such ones.
 
     With `mosaic`, pixels have a colour filter each; the encoding is for pictures made of them.
+    `lost` is what compression has hidden; see `lost_by_compression`.
     """
 
     header: Any
     pixels: NDArray
     encoding: str
     mosaic: str = ""
+    lost: float = 0.0
 
     @property
     def stamp_ns(self) -> int:
@@ -52,16 +54,8 @@ def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
     if type_name == IMAGE:
         encoding, mosaic = written_encoding(message.encoding), encoding_of(message.encoding).mosaic
         return Picture(message.header, array_from_image(message), encoding, mosaic)
-    return Picture(message.header, *array_from_compressed(message))
-
-
-def hidden_noise(data: bytes | memoryview, type_name: str, gamma: Gamma) -> float:
-    """Return what `noise_hidden_by_compression` says of an image message that can be read."""
-    if type_name == IMAGE:
-        return 0.0
-    message = _read(data, type_name)
-    pixels, _ = array_from_compressed(message)
-    return noise_hidden_by_compression(bytes(message.data), pixels, gamma)
+    lost = lost_by_compression(bytes(message.data))
+    return Picture(message.header, *array_from_compressed(message), lost=lost)
 
 
 def read_depth_image(data: bytes | memoryview) -> Picture:

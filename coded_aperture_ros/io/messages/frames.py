@@ -83,7 +83,8 @@ def pixels_from_frame(frame: NDArray, encoding: str, gamma: Gamma = 1.0) -> NDAr
         pixels = linear_from_pixels(frame, gamma)
     else:
         linear = linear_from_pixels(frame, gamma)
-        pixels = pixels_from_linear(linear, 8 * np.dtype(target.dtype).itemsize, gamma)
+        deep = target.dtype == "u2"
+        pixels = pixels_from_linear(linear, 16 if deep else 8, 1.0 if deep else gamma)
     return pixels if target.from_rgb is None else cv2.cvtColor(pixels, target.from_rgb)
 
 

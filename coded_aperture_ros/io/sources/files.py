@@ -112,6 +112,8 @@ def _open_video(path: Path) -> cv2.VideoCapture:
     video = cv2.VideoCapture(str(path))
     if not video.isOpened():
         raise InputError(f"cannot read {path}: not a video, or no decoder for it")
+    # As the sensor saw it: turned upright, a frame would no longer suit the mask.
+    video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     return video
 
 
