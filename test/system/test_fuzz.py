@@ -131,7 +131,7 @@ def handled(node):
 @cases(2500)
 def test_images(nodes, image):
     node, before = nodes[0], handled(nodes[0])
-    node._process_safely(image)
+    node._process_safely((image, 0.0))
     assert handled(node) == before + 1
 
 
@@ -374,5 +374,6 @@ def test_parameters(nodes, folder, data):
         node.set_parameters([Parameter(name, value=before)])
     wall = coded_wall(load_camera(folder / "camera.yaml"))
     done = handled(node)
-    node._process_safely(image_from_array(pixels_from_frame(wall, "mono8"), "mono8", Header()))
+    frame = image_from_array(pixels_from_frame(wall, "mono8"), "mono8", Header())
+    node._process_safely((frame, 0.0))
     assert handled(node) == done + 1
