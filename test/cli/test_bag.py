@@ -16,11 +16,13 @@ from bag_scene import (
     IMAGE,
     PERIOD_NS,
     START_NS,
+    STORE,
     camera_info,
     compressed,
     decoded,
     floats,
     frame_pixels,
+    header,
     image,
     read,
     recording,
@@ -36,7 +38,7 @@ from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
 from coded_aperture_ros.bags.record import Record
 from coded_aperture_ros.io.bags import Recorded
 from coded_aperture_ros.io.bags.codec import read_picture
-from coded_aperture_ros.io.messages import array_from_image
+from coded_aperture_ros.io.messages import MessageError, array_from_image
 
 RESULTS = ("depth/image", "depth/confidence", "depth/std_dev", "depth/camera_info")
 DEBLURRED = ("deblurred/image", "deblurred/camera_info")
@@ -161,6 +163,15 @@ def test_compressed_frames_are_taken_to_be_noisier(scene, tmp_path, capsys, capl
     result = call(capsys, "depth", f"bag:{bag}", "--bank", scene.bank, "-o", depths, "--json")
     assert json.loads(result.out)[0]["noise"] == pytest.approx(noise[1], rel=0.01)
     assert "compressed with loss" in caplog.text
+
+
+@pytest.mark.parametrize("length", range(20, 100, 5))
+def test_a_compressed_frame_that_is_cut_off_is_refused(length):
+    """Wherever: `lost_by_compression` would look for a table that is not whole."""
+    data = cv2.imencode(".jpg", np.full((8, 8), 90, np.uint8))[1].reshape(-1)[:length]
+    message = STORE.types[COMPRESSED](header=header(0), format="jpeg", data=data)
+    with pytest.raises(MessageError):
+        read_picture(STORE.serialize_cdr(message, COMPRESSED), COMPRESSED)
 
 
 @pytest.mark.parametrize(("encoding", "expected"), [("mono8", 0.5**2.2), ("mono16", 0.5)])

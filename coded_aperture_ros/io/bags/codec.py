@@ -54,8 +54,9 @@ def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
     if type_name == IMAGE:
         encoding, mosaic = written_encoding(message.encoding), encoding_of(message.encoding).mosaic
         return Picture(message.header, array_from_image(message), encoding, mosaic)
+    pixels, encoding = array_from_compressed(message)  # first: it refuses what is cut off
     lost = lost_by_compression(bytes(message.data))
-    return Picture(message.header, *array_from_compressed(message), lost=lost)
+    return Picture(message.header, pixels, encoding, lost=lost)
 
 
 def read_depth_image(data: bytes | memoryview) -> Picture:
