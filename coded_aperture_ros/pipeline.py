@@ -7,6 +7,7 @@ through `FramePipeline`; `docs/architecture.md` walks on from here.
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property
+from itertools import repeat
 from typing import Any
 
 from coded_aperture_ros.core.arrays import FloatArray
@@ -142,7 +143,7 @@ class FramePipeline:
         self,
         frames: Iterable[FloatArray],
         size: tuple[int, int] | None = None,
-        hidden_noise: float = 0.0,
+        hidden_noise: Iterable[float] = repeat(0.0),
     ) -> Iterator[FrameResult]:
         """Work on a recorded video, each frame in the light of those before and after it.
 

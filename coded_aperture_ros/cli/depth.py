@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
-from itertools import chain, groupby
+from itertools import groupby, tee
 from pathlib import Path
 from typing import Any
 
@@ -131,14 +131,11 @@ def run(args: argparse.Namespace) -> int:
     frames = named_frames(args, ".npy", _SUFFIXES, outputs, unusable)
     summaries: list[dict[str, Any]] = []
     with shown as add_to_movie:
-        for _, video in groupby(frames, key=lambda frame: frame.video):
+        for _, grouped in groupby(frames, key=lambda frame: frame.video):
             pipeline.reset()
-            first = next(video)
-            if hidden := first.hidden_noise:
-                logging.warning(_LOSSY, first.source, hidden)
-            video = chain([first], video)
+            video = _told_if_lossy(grouped)
             if args.look_ahead:
-                results = _with_look_ahead(pipeline, video, bank, hidden)
+                results = _with_look_ahead(pipeline, video, bank)
             else:
                 results = _in_turn(pipeline, video, prior, bank, args.frame_scale, unusable)
             for frame, estimate, seconds in results:
@@ -177,6 +174,16 @@ def _check_usage(args: argparse.Namespace) -> None:
         check_suffix(args.movie, (".mp4",))
 
 
+def _told_if_lossy(video: Iterator[NamedFrame]) -> Iterator[NamedFrame]:
+    """Yield the frames of a video; warn of the first one that was compressed with loss."""
+    told = False
+    for frame in video:
+        if frame.hidden_noise and not told:
+            logging.warning(_LOSSY, frame.source, frame.hidden_noise)
+            told = True
+        yield frame
+
+
 def _in_turn(
     pipeline: Any,
     frames: Iterator[NamedFrame],
@@ -191,10 +198,8 @@ def _in_turn(
         try:
             with naming(found.source):
                 frame = suitable(found, bank, scale)
-                hidden = frame.hidden_noise
-                estimate = pipeline(
-                    frame.image, size=frame.size, prior=prior, hidden_noise=hidden
-                ).depth
+                how = {"size": frame.size, "hidden_noise": frame.hidden_noise}
+                estimate = pipeline(frame.image, prior=prior, **how).depth
         except InputError as error:
             unusable.note(error)
             continue
@@ -202,23 +207,26 @@ def _in_turn(
 
 
 def _with_look_ahead(
-    pipeline: Any, frames: Iterator[NamedFrame], bank: Any, hidden_noise: float
+    pipeline: Any, frames: Iterator[NamedFrame], bank: Any
 ) -> Iterator[tuple[NamedFrame, Any, float]]:
     """Do the same with frames that are estimated several at a time: the first takes the time."""
     waiting: deque[NamedFrame] = deque()
     unreadable: list[InputError] = []
 
-    def images() -> Iterator[Any]:
+    def suited() -> Iterator[NamedFrame]:
         try:
             for frame in frames:
                 with naming(frame.source):
                     suitable(frame, bank, 1.0)
                 waiting.append(frame)
-                yield frame.image
+                yield frame
         except InputError as error:
             unreadable.append(error)  # the frames before it are finished first
 
-    results = pipeline.video(images(), hidden_noise=hidden_noise)
+    images, hidden = tee(suited())
+    results = pipeline.video(
+        (frame.image for frame in images), hidden_noise=(frame.hidden_noise for frame in hidden)
+    )
     while True:
         start = time.perf_counter()
         try:

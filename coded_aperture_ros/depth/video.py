@@ -1,7 +1,7 @@
 """Depth of a recorded video: each frame with those before and after it."""
 
 from collections.abc import Iterable, Iterator
-from itertools import islice
+from itertools import islice, repeat
 
 import numpy as np
 
@@ -24,7 +24,7 @@ def estimate_video(
     estimator: DepthEstimator,
     frames: Iterable[FloatArray],
     size: tuple[int, int] | None = None,
-    hidden_noise: float = 0.0,
+    hidden_noise: Iterable[float] = repeat(0.0),
 ) -> Iterator[DepthEstimate]:
     """Estimate the depth of a video's frames from the past and the future.
 
@@ -40,8 +40,8 @@ def estimate_video(
         In order, of one size. A few dozen of them are held at a time.
     size : (int, int), optional
         Rows and columns of the maps; the frames' by default.
-    hidden_noise : float, optional
-        By compression, about the same in all frames; see `DepthEstimator.estimate`.
+    hidden_noise : iterable of float, optional
+        By compression, one for each frame; see `DepthEstimator.estimate`.
 
     Yields
     ------
@@ -58,7 +58,7 @@ def estimate_video(
         raise InputError("temporal_frames: a video with past and future needs more than 0")
     check_map_size(size)
     ahead = int(np.ceil(_AHEAD * memory))
-    remaining = (estimator.observe(frame, hidden_noise) for frame in frames)
+    remaining = map(estimator.observe, frames, hidden_noise)
     forward_mean, forward_cost = StaticAverage(2 * memory), TemporalFilter(memory)
     means: list[tuple[FloatArray, FloatArray]] = []
     waiting: list[Observation] = []

@@ -51,7 +51,7 @@ def hidden_noise(lost: float, frame: FloatArray, gamma: Gamma) -> float:
     """Return about how much noise compression has hidden in a frame, linear light.
 
     Standard deviation; `lost` is what it has hidden of stored values from 0 to 1, 0 for nothing, of
-    a frame [rows, columns(, channels)] that is linear light already. NaN is left out.
+    a frame [rows, columns(, channels)] that is linear light already. NaN counts as dark.
     """
     if not lost:
         return 0.0

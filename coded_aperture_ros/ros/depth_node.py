@@ -270,9 +270,9 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         self._model.change(lambda model: with_settings(model, motion))
         model, camera = self._model.model, self._model.camera
         # OpenCV runs the network, which is too much for the one thread of `limit_threads`.
-        if cv2.getNumThreads() != (threads := thread_count(self.configs[DepthConfig].threads)):
-            cv2.setNumThreads(threads)
         depth = self.configs[DepthConfig]
+        if cv2.getNumThreads() != (threads := thread_count(depth.threads)):
+            cv2.setNumThreads(threads)
         pipeline.reconfigure(model=model, camera=camera, depth=depth)
         if self._restarting.is_set():
             self._restarting.clear()

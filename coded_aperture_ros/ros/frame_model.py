@@ -164,16 +164,15 @@ class FrameModel(Generic[Model]):
                 check_frame_size(bank, *size)
             except InputError as error:
                 raise MessageError("size", str(error)) from error
-        if camera == self.whole:
-            self._view = view
-            return
-        scaled = "" if camera == file_camera else ": the camera file is scaled to them"
-        self._logger.info(
-            f"the whole view is {size[0]}x{size[1]} now, not {self.whole.image_width}x"
-            f"{self.whole.image_height}{scaled}"
-        )
-        self._state = _State(file_camera, camera, self._made(file_camera, camera, self._config))
-        self._view = view
+        if camera != self.whole:
+            scaled = "" if camera == file_camera else ": the camera file is scaled to them"
+            self._logger.info(
+                f"the whole view is {size[0]}x{size[1]} now, not {self.whole.image_width}x"
+                f"{self.whole.image_height}{scaled}"
+            )
+            model = self._made(file_camera, camera, self._config)
+            self._state = _State(file_camera, camera, model)
+        self._view = view  # only of frames that can be worked on
 
     def change(self, changed: Callable[[Model], Model]) -> None:
         """Go on with a changed model; not while a frame is worked on with it."""

@@ -486,6 +486,19 @@ def test_a_lossy_video_stays_one_video_when_the_light_changes(
         assert caplog.text.count("compressed with loss") == len(begun) == number
 
 
+@pytest.mark.parametrize("more", [(), ("--look-ahead",)])
+def test_pictures_with_and_without_loss_in_one_folder(scene, tmp_path, capsys, caplog, more):
+    folder, picture = tmp_path / "in", np.rint(255 * np.load(scene.coded_npy))[..., ::-1]
+    folder.mkdir()
+    for name in ("0.png", "1.jpg", "2.png"):
+        cv2.imwrite(str(folder / name), picture.astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 75])
+    arguments = ("--bank", scene.bank, folder, "-o", tmp_path / "d", "--json", *more)
+    result = call(capsys, "depth", *arguments, "--temporal-frames", 3)
+    first, lossy, last = (frame["noise"] for frame in json.loads(result.out))
+    assert lossy > 1.2 * max(first, last)
+    assert caplog.text.count("compressed with loss") == caplog.text.count(", frame 1: ") == 1
+
+
 def test_health_is_told(scene, tmp_path, capsys):
     arguments = ("--bank", scene.bank, "-o", tmp_path / "d.npy")
     fits = json.loads(call(capsys, "depth", scene.coded_npy, *arguments, "--json").out)[0]
