@@ -323,6 +323,9 @@ def test_a_browser_shows_and_changes_what_is_seen(viewer, tmp_path):
             "viewer.frame.settings['look.picture'] === 'refocused' && viewer.frame.parts.picture"
             f" && Math.abs(viewer.frame.settings['look.focus_m'] - {but}) > 0.05"
         )
+        # A frame is there before its picture is decoded and drawn; the next one counts after that.
+        begun = await page.value("viewer.shown")
+        await page.wait(f"viewer.shown > {begun}")
         return await page.value("viewer.frame.settings['look.focus_m']")
 
     async def picture(page):
