@@ -136,16 +136,18 @@ class Deblurrer:
             method = self.config.method
             raise InputError(f"motion: method {method} removes no motion, use cg or sparse")
         recorded = frame
-        frame, measured = measured_pixels(frame, self.config.saturation)
+        frame, measured, shines = measured_pixels(frame, self.config.saturation)
         blur = self._blur_map(blur_size_px, frame, moves=motion is not None)
         noise = noise or channel_noise(frame, KnownNoise.of(self.config))
         channels, frame_count = self._video.add(opponents(frame), noise)
         known = known_pixels(blur_size_px, frame.shape)
-        data = channels, frame_count, measured, blur, known, motion, noise
+        data = channels, frame_count, measured, shines, blur, known, motion, noise
         problem = Problem(*data, self._progress)
         sharp = self._method.restore(problem, self._video)
-        if not self._method.sees_past_saturation and not measured.all():
-            sharp = np.where(recorded >= self.config.saturation, recorded, sharp)
+        if not (measured | shines).all():
+            as_recorded = recorded >= self.config.saturation
+            as_recorded[shines] = False
+            sharp = np.where(as_recorded, recorded, sharp)
         return np.clip(sharp, 0, 1)
 
     def _blur_map(self, blur_size_px: FloatArray, frame: FloatArray, moves: bool) -> FloatArray:

@@ -49,7 +49,6 @@ class Inverse:
     # It cannot leave out pixels whose depth is wrong: it keeps away from edges.
     edge_reach_px = 14
     removes_motion = False
-    sees_past_saturation = False
 
     def __init__(self, config: DeblurConfig, closed_form: ClosedForm) -> None:
         self._config, self._closed_form = config, closed_form
@@ -74,7 +73,6 @@ class Fast:
     reduction = 1
     edge_reach_px = 0
     removes_motion = False
-    sees_past_saturation = False
 
     def __init__(self, config: DeblurConfig, blend: Blend) -> None:
         self._config, self._blend = config, blend

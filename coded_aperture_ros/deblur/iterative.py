@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.fft
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blend import Blend
@@ -43,6 +43,7 @@ class Fit:
     noise: float  # standard deviation
     config: DeblurConfig  # with a factor of alpha, and when to stop
     progress: Progress = iter
+    shines: BoolArray | None = None  # pixels whose brightness is at least g's, if any
 
 
 class Iterative(abc.ABC):
@@ -51,7 +52,6 @@ class Iterative(abc.ABC):
     reduction = 1
     edge_reach_px = 0
     removes_motion = True
-    sees_past_saturation = True
 
     def __init__(
         self,
@@ -84,6 +84,7 @@ class Iterative(abc.ABC):
                 noise,
                 self._config,
                 problem.progress,
+                problem.shines if problem.shines.any() else None,
             )
         )
         video.keep(restored)

@@ -82,14 +82,21 @@ def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
     # Without occlusion in the model it is that of one plane, or of known motion: exact.
     exact = operator.hidden is None
     held_by = np.float32(0) if exact else _HELD
-    trusted = fit.weight
+    weight = trusted = fit.weight
     steps = iter(fit.progress(range(iterations * len(channels))))
     for done in range(0, iterations, between):
-        if done:
+        if done or fit.shines is not None:
             pairs = zip(channels, scenes, strict=True)
             left = [coded - operator.forward(scene) for coded, scene in pairs]
+            if fit.shines is not None:
+                # Of saturated pixels only this is known: the scene must not be too dark for them.
+                too_dark = fit.shines & (left[0] > 0)
+                weight = np.where(too_dark, np.float32(1), fit.weight)
+                left = [np.where(fit.shines & ~too_dark, 0, part) for part in left]
+            trusted = weight
+        if done:
             explained = _explained(left, noise, allowed)
-            trusted = fit.weight * (explained if exact else explained**2)
+            trusted = weight * (explained if exact else explained**2)
             found = _MEDIAN_TO_STD * float(np.median(np.abs(left[0])))
             if not exact:  # the model may be better than it usually is
                 unexplained = max(least, min(unexplained, found))

@@ -13,29 +13,46 @@ from coded_aperture_ros.imaging import StaticAverage, filled
 
 # One bad pixel below this would spoil the whole frame through its Fourier transform.
 _DARKEST = -1.0
+# Light that came through the mask spreads: what is narrower is a fault of the sensor, or a light so
+# small that what is around does not tell of it.
+_NARROW_PX = 3
 # Orthonormal: noise that is alike and independent in red, green and blue stays so.
 _OPPONENTS = np.float32(np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]]))
 # A place that is the mean of more frames than this has not changed.
 _STATIC = 1.5
 
 
-def measured_pixels(frame: FloatArray, saturation: float) -> tuple[FloatArray, BoolArray]:
-    """Return a frame whose pixels that were not measured are filled, and which ones were.
+def measured_pixels(
+    frame: FloatArray, saturation: float
+) -> tuple[FloatArray, BoolArray, BoolArray]:
+    """Return a frame whose pixels that were not measured are filled, which were, and which shine.
 
     Pixels that are not finite, far from [0, 1], or as bright as `saturation` have not been
-    measured. What has been measured [rows, columns] is so in all channels.
+    measured. What has been measured [rows, columns] is so in all channels. What shines is in some
+    channels at least as bright as it is filled, and measured in the others.
     """
     # A NaN makes both comparisons false.
     measured = (frame > _DARKEST) & (frame < saturation)
+    at_least = np.zeros(frame.shape, bool)
     if not measured.all():
+        at_least = _wide(frame >= saturation)
         channels = zip(np.atleast_3d(frame).T, np.atleast_3d(measured).T, strict=True)
         frame = np.stack(
             [filled(np.ascontiguousarray(channel), mask) for channel, mask in channels]
         ).T.reshape(frame.shape)
+        frame[at_least] = np.maximum(frame[at_least], np.float32(saturation))
+    known = measured | at_least
     if measured.ndim == 3:
         # Much faster than a reduction along so short an axis.
-        measured = measured[..., 0] & measured[..., 1] & measured[..., 2]
-    return np.ascontiguousarray(frame, np.float32), measured
+        measured, known = (each[..., 0] & each[..., 1] & each[..., 2] for each in (measured, known))
+    return np.ascontiguousarray(frame, np.float32), measured, known & ~measured
+
+
+def _wide(mask: BoolArray) -> BoolArray:
+    """Return the parts of a mask [rows, columns] or [rows, columns, 3] that are not narrow."""
+    square = np.ones((_NARROW_PX, _NARROW_PX), np.uint8)
+    core = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, square)
+    return mask & (cv2.dilate(core, square) > 0)
 
 
 def motion_of_frame(motion_px: FloatArray | None, shape: tuple[int, ...]) -> FloatArray | None:
@@ -133,6 +150,7 @@ class Problem:
     channels: list[FloatArray]  # [rows, columns], see `opponents`; averaged in a video
     frame_count: FloatArray  # that they are the mean of [rows, columns] or [1, 1]
     measured: BoolArray  # neither saturated nor impossible [rows, columns]
+    shines: BoolArray  # not measured, but at least as bright [rows, columns]
     blur_size_px: FloatArray  # signed, finite; as much smaller as the method asks for
     known: BoolArray  # where a blur size was given [rows, columns]
     motion_px: FloatArray | None  # [rows, columns, 2]; None if nothing moves
@@ -150,8 +168,6 @@ class Method(Protocol):
     reduction: int
     edge_reach_px: int
     removes_motion: bool
-    # Whether it finds what saturated pixels would show; others show them as they are.
-    sees_past_saturation: bool
 
     def restore(self, problem: Problem, video: VideoState) -> FloatArray:
         """Return the all-in-focus frame [rows, columns] or [rows, columns, 3], not yet clipped.

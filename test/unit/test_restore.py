@@ -218,19 +218,58 @@ def test_frame_of_little_noise_is_explained_up_to_it(stack, sharp):
     assert residual_rms(found, coded, psf) < 1.2 * noise
 
 
-@pytest.mark.parametrize("method", ["cg", "sparse"])
-def test_saturated_pixels_are_left_out(sharp, method):
+METHODS = ["fast", "inverse", "cg", "sparse"]
+
+
+@pytest.mark.parametrize(
+    ("method", "gain_db"), [("fast", 0), ("inverse", 0), ("cg", 0), ("sparse", 5)]
+)
+def test_what_clips_is_known_to_be_bright_and_no_more(sharp, method, gain_db):
+    scene = np.clip(sharp, 0, 0.9)
+    scene[50:54, 60:64] = 2.0  # a lamp
+    blur = np.full(sharp.shape, 6.0, np.float32)
+    coded = np.minimum(blurred(scene, 6.0), 1)
+    bound, data = (
+        deblurrer(method=method, noise=NOISE, saturation=limit).deblur(coded, blur)
+        for limit in (0.995, 2.0)
+    )
+    around = np.s_[38:68, 48:78]
+    truth = np.minimum(scene, 1)[around]
+    assert psnr_db(bound[around], truth) > psnr_db(data[around], truth) + gain_db - 0.1
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("channels", [1, 3])
+def test_saturated_spots_are_left_out(sharp, method, channels):
     frame = np.clip(sharp, 0, 0.9)
     spoilt = blurred(frame, 6.0, noise=0.0)
-    spoilt[50:56, 60:66] = 1.0  # of a lamp, whose blur is not that of the scene
+    for y, x in ((40, 60), (50, 50), (60, 70)):
+        spoilt[y : y + 2, x : x + 2] = 1.0  # faults of the sensor: nothing of it is blurred
+    if channels > 1:
+        frame, spoilt = np.dstack([frame] * 3), np.dstack([spoilt] * 3)
     blur = np.full(sharp.shape, 6.0, np.float32)
     results = [
         deblurrer(method=method, noise=NOISE, saturation=limit).deblur(spoilt, blur)
         for limit in (0.995, 2.0)
     ]
-    around = np.s_[38:68, 48:78]
+    around = np.s_[30:80, 40:90]
     with_mask, without = (psnr_db(result[around], frame[around]) for result in results)
     assert with_mask > without + 1
+
+
+@pytest.mark.parametrize("colour", [False, True])
+@pytest.mark.parametrize("occlusion", ["yes", "no"])
+@pytest.mark.parametrize("method", METHODS)
+def test_a_wide_saturated_area_stays_bright(sharp, method, occlusion, colour):
+    scene = sharp / 2
+    scene[:50] = 1.5 + sharp[:50]  # the sky
+    coded = np.minimum(blurred(scene, 6.0), 1)
+    blur = np.full(sharp.shape, 6.0, np.float32)
+    if colour:
+        coded = np.stack([coded, 0.9 * coded, np.minimum(1.2 * coded, 1)], axis=-1)
+    restored = deblurrer(method=method, noise=NOISE, occlusion=occlusion).deblur(coded, blur)
+    sky = restored[8:40, 8:-8]
+    assert np.quantile(sky.reshape(-1, 3)[:, 0] if colour else sky, 0.02) > 0.95
 
 
 def test_opponents_are_orthonormal():
