@@ -284,12 +284,12 @@ class CameraDriverNode(ManagedNode):
             frame = frame_from_pixels(frame, mosaic=capture.mosaic, coloured=True)
         if "/clock" in self._outputs.topics:
             self._outputs.send("/clock", ClockMessage(clock=header.stamp))
+        if self._outputs.listened("camera_info"):  # first, so that it is there with its frame
+            height, width = capture.frame.shape[:2]
+            self._publish_camera_info(width, height, header)
         if self._outputs.listened("image_raw"):
             pixels = pixels_from_frame(frame, encoding)
             self._outputs.send("image_raw", image_from_array(pixels, encoding, header))
-        if self._outputs.listened("camera_info"):
-            height, width = capture.frame.shape[:2]
-            self._publish_camera_info(width, height, header)
         if capture.depth_m is not None and self._outputs.listened("ground_truth/depth"):
             depth = image_from_array(capture.depth_m, "32FC1", header)
             self._outputs.send("ground_truth/depth", depth)

@@ -8,13 +8,14 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
-from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.imaging.decoding import lost_by_compression
 from coded_aperture_ros.io.messages import MessageError
+from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.diagnostics import (
     Complaint,
     DiagnosticsConfig,
@@ -71,9 +72,10 @@ class FrameNodeConfig:
 class FrameNode(ManagedNode, Generic[Item]):
     """A node that works on the newest frame, in a thread of its own, while someone listens.
 
-    A node that derives from this one names its outputs, calls `listen` for each input,
-    implements `load`, `unload` and `process`, and ends its constructor with `begin`. The arguments
-    are those of `ManagedNode`, and `local` of the process that it shares with others.
+    A node that derives from this one names its outputs, calls `listen` for each input but the
+    driver's `camera_info`, implements `load`, `unload` and `process`, and ends its constructor with
+    `begin`. The arguments are those of `ManagedNode`, and `local` of the process that it shares
+    with others.
     """
 
     outputs: ClassVar[Mapping[str, type]]
@@ -92,6 +94,9 @@ class FrameNode(ManagedNode, Generic[Item]):
         offered = {topic: kind for topic, kind in self.outputs.items() if self.offers(topic)}
         self._outputs = Outputs(self, offered, local)
         self._inputs = Inputs(self, local)
+        self.driver_info = CameraModel()
+        # Before the frames: of what has come, the executor takes what was subscribed to first.
+        self.listen("camera_info", CameraInfo, self.driver_info.receive)
         self._logged_s: dict[str, float] = {}
         self._taken_up_s = 0.0
         self._rate_limit = RateLimit()
@@ -146,6 +151,7 @@ class FrameNode(ManagedNode, Generic[Item]):
 
         Called, in any thread, when time has gone back, and when nobody listens any more.
         """
+        self.driver_info.forget_stamps()
 
     def identity(self) -> dict[str, str]:
         """Return what /diagnostics says the node works with."""
