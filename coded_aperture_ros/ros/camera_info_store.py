@@ -7,12 +7,12 @@ from typing import Any
 from urllib.parse import unquote
 
 from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.share import share_directory
 from coded_aperture_ros.optics import Intrinsics, load_intrinsics
+from coded_aperture_ros.ros.messages import intrinsics_of
 
 DEFAULT_URL = "file://${ROS_HOME}/camera_info/${NAME}.yaml"
 _VARIABLE = re.compile(r"\$\{([^}]*)\}")
@@ -92,20 +92,3 @@ class CameraInfoStore:
         response.success, response.status_message = True, f"saved in {self._path}"
         self._node.get_logger().info(f"camera_info {response.status_message}")
         return response
-
-
-def intrinsics_of(info: CameraInfo, camera_name: str) -> Intrinsics:
-    """Return the model of a message.
-
-    Raises `InputError`, naming the value that no camera can have.
-    """
-    return Intrinsics(
-        image_width=int(info.width),
-        image_height=int(info.height),
-        camera_matrix=tuple(map(float, info.k)),
-        distortion_coefficients=tuple(map(float, info.d)),
-        distortion_model=info.distortion_model or "plumb_bob",
-        rectification_matrix=tuple(map(float, info.r)),
-        projection_matrix=tuple(map(float, info.p)) if any(info.p) else (),
-        camera_name=camera_name,
-    )

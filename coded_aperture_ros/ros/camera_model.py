@@ -1,6 +1,8 @@
 """Which camera a frame was taken with: the camera file, or what the driver says."""
 
+import copy
 import dataclasses
+from collections.abc import Callable
 
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
@@ -8,7 +10,12 @@ from std_msgs.msg import Header
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.messages import MessageError, view_of
 from coded_aperture_ros.optics import Camera, View, load_camera
-from coded_aperture_ros.ros.messages import camera_info_from_camera, scaled_camera_info, stamp_ns
+from coded_aperture_ros.ros.messages import (
+    camera_info_from_camera,
+    intrinsics_of,
+    scaled_camera_info,
+    stamp_ns,
+)
 
 # A frame may wait for its depth for so many others.
 _KEPT = 200
@@ -60,16 +67,23 @@ class CameraModel:
     """The camera models that the driver sends, from which every frame gets its own.
 
     The driver's region of interest and binning, or else its proportions, say which part of its view
-    a frame is.
+    a frame is. `reject` is told the kind and the fault of a model that no camera can have.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, reject: Callable[[str, str], None]) -> None:
+        self._reject = reject
         self._by_stamp: dict[int, CameraInfo] = {}
         self._newest: CameraInfo | None = None
 
     def receive(self, info: CameraInfo) -> None:
         """Remember a model from the driver; one without a calibration (K is 0) is ignored."""
-        if not (info.k[0] > 0 and info.k[4] > 0 and info.width and info.height):
+        if info.k[0] == 0:
+            return
+        try:
+            info = _understood(info)
+        except InputError as error:
+            going_on = "the one before it holds, or else the camera file"
+            self._reject("camera_info", f"camera_info: {error}; {going_on}: calibrate again")
             return
         self._newest, by_stamp = info, self._by_stamp
         if stamp := stamp_ns(info.header):
@@ -101,3 +115,18 @@ class CameraModel:
             f"of the {width}x{height} frames: that of the camera file is published"
         )
         return FrameCamera(whole, complaint=complaint)
+
+
+def _understood(info: CameraInfo) -> CameraInfo:
+    """Return a driver's model with a region as it is meant: a size of 0 stands for all of it.
+
+    An `InputError` names the value that no camera can have.
+    """
+    info = copy.deepcopy(info)  # other nodes may have the same message
+    info.roi.x_offset *= info.roi.width > 0
+    info.roi.y_offset *= info.roi.height > 0
+    checked = copy.copy(info)
+    if not any(info.d):  # what the model is called and how many zeros it has tells nothing then
+        checked.distortion_model, checked.d = "", []
+    intrinsics_of(checked)
+    return info

@@ -94,7 +94,7 @@ class FrameNode(ManagedNode, Generic[Item]):
         offered = {topic: kind for topic, kind in self.outputs.items() if self.offers(topic)}
         self._outputs = Outputs(self, offered, local)
         self._inputs = Inputs(self, local)
-        self.driver_info = CameraModel()
+        self.driver_info = CameraModel(self.reject)
         # Before the frames: of what has come, the executor takes what was subscribed to first.
         self.listen("camera_info", CameraInfo, self.driver_info.receive)
         self._logged_s: dict[str, float] = {}

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from node_chains import Chain, DeblurChain, mono8, stamped, wall
 from ros_helpers import wait_until
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
-from small_camera import HEIGHT, WIDTH
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2, RegionOfInterest
+from small_camera import CAMERA, HEIGHT, WIDTH
 
 from coded_aperture_ros.ros import depth_node
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
@@ -105,3 +105,59 @@ def test_the_driver_sends_camera_info_before_its_frame(ros, camera_file):
     for message in arrived:
         kinds.setdefault(stamp_ns(message.header), type(message))
     assert list(kinds.values())[1:4] == [CameraInfo] * 3
+
+
+NAN = float("nan")
+BROKEN = {
+    "coefficients": ({"d": [0.1] * 3}, "plumb_bob has 4 or 5 finite numbers, got 3"),
+    "nan in D": ({"d": [0.1, NAN, 0.0, 0.0, 0.0]}, "plumb_bob has 4 or 5 finite numbers"),
+    "nan in K": ({"k": [400.0, 0.0, NAN, 0.0, 400.0, 47.5, 0.0, 0.0, 1.0]}, "9 finite numbers"),
+    "nan focal length": ({"k": [NAN, 0.0, 63.5, 0.0, 400.0, 47.5, 0.0, 0.0, 1.0]}, "9 finite"),
+    "negative": ({"k": [-400.0, 0.0, 63.5, 0.0, 400.0, 47.5, 0.0, 0.0, 1.0]}, "more than 0 px"),
+    "size": ({"width": 0}, "image_width: expected a whole number of pixels, got 0"),
+}
+
+
+@pytest.mark.parametrize("fault", BROKEN)
+def test_a_camera_info_of_no_camera_is_told_and_the_one_before_holds(ros, model, coded, fault):
+    changes, reason = BROKEN[fault]
+    chain = Chain(ros, model)
+    clouds = ros.subscribe("depth/points", PointCloud2)
+    assert wait_until(lambda: chain.node.count_subscribers("depth/points"))
+    publish(chain, told(430.0, **changes))
+    assert focal_length(chain, mono8(coded)) == CAMERA["focal_length_px"]
+    publish(chain, told(410.0), told(430.0, **changes))
+    assert focal_length(chain, mono8(coded)) == 410.0
+    assert wait_until(lambda: len(clouds) == 2)
+    summary = chain.node.statistics.summary()
+    assert (summary.processed, summary.rejected) == (2, {"camera_info": 2})
+    assert reason in summary.last_error and "\n" not in summary.last_error
+
+
+def test_many_of_them_are_one_line(ros, model, capfd):
+    chain = Chain(ros, model)
+    publish(chain, *(told(410.0, **BROKEN["coefficients"][0]) for _ in range(3)))
+    assert wait_until(lambda: chain.rejected == {"camera_info": 3})
+    lines = [line for line in capfd.readouterr().err.splitlines() if "camera_info" in line]
+    assert len(lines) == 1
+    assert "calibrate again" in lines[0]
+
+
+@pytest.mark.parametrize("roi", [(24, 0, 0, 0), (0, 16, 0, 0), (24, 16, WIDTH, 0)])
+def test_a_region_without_a_size_is_all_of_the_view(ros, model, coded, roi):
+    x, y, width, height = roi
+    region = RegionOfInterest(x_offset=x, y_offset=y, width=width, height=height)
+    whole = {"width": WIDTH + x} if width else {}
+    chain = Chain(ros, model)
+    publish(chain, told(410.0, roi=region, **whole))
+    assert focal_length(chain, mono8(coded)) == 410.0
+    assert chain.rejected == {}
+
+
+def test_a_lens_without_distortion_may_call_its_model_anything(ros, model, coded):
+    chain = Chain(ros, model)
+    publish(chain, told(410.0, distortion_model="none", d=[0.0] * 3))
+    assert focal_length(chain, mono8(coded)) == 410.0
+    publish(chain, told(0.0))  # not calibrated: says nothing, and is no fault
+    assert focal_length(chain, mono8(coded)) == 410.0
+    assert chain.rejected == {}
