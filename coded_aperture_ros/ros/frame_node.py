@@ -1,5 +1,6 @@
 """What every node that turns frames into other frames has in common."""
 
+import contextlib
 import dataclasses
 import time
 from abc import abstractmethod
@@ -187,13 +188,16 @@ class FrameNode(ManagedNode, Generic[Item]):
         self.unload()
 
     def start_work(self) -> None:
-        """Begin to listen and to work."""
-        self._worker = NewestWorker(
-            self._process_safely, lambda: self.statistics.count_dropped("busy"), self.get_name()
-        )
-        # Subscribed at once, so that a QoS override that cannot be met is found at start.
-        self._inputs.open()
-        self._update_listening()
+        """Begin to listen and to work; where that fails, neither goes on."""
+        with contextlib.ExitStack() as undo:
+            undo.callback(self.stop_work)
+            # Subscribed at once, so that a QoS override that cannot be met is found at start.
+            self._inputs.open()
+            self._worker = NewestWorker(
+                self._process_safely, lambda: self.statistics.count_dropped("busy"), self.get_name()
+            )
+            self._update_listening()
+            undo.pop_all()
 
     def stop_work(self) -> None:
         """Listen no more, and wait for the frame in work."""

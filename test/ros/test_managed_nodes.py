@@ -2,6 +2,7 @@
 
 import itertools
 import shutil
+import threading
 import time
 
 import pytest
@@ -112,6 +113,47 @@ def test_an_impossible_transition_is_refused_and_the_node_lives_on(ros, model, c
         assert not manager.ask(transition)
     assert manager.state == State.PRIMARY_STATE_ACTIVE
     assert results_go_on(images, coded, depths)
+
+
+def left_running(ros):
+    """Return the threads of a depth node's work, and how many listen to its inputs."""
+    threads = [thread for thread in threading.enumerate() if thread.name == "depth_node"]
+    return len(threads), *map(ros.probe.count_subscribers, ("image_raw", "camera_info"))
+
+
+def test_a_node_that_cannot_be_activated_leaves_nothing_running(ros, model):
+    wrong = {"qos_overrides./camera_info.subscription.reliability": "as good as it gets"}
+    ros.make(DepthNode, {**model, **wrong, "autostart": False})
+    manager = Manager(ros, "depth_node")
+    assert manager.ask(Transition.TRANSITION_CONFIGURE)
+    for _ in range(2):
+        assert not manager.ask(Transition.TRANSITION_ACTIVATE)
+        assert manager.state == State.PRIMARY_STATE_INACTIVE
+        assert wait_until(lambda: left_running(ros) == (0, 0, 0))
+
+
+@pytest.mark.parametrize("step", ["create_subscription", "_update_listening"])
+def test_a_node_works_when_it_can_be_activated_after_all(ros, model, coded, monkeypatch, step):
+    node = ros.make(DepthNode, {**model, "autostart": False})
+    images, depths = ros.publisher("image_raw", Image), ros.subscribe("depth/image", Image)
+    manager = Manager(ros, "depth_node")
+    assert manager.ask(Transition.TRANSITION_CONFIGURE)
+    works, failing = getattr(node, step), 0 if step == "_update_listening" else 1
+    calls = itertools.count()
+
+    def fail_late(*arguments, **options):
+        if next(calls) == failing:
+            raise RuntimeError("no more room")
+        return works(*arguments, **options)
+
+    with monkeypatch.context() as broken:
+        broken.setattr(node, step, fail_late)
+        assert not manager.ask(Transition.TRANSITION_ACTIVATE)
+    assert wait_until(lambda: left_running(ros) == (0, 0, 0))
+    assert manager.ask(Transition.TRANSITION_ACTIVATE)
+    assert wait_until(images.get_subscription_count)
+    assert results_go_on(images, coded, depths)
+    assert left_running(ros) == (1, 1, 1)
 
 
 def test_a_bank_replaced_on_disk_is_read_when_configured_again(ros, model, tmp_path):
