@@ -31,12 +31,7 @@ from coded_aperture_ros.ros.diagnostics import (
     camera_of,
 )
 from coded_aperture_ros.ros.managed_node import ManagedNode
-from coded_aperture_ros.ros.messages import (
-    camera_info_from_camera,
-    camera_info_from_intrinsics,
-    image_from_array,
-    scaled_camera_info,
-)
+from coded_aperture_ros.ros.messages import camera_info_from_intrinsics, image_from_array
 from coded_aperture_ros.ros.pace import Pace
 from coded_aperture_ros.ros.rgbd_source import RGBD, RgbdSource
 from coded_aperture_ros.ros.static_transform import broadcast_static, optical_transform
@@ -137,7 +132,7 @@ class CameraDriverNode(ManagedNode):
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()  # of the thread
         self._failures = 0
-        self._failing = self._warned_of_size = False
+        self._failing = False
         self.begin()
 
     @property
@@ -284,9 +279,8 @@ class CameraDriverNode(ManagedNode):
             frame = frame_from_pixels(frame, mosaic=capture.mosaic, coloured=True)
         if "/clock" in self._outputs.topics:
             self._outputs.send("/clock", ClockMessage(clock=header.stamp))
-        if self._outputs.listened("camera_info"):  # first, so that it is there with its frame
-            height, width = capture.frame.shape[:2]
-            self._publish_camera_info(width, height, header)
+        height, width = capture.frame.shape[:2]
+        self._publish_camera_info(width, height, header)  # first: it is there when its frame is
         if self._outputs.listened("image_raw"):
             pixels = pixels_from_frame(frame, encoding)
             self._outputs.send("image_raw", image_from_array(pixels, encoding, header))
@@ -298,19 +292,13 @@ class CameraDriverNode(ManagedNode):
             self._outputs.send("ground_truth/image", sharp)
 
     def _publish_camera_info(self, width: int, height: int, header: Header) -> None:
-        measured = None if self._store is None else self._store.measured
         try:
-            if measured is None:
-                info = camera_info_from_camera(fitted_camera(self._camera, width, height), header)
-            else:
-                info = camera_info_from_intrinsics(measured, header)
-                info = scaled_camera_info(info, width, height, header)
+            model = self._store and self._store.fitted(width, height)
+            model = model or fitted_camera(self._camera, width, height).intrinsics
         except MessageError as error:
-            if not self._warned_of_size:
-                self._warned_of_size = True
-                self.get_logger().warning(f"no camera_info: {error}")
+            self.get_logger().warning(f"no camera_info: {error}", throttle_duration_sec=10.0)
             return
-        self._outputs.send("camera_info", info)
+        self._outputs.send("camera_info", camera_info_from_intrinsics(model, header))
 
     def _described(self) -> dict[str, Any]:
         source, config = self._source, self._config
