@@ -243,7 +243,10 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if (health := estimate.health) is not None:
             figures["health"] = health.value
             if not health.fits:
-                given = "no depth is given" if health.withheld else "little depth is sure"
+                given = "little depth is sure"
+                if health.withheld:  # a guess may be asked for all the same (confidence.unknown)
+                    guessed = not np.isnan(depth_m).all()
+                    given = "the depth given is a guess" if guessed else "no depth is given"
                 misfit = Complaint(f"{given}, the frame {health}", health.withheld)
         self.sent(header, estimate.seconds, figures, misfit)
 

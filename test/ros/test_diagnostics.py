@@ -7,6 +7,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from node_chains import Chain, mono8
 from ros_helpers import wait_until
 
+from coded_aperture_ros.depth.fit.health import FitCheck, Health
+from coded_aperture_ros.io.messages import array_from_image
 from coded_aperture_ros.ros import diagnostics
 
 WINDOW_S = 3.0
@@ -63,3 +65,23 @@ def test_an_error_is_told_until_frames_have_been_good_for_a_while(ros, chain, co
     status = wait_until(goes)
     assert status and status.level == DiagnosticStatus.OK
     assert reports.values["rejected_encoding"] == "1"
+
+
+@pytest.mark.parametrize(
+    ("parameters", "given"),
+    [
+        ({}, "no depth is given"),
+        ({"confidence.unknown": "nearest"}, "the depth given is a guess"),
+        ({"confidence.threshold": 0.1}, "the depth given is a guess"),
+    ],
+)
+def test_what_is_said_of_depth_that_does_not_fit_is_true(
+    ros, model, coded, monkeypatch, parameters, given
+):
+    monkeypatch.setattr(FitCheck, "__call__", lambda *_: Health(0.1, "scale"))
+    chain = Chain(ros, {**model, **parameters}, subscribe=("depth/image",))
+    reports = Reports(ros)
+    depth = array_from_image(chain.result(mono8(coded)))
+    assert np.isnan(depth).all() == (given == "no depth is given")
+    assert wait_until(lambda: reports.status.message.startswith(f"{given}, the frame does not fit"))
+    assert reports.status.level == DiagnosticStatus.ERROR
