@@ -85,14 +85,10 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         if self._arriving.follow(stamp_ns(message.header)) == "restart":
             # The same stamps may come again, and frames from before are not theirs.
             self._pairs.clear()
-        self._offer_pair(self._pairs.add_first(stamp_ns(message.header), message))
+        self.offer(self._pairs.add_first(stamp_ns(message.header), message))
 
     def _on_depth(self, message: Image) -> None:
-        self._offer_pair(self._pairs.add_second(stamp_ns(message.header), message))
-
-    def _offer_pair(self, pair: tuple[Image, Image] | None) -> None:
-        if pair is not None:
-            self.offer(pair)
+        self.offer(self._pairs.add_second(stamp_ns(message.header), message))
 
     def process(self, item: tuple[Image, Image]) -> None:
         """Deblur and publish one frame."""
@@ -127,8 +123,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
                 self.reject(error.kind, str(error))
         if driver.complaint:
             self.reject("camera_info", driver.complaint)
-        if self.wants("deblurred/camera_info"):
-            self.send("deblurred/camera_info", driver.info(camera, size, header))
+        self.send("deblurred/camera_info", driver.info(camera, size, header))
         self.sent(header)
 
     def _begins_anew(self, stamp: int) -> bool:

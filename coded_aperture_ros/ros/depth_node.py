@@ -221,17 +221,15 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             self.send("depth/std_dev", image_from_array(std_dev_m, "32FC1", header))
         if driver.complaint:
             self.reject("camera_info", driver.complaint)
-        if self.wants("depth/camera_info") or self.wants("depth/points"):
-            info = driver.info(self._model.whole, size, header)
-            if self.wants("depth/camera_info"):
-                self.send("depth/camera_info", info)
-            if self.wants("depth/points"):
-                through = rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
-                small = cv2.resize(frame, size[::-1], interpolation=cv2.INTER_AREA)
-                colours = pixels_from_frame(small, "rgb8", gamma)
-                maps = depth_m, estimate.confidence, std_dev_m, colours, through
-                points = points_of_depth(*maps, self._range.near_m, config.points_far_m)
-                self.send("depth/points", cloud_from_points(points, header))
+        info = driver.info(self._model.whole, size, header)
+        self.send("depth/camera_info", info)
+        if self.wants("depth/points"):
+            through = rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
+            small = cv2.resize(frame, size[::-1], interpolation=cv2.INTER_AREA)
+            colours = pixels_from_frame(small, "rgb8", gamma)
+            maps = depth_m, estimate.confidence, std_dev_m, colours, through
+            points = points_of_depth(*maps, self._range.near_m, config.points_far_m)
+            self.send("depth/points", cloud_from_points(points, header))
         if estimate.motion is not None:
             self._searched = estimate.motion.searched
             if self.wants("depth/motion"):

@@ -215,10 +215,10 @@ class FrameNode(ManagedNode, Generic[Item]):
         if worker is not None:
             worker.stop(timeout_s)
 
-    def offer(self, item: Item) -> None:
-        """Hand an item to the worker, unless the rate is limited; what still waits is dropped."""
+    def offer(self, item: Item | None) -> None:
+        """Hand an item, if any, to the worker as the rate allows; what still waits is dropped."""
         worker = self._worker
-        if worker is None:
+        if worker is None or item is None:
             return
         if self._rate_limit.takes(self.frame_config.max_rate_hz):
             worker.offer(item)
