@@ -237,8 +237,10 @@ class CameraDriverNode(ManagedNode):
                 # A camera that is unplugged, or a driver that fails in its own way: the robot
                 # goes on, and so does this node as soon as there are frames again.
                 self._tell_failure(source, error)
-                stopping.wait(retry_s)
-                retry_s = min(2 * retry_s, _RETRY_S[1])
+                # Pairs have been waited for as they were read, and those that come are not to wait.
+                if not isinstance(source, RgbdSource):
+                    stopping.wait(retry_s)
+                    retry_s = min(2 * retry_s, _RETRY_S[1])
                 continue
             if self._failing:
                 self._failing, retry_s = False, _RETRY_S[0]
@@ -252,7 +254,9 @@ class CameraDriverNode(ManagedNode):
             going_on = (
                 "trying again until it works" if source.live else "going on with what follows"
             )
-            self.get_logger().error(f"{error}; {going_on}")
+            # Pairs may be missing many times a second.
+            pause_s = 10.0 if isinstance(source, RgbdSource) else 0.0
+            self.get_logger().error(f"{error}; {going_on}", throttle_duration_sec=pause_s)
 
     def _keep_settings(self, source: DeviceSource, settings: DeviceConfig) -> DeviceConfig:
         """Tell the device what has been changed, and the user what it does not know."""
