@@ -275,13 +275,15 @@ class CameraDriverNode(ManagedNode):
         return present
 
     def _publish(self, capture: Capture) -> None:
-        now, stamp_ns = self.get_clock().now(), capture.stamp_ns
-        stamp = (now if stamp_ns is None else Time(nanoseconds=stamp_ns)).to_msg()
+        stamp_ns, own_time = capture.stamp_ns, "/clock" in self._outputs.topics
+        if stamp_ns is None:  # time that is made here would wait for itself
+            stamp_ns = time.time_ns() if own_time else self.get_clock().now().nanoseconds
+        stamp = Time(nanoseconds=stamp_ns).to_msg()
         header = Header(frame_id=self._config.frame_id, stamp=stamp)
         encoding, frame = self._config.encoding, capture.frame
         if capture.mosaic:
             frame = frame_from_pixels(frame, mosaic=capture.mosaic, coloured=True)
-        if "/clock" in self._outputs.topics:
+        if own_time:
             self._outputs.send("/clock", ClockMessage(clock=header.stamp))
         height, width = capture.frame.shape[:2]
         self._publish_camera_info(width, height, header)  # first: it is there when its frame is
