@@ -101,9 +101,7 @@ class Statistics:
         self._dropped: Counter[str] = Counter()
         self._rejected: Counter[str] = Counter()
         # When each frame was done, its latency, the time spent on it and that of its stages.
-        self._recent: deque[tuple[float, float | None, float, Mapping[str, float]]] = deque(
-            maxlen=2000
-        )
+        self._recent: deque[tuple[float, float | None, float, Mapping[str, float]]] = deque()
         self._started_s: float | None = None
         self._came_s: float | None = None
         self._failed_s = 0.0
@@ -149,6 +147,8 @@ class Statistics:
             self._processed += 1
             self._figures, self._complaint = figures or {}, complaint
             self._recent.append((self._now(), latency_s, work_s, stages_s or {}))
+            while self._recent[0][0] <= self._recent[-1][0] - _WINDOW_S:
+                self._recent.popleft()
 
     def summary(self) -> Summary:
         """Return the counts so far and the figures of the last seconds."""

@@ -10,6 +10,7 @@ from ros_helpers import wait_until
 from coded_aperture_ros.depth.fit.health import FitCheck, Health
 from coded_aperture_ros.io.messages import array_from_image
 from coded_aperture_ros.ros import diagnostics
+from coded_aperture_ros.ros.depth_node import DepthNode
 
 WINDOW_S = 3.0
 
@@ -65,6 +66,15 @@ def test_an_error_is_told_until_frames_have_been_good_for_a_while(ros, chain, co
     status = wait_until(goes)
     assert status and status.level == DiagnosticStatus.OK
     assert reports.values["rejected_encoding"] == "1"
+
+
+def test_a_rate_beyond_200_hz_is_told(ros, model):
+    reports, node = Reports(ros), ros.make(DepthNode, model)
+    for _ in range(30_000):
+        node.statistics.count_received()
+        node.statistics.count_processed(0.001, 0.001)
+    assert wait_until(lambda: reports.values.get("processed") == "30000")
+    assert float(reports.values["rate_hz"]) > 2500
 
 
 @pytest.mark.parametrize(
