@@ -275,7 +275,7 @@ class CameraDriverNode(ManagedNode):
         return present
 
     def _publish(self, capture: Capture) -> None:
-        stamp_ns, own_time = capture.stamp_ns, "/clock" in self._outputs.topics
+        stamp_ns, own_time = capture.stamp_ns, self._config.publish_clock
         if stamp_ns is None:  # time that is made here would wait for itself
             stamp_ns = time.time_ns() if own_time else self.get_clock().now().nanoseconds
         stamp = Time(nanoseconds=stamp_ns).to_msg()

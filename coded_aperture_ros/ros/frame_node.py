@@ -36,6 +36,8 @@ _LAZY_PERIOD_S = 0.2
 _LOG_PERIOD_S = 10.0
 # What a node that ends waits for the frame in work.
 _LONGEST_FRAME_S = 5.0
+# What it waits in silence.
+_PATIENCE_S = 2.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -212,8 +214,9 @@ class FrameNode(ManagedNode, Generic[Item]):
 
     def _end_worker(self, timeout_s: float | None = None) -> None:
         worker, self._worker = self._worker, None
-        if worker is not None:
-            worker.stop(timeout_s)
+        if worker is not None and not worker.stop(_PATIENCE_S):
+            self.get_logger().info("waiting for the frame in work, which is not cut short")
+            worker.stop(timeout_s and timeout_s - _PATIENCE_S)
 
     def offer(self, item: Item | None) -> None:
         """Hand an item, if any, to the worker as the rate allows; what still waits is dropped."""

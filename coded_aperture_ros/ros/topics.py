@@ -86,11 +86,6 @@ class Outputs:
             for name in self._names.values():
                 local.offer(name)
 
-    @property
-    def topics(self) -> tuple[str, ...]:
-        """The topics' names, as they were given."""
-        return tuple(self._types)
-
     def open(self) -> None:
         """Create the publishers."""
         for topic, message_type in self._types.items():

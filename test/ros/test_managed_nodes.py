@@ -156,6 +156,40 @@ def test_a_node_works_when_it_can_be_activated_after_all(ros, model, coded, monk
     assert left_running(ros) == (1, 1, 1)
 
 
+def test_deactivating_waits_for_a_slow_frame_and_says_so(ros, model, coded, monkeypatch, capfd):
+    node = ros.make(DepthNode, model)
+    images, depths = ros.publisher("image_raw", Image), ros.subscribe("depth/image", Image)
+    begun, goes_on, process = threading.Event(), threading.Event(), node.process
+
+    def slow(item):
+        begun.set()
+        goes_on.wait(30)
+        process(item)
+
+    monkeypatch.setattr(node, "process", slow)
+    assert wait_until(images.get_subscription_count)
+    images.publish(frame_of(coded))
+    assert begun.wait(10)
+    client = ros.probe.create_client(ChangeState, "depth_node/change_state")
+    assert wait_until(client.service_is_ready)
+    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
+    answer, said = client.call_async(request), []
+
+    def told():
+        said.extend(line for line in capfd.readouterr().err.splitlines() if "in work" in line)
+        return said
+
+    assert not wait_until(told, 1.5)
+    assert wait_until(told)
+    assert not answer.done()
+    goes_on.set()
+    assert wait_until(answer.done) and answer.result().success
+    assert wait_until(lambda: depths)  # it was not cut short
+    assert len(told()) == 1
+    assert Manager(ros, "depth_node").ask(Transition.TRANSITION_ACTIVATE)
+    assert results_go_on(images, coded, depths)
+
+
 def test_a_bank_replaced_on_disk_is_read_when_configured_again(ros, model, tmp_path):
     bank = tmp_path / "bank.npz"
     shutil.copy(model["bank"], bank)
