@@ -1,7 +1,6 @@
 """Which camera a frame was taken with: the camera file, or what the driver says."""
 
 import copy
-import dataclasses
 from collections.abc import Callable
 
 from sensor_msgs.msg import CameraInfo
@@ -42,38 +41,17 @@ def fitted_camera(camera: Camera, width: int, height: int) -> Camera:
         raise MessageError("size", str(error)) from error
 
 
-@dataclasses.dataclass(frozen=True)
-class FrameCamera:
-    """What the driver says of the camera of one frame: the same for all that is made of the frame.
-
-    `told` is its message, None where there is none or it cannot be that of the frame; `complaint`
-    then says why it cannot.
-    """
-
-    view: View
-    told: CameraInfo | None = None
-    complaint: str = ""
-
-    def info(self, camera: Camera, output_size: tuple[int, int], header: Header) -> CameraInfo:
-        """Return the model of what was made of the frame, (height, width), to be published.
-
-        That is the driver's own, or else that of `camera`, the camera file's.
-        """
-        info = camera_info_from_camera(camera, header) if self.told is None else self.told
-        return scaled_camera_info(info, output_size[1], output_size[0], header)
-
-
 class CameraModel:
-    """The camera models that the driver sends, from which every frame gets its own.
+    """The camera model to publish: the driver's own if it sends one, else the camera file's.
 
     The driver's region of interest and binning, or else its proportions, say which part of its view
-    a frame is. `reject` is told the kind and the fault of a model that no camera can have.
+    frames are. `reject` is told the kind and the fault of a model that no camera can have.
     """
 
-    def __init__(self, reject: Callable[[str, str], None]) -> None:
+    def __init__(self, reject: Callable[[str, str], None] = lambda kind, reason: None) -> None:
         self._reject = reject
+        self._received: CameraInfo | None = None
         self._by_stamp: dict[int, CameraInfo] = {}
-        self._newest: CameraInfo | None = None
 
     def receive(self, info: CameraInfo) -> None:
         """Remember a model from the driver; one without a calibration (K is 0) is ignored."""
@@ -85,7 +63,7 @@ class CameraModel:
             going_on = "the one before it holds, or else the camera file"
             self._reject("camera_info", f"camera_info: {error}; {going_on}: calibrate again")
             return
-        self._newest, by_stamp = info, self._by_stamp
+        self._received, by_stamp = info, self._by_stamp
         if stamp := stamp_ns(info.header):
             by_stamp.pop(stamp, None)  # one that comes again is the last to be forgotten
             by_stamp[stamp] = info
@@ -96,25 +74,46 @@ class CameraModel:
         """Keep the newest model alone: the same stamps come again where time has gone back."""
         self._by_stamp = {}
 
-    def of(self, header: Header, camera: Camera, frame_size: tuple[int, int]) -> FrameCamera:
-        """Return the camera of a frame (height, width), seen with that of the camera file.
+    def at(self, header: Header) -> "CameraModel":
+        """Return the model for all that is made of one frame: what comes later does not change it.
 
-        By the model with the frame's stamp, or the newest where that has not come.
+        It is the one with the frame's stamp, or the newest where that has not come.
         """
-        height, width = frame_size
-        whole = View.whole(width, height)
-        info = self._by_stamp.get(stamp_ns(header), self._newest)
-        if info is None:
-            return FrameCamera(whole)
-        view = view_of(info, width, height, camera)
-        if view is not None:
-            return FrameCamera(view, info)
+        model = CameraModel()
+        model._received = self._by_stamp.get(stamp_ns(header), self._received)
+        return model
+
+    def info(
+        self,
+        camera: Camera,
+        frame_size: tuple[int, int],
+        output_size: tuple[int, int],
+        header: Header,
+    ) -> CameraInfo:
+        """Return the model of what was made of a frame; sizes are (height, width)."""
+        info = self._received
+        if info is None or self._view(camera, frame_size) is None:
+            info = camera_info_from_camera(camera, header)
+        return scaled_camera_info(info, output_size[1], output_size[0], header)
+
+    def complaint(self, camera: Camera, frame_size: tuple[int, int]) -> str:
+        """Say why the driver's model cannot be that of frames (height, width); empty if it can."""
+        info, (height, width) = self._received, frame_size
+        if info is None or self._view(camera, frame_size) is not None:
+            return ""
         size = f"{info.roi.width or info.width}x{info.roi.height or info.height}"
-        complaint = (
+        return (
             f"camera_info is for {size}, which does not have the proportions "
             f"of the {width}x{height} frames: that of the camera file is published"
         )
-        return FrameCamera(whole, complaint=complaint)
+
+    def view(self, camera: Camera, frame_size: tuple[int, int]) -> View:
+        """Return which part of the camera's view frames (height, width) show."""
+        return self._view(camera, frame_size) or View.whole(frame_size[1], frame_size[0])
+
+    def _view(self, camera: Camera, frame_size: tuple[int, int]) -> View | None:
+        height, width = frame_size
+        return self._received and view_of(self._received, width, height, camera)
 
 
 def _understood(info: CameraInfo) -> CameraInfo:

@@ -99,8 +99,8 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         # Beyond the range is deblurred as the end of the range; NaN stays unknown.
         depth_m = np.clip(depth_m, self._range.near_m, self._range.far_m or math.inf)
         size = image.height, image.width
-        driver = self.driver_info.of(header, self._model.whole, size)
-        self._model.fit(driver.view)
+        driver = self.driver_info.at(header)
+        self._model.fit(driver.view(self._model.whole, size))
         camera, config = self._model.whole, self.configs[DeblurConfig]
         blur_size_px = self._model.blur_size_px(depth_m)
         if not np.isfinite(blur_size_px).any():
@@ -121,9 +121,9 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
                 self.send("deblurred/image/compressed", compressed_message(content, header))
             except MessageError as error:  # the other outputs do not depend on it
                 self.reject(error.kind, str(error))
-        if driver.complaint:
-            self.reject("camera_info", driver.complaint)
-        self.send("deblurred/camera_info", driver.info(camera, size, header))
+        if complaint := driver.complaint(camera, size):
+            self.reject("camera_info", complaint)
+        self.send("deblurred/camera_info", driver.info(camera, size, size, header))
         self.sent(header)
 
     def _begins_anew(self, stamp: int) -> bool:

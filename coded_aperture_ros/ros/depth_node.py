@@ -195,8 +195,8 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             )
         frame_size = frame.shape[0], frame.shape[1]
         size = map_size(frame_size, config.output_size)
-        driver = self.driver_info.of(header, self._model.whole, frame_size)
-        self._model.fit(driver.view)
+        driver = self.driver_info.at(header)
+        self._model.fit(driver.view(self._model.whole, frame_size))
         camera, prior = self._model.camera, None
         if self._finds_motion:
             prior = self._gyro.expected(header, self.configs[GyroConfig], camera.intrinsics)
@@ -219,9 +219,9 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         std_dev_m = np.where(np.isinf(depth_m), np.float32(np.inf), estimate.std_dev_m)
         if self.wants("depth/std_dev"):
             self.send("depth/std_dev", image_from_array(std_dev_m, "32FC1", header))
-        if driver.complaint:
-            self.reject("camera_info", driver.complaint)
-        info = driver.info(self._model.whole, size, header)
+        if complaint := driver.complaint(self._model.whole, frame_size):
+            self.reject("camera_info", complaint)
+        info = driver.info(self._model.whole, frame_size, size, header)
         self.send("depth/camera_info", info)
         if self.wants("depth/points"):
             through = rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
