@@ -31,12 +31,7 @@ from coded_aperture_ros.ros.diagnostics import (
     camera_of,
 )
 from coded_aperture_ros.ros.managed_node import ManagedNode
-from coded_aperture_ros.ros.messages import (
-    camera_info_from_camera,
-    camera_info_from_intrinsics,
-    image_from_array,
-    scaled_camera_info,
-)
+from coded_aperture_ros.ros.messages import camera_info_from_intrinsics, image_from_array
 from coded_aperture_ros.ros.pace import Pace
 from coded_aperture_ros.ros.rgbd_source import RGBD, RgbdSource
 from coded_aperture_ros.ros.static_transform import broadcast_static, optical_transform
@@ -137,7 +132,7 @@ class CameraDriverNode(ManagedNode):
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()  # of the thread
         self._failures = 0
-        self._failing = self._warned_of_size = False
+        self._failing = False
         self.begin()
 
     @property
@@ -242,8 +237,10 @@ class CameraDriverNode(ManagedNode):
                 # A camera that is unplugged, or a driver that fails in its own way: the robot
                 # goes on, and so does this node as soon as there are frames again.
                 self._tell_failure(source, error)
-                stopping.wait(retry_s)
-                retry_s = min(2 * retry_s, _RETRY_S[1])
+                # Pairs have been waited for as they were read, and those that come are not to wait.
+                if not isinstance(source, RgbdSource):
+                    stopping.wait(retry_s)
+                    retry_s = min(2 * retry_s, _RETRY_S[1])
                 continue
             if self._failing:
                 self._failing, retry_s = False, _RETRY_S[0]
@@ -257,7 +254,9 @@ class CameraDriverNode(ManagedNode):
             going_on = (
                 "trying again until it works" if source.live else "going on with what follows"
             )
-            self.get_logger().error(f"{error}; {going_on}")
+            # Pairs may be missing many times a second.
+            pause_s = 10.0 if isinstance(source, RgbdSource) else 0.0
+            self.get_logger().error(f"{error}; {going_on}", throttle_duration_sec=pause_s)
 
     def _keep_settings(self, source: DeviceSource, settings: DeviceConfig) -> DeviceConfig:
         """Tell the device what has been changed, and the user what it does not know."""
@@ -276,20 +275,21 @@ class CameraDriverNode(ManagedNode):
         return present
 
     def _publish(self, capture: Capture) -> None:
-        now, stamp_ns = self.get_clock().now(), capture.stamp_ns
-        stamp = (now if stamp_ns is None else Time(nanoseconds=stamp_ns)).to_msg()
+        stamp_ns, own_time = capture.stamp_ns, self._config.publish_clock
+        if stamp_ns is None:  # time that is made here would wait for itself
+            stamp_ns = time.time_ns() if own_time else self.get_clock().now().nanoseconds
+        stamp = Time(nanoseconds=stamp_ns).to_msg()
         header = Header(frame_id=self._config.frame_id, stamp=stamp)
         encoding, frame = self._config.encoding, capture.frame
         if capture.mosaic:
             frame = frame_from_pixels(frame, mosaic=capture.mosaic, coloured=True)
-        if "/clock" in self._outputs.topics:
+        if own_time:
             self._outputs.send("/clock", ClockMessage(clock=header.stamp))
+        height, width = capture.frame.shape[:2]
+        self._publish_camera_info(width, height, header)  # first: it is there when its frame is
         if self._outputs.listened("image_raw"):
             pixels = pixels_from_frame(frame, encoding)
             self._outputs.send("image_raw", image_from_array(pixels, encoding, header))
-        if self._outputs.listened("camera_info"):
-            height, width = capture.frame.shape[:2]
-            self._publish_camera_info(width, height, header)
         if capture.depth_m is not None and self._outputs.listened("ground_truth/depth"):
             depth = image_from_array(capture.depth_m, "32FC1", header)
             self._outputs.send("ground_truth/depth", depth)
@@ -298,19 +298,13 @@ class CameraDriverNode(ManagedNode):
             self._outputs.send("ground_truth/image", sharp)
 
     def _publish_camera_info(self, width: int, height: int, header: Header) -> None:
-        measured = None if self._store is None else self._store.measured
         try:
-            if measured is None:
-                info = camera_info_from_camera(fitted_camera(self._camera, width, height), header)
-            else:
-                info = camera_info_from_intrinsics(measured, header)
-                info = scaled_camera_info(info, width, height, header)
+            model = self._store and self._store.fitted(width, height)
+            model = model or fitted_camera(self._camera, width, height).intrinsics
         except MessageError as error:
-            if not self._warned_of_size:
-                self._warned_of_size = True
-                self.get_logger().warning(f"no camera_info: {error}")
+            self.get_logger().warning(f"no camera_info: {error}", throttle_duration_sec=10.0)
             return
-        self._outputs.send("camera_info", info)
+        self._outputs.send("camera_info", camera_info_from_intrinsics(model, header))
 
     def _described(self) -> dict[str, Any]:
         source, config = self._source, self._config

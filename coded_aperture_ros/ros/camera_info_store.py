@@ -7,12 +7,13 @@ from typing import Any
 from urllib.parse import unquote
 
 from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.share import share_directory
+from coded_aperture_ros.io.messages import MessageError
 from coded_aperture_ros.optics import Intrinsics, load_intrinsics
+from coded_aperture_ros.ros.messages import intrinsics_of
 
 DEFAULT_URL = "file://${ROS_HOME}/camera_info/${NAME}.yaml"
 _VARIABLE = re.compile(r"\$\{([^}]*)\}")
@@ -66,6 +67,7 @@ class CameraInfoStore:
         self._node, self._name = node, camera_name
         self._path = camera_info_path(url or DEFAULT_URL, camera_name)
         self.measured: Intrinsics | None = None
+        self._frame_size: tuple[int, int] | None = None
         if url or self._path.is_file():
             self.measured = load_intrinsics(self._path)
             node.get_logger().info(f"camera_info is that of {self._path}")
@@ -76,6 +78,14 @@ class CameraInfoStore:
                 )
         self._service = node.create_service(SetCameraInfo, "set_camera_info", self._set)
 
+    def fitted(self, width: int, height: int) -> Intrinsics | None:
+        """Return the measured model for the frames, which are of this size; None without one.
+
+        Raises `MessageError` of kind "size", where their proportions are not those of the model.
+        """
+        self._frame_size = width, height
+        return self.measured and _fitted(self.measured, width, height)
+
     def close(self) -> None:
         """End the service."""
         self._node.destroy_service(self._service)
@@ -83,6 +93,8 @@ class CameraInfoStore:
     def _set(self, request: Any, response: Any) -> Any:
         try:
             measured = intrinsics_of(request.camera_info, self._name)
+            if self._frame_size is not None:
+                _fitted(measured, *self._frame_size)
             measured.save(self._path)
         except InputError as error:
             response.success, response.status_message = False, str(error)
@@ -94,18 +106,11 @@ class CameraInfoStore:
         return response
 
 
-def intrinsics_of(info: CameraInfo, camera_name: str) -> Intrinsics:
-    """Return the model of a message.
-
-    Raises `InputError`, naming the value that no camera can have.
-    """
-    return Intrinsics(
-        image_width=int(info.width),
-        image_height=int(info.height),
-        camera_matrix=tuple(map(float, info.k)),
-        distortion_coefficients=tuple(map(float, info.d)),
-        distortion_model=info.distortion_model or "plumb_bob",
-        rectification_matrix=tuple(map(float, info.r)),
-        projection_matrix=tuple(map(float, info.p)) if any(info.p) else (),
-        camera_name=camera_name,
-    )
+def _fitted(model: Intrinsics, width: int, height: int) -> Intrinsics:
+    if abs(model.image_height * width / model.image_width - height) > 1.0:
+        raise MessageError(
+            "size",
+            f"the calibration is for {model.image_width}x{model.image_height}, which does not have "
+            f"the proportions of the {width}x{height} frames: calibrate with such frames",
+        )
+    return model.scaled(width, height)

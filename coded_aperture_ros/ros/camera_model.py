@@ -1,12 +1,23 @@
 """Which camera a frame was taken with: the camera file, or what the driver says."""
 
+import copy
+from collections.abc import Callable
+
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.messages import MessageError, view_of
 from coded_aperture_ros.optics import Camera, View, load_camera
-from coded_aperture_ros.ros.messages import camera_info_from_camera, scaled_camera_info
+from coded_aperture_ros.ros.messages import (
+    camera_info_from_camera,
+    intrinsics_of,
+    scaled_camera_info,
+    stamp_ns,
+)
+
+# A frame may wait for its depth for so many others.
+_KEPT = 200
 
 
 def required_camera(path: str) -> Camera:
@@ -34,16 +45,43 @@ class CameraModel:
     """The camera model to publish: the driver's own if it sends one, else the camera file's.
 
     The driver's region of interest and binning, or else its proportions, say which part of its view
-    frames are.
+    frames are. `reject` is told the kind and the fault of a model that no camera can have.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, reject: Callable[[str, str], None] = lambda kind, reason: None) -> None:
+        self._reject = reject
         self._received: CameraInfo | None = None
+        self._by_stamp: dict[int, CameraInfo] = {}
 
     def receive(self, info: CameraInfo) -> None:
         """Remember a model from the driver; one without a calibration (K is 0) is ignored."""
-        if info.k[0] > 0 and info.k[4] > 0 and info.width and info.height:
-            self._received = info
+        if info.k[0] == 0:
+            return
+        try:
+            info = _understood(info)
+        except InputError as error:
+            going_on = "the one before it holds, or else the camera file"
+            self._reject("camera_info", f"camera_info: {error}; {going_on}: calibrate again")
+            return
+        self._received, by_stamp = info, self._by_stamp
+        if stamp := stamp_ns(info.header):
+            by_stamp.pop(stamp, None)  # one that comes again is the last to be forgotten
+            by_stamp[stamp] = info
+        if len(by_stamp) > _KEPT:
+            del by_stamp[next(iter(by_stamp))]
+
+    def forget_stamps(self) -> None:
+        """Keep the newest model alone: the same stamps come again where time has gone back."""
+        self._by_stamp = {}
+
+    def at(self, header: Header) -> "CameraModel":
+        """Return the model for all that is made of one frame: what comes later does not change it.
+
+        It is the one with the frame's stamp, or the newest where that has not come.
+        """
+        model = CameraModel()
+        model._received = self._by_stamp.get(stamp_ns(header), self._received)
+        return model
 
     def info(
         self,
@@ -76,3 +114,18 @@ class CameraModel:
     def _view(self, camera: Camera, frame_size: tuple[int, int]) -> View | None:
         height, width = frame_size
         return self._received and view_of(self._received, width, height, camera)
+
+
+def _understood(info: CameraInfo) -> CameraInfo:
+    """Return a driver's model with a region as it is meant: a size of 0 stands for all of it.
+
+    An `InputError` names the value that no camera can have.
+    """
+    info = copy.deepcopy(info)  # other nodes may have the same message
+    info.roi.x_offset *= info.roi.width > 0
+    info.roi.y_offset *= info.roi.height > 0
+    checked = copy.copy(info)
+    if not any(info.d):  # what the model is called and how many zeros it has tells nothing then
+        checked.distortion_model, checked.d = "", []
+    intrinsics_of(checked)
+    return info

@@ -21,7 +21,6 @@ from coded_aperture_ros.io.messages import (
     written_encoding,
 )
 from coded_aperture_ros.likelihood import BlurLevels
-from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
 from coded_aperture_ros.ros.frame_node import FrameNode
 from coded_aperture_ros.ros.messages import compressed_message, image_from_array, stamp_ns
@@ -44,7 +43,6 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
 
     def __init__(self, **node_options: Any) -> None:
         super().__init__("deblur_node", ModelConfig(), DeblurConfig(), fixed={}, **node_options)
-        self._info = CameraModel()
         self._pairs: StampPairs[Image, Image] = StampPairs(
             _WAITING_FRAMES,
             lambda: self.statistics.count_dropped("no_depth"),
@@ -57,7 +55,6 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         self._deblurrer: Deblurrer | None = None
         self.listen_to_frames("image_raw", self._on_image)
         self.listen("depth/image", Image, self._on_depth)
-        self.listen("camera_info", CameraInfo, self._info.receive)
         self.begin()
 
     def load(self) -> None:
@@ -78,6 +75,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
 
     def restart(self) -> None:
         """Forget the frames so far, and those that wait for their depth."""
+        super().restart()
         self._arriving.forget()
         self._pairs.clear()
         self._restarting.set()
@@ -87,14 +85,10 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         if self._arriving.follow(stamp_ns(message.header)) == "restart":
             # The same stamps may come again, and frames from before are not theirs.
             self._pairs.clear()
-        self._offer_pair(self._pairs.add_first(stamp_ns(message.header), message))
+        self.offer(self._pairs.add_first(stamp_ns(message.header), message))
 
     def _on_depth(self, message: Image) -> None:
-        self._offer_pair(self._pairs.add_second(stamp_ns(message.header), message))
-
-    def _offer_pair(self, pair: tuple[Image, Image] | None) -> None:
-        if pair is not None:
-            self.offer(pair)
+        self.offer(self._pairs.add_second(stamp_ns(message.header), message))
 
     def process(self, item: tuple[Image, Image]) -> None:
         """Deblur and publish one frame."""
@@ -105,7 +99,8 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         # Beyond the range is deblurred as the end of the range; NaN stays unknown.
         depth_m = np.clip(depth_m, self._range.near_m, self._range.far_m or math.inf)
         size = image.height, image.width
-        self._model.fit(self._info.view(self._model.whole, size))
+        driver = self.driver_info.at(header)
+        self._model.fit(driver.view(self._model.whole, size))
         camera, config = self._model.whole, self.configs[DeblurConfig]
         blur_size_px = self._model.blur_size_px(depth_m)
         if not np.isfinite(blur_size_px).any():
@@ -126,10 +121,9 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
                 self.send("deblurred/image/compressed", compressed_message(content, header))
             except MessageError as error:  # the other outputs do not depend on it
                 self.reject(error.kind, str(error))
-        if complaint := self._info.complaint(camera, size):
+        if complaint := driver.complaint(camera, size):
             self.reject("camera_info", complaint)
-        if self.wants("deblurred/camera_info"):
-            self.send("deblurred/camera_info", self._info.info(camera, size, size, header))
+        self.send("deblurred/camera_info", driver.info(camera, size, size, header))
         self.sent(header)
 
     def _begins_anew(self, stamp: int) -> bool:

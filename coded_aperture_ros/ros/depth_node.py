@@ -44,7 +44,6 @@ from coded_aperture_ros.methods.motion import MotionConfig
 from coded_aperture_ros.methods.two_pixel import SimpleConfig
 from coded_aperture_ros.optics.intrinsics import rays
 from coded_aperture_ros.pipeline import FramePipeline, LateFrameError
-from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.diagnostics import Complaint
 from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
 from coded_aperture_ros.ros.frame_node import FrameNode
@@ -127,13 +126,11 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         )
         if warning := slow_blas_warning():
             self.get_logger().warning(warning)
-        self._info = CameraModel()
         self._gyro = Gyro()
         self._searched = ""
         self._restarting = threading.Event()
         self._pipeline: FramePipeline | None = None
         self.listen_to_frames("image_raw", self._on_image)
-        self.listen("camera_info", CameraInfo, self._info.receive)
         if self._finds_motion:
             self.listen("imu", Imu, self._gyro.receive)
         self.begin()
@@ -175,6 +172,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
 
     def restart(self) -> None:
         """Begin another video with the next frame."""
+        super().restart()
         self._restarting.set()
         self._gyro.forget()
 
@@ -197,7 +195,8 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             )
         frame_size = frame.shape[0], frame.shape[1]
         size = map_size(frame_size, config.output_size)
-        self._model.fit(self._info.view(self._model.whole, frame_size))
+        driver = self.driver_info.at(header)
+        self._model.fit(driver.view(self._model.whole, frame_size))
         camera, prior = self._model.camera, None
         if self._finds_motion:
             prior = self._gyro.expected(header, self.configs[GyroConfig], camera.intrinsics)
@@ -220,19 +219,17 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         std_dev_m = np.where(np.isinf(depth_m), np.float32(np.inf), estimate.std_dev_m)
         if self.wants("depth/std_dev"):
             self.send("depth/std_dev", image_from_array(std_dev_m, "32FC1", header))
-        if complaint := self._info.complaint(self._model.whole, frame_size):
+        if complaint := driver.complaint(self._model.whole, frame_size):
             self.reject("camera_info", complaint)
-        if self.wants("depth/camera_info") or self.wants("depth/points"):
-            info = self._info.info(self._model.whole, frame_size, size, header)
-            if self.wants("depth/camera_info"):
-                self.send("depth/camera_info", info)
-            if self.wants("depth/points"):
-                through = rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
-                small = cv2.resize(frame, size[::-1], interpolation=cv2.INTER_AREA)
-                colours = pixels_from_frame(small, "rgb8", gamma)
-                maps = depth_m, estimate.confidence, std_dev_m, colours, through
-                points = points_of_depth(*maps, self._range.near_m, config.points_far_m)
-                self.send("depth/points", cloud_from_points(points, header))
+        info = driver.info(self._model.whole, frame_size, size, header)
+        self.send("depth/camera_info", info)
+        if self.wants("depth/points"):
+            through = rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
+            small = cv2.resize(frame, size[::-1], interpolation=cv2.INTER_AREA)
+            colours = pixels_from_frame(small, "rgb8", gamma)
+            maps = depth_m, estimate.confidence, std_dev_m, colours, through
+            points = points_of_depth(*maps, self._range.near_m, config.points_far_m)
+            self.send("depth/points", cloud_from_points(points, header))
         if estimate.motion is not None:
             self._searched = estimate.motion.searched
             if self.wants("depth/motion"):
@@ -244,7 +241,10 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if (health := estimate.health) is not None:
             figures["health"] = health.value
             if not health.fits:
-                given = "no depth is given" if health.withheld else "little depth is sure"
+                given = "little depth is sure"
+                if health.withheld:  # a guess may be asked for all the same (confidence.unknown)
+                    guessed = not np.isnan(depth_m).all()
+                    given = "the depth given is a guess" if guessed else "no depth is given"
                 misfit = Complaint(f"{given}, the frame {health}", health.withheld)
         self.sent(header, estimate.seconds, figures, misfit)
 

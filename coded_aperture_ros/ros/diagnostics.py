@@ -60,7 +60,11 @@ class Complaint:
 
 @dataclass(frozen=True)
 class Summary:
-    """The state of a node's work at one moment; latencies and rate over the last 10 s."""
+    """The state of a node's work at one moment; latencies and rate over the last 10 s.
+
+    `figures` and `complaint` are of the last frame, and go where that is longer ago; so does
+    `last_error` where there have been results since. `idle_s` counts from the last frame that came.
+    """
 
     received: int
     processed: int
@@ -73,6 +77,7 @@ class Summary:
     figures: dict[str, float] = field(default_factory=dict)
     last_error: str = ""
     complaint: Complaint | None = None
+    idle_s: float | None = None
 
     @property
     def dropped(self) -> int:
@@ -96,10 +101,10 @@ class Statistics:
         self._dropped: Counter[str] = Counter()
         self._rejected: Counter[str] = Counter()
         # When each frame was done, its latency, the time spent on it and that of its stages.
-        self._recent: deque[tuple[float, float | None, float, Mapping[str, float]]] = deque(
-            maxlen=2000
-        )
+        self._recent: deque[tuple[float, float | None, float, Mapping[str, float]]] = deque()
         self._started_s: float | None = None
+        self._came_s: float | None = None
+        self._failed_s = 0.0
         self._figures: Mapping[str, float] = {}
         self._complaint: Complaint | None = None
         self._last_error = ""
@@ -108,8 +113,9 @@ class Statistics:
         """Count a frame that arrived."""
         with self._lock:
             self._received += 1
+            self._came_s = self._now()
             if self._started_s is None:
-                self._started_s = self._now()
+                self._started_s = self._came_s
 
     def count_dropped(self, cause: str) -> None:
         """Count a frame that was not worked on though nothing was wrong with it."""
@@ -120,7 +126,7 @@ class Statistics:
         """Count a message that cannot be used, by the kind of its fault; remember the reason."""
         with self._lock:
             self._rejected[kind] += 1
-            self._last_error = reason or kind
+            self._last_error, self._failed_s = reason or kind, self._now()
 
     def count_processed(
         self,
@@ -141,6 +147,8 @@ class Statistics:
             self._processed += 1
             self._figures, self._complaint = figures or {}, complaint
             self._recent.append((self._now(), latency_s, work_s, stages_s or {}))
+            while self._recent[0][0] <= self._recent[-1][0] - _WINDOW_S:
+                self._recent.popleft()
 
     def summary(self) -> Summary:
         """Return the counts so far and the figures of the last seconds."""
@@ -149,6 +157,7 @@ class Statistics:
             recent = [entry for entry in self._recent if entry[0] > now - _WINDOW_S]
             running_s = 0.0 if self._started_s is None else now - self._started_s
             span_s = min(_WINDOW_S, max(running_s, 1.0))
+            recovered = recent and now - self._failed_s > _WINDOW_S
             return Summary(
                 self._received,
                 self._processed,
@@ -158,9 +167,10 @@ class Statistics:
                 percentiles([latency for _, latency, _, _ in recent if latency is not None]),
                 percentiles([work for _, _, work, _ in recent]),
                 _by_stage([stages for _, _, _, stages in recent]),
-                dict(self._figures),
-                self._last_error,
-                self._complaint,
+                dict(self._figures) if recent else {},
+                "" if recovered else self._last_error,
+                self._complaint if recent else None,
+                None if self._came_s is None else now - self._came_s,
             )
 
 
@@ -244,7 +254,8 @@ def _warnings(
     if rejected:
         yield f"{rejected} unusable message(s) in the last second"
     if waiting and not received:
-        yield "waiting for frames"
+        age = "" if summary.idle_s is None else f": none for {summary.idle_s:.0f} s"
+        yield f"waiting for frames{age}"
     elif received and last.received and summary.rate_hz == 0:
         yield "frames come in, no results go out"
     elif received and summary.rate_hz < config.warn_rate_hz:

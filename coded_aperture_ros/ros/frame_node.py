@@ -1,5 +1,6 @@
 """What every node that turns frames into other frames has in common."""
 
+import contextlib
 import dataclasses
 import time
 from abc import abstractmethod
@@ -8,13 +9,14 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
-from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.imaging.decoding import lost_by_compression
 from coded_aperture_ros.io.messages import MessageError
+from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.diagnostics import (
     Complaint,
     DiagnosticsConfig,
@@ -34,6 +36,8 @@ _LAZY_PERIOD_S = 0.2
 _LOG_PERIOD_S = 10.0
 # What a node that ends waits for the frame in work.
 _LONGEST_FRAME_S = 5.0
+# What it waits in silence.
+_PATIENCE_S = 2.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,9 +75,10 @@ class FrameNodeConfig:
 class FrameNode(ManagedNode, Generic[Item]):
     """A node that works on the newest frame, in a thread of its own, while someone listens.
 
-    A node that derives from this one names its outputs, calls `listen` for each input,
-    implements `load`, `unload` and `process`, and ends its constructor with `begin`. The arguments
-    are those of `ManagedNode`, and `local` of the process that it shares with others.
+    A node that derives from this one names its outputs, calls `listen` for each input but the
+    driver's `camera_info`, implements `load`, `unload` and `process`, and ends its constructor with
+    `begin`. The arguments are those of `ManagedNode`, and `local` of the process that it shares
+    with others.
     """
 
     outputs: ClassVar[Mapping[str, type]]
@@ -92,6 +97,9 @@ class FrameNode(ManagedNode, Generic[Item]):
         offered = {topic: kind for topic, kind in self.outputs.items() if self.offers(topic)}
         self._outputs = Outputs(self, offered, local)
         self._inputs = Inputs(self, local)
+        self.driver_info = CameraModel(self.reject)
+        # Before the frames: of what has come, the executor takes what was subscribed to first.
+        self.listen("camera_info", CameraInfo, self.driver_info.receive)
         self._logged_s: dict[str, float] = {}
         self._taken_up_s = 0.0
         self._rate_limit = RateLimit()
@@ -146,6 +154,7 @@ class FrameNode(ManagedNode, Generic[Item]):
 
         Called, in any thread, when time has gone back, and when nobody listens any more.
         """
+        self.driver_info.forget_stamps()
 
     def identity(self) -> dict[str, str]:
         """Return what /diagnostics says the node works with."""
@@ -181,13 +190,16 @@ class FrameNode(ManagedNode, Generic[Item]):
         self.unload()
 
     def start_work(self) -> None:
-        """Begin to listen and to work."""
-        self._worker = NewestWorker(
-            self._process_safely, lambda: self.statistics.count_dropped("busy"), self.get_name()
-        )
-        # Subscribed at once, so that a QoS override that cannot be met is found at start.
-        self._inputs.open()
-        self._update_listening()
+        """Begin to listen and to work; where that fails, neither goes on."""
+        with contextlib.ExitStack() as undo:
+            undo.callback(self.stop_work)
+            # Subscribed at once, so that a QoS override that cannot be met is found at start.
+            self._inputs.open()
+            self._worker = NewestWorker(
+                self._process_safely, lambda: self.statistics.count_dropped("busy"), self.get_name()
+            )
+            self._update_listening()
+            undo.pop_all()
 
     def stop_work(self) -> None:
         """Listen no more, and wait for the frame in work."""
@@ -202,13 +214,14 @@ class FrameNode(ManagedNode, Generic[Item]):
 
     def _end_worker(self, timeout_s: float | None = None) -> None:
         worker, self._worker = self._worker, None
-        if worker is not None:
-            worker.stop(timeout_s)
+        if worker is not None and not worker.stop(_PATIENCE_S):
+            self.get_logger().info("waiting for the frame in work, which is not cut short")
+            worker.stop(timeout_s and timeout_s - _PATIENCE_S)
 
-    def offer(self, item: Item) -> None:
-        """Hand an item to the worker, unless the rate is limited; what still waits is dropped."""
+    def offer(self, item: Item | None) -> None:
+        """Hand an item, if any, to the worker as the rate allows; what still waits is dropped."""
         worker = self._worker
-        if worker is None:
+        if worker is None or item is None:
             return
         if self._rate_limit.takes(self.frame_config.max_rate_hz):
             worker.offer(item)

@@ -37,14 +37,15 @@ class NewestWorker(Generic[Item]):
         if replaced:
             self._dropped()
 
-    def stop(self, timeout_s: float | None = None) -> None:
-        """Forget the waiting item, and wait until the one in work is done, or for some time."""
+    def stop(self, timeout_s: float | None = None) -> bool:
+        """Forget what waits; wait for the item in work, or for some time; return if it is done."""
         with self._change:
             self._stopping = True
             self._waiting = None
             self._change.notify()
         if threading.current_thread() is not self._thread:
             self._thread.join(timeout_s)
+        return not self._thread.is_alive()
 
     def _run(self) -> None:
         while True:

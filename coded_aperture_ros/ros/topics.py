@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import Any
 
@@ -86,11 +86,6 @@ class Outputs:
             for name in self._names.values():
                 local.offer(name)
 
-    @property
-    def topics(self) -> tuple[str, ...]:
-        """The topics' names, as they were given."""
-        return tuple(self._types)
-
     def open(self) -> None:
         """Create the publishers."""
         for topic, message_type in self._types.items():
@@ -161,21 +156,24 @@ class Inputs:
         return bool(self._endings)
 
     def open(self) -> None:
-        """Subscribe to all topics.
+        """Subscribe to all topics, or to none.
 
         Raises `InputError` if a QoS override cannot be met.
         """
-        for topic, message_type, callback in self._wanted:
-            name = self._node.resolve_topic_name(topic)
-            if self._local is not None and self._local.offers(name):
-                self._endings.append(self._local.subscribe(name, callback))
-                continue
-            qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-            with _readable_qos_errors(topic):
-                subscription = self._node.create_subscription(
-                    message_type, topic, callback, qos, qos_overriding_options=_OVERRIDABLE
-                )
-            self._endings.append(partial(self._node.destroy_subscription, subscription))
+        with ExitStack() as undo:
+            undo.callback(self.close)
+            for topic, message_type, callback in self._wanted:
+                name = self._node.resolve_topic_name(topic)
+                if self._local is not None and self._local.offers(name):
+                    self._endings.append(self._local.subscribe(name, callback))
+                    continue
+                qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+                with _readable_qos_errors(topic):
+                    subscription = self._node.create_subscription(
+                        message_type, topic, callback, qos, qos_overriding_options=_OVERRIDABLE
+                    )
+                self._endings.append(partial(self._node.destroy_subscription, subscription))
+            undo.pop_all()
 
     def close(self) -> None:
         """End the subscriptions."""

@@ -1,12 +1,13 @@
 """The driver's calibration: where it is, and how a calibration program sets it."""
 
+import dataclasses
 from pathlib import Path
 
 import pytest
 import yaml
 from cameras import TINY
 from ros_helpers import Ros, wait_until
-from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import CameraInfo, Image
 from sensor_msgs.srv import SetCameraInfo
 
 from coded_aperture_ros.core.errors import InputError
@@ -120,6 +121,33 @@ def test_what_no_camera_can_be_is_refused_and_the_old_one_stays(ros, home, tmp_p
     assert wait_until(lambda: infos, 30)
     assert infos[-1].k[0] == pytest.approx(119.4)
     assert not home.exists()
+
+
+def test_a_calibration_of_other_proportions_is_refused(ros, home, tmp_path):
+    infos = ros.subscribe("camera_info", CameraInfo)
+    drive(ros, tmp_path)
+    assert wait_until(lambda: infos, 30)
+    answer = set_info(ros, message(height=36))
+    assert not answer.success
+    assert "64x36" in answer.status_message and "64x48 frames" in answer.status_message
+    assert not home.exists()
+    count = len(infos)
+    assert wait_until(lambda: len(infos) > count + 5)
+    assert [info.k[0] for info in infos] == pytest.approx([119.4] * len(infos))
+    assert set_info(ros, message(width=128, height=96)).success
+    assert wait_until(lambda: infos[-1].k[0] == 60.5)
+
+
+def test_frames_of_other_proportions_have_no_camera_info(ros, tmp_path, capfd):
+    wide = dataclasses.replace(MEASURED, image_height=36)
+    wide.save(tmp_path / "wide.yaml")
+    images, infos = ros.subscribe("image_raw", Image), ros.subscribe("camera_info", CameraInfo)
+    drive(ros, tmp_path, camera_info_url=f"file://{tmp_path}/wide.yaml")
+    assert wait_until(lambda: len(images) > 5, 30)
+    assert infos == []
+    said = [line for line in capfd.readouterr().err.splitlines() if "no camera_info" in line]
+    assert len(said) == 1
+    assert "64x36, which does not have the proportions of the 64x48 frames" in said[0]
 
 
 def test_a_url_that_cannot_be_loaded_ends_the_start(ros, tmp_path):

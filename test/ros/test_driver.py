@@ -9,6 +9,7 @@ import pytest
 import yaml
 from rclpy.lifecycle import TransitionCallbackReturn
 from ros_helpers import wait_until
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 
 from coded_aperture_ros.core.errors import InputError
@@ -251,6 +252,17 @@ def test_simulated_time_without_a_clock(ros, camera_file, folder):
     drive(ros, camera_file, folder, use_sim_time=True)
     assert wait_until(lambda: len(images) > 3)
     assert stamp_ns(images[0].header) == 0
+
+
+@pytest.mark.parametrize("source", ["simulator", "folder"])
+def test_simulated_time_that_the_driver_makes_goes_on(ros, camera_file, folder, source):
+    clock, images = ros.subscribe("/clock", Clock), ros.subscribe("image_raw", Image)
+    source = folder if source == "folder" else source
+    node = drive(ros, camera_file, source, use_sim_time=True, publish_clock=True)
+    assert wait_until(lambda: len(clock) > 5 and len(images) > 5, 30)
+    stamps = [stamp_ns(image.header) for image in images]
+    assert 0 < stamps[0] < stamps[-1] and stamps == sorted(stamps)
+    assert node.get_clock().now().nanoseconds >= stamps[0]
 
 
 def test_a_transform_is_no_condition(ros, camera_file, folder):

@@ -2,6 +2,7 @@
 
 import itertools
 import shutil
+import threading
 import time
 
 import pytest
@@ -111,6 +112,81 @@ def test_an_impossible_transition_is_refused_and_the_node_lives_on(ros, model, c
     for transition in (Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_CLEANUP, 77):
         assert not manager.ask(transition)
     assert manager.state == State.PRIMARY_STATE_ACTIVE
+    assert results_go_on(images, coded, depths)
+
+
+def left_running(ros):
+    """Return the threads of a depth node's work, and how many listen to its inputs."""
+    threads = [thread for thread in threading.enumerate() if thread.name == "depth_node"]
+    return len(threads), *map(ros.probe.count_subscribers, ("image_raw", "camera_info"))
+
+
+def test_a_node_that_cannot_be_activated_leaves_nothing_running(ros, model):
+    wrong = {"qos_overrides./camera_info.subscription.reliability": "as good as it gets"}
+    ros.make(DepthNode, {**model, **wrong, "autostart": False})
+    manager = Manager(ros, "depth_node")
+    assert manager.ask(Transition.TRANSITION_CONFIGURE)
+    for _ in range(2):
+        assert not manager.ask(Transition.TRANSITION_ACTIVATE)
+        assert manager.state == State.PRIMARY_STATE_INACTIVE
+        assert wait_until(lambda: left_running(ros) == (0, 0, 0))
+
+
+@pytest.mark.parametrize("step", ["create_subscription", "_update_listening"])
+def test_a_node_works_when_it_can_be_activated_after_all(ros, model, coded, monkeypatch, step):
+    node = ros.make(DepthNode, {**model, "autostart": False})
+    images, depths = ros.publisher("image_raw", Image), ros.subscribe("depth/image", Image)
+    manager = Manager(ros, "depth_node")
+    assert manager.ask(Transition.TRANSITION_CONFIGURE)
+    works, failing = getattr(node, step), 0 if step == "_update_listening" else 1
+    calls = itertools.count()
+
+    def fail_late(*arguments, **options):
+        if next(calls) == failing:
+            raise RuntimeError("no more room")
+        return works(*arguments, **options)
+
+    with monkeypatch.context() as broken:
+        broken.setattr(node, step, fail_late)
+        assert not manager.ask(Transition.TRANSITION_ACTIVATE)
+    assert wait_until(lambda: left_running(ros) == (0, 0, 0))
+    assert manager.ask(Transition.TRANSITION_ACTIVATE)
+    assert wait_until(images.get_subscription_count)
+    assert results_go_on(images, coded, depths)
+    assert left_running(ros) == (1, 1, 1)
+
+
+def test_deactivating_waits_for_a_slow_frame_and_says_so(ros, model, coded, monkeypatch, capfd):
+    node = ros.make(DepthNode, model)
+    images, depths = ros.publisher("image_raw", Image), ros.subscribe("depth/image", Image)
+    begun, goes_on, process = threading.Event(), threading.Event(), node.process
+
+    def slow(item):
+        begun.set()
+        goes_on.wait(30)
+        process(item)
+
+    monkeypatch.setattr(node, "process", slow)
+    assert wait_until(images.get_subscription_count)
+    images.publish(frame_of(coded))
+    assert begun.wait(10)
+    client = ros.probe.create_client(ChangeState, "depth_node/change_state")
+    assert wait_until(client.service_is_ready)
+    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
+    answer, said = client.call_async(request), []
+
+    def told():
+        said.extend(line for line in capfd.readouterr().err.splitlines() if "in work" in line)
+        return said
+
+    assert not wait_until(told, 1.5)
+    assert wait_until(told)
+    assert not answer.done()
+    goes_on.set()
+    assert wait_until(answer.done) and answer.result().success
+    assert wait_until(lambda: depths)  # it was not cut short
+    assert len(told()) == 1
+    assert Manager(ros, "depth_node").ask(Transition.TRANSITION_ACTIVATE)
     assert results_go_on(images, coded, depths)
 
 

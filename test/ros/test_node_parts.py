@@ -158,6 +158,18 @@ def test_the_rate_forgets_what_is_long_ago():
     assert statistics.summary().latency_s is None
 
 
+def test_the_rate_of_fast_frames_is_measured_over_all_of_them():
+    now = [0.0]
+    statistics = Statistics(now=lambda: now[0])
+    for frame in range(20_000):
+        now[0] = frame / 1000
+        statistics.count_received()
+        statistics.count_processed(0.05 if frame < 15_000 else 0.01, 0.01)
+    assert statistics.summary().rate_hz == pytest.approx(1000, rel=0.001)
+    assert statistics.summary().latency_s[1:] == (0.05, 0.05)
+    assert len(statistics._recent) <= 10_001
+
+
 def test_status_tells_what_is_wrong():
     statistics, config = Statistics(), DiagnosticsConfig()
     before = statistics.summary()

@@ -50,22 +50,56 @@ def test_an_rgbd_pair_becomes_a_coded_frame_with_its_truth(ros, tmp_path, encodi
     np.testing.assert_allclose(array_from_image(coded[0]) / 65535, expected, atol=2e-5)
 
 
-def test_pairs_that_cannot_be_used_are_told_and_the_next_is_taken(ros, tmp_path):
-    camera_file = tmp_path / "camera.yaml"
-    camera_file.write_text(yaml.safe_dump(TINY))
-    node = ros.make(CameraDriverNode, {"camera_file": str(camera_file), "source": "rgbd"})
-    coded = ros.subscribe("image_raw", Image)
-    images, depths = ros.publisher("rgbd/image", Image), ros.publisher("rgbd/depth", Image)
-    assert wait_until(lambda: images.get_subscription_count() and depths.get_subscription_count())
-    for second, shape in ((1, (24, 64)), (2, SHAPE)):
+class Pairs:
+    """A driver of RGB-D pairs, and publishers of them."""
+
+    def __init__(self, ros, folder):
+        (folder / "camera.yaml").write_text(yaml.safe_dump(TINY))
+        parameters = {"camera_file": str(folder / "camera.yaml"), "source": "rgbd"}
+        self.node = ros.make(CameraDriverNode, parameters)
+        self.coded = ros.subscribe("image_raw", Image)
+        self.images = ros.publisher("rgbd/image", Image)
+        self.depths = ros.publisher("rgbd/depth", Image)
+        assert wait_until(
+            lambda: self.images.get_subscription_count() and self.depths.get_subscription_count()
+        )
+
+    def send(self, second, shape=SHAPE):
+        """Publish a picture, and depth of a shape, which is to be that of the picture."""
         header = Header()
         header.stamp.sec = second
-        images.publish(image_from_array(np.full(SHAPE, 99, np.uint8), "mono8", header))
-        depths.publish(image_from_array(np.full(shape, 2.5, np.float32), "32FC1", header))
-        if second == 1:
-            assert wait_until(lambda: "one size" in node.statistics.summary().last_error)
-    assert wait_until(lambda: coded)
-    assert coded[0].header.stamp.sec == 2
+        self.images.publish(image_from_array(np.full(SHAPE, 99, np.uint8), "mono8", header))
+        self.depths.publish(image_from_array(np.full(shape, 2.5, np.float32), "32FC1", header))
+
+    @property
+    def failed(self):
+        return self.node.statistics.summary().rejected.get("source", 0)
+
+
+def test_pairs_that_cannot_be_used_are_told_and_the_next_is_taken(ros, tmp_path):
+    pairs = Pairs(ros, tmp_path)
+    pairs.send(1, (24, 64))
+    assert wait_until(lambda: "one size" in pairs.node.statistics.summary().last_error)
+    pairs.send(2)
+    assert wait_until(lambda: pairs.coded)
+    assert pairs.coded[0].header.stamp.sec == 2
+
+
+def test_pairs_that_come_do_not_wait_for_those_that_do_not(ros, tmp_path, capfd):
+    pairs = Pairs(ros, tmp_path)
+    assert wait_until(lambda: pairs.failed == 4)  # one a second
+    began = time.monotonic()
+    pairs.send(1)
+    assert wait_until(lambda: len(pairs.coded) == 1)
+    for second in range(2, 8):
+        failed = pairs.failed
+        pairs.send(second, (24, 64))
+        assert wait_until(lambda n=failed: pairs.failed > n)
+        pairs.send(second + 10)
+        assert wait_until(lambda n=second: len(pairs.coded) == n)
+    assert time.monotonic() - began < 2.5
+    errors = [line for line in capfd.readouterr().err.splitlines() if "[ERROR]" in line]
+    assert len(errors) == 1
 
 
 def test_depth_without_a_distance_is_refused():
