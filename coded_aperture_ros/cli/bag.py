@@ -5,6 +5,7 @@ import logging
 from pathlib import Path
 from typing import Any
 
+from coded_aperture_ros.cli.checks import inputs_of
 from coded_aperture_ros.cli.estimators import (
     add_estimator_options,
     add_estimator_settings,
@@ -97,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.optics import load_camera
 
     source, target = Path(args.input), Path(args.output)
-    check_bag_output(target, [source], args.overwrite)
+    check_bag_output(target, [source, *inputs_of(args, "bank", "camera")], args.overwrite)
     camera = load_camera(args.camera)
     deblur = None
     if args.deblur != "none":

@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output
+from coded_aperture_ros.cli.checks import check_output, inputs_of
 from coded_aperture_ros.cli.measuring import checked_config, tell
 from coded_aperture_ros.cli.options import (
     add_commands,
@@ -109,7 +109,7 @@ def _design(args: argparse.Namespace) -> int:
     config = checked_config(args, DesignConfig)
     if args.output is not None:
         for name in (_NUMBERS, _PAGE, _PICTURE):
-            check_output(Path(args.output) / name)
+            check_output(Path(args.output) / name, inputs_of(args, "camera"))
     camera = load_camera(args.camera)
     with naming(args.camera):
         setting = setting_of(camera, near_m, far_m, config)

@@ -8,8 +8,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.checks import check_output, check_suffix, inputs_of
 from coded_aperture_ros.cli.measuring import (
+    MASK_FILE,
     above,
     add_level_count_option,
     add_planes_arguments,
@@ -170,13 +171,13 @@ def _calibrate(args: argparse.Namespace) -> int:
 
     config = checked_config(args, LearnConfig)
     check_suffix(args.bank, [".npz"])
-    inputs = [Path(name) for name in args.inputs]
-    check_output(args.bank, [path for path in inputs if path.is_file()])
-    if args.output is not None:
-        check_output(Path(args.output) / _REPORT)
     camera = None if args.camera is None else load_camera(args.camera)
     start = time.perf_counter()
-    planes = load_planes(inputs, args.depths, args.gamma)
+    planes = load_planes(args.inputs, args.depths, args.gamma)
+    folder = None if args.output is None else Path(args.output)
+    beside = [folder / name for name in (_REPORT, MASK_FILE, _CAMERA)] if folder else []
+    for path in (args.bank, *beside):
+        check_output(path, [*map(Path, planes.names), *inputs_of(args, "camera")])
     if camera is not None:
         _check_size(args.camera, camera, planes)
     found = calibrate_planes(
@@ -270,7 +271,7 @@ def _camera_text(summary: Any, path: Path) -> str:
     content = read_yaml(path, f"camera file {path}") | {
         "focus_distance_m": summary["focus_distance_m"],
         "side": summary["side"],
-        "mask": {"file": "mask.npy"},
+        "mask": {"file": MASK_FILE},
         "mask_extent_mm": summary["mask_extent_mm"],
     }
     if "camera_info" in content:

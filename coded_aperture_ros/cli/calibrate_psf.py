@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.checks import check_output, check_suffix, inputs_of
 from coded_aperture_ros.cli.measuring import (
     above,
     add_depths_option,
@@ -155,8 +155,8 @@ def _checked(args: argparse.Namespace) -> tuple[list[str], list[float] | None]:
     if count is not None and count < least:
         args.usage_error(f"--level-count: at least {least}, got {count}")
     for output in filter(None, (args.output, args.picture)):
-        given = (*names, *(args.sharp or ()), args.camera, args.mask)
-        check_output(output, [Path(name) for name in given if name])
+        pictures = map(Path, (*names, *(args.sharp or ())))
+        check_output(output, [*pictures, *inputs_of(args, "camera", "mask")])
     if depths_m is None:
         return names, _depths_in_names(names)
     if len(depths_m) != len(names):

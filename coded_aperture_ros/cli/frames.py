@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output
+from coded_aperture_ros.cli.checks import check_output, inputs_of
 from coded_aperture_ros.cli.options import add_bits_option, add_mosaic_option
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError, naming
@@ -93,9 +93,10 @@ def named_frames(
     A single frame goes to the output itself where that names a file, which may end in one of
     `suffixes`; otherwise the output is a folder that gets one file per frame, named like the frame,
     that ends in `suffix`. `outputs` gives all the files that belong to an output. That they can be
-    written is checked before a frame is handed out. Raises `InputError` if several frames would go
-    to one file, an input cannot be read, or an output cannot be written or would overwrite an
-    input. Of several pictures, those that cannot be read are left to `unusable`.
+    written is checked before a frame is handed out; those of pictures, before the first. Raises
+    `InputError` if several frames would go to one file, an input cannot be read, or an output
+    cannot be written or would overwrite an input. Of several pictures, those that cannot be read
+    are left to `unusable`.
     """
     from coded_aperture_ros.imaging import hidden_noise
     from coded_aperture_ros.io.messages import frame_from_pixels
@@ -116,6 +117,7 @@ def named_frames(
             "name a folder"
         )
     files = [file for _, source in sources for file in source.files]
+    files += inputs_of(args, "bank", "camera", "depth", "motion")
     pictures = [source for _, source in sources if isinstance(source, PictureSource)]
     names = Counter(file.stem for source in pictures for file in source.files)
     if twice := [name for name, count in names.items() if count > 1]:
@@ -125,6 +127,15 @@ def named_frames(
         )
 
     unusable.alone = total == 1 or len(pictures) < len(sources)
+
+    def checked(name: str) -> Path:
+        target = output if to_file else output / f"{name}{suffix}"
+        for path in outputs(target):
+            check_output(path, files)
+        return target
+
+    for name in names:
+        checked(name)
 
     def frames() -> Iterator[tuple[str, Any, int]]:
         video, alone = 0, False
@@ -138,9 +149,7 @@ def named_frames(
                 logging.warning(f"{given}: read up to the damage: {source.damage}")
 
     for given, capture, video in progress(frames(), total, "frame"):
-        target = output if to_file else output / f"{capture.name}{suffix}"
-        for path in outputs(target):
-            check_output(path, files)
+        target = checked(capture.name)
         mosaic = capture.mosaic or args.bayer
         how = capture.frame, args.gamma, args.bits, mosaic
         with naming(given):

@@ -4,10 +4,9 @@ import argparse
 import dataclasses
 import math
 import time
-from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.checks import check_output, check_suffix, inputs_of
 from coded_aperture_ros.cli.measuring import (
     above,
     add_depths_option,
@@ -113,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
 
     _check_usage(args)
     check_suffix(args.output, [".npz"])
-    check_output(args.output, [Path(name) for name in (args.camera, args.psfs, args.remap) if name])
+    check_output(args.output, inputs_of(args, "camera", "psfs", "remap"))
     start = time.perf_counter()
     trials: list[Any] = []
     if args.remap is not None:

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.checks import check_output, check_suffix, inputs_of
 from coded_aperture_ros.cli.extension import BENCH
 from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import add_gamma_option, add_options, mask_of
@@ -122,7 +122,7 @@ def _random(args: argparse.Namespace, sensor: Any) -> int:
         )
     }
     for path in (output, *beside.values()):
-        check_output(path)
+        check_output(path, inputs_of(args, "mask"))
     width, height = args.size or _SIZE
     start = time.perf_counter()
     make = BENCH.module("layered", "--random").random_scene
@@ -170,7 +170,7 @@ def _given(args: argparse.Namespace, sensor: Any) -> int:
     from coded_aperture_ros.optics import load_camera
     from coded_aperture_ros.simulation import render_coded_frame
 
-    check_output(args.output, [Path(args.image), Path(args.depth)])
+    check_output(args.output, inputs_of(args, "camera", "image", "depth"))
     camera = load_camera(args.camera)
     image = read_image(args.image, args.gamma)
     depth_m = read_depth(args.depth, args.depth_scale)

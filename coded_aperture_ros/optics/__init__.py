@@ -2,6 +2,7 @@
 
 from coded_aperture_ros.optics.camera import (
     Camera,
+    camera_files,
     camera_from_mapping,
     image_distance,
     load_camera,
@@ -20,6 +21,7 @@ __all__ = [
     "Mask",
     "PsfStack",
     "View",
+    "camera_files",
     "camera_from_mapping",
     "image_distance",
     "load_camera",

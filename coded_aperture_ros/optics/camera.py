@@ -411,6 +411,15 @@ def load_camera(path: str | os.PathLike[str]) -> Camera:
     return camera_from_mapping(content, f"camera file {path}", Path(path).parent)
 
 
+def camera_files(path: str | os.PathLike[str]) -> list[Path]:
+    """Return a camera file and the files that it names, whether they exist or not."""
+    content = read_yaml(path, f"camera file {path}")
+    entries = content if isinstance(content, Mapping) else {}
+    mask = entries.get("mask")
+    named = entries.get("camera_info"), mask.get("file") if isinstance(mask, Mapping) else None
+    return [Path(path), *(Path(path).parent / name for name in named if isinstance(name, str))]
+
+
 def camera_from_mapping(
     mapping: Any, where: str = "camera", folder: str | os.PathLike[str] = "."
 ) -> Camera:

@@ -79,8 +79,8 @@ def _known_type(topic: Topic) -> tuple[str, str]:
 def check_bag_output(path: Path, inputs: Iterable[Path], overwrite: bool) -> None:
     """Check that a bag can be written, before anything is computed; an `InputError` if not."""
     for given in inputs:
-        if path.exists() and given.exists() and path.samefile(given):
-            raise InputError(f"{path}: this is the input, and would be overwritten: use another")
+        if path.exists() and path.resolve() in (given.resolve(), *given.resolve().parents):
+            raise InputError(f"{path}: the input {given} would be overwritten: use another name")
     if path.exists() or path.is_symlink():
         if not overwrite:
             raise InputError(f"{path} exists already: use another name, or --overwrite")
