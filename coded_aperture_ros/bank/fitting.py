@@ -16,16 +16,31 @@ def check_frame_size(bank: FilterBank, width: int, height: int) -> None:
 
     An `InputError` says which size it is for, and what to do.
     """
-    own_width, own_height = bank.image_width, bank.image_height
-    if not (own_width and own_height) or (width, height) == (own_width, own_height):
-        return
-    if min(width, height) < bank.window_px:
-        return  # which is what will be said of it
+    if not (bank.image_width and bank.image_height) or min(width, height) < bank.window_px:
+        return  # of a frame smaller than a patch, that is what will be said
     remedy = f"learn a bank for {width}x{height} (image_width and image_height of the camera file)"
+    _check_size("bank", bank, width, height, remedy)
+
+
+def check_camera_size(camera: Camera, width: int, height: int) -> None:
+    """Refuse frames of another size than the camera file's, whose pixels may be others.
+
+    An `InputError` says what to do.
+    """
+    remedy = "give the camera file of such frames (with their image_width and image_height)"
+    _check_size("camera file", camera, width, height, remedy)
+
+
+def _check_size(
+    what: str, known: FilterBank | Camera, width: int, height: int, remedy: str
+) -> None:
+    own_width, own_height = known.image_width, known.image_height
+    if (width, height) == (own_width, own_height):
+        return
     if abs(own_height * width / own_width - height) <= _SAME_VIEW_PX:
         remedy += f", or let depth --frame-scale {own_width / width:.6g} resample the same view"
     raise InputError(
-        f"frame of {width}x{height}: the bank is for {own_width}x{own_height}, and the same blur "
+        f"frame of {width}x{height}: the {what} is for {own_width}x{own_height}, and the same blur "
         f"in pixels would be another depth: {remedy}"
     )
 

@@ -75,10 +75,12 @@ def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     from coded_aperture_ros.bank import load_bank
     from coded_aperture_ros.io import PICTURE_SUFFIXES, write_image
+    from coded_aperture_ros.optics import load_camera
 
     bank = load_bank(args.bank)
     stereo = StereoOutput(args, bank.stack)
-    restore = _restorer(args, bank)
+    camera = load_camera(args.camera) if args.camera else None
+    restore = _restorer(args, bank, camera)
     encoding: dict[str, Any] = {} if args.gamma == 1 else {"bits": 8, "gamma": args.gamma}
     summaries = []
     unusable = Unusable()
@@ -86,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         start = time.perf_counter()
         try:
             with naming(frame.source):
-                suitable(frame, bank, 1.0)
+                suitable(frame, bank, camera)
                 stereo.check(frame.image)
                 sharp, blur_size_px = restore(frame)
         except InputError as error:
@@ -103,16 +105,17 @@ def run(args: argparse.Namespace) -> int:
     return unusable.status()
 
 
-def _restorer(args: argparse.Namespace, bank: Any) -> Callable[[NamedFrame], tuple[Any, Any]]:
+def _restorer(
+    args: argparse.Namespace, bank: Any, camera: Any
+) -> Callable[[NamedFrame], tuple[Any, Any]]:
     """Return a function from a frame to the all-in-focus frame and its map of blur sizes."""
     from coded_aperture_ros.bank import check_setting
     from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, covers_frame
     from coded_aperture_ros.depth import DepthConfig
     from coded_aperture_ros.imaging import KnownNoise
-    from coded_aperture_ros.optics import load_camera
     from coded_aperture_ros.pipeline import FramePipeline
 
-    camera, motion_px = load_camera(args.camera) if args.camera else None, _motion(args)
+    motion_px = _motion(args)
     config = config_from(args, DeblurConfig)
     noise = dataclasses.asdict(KnownNoise.of(config, camera, bank))
     config = dataclasses.replace(config, **noise)

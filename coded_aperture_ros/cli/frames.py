@@ -48,16 +48,19 @@ def add_input_options(parser: argparse.ArgumentParser, output_help: str) -> None
     parser.add_argument("-o", "--output", required=True, metavar="OUT", help=output_help)
 
 
-def suitable(frame: NamedFrame, bank: Any, scale: float) -> NamedFrame:
-    """Resample a frame by a scale; an `InputError` if it is then not of the bank's size."""
-    from coded_aperture_ros.bank import check_frame_size
+def suitable(frame: NamedFrame, bank: Any, camera: Any, scale: float = 1.0) -> NamedFrame:
+    """Resample a frame by a scale; an `InputError` if it does not suit the bank and the camera."""
+    from coded_aperture_ros.bank import check_camera_size, check_frame_size
     from coded_aperture_ros.imaging import resampled
 
     size = frame.image.shape[:2]
     if scale != 1:
         frame = dataclasses.replace(frame, image=resampled(frame.image, scale), size=size)
+    height, width = frame.image.shape[:2]
     if bank is not None:
-        check_frame_size(bank, frame.image.shape[1], frame.image.shape[0])
+        check_frame_size(bank, width, height)
+    if camera is not None:
+        check_camera_size(camera, width, height)
     return frame
 
 

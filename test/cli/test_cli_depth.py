@@ -11,7 +11,18 @@ import cv2
 import numpy as np
 import pytest
 from bad_frames import names, write_frames
-from cli_scene import HEIGHT, WIDTH, Result, call, camera_file, everything, refused, wrong_usage
+from cli_scene import (
+    FAR_M,
+    HEIGHT,
+    NEAR_M,
+    WIDTH,
+    Result,
+    call,
+    camera_file,
+    everything,
+    refused,
+    wrong_usage,
+)
 from scipy import ndimage
 
 from coded_aperture_ros.bank import load_bank
@@ -447,6 +458,42 @@ def test_frames_of_another_size_are_refused_or_resampled(scene, tmp_path, capsys
     wrong_usage(
         call(capsys, "depth", *arguments, "--frame-scale", 20), "depth", "expected 0.1 to 10"
     )
+
+
+@pytest.mark.parametrize("resized", [True, False], ids=["resized", "a part"])
+@pytest.mark.parametrize("command", ["depth", "deblur"])
+def test_frames_of_another_size_than_the_camera_file_s(scene, tmp_path, capsys, command, resized):
+    """The bank was learned without a camera, and cannot tell what their pixels are."""
+    frame = tmp_path / "frame.npy"
+    coded = np.load(scene.coded_npy)
+    half = cv2.resize(coded, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    np.save(frame, half if resized else coded[: HEIGHT // 2])
+    out = tmp_path / "out.npy"
+    options = ("--bank", scene.index_bank, "--camera", scene.camera, frame, "-o", out)
+    options += ("--depth", "auto") if command == "deblur" else ()
+    shape = f"{WIDTH // 2}x{HEIGHT // 2}" if resized else f"{WIDTH}x{HEIGHT // 2}"
+    wanted = f"the camera file is for {WIDTH}x{HEIGHT}", "give the camera file of such frames"
+    result = call(capsys, command, *options)
+    refused(result, f"{frame}: frame of {shape}: ", *wanted)
+    assert ("--frame-scale 2 resample" in result.err) == resized
+    assert names(tmp_path) == ["frame.npy"]
+
+
+def test_resampled_frames_have_their_own_depths_and_points(scene, tmp_path, capsys):
+    coded = np.load(scene.coded_npy)
+    np.save(tmp_path / "frame.npy", cv2.resize(coded, None, fx=2, fy=2))
+    options = ("--bank", scene.index_bank, "--camera", scene.camera, "--frame-scale", 0.5)
+    arguments = (*options, tmp_path / "frame.npy", "-o", tmp_path / "depth.npy", "--points")
+    assert call(capsys, "depth", *arguments).status == 0
+    depth_m = np.load(tmp_path / "depth.npy")
+    assert depth_m.shape == (2 * HEIGHT, 2 * WIDTH)
+    assert np.nanmedian(depth_m[:, : WIDTH - 48]) == pytest.approx(NEAR_M, rel=0.05)
+    assert np.nanmedian(depth_m[:, WIDTH + 48 :]) == pytest.approx(FAR_M, rel=0.05)
+    _, data = (tmp_path / "depth.ply").read_bytes().split(b"end_header\n")
+    count = np.isfinite(depth_m).sum()
+    x, _, z = np.frombuffer(data, np.uint8).reshape(count, -1)[:, :12].copy().view("<f4").T
+    columns = np.broadcast_to(np.arange(2 * WIDTH), depth_m.shape)[np.isfinite(depth_m)]
+    np.testing.assert_allclose(x / z, (columns - WIDTH + 0.5) / (2 * 400), atol=1e-5)
 
 
 def test_a_camera_of_another_focus_is_refused(scene, tmp_path, capsys):
