@@ -95,8 +95,8 @@ def add_parser(subparsers: Any) -> None:
     add_options(parser, {"--points": "write coloured points (x.ply) too; needs --camera"})
     add_gamma_option(parser)
     scale = {
-        "--frame-scale S": "resample frames by S to the size that bank and camera file are for; maps keep "
-        "the frames' own size (default %(default)s)"
+        "--frame-scale S": "resample frames by S to the size that bank and camera file are for; "
+        "maps keep the frames' own size (default %(default)s)"
     }
     add_options(parser, scale, type=between(0.1, 10), default=1.0)
     add_options(parser, {"--json": "print a summary as JSON"})

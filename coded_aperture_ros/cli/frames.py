@@ -6,6 +6,7 @@ import logging
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -101,11 +102,27 @@ def named_frames(
     cannot be written or would overwrite an input. Of several pictures, those that cannot be read
     are left to `unusable`.
     """
+    from coded_aperture_ros.io.sources import open_files
+
+    with ExitStack() as stack:
+        sources = [
+            (given, stack.enter_context(closing(open_files(given)))) for given in args.inputs
+        ]
+        yield from _named_frames(args, sources, suffix, suffixes, outputs, unusable)
+
+
+def _named_frames(
+    args: argparse.Namespace,
+    sources: Sequence[tuple[str, Any]],
+    suffix: str,
+    suffixes: Sequence[str],
+    outputs: Callable[[Path], Iterable[Path]],
+    unusable: Unusable,
+) -> Iterator[NamedFrame]:
     from coded_aperture_ros.imaging import hidden_noise
     from coded_aperture_ros.io.messages import frame_from_pixels
-    from coded_aperture_ros.io.sources import PictureSource, captures, open_files
+    from coded_aperture_ros.io.sources import PictureSource, captures
 
-    sources = [(given, open_files(given)) for given in args.inputs]
     lengths = [source.length for _, source in sources]
     total = None if None in lengths else sum(length or 0 for length in lengths)
     output = Path(args.output)
@@ -123,7 +140,9 @@ def named_frames(
     files += inputs_of(args, "bank", "camera", "depth", "motion")
     pictures = [source for _, source in sources if isinstance(source, PictureSource)]
     names = Counter(file.stem for source in pictures for file in source.files)
-    if twice := [name for name, count in names.items() if count > 1]:
+    # Frames of these are numbered.
+    others = Counter(source.files[0].stem for _, source in sources if source not in pictures)
+    if twice := [name for name, count in [*names.items(), *others.items()] if count > 1]:
         raise InputError(
             f"{output}: several inputs are named {twice[0]}, and so would their results be: "
             "use a folder for each"

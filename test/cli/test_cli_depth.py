@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from bad_frames import names, write_frames
+from bag_scene import recording, write_bag
 from cli_scene import (
     FAR_M,
     HEIGHT,
@@ -331,6 +332,21 @@ def test_two_frames_of_one_name(scene, tmp_path, capsys):
     result = call(capsys, "depth", "--bank", scene.bank, *inputs, "-o", tmp_path / "depth/")
     refused(result, "several inputs are named coded", "use a folder for each")
     assert names(tmp_path) == ["coded.npy"]
+
+
+def test_two_videos_or_bags_of_one_name(scene, tmp_path, capsys):
+    """Their frames are numbered alike."""
+    videos = [tmp_path / name / "clip.avi" for name in "ab"]
+    bags = [write_bag(tmp_path / name / "clip", recording(scene, frames=1)) for name in "ab"]
+    for path in videos:
+        video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 10, (WIDTH, HEIGHT))
+        video.write(np.full((HEIGHT, WIDTH, 3), 90, np.uint8))
+        video.release()
+    before = everything(tmp_path)
+    for inputs in (videos, bags, (videos[0], bags[1]), (bags[0], f"bag:{bags[0]}")):
+        arguments = ("depth", "--bank", scene.bank, *inputs, "-o", tmp_path / "out")
+        refused(call(capsys, *arguments), "several inputs are named clip", "a folder for each")
+        assert everything(tmp_path) == before
 
 
 def test_inputs_are_not_overwritten(scene, tmp_path, capsys):
