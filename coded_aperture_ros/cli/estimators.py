@@ -4,7 +4,13 @@ import argparse
 import logging
 from typing import Any
 
-from coded_aperture_ros.cli.options import add_config_options, add_numbers, add_options, config_from
+from coded_aperture_ros.cli.options import (
+    add_config_options,
+    add_numbers,
+    add_options,
+    changed,
+    config_from,
+)
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError, naming
 
@@ -54,6 +60,10 @@ def add_estimator_settings(parser: argparse.ArgumentParser, **defaults: Any) -> 
 
 def check_estimator_options(args: argparse.Namespace) -> None:
     """Refuse options that the method needs and has not got, or has no use for."""
+    from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT
+    from coded_aperture_ros.methods.motion import MotionConfig
+    from coded_aperture_ros.methods.two_pixel import SimpleConfig
+
     if args.method == "motion":
         args.method, args.motion = "bank", True
     if args.motion and args.method != "bank":
@@ -70,6 +80,11 @@ def check_estimator_options(args: argparse.Namespace) -> None:
             if getattr(args, name) is None:
                 what = "the following arguments are required with --method simple"
                 args.usage_error(f"{what}: {option}")
+    of_simple = changed(args, SimpleConfig, level_count=DEFAULT_LEVEL_COUNT)
+    if args.method == "bank" and of_simple:
+        args.usage_error(f"{of_simple[0]}: a bank has its own, see learn; only for --method simple")
+    if not args.motion and (of_motion := changed(args, MotionConfig)):
+        args.usage_error(f"{of_motion[0]}: only with --motion")
     if args.angular_velocity is None:
         if args.exposure is not None:
             args.usage_error("--exposure: only with --angular-velocity")
@@ -87,6 +102,7 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
     """
     from coded_aperture_ros.bank import check_setting, load_bank
     from coded_aperture_ros.depth import DepthConfig, refinement_note, side_warning
+    from coded_aperture_ros.depth.regularize import LEARNED
     from coded_aperture_ros.methods.choose import new_model
     from coded_aperture_ros.methods.motion import MotionConfig
     from coded_aperture_ros.methods.two_pixel import SimpleConfig
@@ -116,6 +132,10 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
         pipeline = FramePipeline(model, camera, config, deblur)
     if note := refinement_note(model, config):
         logging.info(note)
+    unsmoothed = {"none", LEARNED} - ({LEARNED} if note else set())
+    if config.regularize in unsmoothed and config.smoothness != DepthConfig().smoothness:
+        others = "semiglobal, tv or graphcut"
+        args.usage_error(f"--smoothness: --regularize {config.regularize} has none, use {others}")
     if warning := side_warning(model):
         logging.warning(warning)
     return pipeline

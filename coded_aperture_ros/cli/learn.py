@@ -19,6 +19,7 @@ from coded_aperture_ros.cli.options import (
     add_config_options,
     add_gamma_option,
     add_options,
+    changed,
     mask_of,
     written_name,
 )
@@ -74,8 +75,8 @@ def add_parser(subparsers: Any) -> None:
         "--planes DIR": "pictures of planes (16-bit linear) and planes.json",
     }
     add_options(source, sources)
-    remap = "make the bank of the camera file's focus from this bank of the same lens and mask; "
-    remap += "without --depth-range the same filters get new depths"
+    remap = "make the bank of the camera file's focus from this bank of the same lens and mask, "
+    remap += "with its settings; without --depth-range the same filters get new depths"
     add_options(parser, {"--remap BANK": remap})
     add_options(parser, {"--depth-range NEAR FAR": "with --camera, in m"}, type=float)
     add_options(parser, {"--mask NAME": "name or file (PNG, .npy) of a mask"})
@@ -168,6 +169,8 @@ def _text(summary: dict[str, Any]) -> str:
 
 def _check_usage(args: argparse.Namespace) -> None:
     """Refuse options that do not go together, rather than ignore one of them."""
+    from coded_aperture_ros.bank import LearnConfig
+
     for name, sources in (
         ("depth_range", ("camera",)),
         ("level_count", ("camera", "planes")),
@@ -180,6 +183,8 @@ def _check_usage(args: argparse.Namespace) -> None:
             args.usage_error(f"{written_name(name)} only goes with {needed}")
     remap, tuned = args.remap is not None, args.budget_ms is not None
     ranged, counted = args.depth_range is not None, args.level_count is not None
+    filters = changed(args, LearnConfig) if remap or tuned else []
+    chosen = [name for name in filters if remap or name != "--noise"]
     for wrong, message in (
         (remap and not args.camera, "--remap needs --camera, which says what the new setting is"),
         (remap and args.images is not None, "--images does not go with --remap"),
@@ -188,6 +193,8 @@ def _check_usage(args: argparse.Namespace) -> None:
         (args.camera and not remap and not ranged, "--camera needs --depth-range NEAR FAR"),
         (args.planes and args.images, "--images does not go with --planes: they have textures"),
         (tuned and not args.camera, "--budget-ms needs --camera, which says how large frames are"),
+        (args.budget_threads and not tuned, "--budget-threads only goes with --budget-ms"),
+        *((True, f"{name} does not go with --remap or --budget-ms, see --help") for name in chosen),
     ):
         if wrong:
             args.usage_error(message)
@@ -250,6 +257,7 @@ def _tuned(args: argparse.Namespace) -> Any:
     near_m, far_m = args.depth_range
 
     def learn(config: LearnConfig) -> Any:
+        config = dataclasses.replace(config, noise=args.noise)
         return learn_bank_for_camera(camera, near_m, far_m, count, config, prior=prior)
 
     shape = camera.image_height, camera.image_width

@@ -48,12 +48,32 @@ def show_late_options(parser: argparse.ArgumentParser, words: Sequence[str]) -> 
                 show_late_options(action.choices[word], words)
 
 
+class _Commands(argparse._SubParsersAction):
+    """Chooses a command; refuses options before its name, in place of which its own would count."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        for action in parser._actions:
+            if getattr(namespace, action.dest, action.default) != action.default:
+                parser.error(f"{action.option_strings[-1]}: goes after the word {values[0]}")
+        super().__call__(parser, namespace, values, option_string)
+
+
 def add_commands(
     parser: argparse.ArgumentParser, dest: str, commands: Iterable[Any], *, required: bool = True
 ) -> None:
     """Let a parser choose among modules, each with `add_parser(subparsers)`."""
     subparsers = parser.add_subparsers(
-        dest=dest, metavar=dest.upper(), required=required, parser_class=CommandParser
+        dest=dest,
+        metavar=dest.upper(),
+        required=required,
+        parser_class=CommandParser,
+        action=_Commands,
     )
     for command in commands:
         command.add_parser(subparsers)
@@ -146,6 +166,14 @@ def _parser_of(kind: type, described: Option) -> Callable[[str], Any]:
 def config_from(args: argparse.Namespace, config: type) -> Any:
     """Return the configuration dataclass with the values of the command line."""
     return config(**{name: getattr(args, name) for name in options_of(config)})
+
+
+def changed(args: argparse.Namespace, config: type, **others: Any) -> list[str]:
+    """Return which settings of a configuration, and of `others` with their defaults, were given."""
+    defaults = {name: field.default for name, (field, _) in options_of(config).items()} | others
+    return [
+        written_name(name) for name, default in defaults.items() if getattr(args, name) != default
+    ]
 
 
 def add_gamma_option(parser: argparse.ArgumentParser) -> None:

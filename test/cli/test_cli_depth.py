@@ -645,12 +645,29 @@ def test_a_camera_that_cannot_have_the_bank_s_blur_sizes(scene, tmp_path, capsys
         (("--regularize", "magic"), ["--regularize", "'magic' is not allowed", "graphcut"]),
         (("--gamma", "bright"), ["--gamma", "expected a number or srgb, got 'bright'"]),
         (("--gamma", 0), ["--gamma", "expected 0.1 to 10 or srgb"]),
+        (("--window-px", 64), ["--window-px: a bank has its own", "only for --method simple"]),
+        (("--level-count", 8), ["--level-count: a bank has its own"]),
+        (("--finalists", 2), ["--finalists: only with --motion"]),
+        (("--smoothness", 2), ["--smoothness: --regularize learned has none, use semiglobal"]),
+        (("--smoothness", 2, "--regularize", "none"), ["--smoothness: --regularize none has"]),
     ],
 )
 def test_wrong_usage(scene, tmp_path, capsys, options, phrases):
     arguments = ("--bank", scene.bank, scene.coded_npy, "-o", tmp_path / "depth.npy")
     wrong_usage(call(capsys, "depth", *arguments, *options), "depth", *phrases)
     assert everything(tmp_path) == {}
+
+
+def test_smoothness_counts_where_classical_regularisation_stands_in(scene, tmp_path, capsys):
+    """The levels of this bank are farther apart than those that the network was trained for."""
+    bank, maps = tmp_path / "bank.npz", []
+    sizes = ("--mask", "levin", "--blur-sizes", 4, 12, 4, "--rank", 32)
+    assert call(capsys, "learn", *sizes, "-o", bank).status == 0
+    for smoothness in (1, 30):
+        arguments = ("--bank", bank, "--as-levels", "--smoothness", smoothness, scene.coded_npy)
+        assert call(capsys, "depth", *arguments, "-o", tmp_path / "levels.npy").status == 0
+        maps.append(np.load(tmp_path / "levels.npy"))
+    assert not np.array_equal(*maps, equal_nan=True)
 
 
 def test_the_former_name_of_levels_works_and_warns(scene, tmp_path, capsys, caplog):
