@@ -279,7 +279,7 @@ def _scale(args: argparse.Namespace, estimator: Any) -> tuple[float, float, str]
 
 
 def _beside(image: Any, values: Any, scale: tuple[float, float, str]) -> Any:
-    """Return a frame and its depth side by side, uint8 [h + strip, 2 w, RGB]."""
+    """Return a frame, of any size, and its depth side by side, uint8 [h + strip, 2 w, RGB]."""
     import cv2
     import numpy as np
 
@@ -287,7 +287,8 @@ def _beside(image: Any, values: Any, scale: tuple[float, float, str]) -> Any:
     from coded_aperture_ros.io import depth_picture
 
     depth = depth_picture(values, *scale)
-    light = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
+    light = cv2.resize(image, values.shape[::-1], interpolation=cv2.INTER_AREA)
+    light = light if light.ndim == 3 else cv2.cvtColor(light, cv2.COLOR_GRAY2RGB)
     frame = np.full_like(depth, 255)
     frame[: len(light)] = np.rint(255 * encode(np.clip(light, 0, 1), SRGB))
     return np.hstack([frame, depth])

@@ -281,6 +281,18 @@ def test_a_video(scene, tmp_path, capsys):
     assert relative_error(np.load(tmp_path / "depth" / depths[0]), scene)[0] < 0.05
 
 
+@pytest.mark.parametrize("scale", [0.5, 2])
+def test_a_video_of_resampled_frames(scene, tmp_path, capsys, scale):
+    """It has their own size, which is that of their depth."""
+    shape = round(WIDTH / scale), round(HEIGHT / scale)
+    np.save(tmp_path / "frame.npy", cv2.resize(np.load(scene.coded_npy), shape))
+    options = ("--frame-scale", scale, "--movie", tmp_path / "v.mp4", "-o", tmp_path / "d.npy")
+    result = call(capsys, "depth", "--bank", scene.bank, tmp_path / "frame.npy", *options)
+    assert (result.status, result.err) == (0, "")
+    shown, picture = cv2.VideoCapture(str(tmp_path / "v.mp4")).read()
+    assert shown and picture.shape[1] == 2 * shape[0]
+
+
 def test_as_a_process_with_nothing_but_json_on_stdout(scene, tmp_path):
     result = subprocess.run(
         [
