@@ -68,7 +68,7 @@ def add_parser(subparsers: Any) -> None:
 def _add_config_options(parser: argparse.ArgumentParser) -> None:
     from coded_aperture_ros.deblur import DeblurConfig
 
-    add_config_options(parser, DeblurConfig, "deblurring")
+    add_config_options(parser, DeblurConfig, "deblurring", threads=None)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -124,8 +124,11 @@ def _restorer(
         check_setting(bank, camera)
     given = None if args.depth == "auto" else _blur_sizes_of_file(args, bank, camera)
     if given is None:
+        known = noise | {"saturation": config.saturation}
+        if args.threads is not None:
+            known["threads"] = config.threads
         # A picture from depth that is not sure shows that itself.
-        depth = DepthConfig(**noise, check_fit=False)
+        depth = DepthConfig(**known, check_fit=False)
         with naming(args.camera or args.bank):
             pipeline = FramePipeline(bank, camera, depth, config, _iterations)
 

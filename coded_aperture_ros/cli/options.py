@@ -123,12 +123,13 @@ def add_config_options(
     """Add an option for every setting of a configuration dataclass; return their group.
 
     A setting `confidence_threshold` becomes `--confidence-threshold`, with the dataclass's
-    help and range, and its default unless `defaults` has another one. Its former names work too;
-    see `add_deprecated_alias`.
+    help and range, and its default unless `defaults` has another one; None, where it matters
+    whether it was given. Its former names work too; see `add_deprecated_alias`.
     """
     group = parser.add_argument_group(title)
     for name, (field, described) in options_of(config).items():
         default = defaults.get(name, field.default)
+        shown = field.default if default is None else default
         allowed = f"{described.allowed}; " if described.allowed and not described.choices else ""
         present = group.add_argument(
             written_name(name),
@@ -136,7 +137,7 @@ def add_config_options(
             choices=described.choices,
             default=default,
             metavar=None if described.choices else type(field.default).__name__.upper(),
-            help=f"{described.description} ({allowed}default {default})",
+            help=f"{described.description} ({allowed}default {shown})",
         )
         for former in described.formerly:
             add_deprecated_alias(parser, written_name(former), present)
@@ -165,7 +166,8 @@ def _parser_of(kind: type, described: Option) -> Callable[[str], Any]:
 
 def config_from(args: argparse.Namespace, config: type) -> Any:
     """Return the configuration dataclass with the values of the command line."""
-    return config(**{name: getattr(args, name) for name in options_of(config)})
+    given = {name: getattr(args, name) for name in options_of(config)}
+    return config(**{name: value for name, value in given.items() if value is not None})
 
 
 def changed(args: argparse.Namespace, config: type, **others: Any) -> list[str]:

@@ -167,26 +167,28 @@ def _given(args: argparse.Namespace, sensor: Any) -> int:
 
     from coded_aperture_ros.design.diffraction import diffraction_warning
     from coded_aperture_ros.io import read_depth, read_image, write_image
-    from coded_aperture_ros.optics import load_camera
+    from coded_aperture_ros.optics import View, load_camera
     from coded_aperture_ros.simulation import render_coded_frame
 
     check_output(args.output, inputs_of(args, "camera", "image", "depth"))
     camera = load_camera(args.camera)
     image = read_image(args.image, args.gamma)
     depth_m = read_depth(args.depth, args.depth_scale)
-    if image.shape[:2] != (camera.image_height, camera.image_width):
+    (height, width), whole = image.shape[:2], (camera.image_width, camera.image_height)
+    if (width, height) != whole:
         logging.warning(
-            "%s has %d x %d pixels, not the %d x %d of the camera file: taken as a part of its "
+            "%s has %d x %d pixels, not the %d x %d of the camera file: taken as the middle of its "
             "image, with pixels of the same size",
-            *(args.image, image.shape[1], image.shape[0]),
-            *(camera.image_width, camera.image_height),
+            *(args.image, width, height, *whole),
         )
+        margins = (whole[0] - width) / 2, (whole[1] - height) / 2
+        camera = camera.cut(View(width, height, *whole, *margins))
     start = time.perf_counter()
     with naming(f"{args.image} with {args.depth}"):
         coded = render_coded_frame(image, depth_m, camera)
     seconds = time.perf_counter() - start
     write_image(args.output, sensor.expose(coded, np.random.default_rng(args.seed)))
-    blur = camera.blur_size_px(depth_m[np.isfinite(depth_m)])
+    blur = camera.blur_map_px(depth_m)[np.isfinite(depth_m)]
     if warning := diffraction_warning(camera, float(np.abs(blur).max())):
         logging.warning(warning)
     return _tell(args, depth_m, blur, seconds, {})
