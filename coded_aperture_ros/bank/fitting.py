@@ -11,32 +11,20 @@ from coded_aperture_ros.optics import Camera
 _SAME_VIEW_PX = 1.0
 
 
-def check_frame_size(bank: FilterBank, width: int, height: int) -> None:
-    """Refuse frames of another size than the bank's, where it knows that.
+def check_frame_size(known: FilterBank | Camera, width: int, height: int) -> None:
+    """Refuse frames of another size than that of a bank, where it knows that, or a camera file.
 
     An `InputError` says which size it is for, and what to do.
     """
-    if not (bank.image_width and bank.image_height) or min(width, height) < bank.window_px:
-        return  # of a frame smaller than a patch, that is what will be said
-    remedy = f"learn a bank for {width}x{height} (image_width and image_height of the camera file)"
-    _check_size("bank", bank, width, height, remedy)
-
-
-def check_camera_size(camera: Camera, width: int, height: int) -> None:
-    """Refuse frames of another size than the camera file's, whose pixels may be others.
-
-    An `InputError` says what to do.
-    """
-    remedy = "give the camera file of such frames (with their image_width and image_height)"
-    _check_size("camera file", camera, width, height, remedy)
-
-
-def _check_size(
-    what: str, known: FilterBank | Camera, width: int, height: int, remedy: str
-) -> None:
     own_width, own_height = known.image_width, known.image_height
-    if (width, height) == (own_width, own_height):
+    if not (own_width and own_height) or (width, height) == (own_width, own_height):
         return
+    what, remedy = "camera file", f"give one that says image_width: {width}, image_height: {height}"
+    if isinstance(known, FilterBank):
+        if min(width, height) < known.window_px:
+            return  # which is what will be said of it
+        what = "bank"
+        remedy = "learn a bank for such (image_width and image_height of the camera file)"
     if abs(own_height * width / own_width - height) <= _SAME_VIEW_PX:
         remedy += f", or let depth --frame-scale {own_width / width:.6g} resample the same view"
     raise InputError(

@@ -14,7 +14,7 @@ from coded_aperture_ros.cli.measuring import (
     tell,
     write_report,
 )
-from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, add_options
+from coded_aperture_ros.cli.options import add_gamma_option, add_options, settings_of
 from coded_aperture_ros.cli.progress import progress
 
 _EPILOG = """examples:
@@ -53,15 +53,9 @@ def add_parser(subparsers: Any) -> None:
     )
     add_level_count_option(parser, _LEVEL_COUNT, f"levels of the bank (default {_LEVEL_COUNT})")
     add_options(parser, {"--json": "print the numbers as JSON"})
-    parser.add_late_options = _add_config_options
-
-
-def _add_config_options(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.bank import LearnConfig
-    from coded_aperture_ros.calibration.blind.config import BlindConfig
-
-    add_config_options(parser, BlindConfig, "search")
-    add_config_options(parser, LearnConfig, "filters of the bank")
+    settings = {"calibration.blind.config.BlindConfig": "search"}
+    settings |= {"bank.LearnConfig": "filters of the bank"}
+    parser.add_late_options = settings_of(settings)
 
 
 def run(args: argparse.Namespace) -> int:

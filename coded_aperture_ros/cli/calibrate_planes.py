@@ -20,10 +20,10 @@ from coded_aperture_ros.cli.measuring import (
     write_report,
 )
 from coded_aperture_ros.cli.options import (
-    add_config_options,
     add_gamma_option,
     add_options,
     at_least,
+    settings_of,
     table,
 )
 from coded_aperture_ros.cli.progress import progress
@@ -80,13 +80,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("-o", metavar="FILE", dest="bank", help="bank (.npz)")
     add_options(parser, {"--output DIR": f"folder for {_REPORT} and, with --camera, {_CAMERA}"})
     add_options(parser, {"--json": "print the numbers as JSON"})
-    parser.add_late_options = _add_config_options
-
-
-def _add_config_options(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.bank import LearnConfig
-
-    add_config_options(parser, LearnConfig, "filters")
+    parser.add_late_options = settings_of({"bank.LearnConfig": "filters"})
 
 
 def run(args: argparse.Namespace) -> int:

@@ -17,7 +17,7 @@ def check_suffix(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:
 
 def inputs_of(args: argparse.Namespace, *names: str) -> list[Path]:
     """Return the files that options give to read, and what a camera file among them names."""
-    from coded_aperture_ros.optics import camera_files
+    from coded_aperture_ros.optics.camera import camera_files
 
     given = {name: value for name in names if isinstance(value := getattr(args, name, None), str)}
     camera = given.pop("camera", None)

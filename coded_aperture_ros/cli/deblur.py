@@ -15,12 +15,7 @@ from coded_aperture_ros.cli.frames import (
     named_frames,
     suitable,
 )
-from coded_aperture_ros.cli.options import (
-    add_config_options,
-    add_gamma_option,
-    add_options,
-    config_from,
-)
+from coded_aperture_ros.cli.options import add_gamma_option, add_options, config_from, settings_of
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.cli.stereo_output import StereoOutput, add_stereo_options
 from coded_aperture_ros.core.errors import InputError, naming
@@ -62,13 +57,7 @@ def add_parser(subparsers: Any) -> None:
     add_stereo_options(parser)
     add_gamma_option(parser)
     add_options(parser, {"--json": "print a summary as JSON"})
-    parser.add_late_options = _add_config_options
-
-
-def _add_config_options(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.deblur import DeblurConfig
-
-    add_config_options(parser, DeblurConfig, "deblurring", threads=None)
+    parser.add_late_options = settings_of({"deblur.DeblurConfig": "deblurring"}, threads=None)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -132,8 +132,7 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
         pipeline = FramePipeline(model, camera, config, deblur)
     if note := refinement_note(model, config):
         logging.info(note)
-    unsmoothed = {"none", LEARNED} - ({LEARNED} if note else set())
-    if config.regularize in unsmoothed and config.smoothness != DepthConfig().smoothness:
+    elif config.regularize in ("none", LEARNED) and config.smoothness != DepthConfig.smoothness:
         others = "semiglobal, tv or graphcut"
         args.usage_error(f"--smoothness: --regularize {config.regularize} has none, use {others}")
     if warning := side_warning(model):

@@ -50,18 +50,16 @@ def add_input_options(parser: argparse.ArgumentParser, output_help: str) -> None
 
 
 def suitable(frame: NamedFrame, bank: Any, camera: Any, scale: float = 1.0) -> NamedFrame:
-    """Resample a frame by a scale; an `InputError` if it does not suit the bank and the camera."""
-    from coded_aperture_ros.bank import check_camera_size, check_frame_size
+    """Resample a frame by a scale; an `InputError` if its size is not the bank's and camera's."""
+    from coded_aperture_ros.bank import check_frame_size
     from coded_aperture_ros.imaging import resampled
 
     size = frame.image.shape[:2]
     if scale != 1:
         frame = dataclasses.replace(frame, image=resampled(frame.image, scale), size=size)
-    height, width = frame.image.shape[:2]
-    if bank is not None:
-        check_frame_size(bank, width, height)
-    if camera is not None:
-        check_camera_size(camera, width, height)
+    for known in (bank, camera):
+        if known is not None:
+            check_frame_size(known, frame.image.shape[1], frame.image.shape[0])
     return frame
 
 
@@ -102,81 +100,73 @@ def named_frames(
     cannot be written or would overwrite an input. Of several pictures, those that cannot be read
     are left to `unusable`.
     """
-    from coded_aperture_ros.io.sources import open_files
-
-    with ExitStack() as stack:
-        sources = [
-            (given, stack.enter_context(closing(open_files(given)))) for given in args.inputs
-        ]
-        yield from _named_frames(args, sources, suffix, suffixes, outputs, unusable)
-
-
-def _named_frames(
-    args: argparse.Namespace,
-    sources: Sequence[tuple[str, Any]],
-    suffix: str,
-    suffixes: Sequence[str],
-    outputs: Callable[[Path], Iterable[Path]],
-    unusable: Unusable,
-) -> Iterator[NamedFrame]:
     from coded_aperture_ros.imaging import hidden_noise
     from coded_aperture_ros.io.messages import frame_from_pixels
+    from coded_aperture_ros.io.sources import PictureSource, open_files
+
+    with ExitStack() as opened:
+        sources = [opened.enter_context(closing(open_files(given))) for given in args.inputs]
+        lengths = [source.length for source in sources]
+        total = None if None in lengths else sum(length or 0 for length in lengths)
+        output = Path(args.output)
+        to_file = output.suffix and not args.output.endswith("/") and not output.is_dir()
+        if to_file and output.suffix.lower() not in suffixes:
+            known = ", ".join(suffixes)
+            raise InputError(
+                f"{output}: unknown format, use {known}, or end a folder's name with /"
+            )
+        if to_file and total != 1:
+            raise InputError(
+                f"{output}: {'several' if total is None else total} frames do not fit into one "
+                "file, name a folder"
+            )
+        pictures = [source for source in sources if isinstance(source, PictureSource)]
+        names = Counter(file.stem for source in pictures for file in source.files)
+        # Frames of these are numbered.
+        others = Counter(source.files[0].stem for source in sources if source not in pictures)
+        if twice := [name for name, count in [*names.items(), *others.items()] if count > 1]:
+            raise InputError(
+                f"{output}: several inputs are named {twice[0]}, and so would their results be: "
+                "use a folder for each"
+            )
+        unusable.alone = total == 1 or len(pictures) < len(sources)
+        files = [file for source in sources for file in source.files]
+        files += inputs_of(args, "bank", "camera", "depth", "motion")
+
+        def checked(name: str) -> Path:
+            target = output if to_file else output / f"{name}{suffix}"
+            for path in outputs(target):
+                check_output(path, files)
+            return target
+
+        for name in names:
+            checked(name)
+        found = _captured(args.inputs, sources, unusable)
+        for given, capture, video in progress(found, total, "frame"):
+            target = checked(capture.name)
+            mosaic = capture.mosaic or args.bayer
+            how = capture.frame, args.gamma, args.bits, mosaic
+            with naming(given):
+                image = coloured = frame_from_pixels(*how)
+                if mosaic:
+                    coloured = frame_from_pixels(*how, coloured=True)
+            hidden = hidden_noise(capture.lost, image, args.gamma)
+            stamp_ns = capture.stamp_ns
+            yield NamedFrame(given, target, image, stamp_ns, video, hidden, coloured=coloured)
+
+
+def _captured(
+    inputs: Sequence[str], sources: Sequence[Any], unusable: Unusable
+) -> Iterator[tuple[str, Any, int]]:
+    """Yield what to call a frame, the frame, and the number of its video."""
     from coded_aperture_ros.io.sources import PictureSource, captures
 
-    lengths = [source.length for _, source in sources]
-    total = None if None in lengths else sum(length or 0 for length in lengths)
-    output = Path(args.output)
-    to_file = output.suffix and not args.output.endswith("/") and not output.is_dir()
-    if to_file and output.suffix.lower() not in suffixes:
-        raise InputError(
-            f"{output}: unknown format, use {', '.join(suffixes)}, or end a folder's name with /"
-        )
-    if to_file and total != 1:
-        raise InputError(
-            f"{output}: {'several' if total is None else total} frames do not fit into one file, "
-            "name a folder"
-        )
-    files = [file for _, source in sources for file in source.files]
-    files += inputs_of(args, "bank", "camera", "depth", "motion")
-    pictures = [source for _, source in sources if isinstance(source, PictureSource)]
-    names = Counter(file.stem for source in pictures for file in source.files)
-    # Frames of these are numbered.
-    others = Counter(source.files[0].stem for _, source in sources if source not in pictures)
-    if twice := [name for name, count in [*names.items(), *others.items()] if count > 1]:
-        raise InputError(
-            f"{output}: several inputs are named {twice[0]}, and so would their results be: "
-            "use a folder for each"
-        )
-
-    unusable.alone = total == 1 or len(pictures) < len(sources)
-
-    def checked(name: str) -> Path:
-        target = output if to_file else output / f"{name}{suffix}"
-        for path in outputs(target):
-            check_output(path, files)
-        return target
-
-    for name in names:
-        checked(name)
-
-    def frames() -> Iterator[tuple[str, Any, int]]:
-        video, alone = 0, False
-        for given, source in sources:
-            before = alone
-            alone = isinstance(source, PictureSource) and source.files == (Path(given),)
-            video += not (before and alone)
-            for capture in captures(source, unusable.note):
-                yield given if alone else f"{given}, frame {capture.name}", capture, video
-            if source.damage:
-                logging.warning(f"{given}: read up to the damage: {source.damage}")
-
-    for given, capture, video in progress(frames(), total, "frame"):
-        target = checked(capture.name)
-        mosaic = capture.mosaic or args.bayer
-        how = capture.frame, args.gamma, args.bits, mosaic
-        with naming(given):
-            image = coloured = frame_from_pixels(*how)
-            if mosaic:
-                coloured = frame_from_pixels(*how, coloured=True)
-        hidden = hidden_noise(capture.lost, image, args.gamma)
-        yield NamedFrame(given, target, image, capture.stamp_ns, video, hidden, coloured=coloured)
+    video, alone = 0, False
+    for given, source in zip(inputs, sources, strict=True):
+        before = alone
+        alone = isinstance(source, PictureSource) and source.files == (Path(given),)
+        video += not (before and alone)
+        for capture in captures(source, unusable.note):
+            yield given if alone else f"{given}, frame {capture.name}", capture, video
+        if source.damage:
+            logging.warning(f"{given}: read up to the damage: {source.damage}")

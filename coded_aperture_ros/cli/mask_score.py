@@ -8,12 +8,12 @@ from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, check_suffix
 from coded_aperture_ros.cli.options import (
-    add_config_options,
     add_options,
     at_least,
     config_from,
     mask_of,
     noise_level,
+    settings_of,
     table,
 )
 from coded_aperture_ros.cli.progress import progress
@@ -63,13 +63,9 @@ def add_parser(subparsers: Any) -> None:
     add_options(parser, files)
     add_options(parser, {"--windows N": windows}, type=at_least(1))
     add_options(parser, {"--json": "print the scores as JSON"})
-    parser.add_late_options = _add_late_options
-
-
-def _add_late_options(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.mask_design import SceneConfig
-
-    add_config_options(parser, SceneConfig, "what the mask has to tell apart")
+    parser.add_late_options = settings_of(
+        {"mask_design.SceneConfig": "what the mask has to tell apart"}
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -14,10 +14,10 @@ from typing import Any
 from coded_aperture_ros.cli.checks import check_output, check_suffix
 from coded_aperture_ros.cli.cluster import dask_client
 from coded_aperture_ros.cli.options import (
-    add_config_options,
     add_jobs_option,
     add_options,
     config_from,
+    settings_of,
     table,
 )
 from coded_aperture_ros.cli.progress import progress
@@ -55,15 +55,11 @@ def add_parser(subparsers: Any) -> None:
     add_options(parser, files)
     add_jobs_option(parser)
     add_options(parser, {"--json": "print the Pareto front as JSON"})
-    parser.add_late_options = _add_late_options
-
-
-def _add_late_options(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.mask_design import SceneConfig
-    from coded_aperture_ros.mask_design.search import SearchConfig
-
-    add_config_options(parser, SearchConfig, "which masks, and how long")
-    add_config_options(parser, SceneConfig, "what the mask has to tell apart")
+    settings = {
+        "mask_design.search.SearchConfig": "which masks, and how long",
+        "mask_design.SceneConfig": "what the mask has to tell apart",
+    }
+    parser.add_late_options = settings_of(settings)
 
 
 def run(args: argparse.Namespace) -> int:

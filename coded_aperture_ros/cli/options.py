@@ -4,6 +4,7 @@ import argparse
 import logging
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -51,13 +52,7 @@ def show_late_options(parser: argparse.ArgumentParser, words: Sequence[str]) -> 
 class _Commands(argparse._SubParsersAction):
     """Chooses a command; refuses options before its name, in place of which its own would count."""
 
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option_string: str | None = None,
-    ) -> None:
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: Any = None) -> None:
         for action in parser._actions:
             if getattr(namespace, action.dest, action.default) != action.default:
                 parser.error(f"{action.option_strings[-1]}: goes after the word {values[0]}")
@@ -142,6 +137,21 @@ def add_config_options(
         for former in described.formerly:
             add_deprecated_alias(parser, written_name(former), present)
     return group
+
+
+def settings_of(configs: Mapping[str, str], **defaults: Any) -> Callable[[Any], None]:
+    """Return what adds the options of configurations to a parser, see `add_config_options`.
+
+    `configs` has the title of each by its name, such as `bank.LearnConfig`: its module is imported
+    only then.
+    """
+
+    def add(parser: argparse.ArgumentParser) -> None:
+        for config, title in configs.items():
+            module, _, name = f"coded_aperture_ros.{config}".rpartition(".")
+            add_config_options(parser, getattr(import_module(module), name), title, **defaults)
+
+    return add
 
 
 def written_name(name: str) -> str:

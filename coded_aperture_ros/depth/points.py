@@ -59,10 +59,7 @@ def points_of_depth(
 def points_of_frame(
     estimate: DepthEstimate, light: FloatArray, camera: Camera, gamma: Gamma
 ) -> FloatArray:
-    """Return `points_of_depth` of an estimate in metres, in the colours of its frame, or sharp.
-
-    Both are of the camera's whole view.
-    """
+    """Return `points_of_depth` of an estimate in metres of a whole view, in the frame's colours."""
     assert estimate.depth_m is not None and estimate.std_dev_m is not None
     rows, columns = estimate.depth_m.shape
     small = cv2.resize(light, (columns, rows), interpolation=cv2.INTER_AREA)

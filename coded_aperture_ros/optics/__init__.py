@@ -2,7 +2,6 @@
 
 from coded_aperture_ros.optics.camera import (
     Camera,
-    camera_files,
     camera_from_mapping,
     image_distance,
     load_camera,
@@ -21,7 +20,6 @@ __all__ = [
     "Mask",
     "PsfStack",
     "View",
-    "camera_files",
     "camera_from_mapping",
     "image_distance",
     "load_camera",
