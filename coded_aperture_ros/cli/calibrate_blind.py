@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.cli.measuring import (
     MASK_FILE,
     add_level_count_option,
@@ -70,8 +70,7 @@ def run(args: argparse.Namespace) -> int:
     config, filters = checked_config(args, BlindConfig), checked_config(args, LearnConfig)
     names = pictures_in(args.inputs)
     if args.bank is not None:
-        check_suffix(args.bank, [".npz"])
-        check_output(args.bank, map(Path, names))
+        check_output(args.bank, map(Path, names), [".npz"])
         if 0 < filters.window_px < config.largest_blur_px:
             args.usage_error(
                 f"--window-px: blur of --largest-blur-px {config.largest_blur_px} does not fit "

@@ -108,10 +108,7 @@ def _learned(camera: Any, range_m: Any) -> Any:
 
 
 def _frames(args: argparse.Namespace, report: Callable[[str, InputError], None]) -> Any:
-    """Yield the input, name, linear light and hidden noise of every frame.
-
-    Those that cannot be read are reported.
-    """
+    """Yield input, name, light and hidden noise of every frame; report what cannot be read."""
     from coded_aperture_ros.imaging import hidden_noise
     from coded_aperture_ros.io.messages import frame_from_pixels
     from coded_aperture_ros.io.sources import captures, open_files

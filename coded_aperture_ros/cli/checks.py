@@ -24,13 +24,17 @@ def inputs_of(args: argparse.Namespace, *names: str) -> list[Path]:
     return [*map(Path, given.values()), *(camera_files(camera) if camera else ())]
 
 
-def check_output(path: str | os.PathLike[str], inputs: Iterable[Path] = ()) -> None:
+def check_output(
+    path: str | os.PathLike[str], inputs: Iterable[Path] = (), suffixes: Sequence[str] = ()
+) -> None:
     """Check that a file can be written, without writing it.
 
     An `InputError` says why it cannot, and what to do instead; where it is one of the existing
-    files `inputs`, that it must not be overwritten.
+    files `inputs`, that it must not be overwritten. `suffixes` are those of `check_suffix`, if any.
     """
     path = Path(path)
+    if suffixes:
+        check_suffix(path, suffixes)
     if path.is_dir():
         raise InputError(f"cannot write {path}: it is a folder")
     if path.exists() and any(path.samefile(other) for other in inputs if other.exists()):

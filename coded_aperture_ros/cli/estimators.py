@@ -55,15 +55,12 @@ def add_estimator_settings(parser: argparse.ArgumentParser, **defaults: Any) -> 
     add_config_options(parser, DepthConfig, "estimation", **defaults)
     simple = add_config_options(parser, SimpleConfig, "with --method simple")
     add_numbers(simple, ("level-count", 2, DEFAULT_LEVEL_COUNT, "blur levels in the depth range"))
-    add_config_options(parser, MotionConfig, "with --motion")
+    motion = add_config_options(parser, MotionConfig, "with --motion")
+    parser.set_defaults(of_simple=simple, of_motion=motion)  # for what has a use for them
 
 
 def check_estimator_options(args: argparse.Namespace) -> None:
     """Refuse options that the method needs and has not got, or has no use for."""
-    from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT
-    from coded_aperture_ros.methods.motion import MotionConfig
-    from coded_aperture_ros.methods.two_pixel import SimpleConfig
-
     if args.method == "motion":
         args.method, args.motion = "bank", True
     if args.motion and args.method != "bank":
@@ -80,11 +77,10 @@ def check_estimator_options(args: argparse.Namespace) -> None:
             if getattr(args, name) is None:
                 what = "the following arguments are required with --method simple"
                 args.usage_error(f"{what}: {option}")
-    of_simple = changed(args, SimpleConfig, level_count=DEFAULT_LEVEL_COUNT)
-    if args.method == "bank" and of_simple:
-        args.usage_error(f"{of_simple[0]}: a bank has its own, see learn; only for --method simple")
-    if not args.motion and (of_motion := changed(args, MotionConfig)):
-        args.usage_error(f"{of_motion[0]}: only with --motion")
+    if args.method == "bank" and (given := changed(args, args.of_simple)):
+        args.usage_error(f"{given[0]}: a bank has its own, see learn; only for --method simple")
+    if not args.motion and (given := changed(args, args.of_motion)):
+        args.usage_error(f"{given[0]}: only with --motion")
     if args.angular_velocity is None:
         if args.exposure is not None:
             args.usage_error("--exposure: only with --angular-velocity")

@@ -102,7 +102,7 @@ def named_frames(
     """
     from coded_aperture_ros.imaging import hidden_noise
     from coded_aperture_ros.io.messages import frame_from_pixels
-    from coded_aperture_ros.io.sources import PictureSource, open_files
+    from coded_aperture_ros.io.sources import PictureSource, captures, open_files
 
     with ExitStack() as opened:
         sources = [opened.enter_context(closing(open_files(given))) for given in args.inputs]
@@ -141,8 +141,19 @@ def named_frames(
 
         for name in names:
             checked(name)
-        found = _captured(args.inputs, sources, unusable)
-        for given, capture, video in progress(found, total, "frame"):
+
+        def frames() -> Iterator[tuple[str, Any, int]]:
+            video, alone = 0, False
+            for given, source in zip(args.inputs, sources, strict=True):
+                before = alone
+                alone = isinstance(source, PictureSource) and source.files == (Path(given),)
+                video += not (before and alone)
+                for capture in captures(source, unusable.note):
+                    yield given if alone else f"{given}, frame {capture.name}", capture, video
+                if source.damage:
+                    logging.warning(f"{given}: read up to the damage: {source.damage}")
+
+        for given, capture, video in progress(frames(), total, "frame"):
             target = checked(capture.name)
             mosaic = capture.mosaic or args.bayer
             how = capture.frame, args.gamma, args.bits, mosaic
@@ -153,20 +164,3 @@ def named_frames(
             hidden = hidden_noise(capture.lost, image, args.gamma)
             stamp_ns = capture.stamp_ns
             yield NamedFrame(given, target, image, stamp_ns, video, hidden, coloured=coloured)
-
-
-def _captured(
-    inputs: Sequence[str], sources: Sequence[Any], unusable: Unusable
-) -> Iterator[tuple[str, Any, int]]:
-    """Yield what to call a frame, the frame, and the number of its video."""
-    from coded_aperture_ros.io.sources import PictureSource, captures
-
-    video, alone = 0, False
-    for given, source in zip(inputs, sources, strict=True):
-        before = alone
-        alone = isinstance(source, PictureSource) and source.files == (Path(given),)
-        video += not (before and alone)
-        for capture in captures(source, unusable.note):
-            yield given if alone else f"{given}, frame {capture.name}", capture, video
-        if source.damage:
-            logging.warning(f"{given}: read up to the damage: {source.damage}")

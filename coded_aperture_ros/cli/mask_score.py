@@ -1,12 +1,12 @@
 """`coded_aperture mask score`: what errors to expect of a mask, before it is built."""
 
 import argparse
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.checks import check_output
+from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import (
     add_options,
     at_least,
@@ -79,8 +79,7 @@ def run(args: argparse.Namespace) -> int:
     if args.windows is not None and args.images is None:
         args.usage_error("--windows: these are windows of pictures, give --images too")
     if args.figure is not None:
-        check_suffix(args.figure, (".png",))
-        check_output(args.figure, [Path(name) for name in args.masks])
+        check_output(args.figure, [Path(name) for name in args.masks], [".png"])
     names = args.masks or list(MASK_NAMES)
     masks = [mask_of(name) for name in names]
     scene = config_from(args, SceneConfig)
@@ -107,11 +106,8 @@ def run(args: argparse.Namespace) -> int:
 
         shares = [each.matrix / np.sqrt(each.rank) for each in distances]
         distance_matrices(dict(zip(names, shares, strict=True)), args.figure)
-    if args.json:
-        print(json.dumps({"sigmas": args.sigmas, "masks": rows}, indent=1))
-    else:
-        print(_text(rows, args.sigmas))
-    return 0
+    scores = {"sigmas": args.sigmas, "masks": rows}
+    return tell(args, scores, lambda _: _text(rows, args.sigmas))
 
 
 def _with_pictures(

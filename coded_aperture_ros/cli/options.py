@@ -89,13 +89,7 @@ class _FormerName(argparse.Action):
         )
         self._present = present
 
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option_string: str | None = None,
-    ) -> None:
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: Any = None) -> None:
         name = self._present.option_strings[-1]
         logging.warning(renamed(option_string or self.option_strings[0], name))
         self._present(parser, namespace, values, name)
@@ -180,12 +174,10 @@ def config_from(args: argparse.Namespace, config: type) -> Any:
     return config(**{name: value for name, value in given.items() if value is not None})
 
 
-def changed(args: argparse.Namespace, config: type, **others: Any) -> list[str]:
-    """Return which settings of a configuration, and of `others` with their defaults, were given."""
-    defaults = {name: field.default for name, (field, _) in options_of(config).items()} | others
-    return [
-        written_name(name) for name, default in defaults.items() if getattr(args, name) != default
-    ]
+def changed(args: argparse.Namespace, group: argparse._ArgumentGroup) -> list[str]:
+    """Return which options of a group have other values than their defaults."""
+    present = [action for action in group._group_actions if action.help != argparse.SUPPRESS]
+    return [one.option_strings[0] for one in present if getattr(args, one.dest) != one.default]
 
 
 def add_gamma_option(parser: argparse.ArgumentParser) -> None:
