@@ -24,7 +24,7 @@ def check_frame_size(known: FilterBank | Camera, width: int, height: int) -> Non
         if min(width, height) < known.window_px:
             return  # which is what will be said of it
         what = "bank"
-        remedy = "learn a bank for such (image_width and image_height of the camera file)"
+        remedy = f"learn a bank for {width}x{height} (sizes of the image in the camera file)"
     if abs(own_height * width / own_width - height) <= _SAME_VIEW_PX:
         remedy += f", or let depth --frame-scale {own_width / width:.6g} resample the same view"
     raise InputError(

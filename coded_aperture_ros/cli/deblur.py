@@ -113,11 +113,9 @@ def _restorer(
         check_setting(bank, camera)
     given = None if args.depth == "auto" else _blur_sizes_of_file(args, bank, camera)
     if given is None:
-        known = noise | {"saturation": config.saturation}
-        if args.threads is not None:
-            known["threads"] = config.threads
+        shared = {"saturation": config.saturation, "threads": args.threads or 0}
         # A picture from depth that is not sure shows that itself.
-        depth = DepthConfig(**known, check_fit=False)
+        depth = DepthConfig(**noise, **shared, check_fit=False)
         with naming(args.camera or args.bank):
             pipeline = FramePipeline(bank, camera, depth, config, _iterations)
 

@@ -5,6 +5,7 @@ it imports in `run`: `--help` must be quick.
 """
 
 import argparse
+import errno
 import logging
 import os
 import sys
@@ -29,6 +30,8 @@ COMMANDS: dict[str, Any] = {
     "bench": BENCH,
 }
 
+# What can go wrong where the output of a command goes.
+_OF_OUTPUT = errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF
 FAILED = 1
 INTERRUPTED = 130  # what shells report for a program that Ctrl-C ended
 
@@ -52,8 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{PROGRAM}: error: {error}", file=sys.stderr)
         return FAILED
     except OSError as error:
-        if error.filename is not None:
-            raise  # not of our output
+        if error.filename is not None or error.errno not in _OF_OUTPUT:
+            raise
         if not isinstance(error, BrokenPipeError):  # else whoever read our output has left
             print(f"{PROGRAM}: error: cannot write the output: {error.strerror}", file=sys.stderr)
         # Python's own flush at exit would complain about it.

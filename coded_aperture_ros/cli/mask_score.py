@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output
-from coded_aperture_ros.cli.measuring import tell
+from coded_aperture_ros.cli.measuring import pictures_in, tell
 from coded_aperture_ros.cli.options import (
     add_options,
     at_least,
@@ -79,7 +79,8 @@ def run(args: argparse.Namespace) -> int:
     if args.windows is not None and args.images is None:
         args.usage_error("--windows: these are windows of pictures, give --images too")
     if args.figure is not None:
-        check_output(args.figure, [Path(name) for name in args.masks], [".png"])
+        given = [*args.masks, *(pictures_in([args.images]) if args.images else ())]
+        check_output(args.figure, map(Path, given), [".png"])
     names = args.masks or list(MASK_NAMES)
     masks = [mask_of(name) for name in names]
     scene = config_from(args, SceneConfig)

@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+import errno
 import os
 import platform
 import signal
@@ -220,6 +221,15 @@ def test_a_full_disk_behind_the_output_is_one_line(words):
     *_, last = result.stderr.splitlines()
     assert last == "coded_aperture: error: cannot write the output: No space left on device"
     assert "Traceback" not in result.stderr
+
+
+def test_other_faults_of_the_system_keep_their_traceback(command):
+    def run(options):
+        raise OSError(errno.ENOMEM, "no memory")
+
+    command(run)
+    with pytest.raises(OSError, match="no memory"):
+        program.main(["act"])
 
 
 def test_a_version_that_cannot_be_written_is_one_line():
