@@ -19,7 +19,7 @@ def check_frame_size(known: FilterBank | Camera, width: int, height: int) -> Non
     own_width, own_height = known.image_width, known.image_height
     if not (own_width and own_height) or (width, height) == (own_width, own_height):
         return
-    what, remedy = "camera file", f"give one that says image_width: {width}, image_height: {height}"
+    what, remedy = "camera file", "give one of such frames, with their size and their pixels"
     if isinstance(known, FilterBank):
         if min(width, height) < known.window_px:
             return  # which is what will be said of it

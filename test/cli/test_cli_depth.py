@@ -500,7 +500,7 @@ def test_frames_of_another_size_than_the_camera_file_s(scene, tmp_path, capsys, 
     options = ("--bank", scene.index_bank, "--camera", scene.camera, frame, "-o", out)
     options += ("--depth", "auto") if command == "deblur" else ()
     shape = f"{WIDTH // 2}x{HEIGHT // 2}" if resized else f"{WIDTH}x{HEIGHT // 2}"
-    wanted = f"the camera file is for {WIDTH}x{HEIGHT}", "give one that says image_width: "
+    wanted = f"the camera file is for {WIDTH}x{HEIGHT}", "give one of such frames"
     result = call(capsys, command, *options)
     refused(result, f"{frame}: frame of {shape}: ", *wanted)
     assert ("--frame-scale 2 resample" in result.err) == resized
