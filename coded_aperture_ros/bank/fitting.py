@@ -11,21 +11,24 @@ from coded_aperture_ros.optics import Camera
 _SAME_VIEW_PX = 1.0
 
 
-def check_frame_size(bank: FilterBank, width: int, height: int) -> None:
-    """Refuse frames of another size than the bank's, where it knows that.
+def check_frame_size(known: FilterBank | Camera, width: int, height: int) -> None:
+    """Refuse frames of another size than that of a bank, where it knows that, or a camera file.
 
     An `InputError` says which size it is for, and what to do.
     """
-    own_width, own_height = bank.image_width, bank.image_height
+    own_width, own_height = known.image_width, known.image_height
     if not (own_width and own_height) or (width, height) == (own_width, own_height):
         return
-    if min(width, height) < bank.window_px:
-        return  # which is what will be said of it
-    remedy = f"learn a bank for {width}x{height} (image_width and image_height of the camera file)"
+    what, remedy = "camera file", "give one of such frames, with their size and their pixels"
+    if isinstance(known, FilterBank):
+        if min(width, height) < known.window_px:
+            return  # which is what will be said of it
+        what = "bank"
+        remedy = f"learn a bank for {width}x{height} (sizes of the image in the camera file)"
     if abs(own_height * width / own_width - height) <= _SAME_VIEW_PX:
         remedy += f", or let depth --frame-scale {own_width / width:.6g} resample the same view"
     raise InputError(
-        f"frame of {width}x{height}: the bank is for {own_width}x{own_height}, and the same blur "
+        f"frame of {width}x{height}: the {what} is for {own_width}x{own_height}, and the same blur "
         f"in pixels would be another depth: {remedy}"
     )
 

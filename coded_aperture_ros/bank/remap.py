@@ -19,6 +19,7 @@ from coded_aperture_ros.bank.model import FilterBank
 from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera, image_distance
+from coded_aperture_ros.optics.camera import check_focus_is_possible
 
 
 def remap_bank(
@@ -81,11 +82,7 @@ def refocused(pattern: LearnedPattern, camera: Camera) -> LearnedPattern:
     if focal_length_mm is not None and np.isfinite(pattern.focus_distance_m):
         distances_m = camera.focus_distance_m, pattern.focus_distance_m
         for distance_m in distances_m:
-            if distance_m * 1e3 <= focal_length_mm:
-                raise InputError(
-                    f"focus at {distance_m:.3g} m is not beyond the focal length of "
-                    f"{focal_length_mm:g} mm"
-                )
+            check_focus_is_possible(focal_length_mm, distance_m)
         after, before = (image_distance(focal_length_mm, z * 1e3) for z in distances_m)
         slope *= after / before
     return dataclasses.replace(

@@ -2,9 +2,11 @@
 
 import argparse
 import logging
+import re
 from pathlib import Path
 from typing import Any
 
+from coded_aperture_ros.cli.checks import inputs_of
 from coded_aperture_ros.cli.estimators import (
     add_estimator_options,
     add_estimator_settings,
@@ -13,11 +15,12 @@ from coded_aperture_ros.cli.estimators import (
     pipeline_of,
 )
 from coded_aperture_ros.cli.measuring import tell
-from coded_aperture_ros.cli.options import add_bits_option, add_gamma_option, add_options
+from coded_aperture_ros.cli.options import add_bits_option, add_gamma_option, add_options, checked
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.workers import load_in_fork_server, processors
 
 _DEBLUR_RANK = 10
+_NAMESPACE = re.compile(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*/?)?", re.ASCII)
 _EPILOG = """examples:
   depth, confidence and all-in-focus frames beside the originals:
     coded_aperture bag recording -o results --bank bank.npz --camera camera.yaml
@@ -50,9 +53,12 @@ def add_parser(subparsers: Any) -> None:
         "image_raw",
         "--reference-depth T": "depth images (32FC1 in m, 16UC1 in mm) of the same view to compare "
         "with",
-        "--namespace NAME": "of the results (default: that of the coded frames)",
     }
     add_options(parser, topics)
+    namespace = {"--namespace NAME": "of the results (default: that of the coded frames)"}
+    allowed = "a ROS name such as /front/camera: letters, digits and _, no digit first"
+    ros_name = checked(str, lambda name: bool(_NAMESPACE.fullmatch(name)), allowed)
+    add_options(parser, namespace, type=ros_name)
     add_estimator_options(
         parser,
         motion=", so that it does not pass for blur by defocus: depth/motion has the way during "
@@ -97,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.optics import load_camera
 
     source, target = Path(args.input), Path(args.output)
-    check_bag_output(target, [source], args.overwrite)
+    check_bag_output(target, [source, *inputs_of(args, "bank", "camera")], args.overwrite)
     camera = load_camera(args.camera)
     deblur = None
     if args.deblur != "none":

@@ -11,14 +11,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output
+from coded_aperture_ros.cli.checks import check_output, inputs_of
 from coded_aperture_ros.cli.measuring import checked_config, tell
-from coded_aperture_ros.cli.options import (
-    add_commands,
-    add_config_options,
-    add_options,
-    written_name,
-)
+from coded_aperture_ros.cli.options import add_commands, add_options, settings_of, written_name
 from coded_aperture_ros.core.errors import naming
 
 # What is measured from pictures; without an action, the command designs.
@@ -71,13 +66,7 @@ def add_parser(subparsers: Any) -> None:
     }
     add_options(parser, results)
     add_commands(parser, "action", ACTIONS.values(), required=False)
-    parser.add_late_options = _add_config_options
-
-
-def _add_config_options(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.design import DesignConfig
-
-    add_config_options(parser, DesignConfig, "what is asked of the design")
+    parser.add_late_options = settings_of({"design.DesignConfig": "what is asked of the design"})
 
 
 def run(args: argparse.Namespace) -> int:
@@ -109,7 +98,7 @@ def _design(args: argparse.Namespace) -> int:
     config = checked_config(args, DesignConfig)
     if args.output is not None:
         for name in (_NUMBERS, _PAGE, _PICTURE):
-            check_output(Path(args.output) / name)
+            check_output(Path(args.output) / name, inputs_of(args, "camera"))
     camera = load_camera(args.camera)
     with naming(args.camera):
         setting = setting_of(camera, near_m, far_m, config)

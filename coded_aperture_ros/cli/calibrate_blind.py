@@ -5,15 +5,16 @@ import time
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.cli.measuring import (
+    MASK_FILE,
     add_level_count_option,
     checked_config,
     pictures_in,
     tell,
     write_report,
 )
-from coded_aperture_ros.cli.options import add_config_options, add_gamma_option, add_options
+from coded_aperture_ros.cli.options import add_gamma_option, add_options, settings_of
 from coded_aperture_ros.cli.progress import progress
 
 _EPILOG = """examples:
@@ -27,9 +28,7 @@ Take 8 planes or more, parallel to the sensor, all on one side of the focus, at 
 that need not be known, with fine texture all over. Whether the mask is as found or turned by 180
 degrees, spectra do not tell: if deblurred pictures look worse than blurred ones, turn it.
 """
-_REPORT, _MASK, _PICTURE_OF_MASK, _PICTURE = (
-    "calibrate_blind.json", "mask.npy", "mask.png", "spectra.png",
-)  # fmt: skip
+_REPORT, _PICTURE_OF_MASK, _PICTURE = "calibrate_blind.json", "mask.png", "spectra.png"
 _LEVEL_COUNT = 40
 
 
@@ -47,22 +46,16 @@ def add_parser(subparsers: Any) -> None:
         "inputs", nargs="+", metavar="FOLDER|PICTURE", help="pictures, or a folder of them"
     )
     add_gamma_option(parser)
-    results = f"folder for {_MASK}, {_PICTURE_OF_MASK}, {_PICTURE} and {_REPORT}"
+    results = f"folder for {MASK_FILE}, {_PICTURE_OF_MASK}, {_PICTURE} and {_REPORT}"
     add_options(parser, {"--output DIR": results})
     parser.add_argument(
         "-o", metavar="FILE", dest="bank", help="bank (.npz) from the least to the largest blur"
     )
     add_level_count_option(parser, _LEVEL_COUNT, f"levels of the bank (default {_LEVEL_COUNT})")
     add_options(parser, {"--json": "print the numbers as JSON"})
-    parser.add_late_options = _add_config_options
-
-
-def _add_config_options(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.bank import LearnConfig
-    from coded_aperture_ros.calibration.blind.config import BlindConfig
-
-    add_config_options(parser, BlindConfig, "search")
-    add_config_options(parser, LearnConfig, "filters of the bank")
+    settings = {"calibration.blind.config.BlindConfig": "search"}
+    settings |= {"bank.LearnConfig": "filters of the bank"}
+    parser.add_late_options = settings_of(settings)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -75,17 +68,17 @@ def run(args: argparse.Namespace) -> int:
     if args.bank is None and args.output is None:
         args.usage_error("say where the results go with --output DIR or -o bank.npz, or both")
     config, filters = checked_config(args, BlindConfig), checked_config(args, LearnConfig)
+    names = pictures_in(args.inputs)
     if args.bank is not None:
-        check_suffix(args.bank, [".npz"])
-        check_output(args.bank)
+        check_output(args.bank, map(Path, names), [".npz"])
         if 0 < filters.window_px < config.largest_blur_px:
             args.usage_error(
                 f"--window-px: blur of --largest-blur-px {config.largest_blur_px} does not fit "
                 f"patches of {filters.window_px} px"
             )
     if args.output is not None:
-        check_output(Path(args.output) / _REPORT)
-    names = pictures_in(args.inputs)
+        for name in (_REPORT, MASK_FILE, _PICTURE_OF_MASK, _PICTURE):
+            check_output(Path(args.output) / name, map(Path, names))
     start = time.perf_counter()
     images = [read_image(name, args.gamma) for name in names]
     found = find_mask(images, names, config, progress)

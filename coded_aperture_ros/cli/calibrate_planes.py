@@ -8,8 +8,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.checks import check_output, check_suffix, inputs_of
 from coded_aperture_ros.cli.measuring import (
+    MASK_FILE,
     above,
     add_level_count_option,
     add_planes_arguments,
@@ -19,10 +20,10 @@ from coded_aperture_ros.cli.measuring import (
     write_report,
 )
 from coded_aperture_ros.cli.options import (
-    add_config_options,
     add_gamma_option,
     add_options,
     at_least,
+    settings_of,
     table,
 )
 from coded_aperture_ros.cli.progress import progress
@@ -79,13 +80,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("-o", metavar="FILE", dest="bank", help="bank (.npz)")
     add_options(parser, {"--output DIR": f"folder for {_REPORT} and, with --camera, {_CAMERA}"})
     add_options(parser, {"--json": "print the numbers as JSON"})
-    parser.add_late_options = _add_config_options
-
-
-def _add_config_options(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.bank import LearnConfig
-
-    add_config_options(parser, LearnConfig, "filters")
+    parser.add_late_options = settings_of({"bank.LearnConfig": "filters"})
 
 
 def run(args: argparse.Namespace) -> int:
@@ -170,13 +165,13 @@ def _calibrate(args: argparse.Namespace) -> int:
 
     config = checked_config(args, LearnConfig)
     check_suffix(args.bank, [".npz"])
-    inputs = [Path(name) for name in args.inputs]
-    check_output(args.bank, [path for path in inputs if path.is_file()])
-    if args.output is not None:
-        check_output(Path(args.output) / _REPORT)
     camera = None if args.camera is None else load_camera(args.camera)
     start = time.perf_counter()
-    planes = load_planes(inputs, args.depths, args.gamma)
+    planes = load_planes(args.inputs, args.depths, args.gamma)
+    folder = None if args.output is None else Path(args.output)
+    beside = [folder / name for name in (_REPORT, MASK_FILE, _CAMERA)] if folder else []
+    for path in (args.bank, *beside):
+        check_output(path, [*map(Path, planes.names), *inputs_of(args, "camera")])
     if camera is not None:
         _check_size(args.camera, camera, planes)
     found = calibrate_planes(
@@ -270,7 +265,7 @@ def _camera_text(summary: Any, path: Path) -> str:
     content = read_yaml(path, f"camera file {path}") | {
         "focus_distance_m": summary["focus_distance_m"],
         "side": summary["side"],
-        "mask": {"file": "mask.npy"},
+        "mask": {"file": MASK_FILE},
         "mask_extent_mm": summary["mask_extent_mm"],
     }
     if "camera_info" in content:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.checks import check_output, inputs_of
 from coded_aperture_ros.cli.measuring import (
     above,
     add_depths_option,
@@ -141,9 +141,6 @@ def _checked(args: argparse.Namespace) -> tuple[list[str], list[float] | None]:
     depths_m = args.depths
     if depths_m is not None and not all(0 < depth < math.inf for depth in depths_m):
         args.usage_error("--depths: expected distances of more than 0 m")
-    check_suffix(args.output, [".npz"])
-    if args.picture is not None:
-        check_suffix(args.picture, [".png"])
     names = pictures_in(args.inputs)
     if args.sharp is not None and len(args.sharp) != len(names):
         args.usage_error(f"--sharp: {len(args.sharp)} for {len(names)} coded pictures")
@@ -154,9 +151,10 @@ def _checked(args: argparse.Namespace) -> tuple[list[str], list[float] | None]:
         )
     if count is not None and count < least:
         args.usage_error(f"--level-count: at least {least}, got {count}")
-    for output in filter(None, (args.output, args.picture)):
-        given = (*names, *(args.sharp or ()), args.camera, args.mask)
-        check_output(output, [Path(name) for name in given if name])
+    given = [*map(Path, (*names, *(args.sharp or ()))), *inputs_of(args, "camera", "mask")]
+    check_output(args.output, given, [".npz"])
+    if args.picture is not None:
+        check_output(args.picture, given, [".png"])
     if depths_m is None:
         return names, _depths_in_names(names)
     if len(depths_m) != len(names):

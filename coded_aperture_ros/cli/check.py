@@ -4,6 +4,8 @@ import argparse
 import dataclasses
 import itertools
 import json
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from coded_aperture_ros.cli.options import (
@@ -12,7 +14,7 @@ from coded_aperture_ros.cli.options import (
     add_mosaic_option,
     add_options,
 )
-from coded_aperture_ros.core.errors import naming
+from coded_aperture_ros.core.errors import InputError, naming
 
 # Of longer videos and bags, so many frames are enough.
 _MOST_FRAMES = 20
@@ -52,7 +54,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     from coded_aperture_ros.bank import load_bank
-    from coded_aperture_ros.checkup import FAILED, FrameCheckup, camera_findings
+    from coded_aperture_ros.checkup import FAILED, Finding, FrameCheckup, camera_findings
     from coded_aperture_ros.optics import load_camera
 
     camera = load_camera(args.camera)
@@ -64,12 +66,19 @@ def run(args: argparse.Namespace) -> int:
         args.usage_error("--depth-range: needed, unless --bank names a bank that knows its depths")
     with naming(args.camera):
         found = {"camera": camera_findings(camera, *range_m)}
+
+    def report(given: str, error: InputError) -> None:
+        remedy = "leave out what cannot be read, or record it again"
+        found.setdefault(given, []).append(Finding("frame", FAILED, str(error), remedy))
+
     if args.inputs:
         if bank is None:
             bank = _learned(camera, range_m)
         with naming(args.bank or args.camera):
             checkup = FrameCheckup(camera, bank)
-        for name, frame, hidden in itertools.islice(_frames(args), _MOST_FRAMES):
+        for given, name, frame, hidden in itertools.islice(_frames(args, report), _MOST_FRAMES):
+            while name in found:  # files of other folders may have this name, too
+                name = f"{given}, {name}"
             found[name] = checkup.findings(frame, hidden)
         checkup.close()
     everything = [finding for findings in found.values() for finding in findings]
@@ -98,16 +107,19 @@ def _learned(camera: Any, range_m: Any) -> Any:
     )
 
 
-def _frames(args: argparse.Namespace) -> Any:
-    """Yield the name, the linear light and the hidden noise of every frame."""
+def _frames(args: argparse.Namespace, report: Callable[[str, InputError], None]) -> Any:
+    """Yield input, name, light and hidden noise of every frame; report what cannot be read."""
     from coded_aperture_ros.imaging import hidden_noise
     from coded_aperture_ros.io.messages import frame_from_pixels
     from coded_aperture_ros.io.sources import captures, open_files
 
-    for given in args.inputs:
-        with naming(given):
-            for capture in captures(open_files(given)):
-                mosaic = capture.mosaic or args.bayer
-                frame = frame_from_pixels(capture.frame, args.gamma, args.bits, mosaic)
-                hidden = hidden_noise(capture.lost, frame, args.gamma)
-                yield capture.name or given, frame, hidden
+    for given, source in [(given, open_files(given)) for given in args.inputs]:
+        for capture in captures(source, partial(report, given)):
+            mosaic = capture.mosaic or args.bayer
+            try:
+                with naming(capture.name):
+                    frame = frame_from_pixels(capture.frame, args.gamma, args.bits, mosaic)
+            except InputError as error:
+                report(given, error)
+                continue
+            yield given, capture.name, frame, hidden_noise(capture.lost, frame, args.gamma)

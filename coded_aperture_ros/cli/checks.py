@@ -1,5 +1,6 @@
 """What can be checked before anything is computed."""
 
+import argparse
 import os
 import tempfile
 from collections.abc import Iterable, Sequence
@@ -14,17 +15,32 @@ def check_suffix(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:
         raise InputError(f"{path}: unknown format, use a name that ends in {' or '.join(suffixes)}")
 
 
-def check_output(path: str | os.PathLike[str], inputs: Iterable[Path] = ()) -> None:
+def inputs_of(args: argparse.Namespace, *names: str) -> list[Path]:
+    """Return the files that options give to read, and what a camera file among them names."""
+    from coded_aperture_ros.optics.camera import camera_files
+
+    given = {name: value for name in names if isinstance(value := getattr(args, name, None), str)}
+    camera = given.pop("camera", None)
+    return [*map(Path, given.values()), *(camera_files(camera) if camera else ())]
+
+
+def check_output(
+    path: str | os.PathLike[str], inputs: Iterable[Path] = (), suffixes: Sequence[str] = ()
+) -> None:
     """Check that a file can be written, without writing it.
 
     An `InputError` says why it cannot, and what to do instead; where it is one of the existing
-    files `inputs`, that it must not be overwritten.
+    files `inputs`, that it must not be overwritten. `suffixes` are those of `check_suffix`, if any.
     """
     path = Path(path)
+    if suffixes:
+        check_suffix(path, suffixes)
     if path.is_dir():
         raise InputError(f"cannot write {path}: it is a folder")
     if path.exists() and any(path.samefile(other) for other in inputs if other.exists()):
-        raise InputError(f"{path}: this is an input, and would be overwritten: use another name")
+        raise InputError(
+            f"{path}: this is an input, and would be overwritten: use another name or folder"
+        )
     folder = next(parent for parent in path.parents if parent.exists() or parent == parent.parent)
     if not folder.is_dir():
         raise InputError(f"cannot write {path}: {folder} is not a folder")

@@ -15,12 +15,7 @@ from coded_aperture_ros.cli.frames import (
     named_frames,
     suitable,
 )
-from coded_aperture_ros.cli.options import (
-    add_config_options,
-    add_gamma_option,
-    add_options,
-    config_from,
-)
+from coded_aperture_ros.cli.options import add_gamma_option, add_options, config_from, settings_of
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.cli.stereo_output import StereoOutput, add_stereo_options
 from coded_aperture_ros.core.errors import InputError, naming
@@ -62,23 +57,19 @@ def add_parser(subparsers: Any) -> None:
     add_stereo_options(parser)
     add_gamma_option(parser)
     add_options(parser, {"--json": "print a summary as JSON"})
-    parser.add_late_options = _add_config_options
-
-
-def _add_config_options(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.deblur import DeblurConfig
-
-    add_config_options(parser, DeblurConfig, "deblurring")
+    parser.add_late_options = settings_of({"deblur.DeblurConfig": "deblurring"}, threads=None)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     from coded_aperture_ros.bank import load_bank
     from coded_aperture_ros.io import PICTURE_SUFFIXES, write_image
+    from coded_aperture_ros.optics import load_camera
 
     bank = load_bank(args.bank)
     stereo = StereoOutput(args, bank.stack)
-    restore = _restorer(args, bank)
+    camera = load_camera(args.camera) if args.camera else None
+    restore = _restorer(args, bank, camera)
     encoding: dict[str, Any] = {} if args.gamma == 1 else {"bits": 8, "gamma": args.gamma}
     summaries = []
     unusable = Unusable()
@@ -86,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         start = time.perf_counter()
         try:
             with naming(frame.source):
-                suitable(frame, bank, 1.0)
+                suitable(frame, bank, camera)
                 stereo.check(frame.image)
                 sharp, blur_size_px = restore(frame)
         except InputError as error:
@@ -103,16 +94,17 @@ def run(args: argparse.Namespace) -> int:
     return unusable.status()
 
 
-def _restorer(args: argparse.Namespace, bank: Any) -> Callable[[NamedFrame], tuple[Any, Any]]:
+def _restorer(
+    args: argparse.Namespace, bank: Any, camera: Any
+) -> Callable[[NamedFrame], tuple[Any, Any]]:
     """Return a function from a frame to the all-in-focus frame and its map of blur sizes."""
     from coded_aperture_ros.bank import check_setting
     from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, covers_frame
     from coded_aperture_ros.depth import DepthConfig
     from coded_aperture_ros.imaging import KnownNoise
-    from coded_aperture_ros.optics import load_camera
     from coded_aperture_ros.pipeline import FramePipeline
 
-    camera, motion_px = load_camera(args.camera) if args.camera else None, _motion(args)
+    motion_px = _motion(args)
     config = config_from(args, DeblurConfig)
     noise = dataclasses.asdict(KnownNoise.of(config, camera, bank))
     config = dataclasses.replace(config, **noise)
@@ -121,8 +113,9 @@ def _restorer(args: argparse.Namespace, bank: Any) -> Callable[[NamedFrame], tup
         check_setting(bank, camera)
     given = None if args.depth == "auto" else _blur_sizes_of_file(args, bank, camera)
     if given is None:
+        shared = {"saturation": config.saturation, "threads": args.threads or 0}
         # A picture from depth that is not sure shows that itself.
-        depth = DepthConfig(**noise, check_fit=False)
+        depth = DepthConfig(**noise, **shared, check_fit=False)
         with naming(args.camera or args.bank):
             pipeline = FramePipeline(bank, camera, depth, config, _iterations)
 

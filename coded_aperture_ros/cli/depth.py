@@ -6,8 +6,9 @@ import json
 import logging
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from itertools import groupby, tee
 from pathlib import Path
 from typing import Any
@@ -94,8 +95,8 @@ def add_parser(subparsers: Any) -> None:
     add_options(parser, {"--points": "write coloured points (x.ply) too; needs --camera"})
     add_gamma_option(parser)
     scale = {
-        "--frame-scale S": "resample frames by S to the size that the bank is for; maps keep "
-        "the frames' own size (default %(default)s)"
+        "--frame-scale S": "resample frames by S to the size that bank and camera file are for; "
+        "maps keep the frames' own size (default %(default)s)"
     }
     add_options(parser, scale, type=between(0.1, 10), default=1.0)
     add_options(parser, {"--json": "print a summary as JSON"})
@@ -126,6 +127,7 @@ def run(args: argparse.Namespace) -> int:
         return [*files(path).values(), *([Path(args.movie)] if args.movie else [])]
 
     unusable, bank = Unusable(), bank_of(pipeline.estimator.model)
+    fit = partial(suitable, bank=bank, camera=camera, scale=args.frame_scale)
     shown: AbstractContextManager[Any] = movie(args.movie) if args.movie else nullcontext()
     scale = _scale(args, pipeline.estimator)
     frames = named_frames(args, ".npy", _SUFFIXES, outputs, unusable)
@@ -135,9 +137,9 @@ def run(args: argparse.Namespace) -> int:
             pipeline.reset()
             video = _told_if_lossy(grouped)
             if args.look_ahead:
-                results = _with_look_ahead(pipeline, video, bank)
+                results = _with_look_ahead(pipeline, video, fit)
             else:
-                results = _in_turn(pipeline, video, prior, bank, args.frame_scale, unusable)
+                results = _in_turn(pipeline, video, prior, fit, unusable)
             for frame, estimate, seconds in results:
                 values = estimate.depth_m
                 if args.as_levels or values is None:
@@ -188,8 +190,7 @@ def _in_turn(
     pipeline: Any,
     frames: Iterator[NamedFrame],
     prior: Any,
-    bank: Any,
-    scale: float,
+    fit: Callable[[NamedFrame], NamedFrame],
     unusable: Unusable,
 ) -> Iterator[tuple[NamedFrame, Any, float]]:
     """Yield every frame, what is estimated of it, and how long that took, s."""
@@ -197,7 +198,7 @@ def _in_turn(
         start = time.perf_counter()
         try:
             with naming(found.source):
-                frame = suitable(found, bank, scale)
+                frame = fit(found)
                 how = {"size": frame.size, "hidden_noise": frame.hidden_noise}
                 estimate = pipeline(frame.image, prior=prior, **how).depth
         except InputError as error:
@@ -207,7 +208,7 @@ def _in_turn(
 
 
 def _with_look_ahead(
-    pipeline: Any, frames: Iterator[NamedFrame], bank: Any
+    pipeline: Any, frames: Iterator[NamedFrame], fit: Callable[[NamedFrame], NamedFrame]
 ) -> Iterator[tuple[NamedFrame, Any, float]]:
     """Do the same with frames that are estimated several at a time: the first takes the time."""
     waiting: deque[NamedFrame] = deque()
@@ -217,7 +218,7 @@ def _with_look_ahead(
         try:
             for frame in frames:
                 with naming(frame.source):
-                    suitable(frame, bank, 1.0)
+                    fit(frame)
                 waiting.append(frame)
                 yield frame
         except InputError as error:
@@ -278,7 +279,7 @@ def _scale(args: argparse.Namespace, estimator: Any) -> tuple[float, float, str]
 
 
 def _beside(image: Any, values: Any, scale: tuple[float, float, str]) -> Any:
-    """Return a frame and its depth side by side, uint8 [h + strip, 2 w, RGB]."""
+    """Return a frame, of any size, and its depth side by side, uint8 [h + strip, 2 w, RGB]."""
     import cv2
     import numpy as np
 
@@ -286,7 +287,8 @@ def _beside(image: Any, values: Any, scale: tuple[float, float, str]) -> Any:
     from coded_aperture_ros.io import depth_picture
 
     depth = depth_picture(values, *scale)
-    light = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
+    light = cv2.resize(image, values.shape[::-1], interpolation=cv2.INTER_AREA)
+    light = light if light.ndim == 3 else cv2.cvtColor(light, cv2.COLOR_GRAY2RGB)
     frame = np.full_like(depth, 255)
     frame[: len(light)] = np.rint(255 * encode(np.clip(light, 0, 1), SRGB))
     return np.hstack([frame, depth])

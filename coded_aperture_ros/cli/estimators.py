@@ -4,7 +4,13 @@ import argparse
 import logging
 from typing import Any
 
-from coded_aperture_ros.cli.options import add_config_options, add_numbers, add_options, config_from
+from coded_aperture_ros.cli.options import (
+    add_config_options,
+    add_numbers,
+    add_options,
+    changed,
+    config_from,
+)
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError, naming
 
@@ -49,7 +55,8 @@ def add_estimator_settings(parser: argparse.ArgumentParser, **defaults: Any) -> 
     add_config_options(parser, DepthConfig, "estimation", **defaults)
     simple = add_config_options(parser, SimpleConfig, "with --method simple")
     add_numbers(simple, ("level-count", 2, DEFAULT_LEVEL_COUNT, "blur levels in the depth range"))
-    add_config_options(parser, MotionConfig, "with --motion")
+    motion = add_config_options(parser, MotionConfig, "with --motion")
+    parser.set_defaults(of_simple=simple, of_motion=motion)  # for what has a use for them
 
 
 def check_estimator_options(args: argparse.Namespace) -> None:
@@ -70,6 +77,10 @@ def check_estimator_options(args: argparse.Namespace) -> None:
             if getattr(args, name) is None:
                 what = "the following arguments are required with --method simple"
                 args.usage_error(f"{what}: {option}")
+    if args.method == "bank" and (given := changed(args, args.of_simple)):
+        args.usage_error(f"{given[0]}: a bank has its own, see learn; only for --method simple")
+    if not args.motion and (given := changed(args, args.of_motion)):
+        args.usage_error(f"{given[0]}: only with --motion")
     if args.angular_velocity is None:
         if args.exposure is not None:
             args.usage_error("--exposure: only with --angular-velocity")
@@ -87,6 +98,7 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
     """
     from coded_aperture_ros.bank import check_setting, load_bank
     from coded_aperture_ros.depth import DepthConfig, refinement_note, side_warning
+    from coded_aperture_ros.depth.regularize import LEARNED
     from coded_aperture_ros.methods.choose import new_model
     from coded_aperture_ros.methods.motion import MotionConfig
     from coded_aperture_ros.methods.two_pixel import SimpleConfig
@@ -116,6 +128,9 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
         pipeline = FramePipeline(model, camera, config, deblur)
     if note := refinement_note(model, config):
         logging.info(note)
+    elif config.regularize in ("none", LEARNED) and config.smoothness != DepthConfig.smoothness:
+        others = "semiglobal, tv or graphcut"
+        args.usage_error(f"--smoothness: --regularize {config.regularize} has none, use {others}")
     if warning := side_warning(model):
         logging.warning(warning)
     return pipeline

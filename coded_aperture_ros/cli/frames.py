@@ -6,10 +6,11 @@ import logging
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output
+from coded_aperture_ros.cli.checks import check_output, inputs_of
 from coded_aperture_ros.cli.options import add_bits_option, add_mosaic_option
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError, naming
@@ -48,16 +49,17 @@ def add_input_options(parser: argparse.ArgumentParser, output_help: str) -> None
     parser.add_argument("-o", "--output", required=True, metavar="OUT", help=output_help)
 
 
-def suitable(frame: NamedFrame, bank: Any, scale: float) -> NamedFrame:
-    """Resample a frame by a scale; an `InputError` if it is then not of the bank's size."""
+def suitable(frame: NamedFrame, bank: Any, camera: Any, scale: float = 1.0) -> NamedFrame:
+    """Resample a frame by a scale; an `InputError` if its size is not the bank's and camera's."""
     from coded_aperture_ros.bank import check_frame_size
     from coded_aperture_ros.imaging import resampled
 
     size = frame.image.shape[:2]
     if scale != 1:
         frame = dataclasses.replace(frame, image=resampled(frame.image, scale), size=size)
-    if bank is not None:
-        check_frame_size(bank, frame.image.shape[1], frame.image.shape[0])
+    for known in (bank, camera):
+        if known is not None:
+            check_frame_size(known, frame.image.shape[1], frame.image.shape[0])
     return frame
 
 
@@ -93,59 +95,72 @@ def named_frames(
     A single frame goes to the output itself where that names a file, which may end in one of
     `suffixes`; otherwise the output is a folder that gets one file per frame, named like the frame,
     that ends in `suffix`. `outputs` gives all the files that belong to an output. That they can be
-    written is checked before a frame is handed out. Raises `InputError` if several frames would go
-    to one file, an input cannot be read, or an output cannot be written or would overwrite an
-    input. Of several pictures, those that cannot be read are left to `unusable`.
+    written is checked before a frame is handed out; those of pictures, before the first. Raises
+    `InputError` if several frames would go to one file, an input cannot be read, or an output
+    cannot be written or would overwrite an input. Of several pictures, those that cannot be read
+    are left to `unusable`.
     """
     from coded_aperture_ros.imaging import hidden_noise
     from coded_aperture_ros.io.messages import frame_from_pixels
     from coded_aperture_ros.io.sources import PictureSource, captures, open_files
 
-    sources = [(given, open_files(given)) for given in args.inputs]
-    lengths = [source.length for _, source in sources]
-    total = None if None in lengths else sum(length or 0 for length in lengths)
-    output = Path(args.output)
-    to_file = output.suffix and not args.output.endswith("/") and not output.is_dir()
-    if to_file and output.suffix.lower() not in suffixes:
-        raise InputError(
-            f"{output}: unknown format, use {', '.join(suffixes)}, or end a folder's name with /"
-        )
-    if to_file and total != 1:
-        raise InputError(
-            f"{output}: {'several' if total is None else total} frames do not fit into one file, "
-            "name a folder"
-        )
-    files = [file for _, source in sources for file in source.files]
-    pictures = [source for _, source in sources if isinstance(source, PictureSource)]
-    names = Counter(file.stem for source in pictures for file in source.files)
-    if twice := [name for name, count in names.items() if count > 1]:
-        raise InputError(
-            f"{output}: several inputs are named {twice[0]}, and so would their results be: "
-            "use a folder for each"
-        )
+    with ExitStack() as opened:
+        sources = [opened.enter_context(closing(open_files(given))) for given in args.inputs]
+        lengths = [source.length for source in sources]
+        total = None if None in lengths else sum(length or 0 for length in lengths)
+        output = Path(args.output)
+        to_file = output.suffix and not args.output.endswith("/") and not output.is_dir()
+        if to_file and output.suffix.lower() not in suffixes:
+            known = ", ".join(suffixes)
+            raise InputError(
+                f"{output}: unknown format, use {known}, or end a folder's name with /"
+            )
+        if to_file and total != 1:
+            raise InputError(
+                f"{output}: {'several' if total is None else total} frames do not fit into one "
+                "file, name a folder"
+            )
+        pictures = [source for source in sources if isinstance(source, PictureSource)]
+        names = Counter(file.stem for source in pictures for file in source.files)
+        # Frames of these are numbered.
+        others = Counter(source.files[0].stem for source in sources if source not in pictures)
+        if twice := [name for name, count in [*names.items(), *others.items()] if count > 1]:
+            raise InputError(
+                f"{output}: several inputs are named {twice[0]}, and so would their results be: "
+                "use a folder for each"
+            )
+        unusable.alone = total == 1 or len(pictures) < len(sources)
+        files = [file for source in sources for file in source.files]
+        files += inputs_of(args, "bank", "camera", "depth", "motion")
 
-    unusable.alone = total == 1 or len(pictures) < len(sources)
+        def checked(name: str) -> Path:
+            target = output if to_file else output / f"{name}{suffix}"
+            for path in outputs(target):
+                check_output(path, files)
+            return target
 
-    def frames() -> Iterator[tuple[str, Any, int]]:
-        video, alone = 0, False
-        for given, source in sources:
-            before = alone
-            alone = isinstance(source, PictureSource) and source.files == (Path(given),)
-            video += not (before and alone)
-            for capture in captures(source, unusable.note):
-                yield given if alone else f"{given}, frame {capture.name}", capture, video
-            if source.damage:
-                logging.warning(f"{given}: read up to the damage: {source.damage}")
+        for name in names:
+            checked(name)
 
-    for given, capture, video in progress(frames(), total, "frame"):
-        target = output if to_file else output / f"{capture.name}{suffix}"
-        for path in outputs(target):
-            check_output(path, files)
-        mosaic = capture.mosaic or args.bayer
-        how = capture.frame, args.gamma, args.bits, mosaic
-        with naming(given):
-            image = coloured = frame_from_pixels(*how)
-            if mosaic:
-                coloured = frame_from_pixels(*how, coloured=True)
-        hidden = hidden_noise(capture.lost, image, args.gamma)
-        yield NamedFrame(given, target, image, capture.stamp_ns, video, hidden, coloured=coloured)
+        def frames() -> Iterator[tuple[str, Any, int]]:
+            video, alone = 0, False
+            for given, source in zip(args.inputs, sources, strict=True):
+                before = alone
+                alone = isinstance(source, PictureSource) and source.files == (Path(given),)
+                video += not (before and alone)
+                for capture in captures(source, unusable.note):
+                    yield given if alone else f"{given}, frame {capture.name}", capture, video
+                if source.damage:
+                    logging.warning(f"{given}: read up to the damage: {source.damage}")
+
+        for given, capture, video in progress(frames(), total, "frame"):
+            target = checked(capture.name)
+            mosaic = capture.mosaic or args.bayer
+            how = capture.frame, args.gamma, args.bits, mosaic
+            with naming(given):
+                image = coloured = frame_from_pixels(*how)
+                if mosaic:
+                    coloured = frame_from_pixels(*how, coloured=True)
+            hidden = hidden_noise(capture.lost, image, args.gamma)
+            stamp_ns = capture.stamp_ns
+            yield NamedFrame(given, target, image, stamp_ns, video, hidden, coloured=coloured)

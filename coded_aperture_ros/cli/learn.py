@@ -4,10 +4,9 @@ import argparse
 import dataclasses
 import math
 import time
-from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.checks import check_output, inputs_of
 from coded_aperture_ros.cli.measuring import (
     above,
     add_depths_option,
@@ -20,6 +19,7 @@ from coded_aperture_ros.cli.options import (
     add_config_options,
     add_gamma_option,
     add_options,
+    changed,
     mask_of,
     written_name,
 )
@@ -75,8 +75,8 @@ def add_parser(subparsers: Any) -> None:
         "--planes DIR": "pictures of planes (16-bit linear) and planes.json",
     }
     add_options(source, sources)
-    remap = "make the bank of the camera file's focus from this bank of the same lens and mask; "
-    remap += "without --depth-range the same filters get new depths"
+    remap = "make the bank of the camera file's focus from this bank of the same lens and mask, "
+    remap += "with its settings; without --depth-range the same filters get new depths"
     add_options(parser, {"--remap BANK": remap})
     add_options(parser, {"--depth-range NEAR FAR": "with --camera, in m"}, type=float)
     add_options(parser, {"--mask NAME": "name or file (PNG, .npy) of a mask"})
@@ -99,7 +99,7 @@ def _add_late_options(parser: argparse.ArgumentParser) -> None:
 
     what = f"number of levels, with --camera or --planes (default {DEFAULT_LEVEL_COUNT})"
     add_level_count_option(parser, None, what)
-    add_config_options(parser, LearnConfig, "filters")
+    parser.set_defaults(filters=add_config_options(parser, LearnConfig, "filters"))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -112,18 +112,17 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.optics import load_camera
 
     _check_usage(args)
-    check_suffix(args.output, [".npz"])
-    check_output(args.output, [Path(name) for name in (args.camera, args.psfs, args.remap) if name])
+    check_output(args.output, inputs_of(args, "camera", "psfs", "remap"), [".npz"])
     start = time.perf_counter()
+    camera = load_camera(args.camera) if args.camera else None
     trials: list[Any] = []
     if args.remap is not None:
-        bank = _remapped(args)
+        bank = _remapped(args, camera)
     elif args.budget_ms is not None:
-        bank, trials = _tuned(args)
+        bank, trials = _tuned(args, camera)
     else:
-        bank = _learned(args)
+        bank = _learned(args, camera)
     save_bank(bank, args.output)
-    camera = load_camera(args.camera) if args.camera else None
     summary = {
         "output": args.output,
         "levels": bank.levels,
@@ -181,6 +180,8 @@ def _check_usage(args: argparse.Namespace) -> None:
             args.usage_error(f"{written_name(name)} only goes with {needed}")
     remap, tuned = args.remap is not None, args.budget_ms is not None
     ranged, counted = args.depth_range is not None, args.level_count is not None
+    filters = changed(args, args.filters) if remap or tuned else []
+    chosen = [name for name in filters if remap or name != "--noise"]
     for wrong, message in (
         (remap and not args.camera, "--remap needs --camera, which says what the new setting is"),
         (remap and args.images is not None, "--images does not go with --remap"),
@@ -189,24 +190,30 @@ def _check_usage(args: argparse.Namespace) -> None:
         (args.camera and not remap and not ranged, "--camera needs --depth-range NEAR FAR"),
         (args.planes and args.images, "--images does not go with --planes: they have textures"),
         (tuned and not args.camera, "--budget-ms needs --camera, which says how large frames are"),
+        (args.budget_threads and not tuned, "--budget-threads only goes with --budget-ms"),
+        *((True, f"{name} does not go with --remap or --budget-ms, see --help") for name in chosen),
     ):
         if wrong:
             args.usage_error(message)
 
 
-def _learned(args: argparse.Namespace) -> Any:
-    from coded_aperture_ros.bank import LearnConfig, learn_bank, learn_bank_for_camera, textures_of
+def _learned(args: argparse.Namespace, camera: Any) -> Any:
+    from coded_aperture_ros.bank import (
+        DEFAULT_LEVEL_COUNT,
+        LearnConfig,
+        learn_bank,
+        learn_bank_for_camera,
+        textures_of,
+    )
     from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_planes
     from coded_aperture_ros.calibration.planes.folder import load_folder
-    from coded_aperture_ros.optics import load_camera
 
-    config, count = checked_config(args, LearnConfig), _level_count(args)
+    config, count = checked_config(args, LearnConfig), args.level_count or DEFAULT_LEVEL_COUNT
     if args.planes is not None:
         planes = load_folder(args.planes, args.gamma)
         return learn_bank_from_planes(planes, count, config, progress=progress)
     prior = _prior(args)
     if args.camera:
-        camera = load_camera(args.camera)
         near_m, far_m = args.depth_range
         with naming(args.camera):
             return learn_bank_for_camera(
@@ -218,31 +225,23 @@ def _learned(args: argparse.Namespace) -> Any:
         return learn_bank(stack, config, prior, learned_from, mask, progress)
 
 
-def _level_count(args: argparse.Namespace) -> int:
-    from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT
-
-    return DEFAULT_LEVEL_COUNT if args.level_count is None else args.level_count
-
-
-def _remapped(args: argparse.Namespace) -> Any:
+def _remapped(args: argparse.Namespace, camera: Any) -> Any:
     from coded_aperture_ros.bank import load_bank
     from coded_aperture_ros.bank.remap import remap_bank
-    from coded_aperture_ros.optics import load_camera
 
-    camera, bank = load_camera(args.camera), load_bank(args.remap)
+    bank = load_bank(args.remap)
     near_m, far_m = args.depth_range or (None, None)
     with naming(args.remap):
         return remap_bank(bank, camera, near_m, far_m, args.level_count)
 
 
-def _tuned(args: argparse.Namespace) -> Any:
+def _tuned(args: argparse.Namespace, camera: Any) -> Any:
     """Learn the best bank for a time per frame; return it and what was tried."""
-    from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
+    from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT, LearnConfig, learn_bank_for_camera
     from coded_aperture_ros.depth.config import VIDEO_FRAMES, DepthConfig
     from coded_aperture_ros.depth.tune import tune
-    from coded_aperture_ros.optics import load_camera
 
-    camera, prior, count = load_camera(args.camera), _prior(args), _level_count(args)
+    prior, count = _prior(args), args.level_count or DEFAULT_LEVEL_COUNT
     if camera.side == "both":
         raise InputError(
             f"{args.camera}: side: both: a bank is tuned for one side only, leave out --budget-ms"
@@ -251,6 +250,7 @@ def _tuned(args: argparse.Namespace) -> Any:
     near_m, far_m = args.depth_range
 
     def learn(config: LearnConfig) -> Any:
+        config = dataclasses.replace(config, noise=args.noise)
         return learn_bank_for_camera(camera, near_m, far_m, count, config, prior=prior)
 
     shape = camera.image_height, camera.image_width

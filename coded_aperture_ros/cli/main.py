@@ -5,11 +5,13 @@ it imports in `run`: `--help` must be quick.
 """
 
 import argparse
+import errno
 import logging
 import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.extension import BENCH, VIEW
@@ -28,6 +30,8 @@ COMMANDS: dict[str, Any] = {
     "bench": BENCH,
 }
 
+# What can go wrong where the output of a command goes.
+_OF_OUTPUT = errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF
 FAILED = 1
 INTERRUPTED = 130  # what shells report for a program that Ctrl-C ended
 
@@ -39,32 +43,50 @@ def main(arguments: Sequence[str] | None = None) -> int:
     `SystemExit` with status 2, after argparse has said what is wrong.
     """
     _set_up_libraries()
+    _replace_closed_streams()
     # Before parsing, which warns of former names.
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format=f"{PROGRAM}: %(message)s")
     try:
-        parser = make_parser()
-        if "_ARGCOMPLETE" in os.environ:  # a shell asks what may come next
-            import argcomplete
-
-            # It knows the values of those options only that are there when it begins.
-            show_late_options(parser, os.environ.get("COMP_LINE", "").split())
-            argcomplete.autocomplete(parser)
-        options = parser.parse_args(arguments)
-        if warning := slow_blas_warning():
-            logging.warning(warning)
-        with sigterm_like_ctrl_c():
-            status: int = COMMANDS[options.command].run(options)
-        sys.stdout.flush()
+        try:
+            return _run(arguments)
+        finally:
+            sys.stdout.flush()
     except InputError as error:
         print(f"{PROGRAM}: error: {error}", file=sys.stderr)
         return FAILED
-    except BrokenPipeError:
-        # Whoever read our output has left. Python's own flush at exit would complain about it.
+    except OSError as error:
+        if error.filename is not None or error.errno not in _OF_OUTPUT:
+            raise
+        if not isinstance(error, BrokenPipeError):  # else whoever read our output has left
+            print(f"{PROGRAM}: error: cannot write the output: {error.strerror}", file=sys.stderr)
+        # Python's own flush at exit would complain about it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     except KeyboardInterrupt:
         return INTERRUPTED
-    return status
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    parser = make_parser()
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks what may come next
+        import argcomplete
+
+        # It knows the values of those options only that are there when it begins.
+        show_late_options(parser, os.environ.get("COMP_LINE", "").split())
+        argcomplete.autocomplete(parser)
+    options = parser.parse_args(arguments)
+    if warning := slow_blas_warning():
+        logging.warning(warning)
+    with sigterm_like_ctrl_c():
+        status: int = COMMANDS[options.command].run(options)
+        return status
+
+
+def _replace_closed_streams() -> None:
+    """Let streams that a shell has closed (`>&-`) be empty, or swallow what goes there."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def _set_up_libraries() -> None:

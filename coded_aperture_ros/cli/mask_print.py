@@ -3,10 +3,9 @@
 import argparse
 import logging
 import math
-from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.checks import check_output, inputs_of
 from coded_aperture_ros.cli.measuring import rounded, tell
 from coded_aperture_ros.cli.options import add_options, mask_of, written_name
 from coded_aperture_ros.core.errors import naming
@@ -60,8 +59,7 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.optics import load_camera
 
     _check_usage(args)
-    check_suffix(args.output, (".pdf", ".svg"))
-    check_output(args.output, [Path(name) for name in (args.camera, args.mask) if name])
+    check_output(args.output, inputs_of(args, "camera", "mask"), (".pdf", ".svg"))
     camera = args.camera and load_camera(args.camera)
     mask = camera.mask if camera else mask_of(args.mask)
     extent_mm = args.extent_mm or camera.mask_extent_mm

@@ -1,19 +1,19 @@
 """`coded_aperture mask score`: what errors to expect of a mask, before it is built."""
 
 import argparse
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.checks import check_output
+from coded_aperture_ros.cli.measuring import pictures_in, tell
 from coded_aperture_ros.cli.options import (
-    add_config_options,
     add_options,
     at_least,
     config_from,
     mask_of,
     noise_level,
+    settings_of,
     table,
 )
 from coded_aperture_ros.cli.progress import progress
@@ -63,13 +63,9 @@ def add_parser(subparsers: Any) -> None:
     add_options(parser, files)
     add_options(parser, {"--windows N": windows}, type=at_least(1))
     add_options(parser, {"--json": "print the scores as JSON"})
-    parser.add_late_options = _add_late_options
-
-
-def _add_late_options(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.mask_design import SceneConfig
-
-    add_config_options(parser, SceneConfig, "what the mask has to tell apart")
+    parser.add_late_options = settings_of(
+        {"mask_design.SceneConfig": "what the mask has to tell apart"}
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -83,8 +79,8 @@ def run(args: argparse.Namespace) -> int:
     if args.windows is not None and args.images is None:
         args.usage_error("--windows: these are windows of pictures, give --images too")
     if args.figure is not None:
-        check_suffix(args.figure, (".png",))
-        check_output(args.figure, [Path(name) for name in args.masks])
+        given = [*args.masks, *(pictures_in([args.images]) if args.images else ())]
+        check_output(args.figure, map(Path, given), [".png"])
     names = args.masks or list(MASK_NAMES)
     masks = [mask_of(name) for name in names]
     scene = config_from(args, SceneConfig)
@@ -111,11 +107,8 @@ def run(args: argparse.Namespace) -> int:
 
         shares = [each.matrix / np.sqrt(each.rank) for each in distances]
         distance_matrices(dict(zip(names, shares, strict=True)), args.figure)
-    if args.json:
-        print(json.dumps({"sigmas": args.sigmas, "masks": rows}, indent=1))
-    else:
-        print(_text(rows, args.sigmas))
-    return 0
+    scores = {"sigmas": args.sigmas, "masks": rows}
+    return tell(args, scores, lambda _: _text(rows, args.sigmas))
 
 
 def _with_pictures(

@@ -1,7 +1,6 @@
 """`coded_aperture mask search`: better masks than the published ones."""
 
 import argparse
-import json
 import logging
 import multiprocessing
 from collections.abc import Callable, Iterator
@@ -11,13 +10,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.cli.cluster import dask_client
+from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import (
-    add_config_options,
     add_jobs_option,
     add_options,
     config_from,
+    settings_of,
     table,
 )
 from coded_aperture_ros.cli.progress import progress
@@ -55,15 +55,11 @@ def add_parser(subparsers: Any) -> None:
     add_options(parser, files)
     add_jobs_option(parser)
     add_options(parser, {"--json": "print the Pareto front as JSON"})
-    parser.add_late_options = _add_late_options
-
-
-def _add_late_options(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.mask_design import SceneConfig
-    from coded_aperture_ros.mask_design.search import SearchConfig
-
-    add_config_options(parser, SearchConfig, "which masks, and how long")
-    add_config_options(parser, SceneConfig, "what the mask has to tell apart")
+    settings = {
+        "mask_design.search.SearchConfig": "which masks, and how long",
+        "mask_design.SceneConfig": "what the mask has to tell apart",
+    }
+    parser.add_late_options = settings_of(settings)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -77,12 +73,10 @@ def run(args: argparse.Namespace) -> int:
 
     config, scene = config_from(args, SearchConfig), config_from(args, SceneConfig)
     if args.output is not None:
-        check_suffix(args.output, (".png", ".npy"))
-        check_output(args.output)
+        check_output(args.output, suffixes=(".png", ".npy"))
     state = None
     if args.checkpoint is not None:
-        check_suffix(args.checkpoint, (".npz",))
-        check_output(args.checkpoint)
+        check_output(args.checkpoint, suffixes=[".npz"])
         if Path(args.checkpoint).exists():
             state = load_checkpoint(args.checkpoint, config, scene)
             logging.info("%s: going on after round %d", args.checkpoint, state.epoch)
@@ -96,8 +90,7 @@ def run(args: argparse.Namespace) -> int:
                 save_checkpoint(args.checkpoint, state, config, scene)
     if args.output is not None:
         write_image(args.output, state.best.astype(np.float32))
-    _report(args, state)
-    return 0
+    return tell(args, _summary(state), _text)
 
 
 @contextmanager
@@ -136,7 +129,7 @@ def _run(task: tuple[Any, ...]) -> Any:
     return run_epoch(*task)
 
 
-def _report(args: argparse.Namespace, state: Any) -> None:
+def _summary(state: Any) -> dict[str, Any]:
     front = state.front
     rows = [
         {
@@ -148,17 +141,17 @@ def _report(args: argparse.Namespace, state: Any) -> None:
         for grid, (depth, deblurring, closed) in zip(front.grids, front.scores, strict=True)
     ]
     best = _rows(state.best)
-    if args.json:
-        summary = {"masks_scored": state.scored, "rounds": state.epoch, "best": best}
-        print(json.dumps(summary | {"front": rows}, indent=1))
-        return
+    return {"masks_scored": state.scored, "rounds": state.epoch, "best": best, "front": rows}
+
+
+def _text(found: dict[str, Any]) -> str:
     lines = [
         [f"{row['depth_error']:.3f}", f"{row['deblurring_error']:.3f}", f"{row['light']:.2f}"]
-        for row in rows[:: max(1, len(rows) // _SHOWN)]
+        for row in found["front"][:: max(1, len(found["front"]) // _SHOWN)]
     ]
-    print("\n".join(best))
-    print(f"the best of {state.scored} masks; some that are better in one respect:")
-    print(table(["depth error", "deblurring error", "light"], lines))
+    what = f"the best of {found['masks_scored']} masks; some that are better in one respect:"
+    errors = table(["depth error", "deblurring error", "light"], lines)
+    return "\n".join([*found["best"], what, errors])
 
 
 def _rows(grid: Any) -> list[str]:

@@ -17,6 +17,8 @@ from coded_aperture_ros.cli.options import (
 )
 from coded_aperture_ros.core.errors import InputError
 
+MASK_FILE = "mask.npy"
+
 
 def above(least: float, what: str) -> Callable[[str], float]:
     """Return a parser of finite numbers of more than `least`; `what` names them in messages."""
@@ -76,12 +78,12 @@ def pictures_in(inputs: list[str]) -> list[str]:
 
 
 def write_report(output: Callable[[Path], Path], report: Path, summary: Any, mask: Any) -> None:
-    """Write a summary, and beside it the mask that was found as `mask.npy`."""
+    """Write a summary, and beside it the mask that was found, see `MASK_FILE`."""
     import numpy as np
 
     text = json.dumps(summary, indent=1, allow_nan=False)
     output(report).write_text(text + "\n", encoding="utf-8")
-    with output(report.parent / "mask.npy").open("wb") as file:
+    with output(report.parent / MASK_FILE).open("wb") as file:
         np.save(file, mask.transmission)
 
 

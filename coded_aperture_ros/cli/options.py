@@ -4,6 +4,7 @@ import argparse
 import logging
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -48,12 +49,26 @@ def show_late_options(parser: argparse.ArgumentParser, words: Sequence[str]) -> 
                 show_late_options(action.choices[word], words)
 
 
+class _Commands(argparse._SubParsersAction):
+    """Chooses a command; refuses options before its name, in place of which its own would count."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: Any = None) -> None:
+        for action in parser._actions:
+            if getattr(namespace, action.dest, action.default) != action.default:
+                parser.error(f"{action.option_strings[-1]}: goes after the word {values[0]}")
+        super().__call__(parser, namespace, values, option_string)
+
+
 def add_commands(
     parser: argparse.ArgumentParser, dest: str, commands: Iterable[Any], *, required: bool = True
 ) -> None:
     """Let a parser choose among modules, each with `add_parser(subparsers)`."""
     subparsers = parser.add_subparsers(
-        dest=dest, metavar=dest.upper(), required=required, parser_class=CommandParser
+        dest=dest,
+        metavar=dest.upper(),
+        required=required,
+        parser_class=CommandParser,
+        action=_Commands,
     )
     for command in commands:
         command.add_parser(subparsers)
@@ -74,13 +89,7 @@ class _FormerName(argparse.Action):
         )
         self._present = present
 
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option_string: str | None = None,
-    ) -> None:
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: Any = None) -> None:
         name = self._present.option_strings[-1]
         logging.warning(renamed(option_string or self.option_strings[0], name))
         self._present(parser, namespace, values, name)
@@ -103,12 +112,13 @@ def add_config_options(
     """Add an option for every setting of a configuration dataclass; return their group.
 
     A setting `confidence_threshold` becomes `--confidence-threshold`, with the dataclass's
-    help and range, and its default unless `defaults` has another one. Its former names work too;
-    see `add_deprecated_alias`.
+    help and range, and its default unless `defaults` has another one; None, where it matters
+    whether it was given. Its former names work too; see `add_deprecated_alias`.
     """
     group = parser.add_argument_group(title)
     for name, (field, described) in options_of(config).items():
         default = defaults.get(name, field.default)
+        shown = field.default if default is None else default
         allowed = f"{described.allowed}; " if described.allowed and not described.choices else ""
         present = group.add_argument(
             written_name(name),
@@ -116,11 +126,26 @@ def add_config_options(
             choices=described.choices,
             default=default,
             metavar=None if described.choices else type(field.default).__name__.upper(),
-            help=f"{described.description} ({allowed}default {default})",
+            help=f"{described.description} ({allowed}default {shown})",
         )
         for former in described.formerly:
             add_deprecated_alias(parser, written_name(former), present)
     return group
+
+
+def settings_of(configs: Mapping[str, str], **defaults: Any) -> Callable[[Any], None]:
+    """Return what adds the options of configurations to a parser, see `add_config_options`.
+
+    `configs` has the title of each by its name, such as `bank.LearnConfig`: its module is imported
+    only then.
+    """
+
+    def add(parser: argparse.ArgumentParser) -> None:
+        for config, title in configs.items():
+            module, _, name = f"coded_aperture_ros.{config}".rpartition(".")
+            add_config_options(parser, getattr(import_module(module), name), title, **defaults)
+
+    return add
 
 
 def written_name(name: str) -> str:
@@ -145,7 +170,14 @@ def _parser_of(kind: type, described: Option) -> Callable[[str], Any]:
 
 def config_from(args: argparse.Namespace, config: type) -> Any:
     """Return the configuration dataclass with the values of the command line."""
-    return config(**{name: getattr(args, name) for name in options_of(config)})
+    given = {name: getattr(args, name) for name in options_of(config)}
+    return config(**{name: value for name, value in given.items() if value is not None})
+
+
+def changed(args: argparse.Namespace, group: argparse._ArgumentGroup) -> list[str]:
+    """Return which options of a group have other values than their defaults."""
+    present = [action for action in group._group_actions if action.help != argparse.SUPPRESS]
+    return [one.option_strings[0] for one in present if getattr(args, one.dest) != one.default]
 
 
 def add_gamma_option(parser: argparse.ArgumentParser) -> None:

@@ -4,7 +4,6 @@ import argparse
 import dataclasses
 import json
 import shutil
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import add_options
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.files import temporary_folder
 
 _EPILOG = """example:
   coded_aperture sample && cd sample
@@ -45,16 +45,13 @@ def run(args: argparse.Namespace) -> int:
     if folder.exists():
         raise InputError(f"{folder} exists already: use another name")
     try:
-        folder.absolute().parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(dir=folder.absolute().parent, prefix=f".{folder.name}-"))
+        with temporary_folder(folder) as temporary:
+            new = temporary / folder.name
+            new.mkdir()
+            made = list(progress(_made(new), 3, "part"))
+            new.rename(folder)
     except OSError as error:
         raise InputError(f"cannot write {folder}: {error.strerror}") from error
-    try:
-        made = list(progress(_made(temporary), 3, "part"))
-        temporary.chmod(0o755)
-        temporary.rename(folder)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
     summary = {"folder": str(folder), "files": [name for names in made for name in names]}
     return tell(args, summary, lambda found: f"{folder}: {', '.join(found['files'])}")
 

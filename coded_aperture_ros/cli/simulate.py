@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.checks import check_output, check_suffix, inputs_of
 from coded_aperture_ros.cli.extension import BENCH
 from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import add_gamma_option, add_options, mask_of
@@ -122,7 +122,7 @@ def _random(args: argparse.Namespace, sensor: Any) -> int:
         )
     }
     for path in (output, *beside.values()):
-        check_output(path)
+        check_output(path, inputs_of(args, "mask"))
     width, height = args.size or _SIZE
     start = time.perf_counter()
     make = BENCH.module("layered", "--random").random_scene
@@ -167,26 +167,28 @@ def _given(args: argparse.Namespace, sensor: Any) -> int:
 
     from coded_aperture_ros.design.diffraction import diffraction_warning
     from coded_aperture_ros.io import read_depth, read_image, write_image
-    from coded_aperture_ros.optics import load_camera
+    from coded_aperture_ros.optics import View, load_camera
     from coded_aperture_ros.simulation import render_coded_frame
 
-    check_output(args.output, [Path(args.image), Path(args.depth)])
+    check_output(args.output, inputs_of(args, "camera", "image", "depth"))
     camera = load_camera(args.camera)
     image = read_image(args.image, args.gamma)
     depth_m = read_depth(args.depth, args.depth_scale)
-    if image.shape[:2] != (camera.image_height, camera.image_width):
+    (height, width), whole = image.shape[:2], (camera.image_width, camera.image_height)
+    if (width, height) != whole:
         logging.warning(
-            "%s has %d x %d pixels, not the %d x %d of the camera file: taken as a part of its "
+            "%s has %d x %d pixels, not the %d x %d of the camera file: taken as the middle of its "
             "image, with pixels of the same size",
-            *(args.image, image.shape[1], image.shape[0]),
-            *(camera.image_width, camera.image_height),
+            *(args.image, width, height, *whole),
         )
+        margins = (whole[0] - width) / 2, (whole[1] - height) / 2
+        camera = camera.cut(View(width, height, *whole, *margins))
     start = time.perf_counter()
     with naming(f"{args.image} with {args.depth}"):
         coded = render_coded_frame(image, depth_m, camera)
     seconds = time.perf_counter() - start
     write_image(args.output, sensor.expose(coded, np.random.default_rng(args.seed)))
-    blur = camera.blur_size_px(depth_m[np.isfinite(depth_m)])
+    blur = camera.blur_map_px(depth_m)[np.isfinite(depth_m)]
     if warning := diffraction_warning(camera, float(np.abs(blur).max())):
         logging.warning(warning)
     return _tell(args, depth_m, blur, seconds, {})

@@ -6,6 +6,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,12 @@ def read_archive(
             f"version {version}: upgrade the package, or make the file again"
         )
     return arrays
+
+
+@cache
+def read_shipped(module_file: str, name: str, schema: str, version: int) -> dict[str, NDArray[Any]]:
+    """Read an archive that lies beside a module of the package; once for all."""
+    return read_archive(Path(module_file).with_name(name), schema, version)
 
 
 def _stated_version(arrays: Mapping[str, NDArray[Any]]) -> int:

@@ -1,5 +1,7 @@
 """Short names for the arrays of which nearly everything here is made."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -7,3 +9,8 @@ FloatArray = NDArray[np.float32]
 DoubleArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.intp]
+
+
+def as_floats(values: NDArray[Any]) -> FloatArray:
+    """Return numbers as float32, row by row in memory; they are copied only where they are not."""
+    return np.ascontiguousarray(values, np.float32)

@@ -1,9 +1,10 @@
 """Writing files so that a reader never sees half of one."""
 
 import os
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from coded_aperture_ros.core.errors import InputError
@@ -46,6 +47,24 @@ def atomic_outputs() -> Iterator[Callable[[str | os.PathLike[str]], Path]]:
     """
     with ExitStack() as files:
         yield lambda path: files.enter_context(atomic_output(path))
+
+
+@contextmanager
+def temporary_folder(path: Path) -> Iterator[Path]:
+    """Yield a folder beside `path`, and remove it in the end, with parents made for it."""
+    made = [parent for parent in path.absolute().parents if not parent.exists()]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        temporary = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}-"))
+        try:
+            yield temporary
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+    finally:
+        if not path.exists():
+            for parent in made:
+                with suppress(OSError):
+                    parent.rmdir()
 
 
 def _give_usual_permissions(path: Path) -> None:

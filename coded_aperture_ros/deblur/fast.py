@@ -7,30 +7,26 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blend import Blend
 from coded_aperture_ros.deblur.config import DeblurConfig
-from coded_aperture_ros.deblur.inverse_filters import HalfBandFilters, InverseFilters
+from coded_aperture_ros.deblur.inverse_filters import (
+    COLOUR_NOISE,
+    ForOpponents,
+    HalfBandFilters,
+    InverseFilters,
+)
 from coded_aperture_ros.deblur.problem import Problem, VideoState, from_opponents
 from coded_aperture_ros.optics import PsfStack
 
-# Colour differences have less texture than brightness, but as much noise: they are deblurred as if
-# they had so many times more, and by half as many kernels.
-_COLOUR_NOISE = 2.0
 # The share of the places in a video that may have more noise than is reckoned with.
 _FEW = 0.1
 
 
-class ClosedForm:
+class ClosedForm(ForOpponents[InverseFilters]):
     """The inverse filters of a camera, for brightness and for colour differences."""
 
     def __init__(self, stack: PsfStack, rank: int, band: str, workers: Workers) -> None:
         filters = HalfBandFilters if band == "half" else InverseFilters
-        self._of_brightness = filters(stack, rank, workers)
-        self._of_colour = filters(stack, max(rank // 2, 2), workers)
+        super().__init__(filters, stack, rank, workers)
         self.reduction = filters.reduction
-
-    def prepare(self, shape: tuple[int, int]) -> None:
-        """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
-        self._of_brightness.prepare(shape)
-        self._of_colour.prepare(shape)
 
     def restore(
         self, channels: list[FloatArray], blur_size_px: FloatArray, noise: float
@@ -39,7 +35,7 @@ class ClosedForm:
         places = self._of_brightness.places(blur_size_px)
         restored = self._of_brightness.apply(channels[:1], places, noise)
         if len(channels) > 1:
-            restored += self._of_colour.apply(channels[1:], places, _COLOUR_NOISE * noise)
+            restored += self._of_colour.apply(channels[1:], places, COLOUR_NOISE * noise)
         return restored
 
 

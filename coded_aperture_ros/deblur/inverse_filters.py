@@ -1,6 +1,7 @@
 """Closed-form deblurring: every pixel filtered by the inverse of its own level's PSF."""
 
 from functools import cache, lru_cache
+from typing import Generic, TypeVar
 
 import cv2
 import numpy as np
@@ -29,6 +30,9 @@ _EXTENSION_PX = 32
 _NOISES = (0.001, 0.003, 0.01, 0.03)
 # Frequencies that `HalfBandFilters` deblur, cycles/px: all below the first, none above the second.
 _ALL_BELOW, _NONE_ABOVE = 0.17, 0.25
+# Colour differences have less texture than brightness, but as much noise: they are deblurred as if
+# they had so many times more, and by half as many kernels.
+COLOUR_NOISE = 2.0
 
 
 class InverseFilters:
@@ -199,3 +203,19 @@ def _share(frequency: NDArray[np.floating]) -> NDArray[np.floating]:
     wanted = 0.5 + 0.5 * np.cos(np.pi * np.clip(above, 0, 1))
     # OpenCV's pyramids smooth with the binomial of five, twice.
     return np.asarray(wanted / np.cos(np.pi * frequency) ** 8)
+
+
+Filters = TypeVar("Filters", bound=InverseFilters)
+
+
+class ForOpponents(Generic[Filters]):
+    """The filters of a camera for the brightness of frames, and for their colour differences."""
+
+    def __init__(self, make: type[Filters], stack: PsfStack, rank: int, workers: Workers) -> None:
+        self._of_brightness = make(stack, rank, workers)
+        self._of_colour = make(stack, max(rank // 2, 2), workers)
+
+    def prepare(self, shape: tuple[int, int]) -> None:
+        """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
+        self._of_brightness.prepare(shape)
+        self._of_colour.prepare(shape)

@@ -59,11 +59,11 @@ def points_of_depth(
 def points_of_frame(
     estimate: DepthEstimate, light: FloatArray, camera: Camera, gamma: Gamma
 ) -> FloatArray:
-    """Return `points_of_depth` of an estimate in metres, in the colours of its frame, or sharp."""
+    """Return `points_of_depth` of an estimate in metres of a whole view, in the frame's colours."""
     assert estimate.depth_m is not None and estimate.std_dev_m is not None
     rows, columns = estimate.depth_m.shape
     small = cv2.resize(light, (columns, rows), interpolation=cv2.INTER_AREA)
-    model = camera.scaled(columns / camera.image_width).intrinsics
+    model = camera.intrinsics.scaled(columns, rows)
     matrix, bent = model.camera_matrix, model.distortion_coefficients
     through = rays_of(model.distortion_model, matrix, bent, rows, columns)
     maps = estimate.depth_m, estimate.confidence, estimate.std_dev_m

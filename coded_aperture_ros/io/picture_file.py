@@ -198,7 +198,7 @@ def _read_array(path: Path) -> NDArray:
         raise InputError(f"cannot read {path}: truncated, or not a .npy array") from error
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "uif":
         raise InputError(f"cannot read {path}: expected one numeric array")
-    return array
+    return array.astype(array.dtype.newbyteorder("="), copy=False)
 
 
 def _write(path: Path, pixels: NDArray) -> None:

@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray, as_floats
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE, plausible_ratios
 
@@ -114,12 +114,12 @@ class Plan:
         own_noise = np.full_like(gains, OWN_NOISE)
         return cls(
             grid=grid,
-            horizontal=_float32(np.concatenate([cosines[:columns], sines[:columns]])),
-            vertical=_float32(np.concatenate([cosines[pairs], sines[pairs], cosines[unpaired]])),
+            horizontal=as_floats(np.concatenate([cosines[:columns], sines[:columns]])),
+            vertical=as_floats(np.concatenate([cosines[pairs], sines[pairs], cosines[unpaired]])),
             paired=paired,
-            features=_float32(features.T),
+            features=as_floats(features.T),
             used=used,
-            hypotheses=_float32(np.hstack([weights, own_noise]) * gains),
+            hypotheses=as_floats(np.hstack([weights, own_noise]) * gains),
             count=count,
             levels=int(bank.log_determinants.shape[-1]),
             ratios=bank.ratios,
@@ -170,7 +170,3 @@ def _of_products(
     negative = functions[: -paired - 1 : -1]
     parts = [positive + negative, 2 * (negative - positive), functions[unpaired]]
     return np.concatenate(parts).reshape(-1, count)
-
-
-def _float32(values: NDArray[np.floating]) -> FloatArray:
-    return np.ascontiguousarray(values, np.float32)

@@ -121,7 +121,7 @@ class Camera:
                 check_option(name, getattr(self, name), expected, described)
         if self.focal_length_mm is not None:
             check_option("focal_length_mm", self.focal_length_mm, *_NUMBERS["focal_length_mm"])
-            _check_focus_is_possible(self.focal_length_mm, self.focus_distance_m)
+            check_focus_is_possible(self.focal_length_mm, self.focus_distance_m)
             _check_f_number(self.focal_length_mm, self.mask_extent_mm)
         check_option("side", self.side, str, _SIDE)
         if not (self.diffraction is None or isinstance(self.diffraction, bool)):
@@ -152,7 +152,7 @@ class Camera:
         check_option("focal_length_mm", focal_length_mm, *_NUMBERS["focal_length_mm"])
         check_option("pixel_pitch_um", pixel_pitch_um, *_NUMBERS["pixel_pitch_um"])
         check_option("focus_distance_m", focus_distance_m, *_NUMBERS["focus_distance_m"])
-        _check_focus_is_possible(focal_length_mm, focus_distance_m)
+        check_focus_is_possible(focal_length_mm, focus_distance_m)
         distance_mm = image_distance(focal_length_mm, focus_distance_m * 1e3)
         return Camera(
             distance_mm * 1e3 / pixel_pitch_um,
@@ -324,7 +324,7 @@ class Camera:
         """
         focal_length_px = self.focal_length_px
         if self.focal_length_mm is not None:
-            _check_focus_is_possible(self.focal_length_mm, focus_distance_m)
+            check_focus_is_possible(self.focal_length_mm, focus_distance_m)
             before = image_distance(self.focal_length_mm, self.focus_distance_m * 1e3)
             focal_length_px *= image_distance(self.focal_length_mm, focus_distance_m * 1e3) / before
         return dataclasses.replace(
@@ -394,7 +394,8 @@ def _check_f_number(focal_length_mm: float, extent_mm: float) -> None:
         )
 
 
-def _check_focus_is_possible(focal_length_mm: float, focus_distance_m: float) -> None:
+def check_focus_is_possible(focal_length_mm: float, focus_distance_m: float) -> None:
+    """Refuse, by an `InputError`, to focus a lens where it has no image."""
     if focus_distance_m * 1e3 <= focal_length_mm:
         raise InputError(
             f"focus_distance_m: {focus_distance_m!r} is not beyond the focal length, "
@@ -409,6 +410,15 @@ def load_camera(path: str | os.PathLike[str]) -> Camera:
     """
     content = read_yaml(path, f"camera file {path}")
     return camera_from_mapping(content, f"camera file {path}", Path(path).parent)
+
+
+def camera_files(path: str | os.PathLike[str]) -> list[Path]:
+    """Return a camera file and the files that it names, whether they exist or not."""
+    content = read_yaml(path, f"camera file {path}")
+    entries = content if isinstance(content, Mapping) else {}
+    mask = entries.get("mask")
+    named = entries.get("camera_info"), mask.get("file") if isinstance(mask, Mapping) else None
+    return [Path(path), *(Path(path).parent / name for name in named if isinstance(name, str))]
 
 
 def camera_from_mapping(

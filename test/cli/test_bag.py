@@ -29,13 +29,14 @@ from bag_scene import (
     stamp_of,
     write_bag,
 )
-from cli_scene import call, everything, examples
+from cli_scene import call, everything, examples, wrong_usage
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import CompressionMode
 
 from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
 from coded_aperture_ros.bags.record import Record
+from coded_aperture_ros.cli.main import make_parser
 from coded_aperture_ros.io.bags import Recorded
 from coded_aperture_ros.io.bags.codec import read_picture
 from coded_aperture_ros.io.messages import MessageError, array_from_image
@@ -500,3 +501,17 @@ def test_smaller_depth_is_compared_with_the_nearest_reference(scene, tmp_path, c
         error = np.abs(depth_m[both] - true_m[both]) / true_m[both]
         corners.append([float(np.median(error)), float(error.mean())])
     assert any(found == pytest.approx(corner, rel=1e-4) for corner in corners)
+
+
+@pytest.mark.parametrize("namespace", ["bad name!", "a//b", "2nd", "a/2nd", "//", "caf\u00e9"])
+def test_a_namespace_that_ros_does_not_allow_is_refused(scene, tmp_path, capsys, namespace):
+    arguments = ("bag", tmp_path, "-o", tmp_path / "out", "--bank", scene.bank)
+    arguments += ("--camera", scene.camera, "--namespace", namespace)
+    wrong_usage(call(capsys, *arguments), "bag", f"got {namespace}", "a ROS name such as")
+    assert everything(tmp_path) == {}
+
+
+@pytest.mark.parametrize("namespace", ["", "/", "a", "/a/b_2/", "_a"])
+def test_namespaces_that_ros_allows(namespace):
+    options = ("bag", "in", "-o", "out", "--namespace", namespace)
+    assert make_parser().parse_args(options).namespace == namespace

@@ -169,6 +169,20 @@ def test_wrong_usage(capsys, monkeypatch, arguments, phrase):
     wrong_usage(call(capsys, "calibrate", "planes", *arguments), "calibrate planes", phrase)
 
 
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        (("--camera", "camera.yaml"), "--camera"),
+        (("--depth-range", 1, 2), "--depth-range"),
+        (("--json",), "--json"),
+        (("--output", "report"), "--output"),
+    ],
+)
+def test_options_before_the_action_are_not_lost(capsys, options, name):
+    result = call(capsys, "calibrate", *options, "planes", "folder", "-o", "bank.npz")
+    wrong_usage(result, "calibrate", f"{name}: goes after the word planes")
+
+
 def test_the_design_needs_no_action_word(tmp_path, capsys):
     camera = camera_file(tmp_path, focus_distance_m=1.0)
     arguments = ("--camera", camera, "--depth-range", 1.2, 3, "--json")

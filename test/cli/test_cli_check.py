@@ -1,6 +1,7 @@
 """`coded_aperture check`: a camera, a bank and frames on one page."""
 
 import json
+import shutil
 
 import cv2
 import numpy as np
@@ -71,3 +72,36 @@ def test_another_setting_is_refused(scene, tmp_path, capsys):
 def test_a_depth_range_is_needed(scene, capsys):
     result = call(capsys, "check", "--camera", scene.camera)
     wrong_usage(result, "check", "--depth-range: needed")
+
+
+def test_frames_of_one_name_are_told_apart(scene, tmp_path, capsys):
+    """Also from the findings about the camera."""
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        shutil.copy(scene.coded_npy, tmp_path / name / "frame.npy")
+    np.save(tmp_path / "b" / "frame.npy", np.load(scene.coded_npy)[::2, ::2])
+    shutil.copy(scene.coded_npy, tmp_path / "camera.npy")
+    inputs = [tmp_path / name for name in ("a/frame.npy", "b/frame.npy", "b", "camera.npy")]
+    arguments = ("check", "--camera", scene.camera, "--bank", scene.bank, *inputs)
+    result = call(capsys, *arguments, "--json")
+    assert result.status == 1
+    found = findings(result)
+    assert found["camera"]["depth resolution"] == "ok"
+    assert found["frame"]["fit"] == "ok"
+    assert found[f"{inputs[1]}, frame"] == found[f"{inputs[2]}, frame"] == {"size": "failed"}
+    assert found[f"{inputs[3]}, camera"]["fit"] == "ok"
+    assert len(found) == 5
+
+
+def test_what_cannot_be_read_is_reported_among_the_others(scene, tmp_path, capsys):
+    (tmp_path / "a.png").write_text("not a picture")
+    np.save(tmp_path / "b.npy", np.zeros((HEIGHT, WIDTH, 7), np.float32))
+    shutil.copy(scene.coded_npy, tmp_path / "c.npy")
+    arguments = ("check", "--camera", scene.camera, "--bank", scene.bank, tmp_path)
+    result = call(capsys, *arguments, "--json")
+    assert (result.status, result.err) == (1, "")
+    assert findings(result)["c"]["fit"] == "ok"
+    text = call(capsys, *arguments).out
+    assert f"[ FAIL ] frame: cannot read {tmp_path / 'a.png'}: not a" in text
+    assert "b.npy: " in text
+    assert "leave out what cannot be read" in text.partition("next:")[2]

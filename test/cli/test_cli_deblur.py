@@ -33,9 +33,11 @@ from coded_aperture_ros.bank import load_bank, save_bank
 from coded_aperture_ros.cli import progress
 from coded_aperture_ros.cli.main import main
 from coded_aperture_ros.deblur import Parallax, anaglyph, side_by_side, stereo_pair
+from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.imaging import SRGB
 from coded_aperture_ros.io import read_image
 from coded_aperture_ros.optics import PsfStack, load_camera
+from coded_aperture_ros.pipeline import FramePipeline
 from coded_aperture_ros.simulation import render_coded_frame
 
 
@@ -218,6 +220,29 @@ def test_noise_is_that_of_the_option_the_camera_the_bank_or_the_frame(
     roughness = {name: float(np.diff(frame, axis=1).std()) for name, frame in frames.items()}
     assert roughness["frame"] > roughness["option"] > roughness["camera"] > roughness["bank"]
     assert roughness["shot"] < roughness["option"]
+
+
+@pytest.mark.parametrize(
+    ("options", "changes"),
+    [
+        ((), {}),
+        (("--saturation", 0.6), {"saturation": 0.6}),
+        (("--threads", 1), {"threads": 1}),
+        (("--threads", 2, "--noise", 0.01), {"threads": 2, "noise": 0.01}),
+    ],
+)
+def test_settings_reach_the_depth_that_is_estimated(
+    scene, tmp_path, capsys, monkeypatch, options, changes
+):
+    configs, make = [], FramePipeline.__init__
+
+    def spy(self, model, camera, depth, *others):
+        configs.append(depth)
+        make(self, model, camera, depth, *others)
+
+    monkeypatch.setattr(FramePipeline, "__init__", spy)
+    assert deblur(capsys, scene, tmp_path / "sharp.png", *options).status == 0
+    assert configs == [DepthConfig(check_fit=False, **changes)]
 
 
 def test_a_folder_of_frames(scene, tmp_path, capsys):
@@ -497,6 +522,34 @@ def test_simulated_noise_has_a_seed_and_bits(scene, tmp_path, capsys):
     assert np.array_equal(frames[0], frames[1])
     assert (frames[0] - frames[2]).std() == pytest.approx(0.01 * 2**0.5, rel=0.05)
     assert frames[0] * 255 == pytest.approx(np.rint(frames[0] * 255), abs=1e-3)
+
+
+def test_simulate_tells_the_blur_of_the_whole_field(scene, tmp_path, capsys):
+    camera = camera_file(tmp_path, field_curvature=[1.2, -1.0])
+    flat = tmp_path / "flat.npy"
+    np.save(flat, np.full((HEIGHT, WIDTH), FAR_M, np.float32))
+    options = ("--json",)
+    found = simulate(capsys, scene, tmp_path / "a.npy", *options, camera=camera, depth=flat)
+    blur_size_px = load_camera(camera).blur_map_px(np.load(flat))
+    summary = json.loads(found.out)
+    assert summary["blur_size_min_px"] == pytest.approx(blur_size_px.min(), abs=1e-3)
+    assert summary["blur_size_max_px"] == pytest.approx(blur_size_px.max(), abs=1e-3)
+    assert np.ptp(blur_size_px) > 0.5
+
+
+def test_a_picture_that_is_cut_has_the_middle_of_the_field(scene, tmp_path, capsys):
+    camera = camera_file(tmp_path, field_curvature=[1.2, -1.0])
+    middle = np.s_[HEIGHT // 4 : -HEIGHT // 4, WIDTH // 4 : -WIDTH // 4]
+    np.save(tmp_path / "depth.npy", np.full((HEIGHT, WIDTH), FAR_M, np.float32))
+    np.save(tmp_path / "cut_depth.npy", np.load(tmp_path / "depth.npy")[middle])
+    np.save(tmp_path / "cut_sharp.npy", scene.sharp[middle])
+    for name, image in (("", scene.sharp_file), ("cut_", tmp_path / "cut_sharp.npy")):
+        files = {"image": image, "depth": tmp_path / f"{name}depth.npy", "camera": camera}
+        assert simulate(capsys, scene, tmp_path / f"{name}coded.npy", **files).status == 0
+    whole, cut = (np.load(tmp_path / f"{name}coded.npy") for name in ("", "cut_"))
+    inside = np.s_[16:-16, 16:-16]
+    # Layers of blur lie elsewhere, which changes hardly anything.
+    assert np.abs(cut[inside] - whole[middle][inside]).max() < 0.004
 
 
 def test_simulate_says_that_the_picture_is_not_the_camera_s(scene, tmp_path, capsys, caplog):

@@ -11,7 +11,19 @@ import cv2
 import numpy as np
 import pytest
 from bad_frames import names, write_frames
-from cli_scene import HEIGHT, WIDTH, Result, call, camera_file, everything, refused, wrong_usage
+from bag_scene import recording, write_bag
+from cli_scene import (
+    FAR_M,
+    HEIGHT,
+    NEAR_M,
+    WIDTH,
+    Result,
+    call,
+    camera_file,
+    everything,
+    refused,
+    wrong_usage,
+)
 from scipy import ndimage
 
 from coded_aperture_ros.bank import load_bank
@@ -269,6 +281,18 @@ def test_a_video(scene, tmp_path, capsys):
     assert relative_error(np.load(tmp_path / "depth" / depths[0]), scene)[0] < 0.05
 
 
+@pytest.mark.parametrize("scale", [0.5, 2])
+def test_a_video_of_resampled_frames(scene, tmp_path, capsys, scale):
+    """It has their own size, which is that of their depth."""
+    shape = round(WIDTH / scale), round(HEIGHT / scale)
+    np.save(tmp_path / "frame.npy", cv2.resize(np.load(scene.coded_npy), shape))
+    options = ("--frame-scale", scale, "--movie", tmp_path / "v.mp4", "-o", tmp_path / "d.npy")
+    result = call(capsys, "depth", "--bank", scene.bank, tmp_path / "frame.npy", *options)
+    assert (result.status, result.err) == (0, "")
+    shown, picture = cv2.VideoCapture(str(tmp_path / "v.mp4")).read()
+    assert shown and picture.shape[1] == 2 * shape[0]
+
+
 def test_as_a_process_with_nothing_but_json_on_stdout(scene, tmp_path):
     result = subprocess.run(
         [
@@ -320,6 +344,21 @@ def test_two_frames_of_one_name(scene, tmp_path, capsys):
     result = call(capsys, "depth", "--bank", scene.bank, *inputs, "-o", tmp_path / "depth/")
     refused(result, "several inputs are named coded", "use a folder for each")
     assert names(tmp_path) == ["coded.npy"]
+
+
+def test_two_videos_or_bags_of_one_name(scene, tmp_path, capsys):
+    """Their frames are numbered alike."""
+    videos = [tmp_path / name / "clip.avi" for name in "ab"]
+    bags = [write_bag(tmp_path / name / "clip", recording(scene, frames=1)) for name in "ab"]
+    for path in videos:
+        video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 10, (WIDTH, HEIGHT))
+        video.write(np.full((HEIGHT, WIDTH, 3), 90, np.uint8))
+        video.release()
+    before = everything(tmp_path)
+    for inputs in (videos, bags, (videos[0], bags[1]), (bags[0], f"bag:{bags[0]}")):
+        arguments = ("depth", "--bank", scene.bank, *inputs, "-o", tmp_path / "out")
+        refused(call(capsys, *arguments), "several inputs are named clip", "a folder for each")
+        assert everything(tmp_path) == before
 
 
 def test_inputs_are_not_overwritten(scene, tmp_path, capsys):
@@ -447,6 +486,42 @@ def test_frames_of_another_size_are_refused_or_resampled(scene, tmp_path, capsys
     wrong_usage(
         call(capsys, "depth", *arguments, "--frame-scale", 20), "depth", "expected 0.1 to 10"
     )
+
+
+@pytest.mark.parametrize("resized", [True, False], ids=["resized", "a part"])
+@pytest.mark.parametrize("command", ["depth", "deblur"])
+def test_frames_of_another_size_than_the_camera_file_s(scene, tmp_path, capsys, command, resized):
+    """The bank was learned without a camera, and cannot tell what their pixels are."""
+    frame = tmp_path / "frame.npy"
+    coded = np.load(scene.coded_npy)
+    half = cv2.resize(coded, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    np.save(frame, half if resized else coded[: HEIGHT // 2])
+    out = tmp_path / "out.npy"
+    options = ("--bank", scene.index_bank, "--camera", scene.camera, frame, "-o", out)
+    options += ("--depth", "auto") if command == "deblur" else ()
+    shape = f"{WIDTH // 2}x{HEIGHT // 2}" if resized else f"{WIDTH}x{HEIGHT // 2}"
+    wanted = f"the camera file is for {WIDTH}x{HEIGHT}", "give one of such frames"
+    result = call(capsys, command, *options)
+    refused(result, f"{frame}: frame of {shape}: ", *wanted)
+    assert ("--frame-scale 2 resample" in result.err) == resized
+    assert names(tmp_path) == ["frame.npy"]
+
+
+def test_resampled_frames_have_their_own_depths_and_points(scene, tmp_path, capsys):
+    coded = np.load(scene.coded_npy)
+    np.save(tmp_path / "frame.npy", cv2.resize(coded, None, fx=2, fy=2))
+    options = ("--bank", scene.index_bank, "--camera", scene.camera, "--frame-scale", 0.5)
+    arguments = (*options, tmp_path / "frame.npy", "-o", tmp_path / "depth.npy", "--points")
+    assert call(capsys, "depth", *arguments).status == 0
+    depth_m = np.load(tmp_path / "depth.npy")
+    assert depth_m.shape == (2 * HEIGHT, 2 * WIDTH)
+    assert np.nanmedian(depth_m[:, : WIDTH - 48]) == pytest.approx(NEAR_M, rel=0.05)
+    assert np.nanmedian(depth_m[:, WIDTH + 48 :]) == pytest.approx(FAR_M, rel=0.05)
+    _, data = (tmp_path / "depth.ply").read_bytes().split(b"end_header\n")
+    count = np.isfinite(depth_m).sum()
+    x, _, z = np.frombuffer(data, np.uint8).reshape(count, -1)[:, :12].copy().view("<f4").T
+    columns = np.broadcast_to(np.arange(2 * WIDTH), depth_m.shape)[np.isfinite(depth_m)]
+    np.testing.assert_allclose(x / z, (columns - WIDTH + 0.5) / (2 * 400), atol=1e-5)
 
 
 def test_a_camera_of_another_focus_is_refused(scene, tmp_path, capsys):
@@ -582,12 +657,29 @@ def test_a_camera_that_cannot_have_the_bank_s_blur_sizes(scene, tmp_path, capsys
         (("--regularize", "magic"), ["--regularize", "'magic' is not allowed", "graphcut"]),
         (("--gamma", "bright"), ["--gamma", "expected a number or srgb, got 'bright'"]),
         (("--gamma", 0), ["--gamma", "expected 0.1 to 10 or srgb"]),
+        (("--window-px", 64), ["--window-px: a bank has its own", "only for --method simple"]),
+        (("--level-count", 8), ["--level-count: a bank has its own"]),
+        (("--finalists", 2), ["--finalists: only with --motion"]),
+        (("--smoothness", 2), ["--smoothness: --regularize learned has none, use semiglobal"]),
+        (("--smoothness", 2, "--regularize", "none"), ["--smoothness: --regularize none has"]),
     ],
 )
 def test_wrong_usage(scene, tmp_path, capsys, options, phrases):
     arguments = ("--bank", scene.bank, scene.coded_npy, "-o", tmp_path / "depth.npy")
     wrong_usage(call(capsys, "depth", *arguments, *options), "depth", *phrases)
     assert everything(tmp_path) == {}
+
+
+def test_smoothness_counts_where_classical_regularisation_stands_in(scene, tmp_path, capsys):
+    """The levels of this bank are farther apart than those that the network was trained for."""
+    bank, maps = tmp_path / "bank.npz", []
+    sizes = ("--mask", "levin", "--blur-sizes", 4, 12, 4, "--rank", 32)
+    assert call(capsys, "learn", *sizes, "-o", bank).status == 0
+    for smoothness in (1, 30):
+        arguments = ("--bank", bank, "--as-levels", "--smoothness", smoothness, scene.coded_npy)
+        assert call(capsys, "depth", *arguments, "-o", tmp_path / "levels.npy").status == 0
+        maps.append(np.load(tmp_path / "levels.npy"))
+    assert not np.array_equal(*maps, equal_nan=True)
 
 
 def test_the_former_name_of_levels_works_and_warns(scene, tmp_path, capsys, caplog):

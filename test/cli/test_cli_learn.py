@@ -10,7 +10,7 @@ import pytest
 from cli_scene import CAMERA, call, camera_file, everything, refused, wrong_usage
 from psf_pictures import measured_file
 
-from coded_aperture_ros.bank import load_bank
+from coded_aperture_ros.bank import LearnConfig, load_bank
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 
 SMALL = ("--window-px", 16, "--rank", 8)
@@ -103,6 +103,7 @@ def test_from_measured_psfs(tmp_path, capsys, in_file, options, sizes, depths):
 
 
 CAMERA_RANGE = ("--camera", "camera.yaml", "--depth-range", 1.5, 3)
+REMAP = ("--remap", "bank.npz", "--camera", "camera.yaml")
 
 
 @pytest.mark.parametrize(
@@ -126,6 +127,10 @@ CAMERA_RANGE = ("--camera", "camera.yaml", "--depth-range", 1.5, 3)
         (("--planes", "folder", "--psfs", "a.npz"), "not allowed with"),
         (("--planes", "folder", "--depths", "1,2"), "--depths only goes with --psfs"),
         (("--planes", "folder", "--images", "other"), "--images does not go with --planes"),
+        ((*CAMERA_RANGE, "--budget-threads", 2), "--budget-threads only goes with --budget-ms"),
+        ((*CAMERA_RANGE, "--budget-ms", 50, "--rank", 32), "--rank does not go with"),
+        ((*REMAP, "--window-px", 64), "--window-px does not go with --remap"),
+        ((*REMAP, "--noise", 0.01), "--noise does not go with --remap"),
         ((*CAMERA_RANGE, "--window-px", 8), "--window-px: expected 0 or an even number from 16"),
         ((*CAMERA_RANGE, "--window-px", 33), "--window-px: expected 0 or an even number"),
         ((*CAMERA_RANGE, "--rank", 0), "--rank: 0 is out of range"),
@@ -259,6 +264,15 @@ def test_unusable_masks(tmp_path, capsys, mask):
     arguments = ("--mask", given, "--blur-sizes", 3, 9, 3, "-o", tmp_path / "bank.npz")
     refused(call(capsys, "learn", *arguments), mask)
     assert everything(tmp_path) == before
+
+
+def test_the_noise_counts_with_a_budget_too(scene, tmp_path, capsys, monkeypatch):
+    config = LearnConfig(window_px=32, rank=16)
+    monkeypatch.setattr("coded_aperture_ros.depth.tune.tune", lambda learn, *_: (learn(config), []))
+    arguments = ("--camera", scene.camera, "--depth-range", 1.5, 3, "--level-count", 4)
+    arguments += ("--budget-ms", 50, "--noise", 0.004, "-o", tmp_path / "bank.npz")
+    assert call(capsys, "learn", *arguments).status == 0
+    assert load_bank(tmp_path / "bank.npz").noise == 0.004
 
 
 def test_a_bank_that_exists_survives_a_failure(scene, tmp_path, capsys):

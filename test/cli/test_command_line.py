@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+import errno
 import os
 import platform
 import signal
@@ -171,6 +172,70 @@ def test_a_reader_that_leaves_is_not_an_error_message():
     assert process.stderr.read() == ""
     process.stderr.close()
     assert process.wait(timeout=60) == 1
+
+
+ACT = (
+    "import sys\n"
+    "from types import SimpleNamespace as N\n"
+    "from coded_aperture_ros.cli import main as program\n"
+    "def run(options):\n"
+    "    print('done' * int(sys.argv.pop()))\n"
+    "    print(sys.stdin.read(), end='')\n"
+    "    print('told', file=sys.stderr)\n"
+    "    return 0\n"
+    "add = lambda subparsers: subparsers.add_parser('act')\n"
+    "program.COMMANDS = {'act': N(add_parser=add, run=run)}\n"
+    "sys.exit(program.main(sys.argv[1:2]))\n"
+)
+
+
+def in_shell(arguments, redirected):
+    return subprocess.run(
+        ["sh", "-c", f'"$0" "$@" {redirected}', sys.executable, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+        stdin=subprocess.DEVNULL,
+    )
+
+
+@pytest.mark.parametrize(
+    ("redirected", "out", "err"),
+    [
+        (">&-", "", "told\n"),
+        ("2>&-", "done\n", ""),
+        ("<&-", "done\n", "told\n"),
+        (">&- 2>&-", "", ""),
+    ],
+)
+def test_closed_streams_take_nothing_and_have_nothing(redirected, out, err):
+    result = in_shell(("-c", ACT, "act", "1"), redirected)
+    assert (result.returncode, result.stdout, result.stderr) == (0, out, err)
+
+
+@pytest.mark.parametrize("words", [1, 100_000])
+def test_a_full_disk_behind_the_output_is_one_line(words):
+    result = in_shell(("-c", ACT, "act", str(words)), "> /dev/full")
+    assert result.returncode == 1
+    *_, last = result.stderr.splitlines()
+    assert last == "coded_aperture: error: cannot write the output: No space left on device"
+    assert "Traceback" not in result.stderr
+
+
+def test_other_faults_of_the_system_keep_their_traceback(command):
+    def run(options):
+        raise OSError(errno.ENOMEM, "no memory")
+
+    command(run)
+    with pytest.raises(OSError, match="no memory"):
+        program.main(["act"])
+
+
+def test_a_version_that_cannot_be_written_is_one_line():
+    result = in_shell(("-m", "coded_aperture_ros", "--version"), "> /dev/full")
+    assert (result.returncode, len(result.stderr.splitlines())) == (1, 1)
+    assert "No space left" in result.stderr
 
 
 def test_every_command_explains_itself():

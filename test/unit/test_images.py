@@ -57,6 +57,16 @@ def test_gamma_applies_to_8_bit_files(tmp_path, gamma, expected):
     assert read_image(tmp_path / "a.png", gamma) == pytest.approx(expected, abs=1e-4)
 
 
+@pytest.mark.parametrize("kind", [np.uint16, np.float32])
+def test_numbers_of_either_byte_order_are_read(tmp_path, kind):
+    values = np.array([[0, 1, 300], [20_000, 65_000, 258]], kind)
+    for order in "<>":
+        np.save(tmp_path / "a.npy", values.astype(values.dtype.newbyteorder(order)))
+        assert read_pixels(tmp_path / "a.npy").dtype == kind
+        np.testing.assert_array_equal(read_pixels(tmp_path / "a.npy"), values)
+        assert read_depth(tmp_path / "a.npy", 0.001)[0, 2] == np.float32(0.3)
+
+
 def test_gamma_leaves_wider_files_alone(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.full((2, 2), 32768, np.uint16))
     assert read_image(tmp_path / "a.png", "srgb") == pytest.approx(0.5, abs=1e-4)

@@ -248,7 +248,7 @@ def assert_the_package_runs_what_was_fitted(blend, monkeypatch, path):
     exported = path.with_name("blend.npz")
     run(monkeypatch, blend["blend_export"], "--state", path, "-o", exported)
     arrays = read_archive(exported, package.SCHEMA, package.SCHEMA_VERSION)
-    monkeypatch.setattr(package, "_arrays", lambda: arrays)
+    monkeypatch.setattr(package, "read_shipped", lambda *_: arrays)
 
     random = np.random.default_rng(0)
     frame = cv2.GaussianBlur(random.random((93, 122)).astype(np.float32), (0, 0), 2)

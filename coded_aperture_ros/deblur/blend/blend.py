@@ -1,12 +1,9 @@
 """From a frame and its blur sizes to the blended picture."""
 
-from functools import lru_cache
-from importlib.resources import as_file, files
-
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.archive import read_archive
+from coded_aperture_ros.core.archive import read_shipped
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import Workers
@@ -18,12 +15,11 @@ from coded_aperture_ros.deblur.blend.features import (
     out_of_cells,
 )
 from coded_aperture_ros.deblur.blend.hypotheses import HYPOTHESES, Hypotheses, sizes_of
+from coded_aperture_ros.deblur.inverse_filters import COLOUR_NOISE, ForOpponents
 from coded_aperture_ros.optics import PsfStack
 
 WEIGHTS = "blend.npz"
 SCHEMA, SCHEMA_VERSION = "coded-aperture deblurring network", 1
-# Colour differences have less texture than brightness, but as much noise.
-_COLOUR_NOISE = 2.0
 # How far colours are averaged, px, and how much they may differ: 0.1 to 0.6 dB of the colours.
 _FRINGE_PX, _SAME_COLOUR = 5, 0.06
 _PIXELS = CELL_PX**2
@@ -43,21 +39,15 @@ def untrained(stack: PsfStack) -> str:
     return f"its blur of {largest:.3g} px is above {_LARGEST_PX:g} px" * (largest > _LARGEST_PX)
 
 
-class Blend:
+class Blend(ForOpponents[Hypotheses]):
     """Weighs the hypotheses of every pixel, and adds a little; see `training/blend_network.py`.
 
     Not for several threads at once.
     """
 
     def __init__(self, stack: PsfStack, rank: int, workers: Workers) -> None:
-        self._of_brightness = Hypotheses(stack, rank, workers)
-        self._of_colour = Hypotheses(stack, max(rank // 2, 2), workers)
+        super().__init__(Hypotheses, stack, rank, workers)
         self._network = _network()
-
-    def prepare(self, shape: tuple[int, int]) -> None:
-        """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
-        self._of_brightness.prepare(shape)
-        self._of_colour.prepare(shape)
 
     def restore(
         self,
@@ -90,7 +80,7 @@ class Blend:
         weights += (1 - weights.sum(axis=0)) / HYPOTHESES
         restored = [out_of_cells(_weighed(cells, weights) + told[-1] * scale, shape)]
         for channel in channels[1:]:
-            of_colour = self._of_colour.of(channel, steps, _COLOUR_NOISE * allowed)
+            of_colour = self._of_colour.of(channel, steps, COLOUR_NOISE * allowed)
             restored.append(out_of_cells(_weighed(in_cells(of_colour), weights), shape))
         return _without_fringes(restored) if len(restored) > 1 else restored
 
@@ -108,15 +98,10 @@ def _weighed(cells: FloatArray, weights: FloatArray) -> FloatArray:
 
 def _network() -> "cv2.dnn.Net":
     try:
-        return cv2.dnn.readNetFromONNX(_arrays()["blend_onnx"])
+        arrays = read_shipped(__file__, WEIGHTS, SCHEMA, SCHEMA_VERSION)
+        return cv2.dnn.readNetFromONNX(arrays["blend_onnx"])
     except cv2.error as error:
         raise InputError(
             f"deblurring: OpenCV {cv2.__version__} cannot run the network of fast: use OpenCV 4.6 "
             "or newer"
         ) from error
-
-
-@lru_cache(maxsize=1)
-def _arrays() -> dict[str, FloatArray]:
-    with as_file(files(__package__) / WEIGHTS) as path:
-        return read_archive(path, SCHEMA, SCHEMA_VERSION)

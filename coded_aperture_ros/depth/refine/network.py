@@ -1,16 +1,13 @@
 """Runs the network that ships with the package."""
 
 import dataclasses
-from functools import lru_cache
-from importlib.resources import as_file, files
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.archive import read_archive
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
+from coded_aperture_ros.core.archive import read_shipped
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray, as_floats
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, COST_CHANNELS, KINDS, SCALARS
@@ -49,7 +46,7 @@ class Network:
     """
 
     def __init__(self, tried: BoolArray, workers: Workers | None = None) -> None:
-        arrays = _arrays()
+        arrays = read_shipped(__file__, WEIGHTS, SCHEMA, SCHEMA_VERSION)
         self._workers = workers or Workers()
         try:
             self._of_level, self._of_cells = (
@@ -68,7 +65,7 @@ class Network:
         )
         first, last = np.flatnonzero(tried)[[0, -1]]
         self._tried = slice(int(first), int(last) + 1)
-        self._trust = _contiguous(arrays["trust"])
+        self._trust = as_floats(arrays["trust"])
         self._first = _First.of(arrays, self._tried)
 
     def __call__(self, costs: FloatArray, frame: FloatArray) -> Logits:
@@ -122,7 +119,7 @@ class _First:
         sizes, of_kinds = np.arange(count)[tried], np.arange(COST_CHANNELS).reshape(-1, count)
         beside = (of_kinds[::KINDS, np.clip(sizes + step, 0, count - 1)] for step in (-1, 1))
         channels = np.concatenate([of_kinds[:, sizes], *beside]).T
-        return cls(channels, *map(_contiguous, (weights, scalars, of_size[..., None])))
+        return cls(channels, *map(as_floats, (weights, scalars, of_size[..., None])))
 
     def __call__(self, costs: FloatArray, workers: Workers) -> FloatArray:
         """Return the layer [tried, out, square rows, square columns] of `cost_features`."""
@@ -145,10 +142,6 @@ class _First:
         return found.reshape(*found.shape[:2], rows, columns)
 
 
-def _contiguous(values: NDArray[Any]) -> FloatArray:
-    return np.ascontiguousarray(values, np.float32)
-
-
 def _likeliest(logits: FloatArray) -> NDArray[np.uint8]:
     """Return which along the second axis is the largest; `argmax` takes four times as long."""
     best = logits[:, 0].copy()
@@ -158,9 +151,3 @@ def _likeliest(logits: FloatArray) -> NDArray[np.uint8]:
         np.maximum(which, better * np.uint8(index), out=which)
         np.maximum(best, logits[:, index], out=best)
     return which
-
-
-@lru_cache(maxsize=1)
-def _arrays() -> dict[str, FloatArray]:
-    with as_file(files(__package__) / WEIGHTS) as path:
-        return read_archive(path, SCHEMA, SCHEMA_VERSION)

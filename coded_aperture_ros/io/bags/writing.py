@@ -1,15 +1,14 @@
 """Bags that appear whole or not at all."""
 
 import os
-import shutil
 import sqlite3
-import tempfile
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.files import temporary_folder
 from coded_aperture_ros.io.bags.reading import check_rosbags
 from coded_aperture_ros.io.bags.recorded import METADATA, Topic
 
@@ -79,14 +78,14 @@ def _known_type(topic: Topic) -> tuple[str, str]:
 def check_bag_output(path: Path, inputs: Iterable[Path], overwrite: bool) -> None:
     """Check that a bag can be written, before anything is computed; an `InputError` if not."""
     for given in inputs:
-        if path.exists() and given.exists() and path.samefile(given):
-            raise InputError(f"{path}: this is the input, and would be overwritten: use another")
+        if path.exists() and path.resolve() in (given.resolve(), *given.resolve().parents):
+            raise InputError(f"{path}: the input {given} would be overwritten: use another name")
     if path.exists() or path.is_symlink():
         if not overwrite:
             raise InputError(f"{path} exists already: use another name, or --overwrite")
         if not (path / METADATA).is_file():
             raise InputError(f"{path} exists already and is no bag: it will not be overwritten")
-    with _writing(path), _temporary_folder(path):
+    with _writing(path), temporary_folder(path):
         pass
 
 
@@ -98,35 +97,19 @@ def bag_output(path: Path, storage: str) -> Iterator[BagWriter]:
     sqlite3. Raises `InputError` if it cannot be written; nothing is left behind then.
     """
     check_rosbags()
-    with _writing(path), _temporary_folder(path) as temporary:
+    with _writing(path), temporary_folder(path) as temporary:
         # Files of a bag are named like its folder.
         writer = BagWriter(temporary / path.name, storage)
         try:
             yield writer
             writer.close()
         except BaseException:
-            _quietly(writer.abort)
+            with suppress(OSError, sqlite3.Error):
+                writer.abort()
             raise
         if path.exists():
             path.rename(temporary / "replaced")
         writer.folder.rename(path)
-
-
-@contextmanager
-def _temporary_folder(path: Path) -> Iterator[Path]:
-    """Yield a folder beside `path`, and remove it in the end, with parents made for it."""
-    made = [parent for parent in path.absolute().parents if not parent.exists()]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        temporary = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}-"))
-        try:
-            yield temporary
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
-    finally:
-        if not path.exists():
-            for parent in made:
-                _quietly(parent.rmdir)
 
 
 @contextmanager
@@ -139,11 +122,3 @@ def _writing(path: Path) -> Iterator[None]:
         raise InputError(f"cannot write {path}: {reason}") from error
     except sqlite3.Error as error:
         raise InputError(f"cannot write {path}: {error}") from error
-
-
-def _quietly(action: Callable[[], object]) -> None:
-    """Do what may fail when something else has failed before."""
-    try:
-        action()
-    except (OSError, sqlite3.Error):
-        return

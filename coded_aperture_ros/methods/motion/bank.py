@@ -42,11 +42,6 @@ class MotionBank:
         counts = np.count_nonzero(self.defocus.fourier.multiplicity)
         return self.product.basis_vectors >= int(counts)
 
-    @property
-    def levels(self) -> int:
-        """Number L of blur levels."""
-        return self.defocus.levels
-
 
 def learn_motion_bank(
     bank: FilterBank, motions: Motions, rank: int = 128, progress: Progress = iter

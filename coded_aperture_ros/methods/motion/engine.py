@@ -40,7 +40,7 @@ class MotionEngine(NumpyEngine):
     ) -> None:
         super().__init__(Plan.of(bank.product, shape, stride_px).with_all_products(), threads)
         self._motion_bank = bank
-        self._motions, self._levels = len(bank.motions), bank.levels
+        self._motions, self._levels = len(bank.motions), bank.defocus.levels
         ratios = len(bank.product.ratios)
         # Motion by motion: [M, ratios, slopes * L, R + 1].
         hypotheses = self.plan.hypotheses.reshape(

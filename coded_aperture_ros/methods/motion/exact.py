@@ -69,7 +69,7 @@ class ExactEnergies:
 
     def of_some(self, motions: IndexArray) -> FloatArray:
         """Return the energies of some motions [k, patches] likewise, [k, L, patches]."""
-        count, levels = len(motions), self._bank.levels
+        count, levels = len(motions), self._bank.defocus.levels
         energies = np.empty((count * levels, motions.shape[1]), np.float32)
         keys = np.vstack([motions, self._texture])
 
@@ -99,7 +99,7 @@ class ExactEnergies:
         first = self._texture[0, patches] - contrasts // 2
         first = np.clip(first, self._tried.start, self._tried.stop - contrasts)
         keys = np.array([motions[rows, patches], first])
-        found = np.empty((len(patches), self._bank.levels), np.float32)
+        found = np.empty((len(patches), self._bank.defocus.levels), np.float32)
 
         def compute(members: IndexArray, thread: int) -> None:
             motion, first = keys[:, members[0]].tolist()

@@ -78,16 +78,6 @@ class NeighbourModel:
         """See `LikelihoodModel`."""
         return _FATTENING
 
-    @property
-    def blur_sizes_px(self) -> DoubleArray:
-        """Signed blur size of every level [L], px."""
-        return self.stack.blur_sizes_px
-
-    @property
-    def levels(self) -> int:
-        """Number L of levels."""
-        return len(self.stack.blur_sizes_px)
-
     def plan(
         self, shape: tuple[int, ...], stride_px: int, backend: str = "numpy", threads: int = 1
     ) -> EngineLikelihood:
@@ -138,8 +128,8 @@ class NeighbourEngine:
         gains = np.exp(model.log_determinants)[..., None]
         own = np.full_like(gains, OWN_NOISE)
         self._hypotheses = np.concatenate([model.weights, own], axis=-1) * gains
-        self._energies = np.empty((model.levels, patches), np.float32)
-        tried = len(model.contrasts) * model.weights.shape[1] * model.levels
+        self._energies = np.empty((len(model.stack), patches), np.float32)
+        tried = len(model.contrasts) * model.weights.shape[1] * len(model.stack)
         # What each thread needs for its part of a frame.
         self._columns = np.empty((threads, self._blocks[0], columns), np.float32)
         self._excess = np.empty((threads, tried * _PATCHES), np.float32)
