@@ -63,7 +63,7 @@ def health_of(bank, frame, **config):
 def test_expected_spectra_are_those_of_the_bank_s_basis():
     psf = render_psf(Mask.named("levin"), 9.3)
     basis = WindowedFourierBasis(WINDOW_PX)
-    used = frequencies().places
+    used = frequencies().used.ravel()
     exact = np.array([basis.expected_power(psf, slope)[used] for slope in SLOPES])
     found = Hypotheses.of([psf])
     share = frequencies().share

@@ -10,7 +10,7 @@ import scipy.fft
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.prior import power_spectrum
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
 
 WINDOW_PX = 48
 _HIGHEST_FREQUENCY = 0.5
@@ -26,7 +26,7 @@ _PERIOD, _REACH = 4 * WINDOW_PX, 10
 class Frequencies:
     """The K frequencies of a window that count."""
 
-    places: IndexArray  # [K]; flat indices into ``scipy.fft.rfft2``
+    used: BoolArray  # [rows, columns]; which of ``scipy.fft.rfft2``
     vertical: DoubleArray  # [K]; cycles per pixel
     horizontal: DoubleArray
     share: FloatArray  # [K]; how much of a whole spectrum each stands for; the sum is 1
@@ -54,16 +54,15 @@ def frequencies() -> Frequencies:
     horizontal = np.broadcast_to(np.fft.rfftfreq(n), used.shape)[used]
     counts = multiplicity[used]
     window = np.outer(basis.window, basis.window)
-    return Frequencies(np.flatnonzero(used), vertical, horizontal, counts / counts.sum(), window)
+    return Frequencies(used, vertical, horizontal, counts / counts.sum(), window)
 
 
 def powers(windows: FloatArray) -> FloatArray:
     """Return the power [n, K] of windows [n, N, N], without their means."""
     at = frequencies()
     centred = windows - windows.mean(axis=(1, 2), keepdims=True)
-    spectra = scipy.fft.rfft2(centred * at.window)
-    power = (spectra.real**2 + spectra.imag**2).reshape(len(windows), -1)
-    return np.asarray(np.take(power, at.places, axis=1))
+    spectra = scipy.fft.rfft2(centred * at.window)[:, at.used]
+    return np.asarray(spectra.real**2 + spectra.imag**2)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -129,7 +128,7 @@ def _expected_power(psf: FloatArray) -> DoubleArray:
         whole = np.vstack([whole[-margin:], whole, whole[:margin]])
         spread = cv2.sepFilter2D(whole, -1, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
         inner = spread[margin:-margin:4, margin : margin + _PERIOD // 2 + 1 : 4]
-        found.append(np.maximum(inner.ravel()[frequencies().places], 0))
+        found.append(np.maximum(inner[frequencies().used], 0))
     return np.array(found)
 
 
