@@ -58,7 +58,7 @@ class CameraModel:
         if info.k[0] == 0:
             return
         try:
-            info = _understood(info)
+            _check(info)
         except InputError as error:
             going_on = "the one before it holds, or else the camera file"
             self._reject("camera_info", f"camera_info: {error}; {going_on}: calibrate again")
@@ -116,16 +116,9 @@ class CameraModel:
         return self._received and view_of(self._received, width, height, camera)
 
 
-def _understood(info: CameraInfo) -> CameraInfo:
-    """Return a driver's model with a region as it is meant: a size of 0 stands for all of it.
-
-    An `InputError` names the value that no camera can have.
-    """
-    info = copy.deepcopy(info)  # other nodes may have the same message
-    info.roi.x_offset *= info.roi.width > 0
-    info.roi.y_offset *= info.roi.height > 0
+def _check(info: CameraInfo) -> None:
+    """Refuse a driver's model with a value that no camera can have, by an `InputError`."""
     checked = copy.copy(info)
     if not any(info.d):  # what the model is called and how many zeros it has tells nothing then
         checked.distortion_model, checked.d = "", []
     intrinsics_of(checked)
-    return info

@@ -51,9 +51,11 @@ def scaled_matrices(info: Any, width: int, height: int) -> tuple[list[float], li
 
 
 def _region(info: Any) -> tuple[int, int, int, int]:
-    """Return left, top, width and height of the region of interest; 0 stands for all."""
+    """Return left, top, width and height of the region of interest; a size of 0 stands for all."""
     roi = info.roi
-    return roi.x_offset, roi.y_offset, roi.width or info.width, roi.height or info.height
+    left, columns = (roi.x_offset, roi.width) if roi.width else (0, info.width)
+    top, rows = (roi.y_offset, roi.height) if roi.height else (0, info.height)
+    return left, top, columns, rows
 
 
 def _scale(pixels: int, length: int, binning: int) -> float:
