@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
+
 from coded_aperture_ros.io.messages import scaled_matrices, view_of
 from coded_aperture_ros.optics import Camera, Mask, View
 
