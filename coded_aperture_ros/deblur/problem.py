@@ -36,11 +36,12 @@ def measured_pixels(
     at_least = np.zeros(frame.shape, bool)
     if not measured.all():
         at_least = _wide(frame >= saturation)
+        recorded = np.minimum(frame[at_least], np.float32(max(saturation, 1)))  # may be infinite
         channels = zip(np.atleast_3d(frame).T, np.atleast_3d(measured).T, strict=True)
         frame = np.stack(
             [filled(np.ascontiguousarray(channel), mask) for channel, mask in channels]
         ).T.reshape(frame.shape)
-        frame[at_least] = np.maximum(frame[at_least], np.float32(saturation))
+        frame[at_least] = np.maximum(frame[at_least], recorded)
     known = measured | at_least
     if measured.ndim == 3:
         # Much faster than a reduction along so short an axis.

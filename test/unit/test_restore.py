@@ -272,6 +272,15 @@ def test_a_wide_saturated_area_stays_bright(sharp, method, occlusion, colour):
     assert np.quantile(sky.reshape(-1, 3)[:, 0] if colour else sky, 0.02) > 0.95
 
 
+@pytest.mark.parametrize("saturation", [0.5, 0.995])
+@pytest.mark.parametrize("method", METHODS)
+def test_a_saturated_frame_is_as_bright_as_it_was_recorded(method, saturation):
+    white = np.ones((80, 90), np.float32)
+    blur = np.full(white.shape, 6.0, np.float32)
+    restored = deblurrer(method=method, noise=NOISE, saturation=saturation).deblur(white, blur)
+    assert restored == pytest.approx(white, abs=0.01)
+
+
 def test_opponents_are_orthonormal():
     image = np.random.default_rng(6).random((5, 6, 3)).astype(np.float32)
     channels = opponents(image)
