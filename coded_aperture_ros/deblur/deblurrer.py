@@ -145,7 +145,7 @@ class Deblurrer:
         problem = Problem(*data, self._progress)
         sharp = self._method.restore(problem, self._video)
         if not (measured | shines).all():
-            as_recorded = recorded >= self.config.saturation
+            as_recorded = np.isfinite(recorded) & (recorded >= self.config.saturation)
             as_recorded[shines] = False
             sharp = np.where(as_recorded, recorded, sharp)
         return np.clip(sharp, 0, 1)

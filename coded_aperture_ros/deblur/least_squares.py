@@ -41,6 +41,8 @@ _OF_ONE_SET = 0.01
 # Residual, in units of the noise, from which a pixel's depth is taken for wrong, and how far around
 # a pixel it is looked at, px.
 _MISFIT, _MISFIT_REACH_PX = 2.5, 1.2
+# Of a frame none of whose pixels counts, so that nothing is divided by 0.
+_LEAST_WEIGHT = 1e-3
 # How strongly a scene is held near what is expected where its pixels are not explained, relative
 # to a pixel that is not blurred; and how far around them, px.
 _HELD, _HELD_PX = np.float32(0.003), 9
@@ -120,7 +122,11 @@ def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
                 right_side,
                 scenes[channel],
                 preconditioner(
-                    fit, ranges, float(trusted.mean()), strength * penalty, strength * of_hidden
+                    fit,
+                    ranges,
+                    max(float(trusted.mean()), _LEAST_WEIGHT),
+                    strength * penalty,
+                    strength * of_hidden,
                 ),
                 config.tolerance * _OF_ONE_SET,
                 min(between, iterations - done),

@@ -35,8 +35,8 @@ def measured_pixels(
     measured = (frame > _DARKEST) & (frame < saturation)
     at_least = np.zeros(frame.shape, bool)
     if not measured.all():
-        at_least = _wide(frame >= saturation)
-        recorded = np.minimum(frame[at_least], np.float32(max(saturation, 1)))  # may be infinite
+        at_least = _wide((frame >= saturation) & np.isfinite(frame))
+        recorded = frame[at_least]
         channels = zip(np.atleast_3d(frame).T, np.atleast_3d(measured).T, strict=True)
         frame = np.stack(
             [filled(np.ascontiguousarray(channel), mask) for channel, mask in channels]

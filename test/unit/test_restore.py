@@ -272,6 +272,15 @@ def test_a_wide_saturated_area_stays_bright(sharp, method, occlusion, colour):
     assert np.quantile(sky.reshape(-1, 3)[:, 0] if colour else sky, 0.02) > 0.95
 
 
+@pytest.mark.parametrize("nothing", [np.nan, np.inf])
+@pytest.mark.parametrize("method", METHODS)
+def test_what_is_not_finite_is_no_light(sharp, method, nothing):
+    coded, blur = blurred(sharp, 6.0), np.full(sharp.shape, 6.0, np.float32)
+    coded[40:60, 50:70] = nothing
+    restored = deblurrer(method=method, noise=NOISE).deblur(coded, blur)
+    assert restored[45:55, 55:65].mean() < sharp[40:60, 50:70].mean() + 0.15
+
+
 @pytest.mark.parametrize("saturation", [0.5, 0.995])
 @pytest.mark.parametrize("method", METHODS)
 def test_a_saturated_frame_is_as_bright_as_it_was_recorded(method, saturation):
