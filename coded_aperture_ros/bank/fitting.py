@@ -11,10 +11,12 @@ from coded_aperture_ros.optics import Camera
 _SAME_VIEW_PX = 1.0
 
 
-def check_frame_size(known: FilterBank | Camera, width: int, height: int) -> None:
+def check_frame_size(
+    known: FilterBank | Camera, width: int, height: int, can_resample: bool = True
+) -> None:
     """Refuse frames of another size than that of a bank, where it knows that, or a camera file.
 
-    An `InputError` says which size it is for, and what to do.
+    An `InputError` says which size it is for, and what to do; not to resample frames that may not.
     """
     own_width, own_height = known.image_width, known.image_height
     if not (own_width and own_height) or (width, height) == (own_width, own_height):
@@ -25,7 +27,7 @@ def check_frame_size(known: FilterBank | Camera, width: int, height: int) -> Non
             return  # which is what will be said of it
         what = "bank"
         remedy = f"learn a bank for {width}x{height} (sizes of the image in the camera file)"
-    if abs(own_height * width / own_width - height) <= _SAME_VIEW_PX:
+    if can_resample and abs(own_height * width / own_width - height) <= _SAME_VIEW_PX:
         remedy += f", or let depth --frame-scale {own_width / width:.6g} resample the same view"
     raise InputError(
         f"frame of {width}x{height}: the {what} is for {own_width}x{own_height}, and the same blur "

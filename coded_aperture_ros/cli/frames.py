@@ -57,9 +57,12 @@ def suitable(frame: NamedFrame, bank: Any, camera: Any, scale: float = 1.0) -> N
     size = frame.image.shape[:2]
     if scale != 1:
         frame = dataclasses.replace(frame, image=resampled(frame.image, scale), size=size)
-    for known in (bank, camera):
-        if known is not None:
-            check_frame_size(known, frame.image.shape[1], frame.image.shape[0])
+    height, width = frame.image.shape[:2]
+    if bank is not None:
+        check_frame_size(bank, width, height)
+    if camera is not None:
+        # Frames that have the bank's size already must keep it.
+        check_frame_size(camera, width, height, not getattr(bank, "image_width", 0))
     return frame
 
 

@@ -1,6 +1,6 @@
 """Which camera a frame was taken with: the camera file, or what the driver says."""
 
-import copy
+import math
 from collections.abc import Callable
 
 from sensor_msgs.msg import CameraInfo
@@ -9,13 +9,10 @@ from std_msgs.msg import Header
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.messages import MessageError, view_of
 from coded_aperture_ros.optics import Camera, View, load_camera
-from coded_aperture_ros.ros.messages import (
-    camera_info_from_camera,
-    intrinsics_of,
-    scaled_camera_info,
-    stamp_ns,
-)
+from coded_aperture_ros.ros.messages import camera_info_from_camera, scaled_camera_info, stamp_ns
 
+# So many coefficients does a model of distortion have that OpenCV undoes.
+_COEFFICIENTS = (4, 5, 8, 12, 14)
 # A frame may wait for its depth for so many others.
 _KEPT = 200
 
@@ -61,7 +58,7 @@ class CameraModel:
             _check(info)
         except InputError as error:
             going_on = "the one before it holds, or else the camera file"
-            self._reject("camera_info", f"camera_info: {error}; {going_on}: calibrate again")
+            self._reject("camera_info", f"camera_info: {error}; {going_on}")
             return
         self._received, by_stamp = info, self._by_stamp
         if stamp := stamp_ns(info.header):
@@ -117,8 +114,15 @@ class CameraModel:
 
 
 def _check(info: CameraInfo) -> None:
-    """Refuse a driver's model with a value that no camera can have, by an `InputError`."""
-    checked = copy.copy(info)
-    if not any(info.d):  # what the model is called and how many zeros it has tells nothing then
-        checked.distortion_model, checked.d = "", []
-    intrinsics_of(checked)
+    """Refuse a driver's model with a value that no camera can have, by an `InputError`.
+
+    Its distortion may have any name: OpenCV goes by the number of coefficients, and the region and
+    the binning hold whatever it is.
+    """
+    if not (info.width and info.height):
+        raise InputError("width or height is 0: the driver has to say the size of its pictures")
+    if not all(map(math.isfinite, (*info.k, *info.d))) or min(info.k[0], info.k[4]) <= 0:
+        raise InputError("expected finite K and D, with focal lengths above 0: calibrate again")
+    counts = (4,) if info.distortion_model == "equidistant" else _COEFFICIENTS
+    if any(info.d) and len(info.d) not in counts:
+        raise InputError(f"D has {len(info.d)} coefficients, as no lens model has: calibrate again")

@@ -109,12 +109,18 @@ def test_the_driver_sends_camera_info_before_its_frame(ros, camera_file):
 
 NAN = float("nan")
 BROKEN = {
-    "coefficients": ({"d": [0.1] * 3}, "plumb_bob has 4 or 5 finite numbers, got 3"),
-    "nan in D": ({"d": [0.1, NAN, 0.0, 0.0, 0.0]}, "plumb_bob has 4 or 5 finite numbers"),
-    "nan in K": ({"k": [400.0, 0.0, NAN, 0.0, 400.0, 47.5, 0.0, 0.0, 1.0]}, "9 finite numbers"),
-    "nan focal length": ({"k": [NAN, 0.0, 63.5, 0.0, 400.0, 47.5, 0.0, 0.0, 1.0]}, "9 finite"),
-    "negative": ({"k": [-400.0, 0.0, 63.5, 0.0, 400.0, 47.5, 0.0, 0.0, 1.0]}, "more than 0 px"),
-    "size": ({"width": 0}, "image_width: expected a whole number of pixels, got 0"),
+    "coefficients": ({"d": [0.1] * 3}, "D has 3 coefficients"),
+    "nan in D": ({"d": [0.1, NAN, 0.0, 0.0, 0.0]}, "finite K and D"),
+    "nan in K": ({"k": [400.0, 0.0, NAN, 0.0, 400.0, 47.5, 0.0, 0.0, 1.0]}, "finite K and D"),
+    "nan focal length": (
+        {"k": [NAN, 0.0, 63.5, 0.0, 400.0, 47.5, 0.0, 0.0, 1.0]},
+        "finite K and D",
+    ),
+    "negative": (
+        {"k": [-400.0, 0.0, 63.5, 0.0, 400.0, 47.5, 0.0, 0.0, 1.0]},
+        "focal lengths above 0",
+    ),
+    "size": ({"width": 0}, "width or height is 0"),
 }
 
 
@@ -150,6 +156,14 @@ def test_a_region_without_a_size_is_all_of_the_view(ros, model, coded, roi):
     whole = {"width": WIDTH + x} if width else {}
     chain = Chain(ros, model)
     publish(chain, told(410.0, roi=region, **whole))
+    assert focal_length(chain, mono8(coded)) == 410.0
+    assert chain.rejected == {}
+
+
+@pytest.mark.parametrize(("model_name", "count"), [("radtan", 4), ("plumb_bob", 8), ("", 5)])
+def test_distortion_may_have_any_name_that_opencv_can_undo(ros, model, coded, model_name, count):
+    chain = Chain(ros, model)
+    publish(chain, told(410.0, distortion_model=model_name, d=[0.01] + [0.0] * (count - 1)))
     assert focal_length(chain, mono8(coded)) == 410.0
     assert chain.rejected == {}
 
