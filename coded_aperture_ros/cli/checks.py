@@ -3,7 +3,7 @@
 import argparse
 import os
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
 from coded_aperture_ros.core.errors import InputError
@@ -32,12 +32,27 @@ def check_output(
     An `InputError` says why it cannot, and what to do instead; where it is one of the existing
     files `inputs`, that it must not be overwritten. `suffixes` are those of `check_suffix`, if any.
     """
-    path = Path(path)
     if suffixes:
         check_suffix(path, suffixes)
+    check_outputs([Path(path)], inputs)
+
+
+def check_outputs(paths: Iterable[Path], inputs: Iterable[Path]) -> None:
+    """Check likewise that files can be written, and that none of them is one of the inputs."""
+    taken = {(status.st_dev, status.st_ino) for status in map(_status, inputs) if status}
+    for path in paths:
+        _check_writable(path, taken)
+
+
+def _status(path: Path) -> os.stat_result | None:
+    return path.stat() if path.exists() else None
+
+
+def _check_writable(path: Path, taken: Collection[tuple[int, int]]) -> None:
     if path.is_dir():
         raise InputError(f"cannot write {path}: it is a folder")
-    if path.exists() and any(path.samefile(other) for other in inputs if other.exists()):
+    status = _status(path)
+    if status and (status.st_dev, status.st_ino) in taken:
         raise InputError(
             f"{path}: this is an input, and would be overwritten: use another name or folder"
         )

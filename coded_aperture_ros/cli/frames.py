@@ -10,7 +10,7 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, inputs_of
+from coded_aperture_ros.cli.checks import check_outputs, inputs_of
 from coded_aperture_ros.cli.options import add_bits_option, add_mosaic_option
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError, naming
@@ -62,7 +62,7 @@ def suitable(frame: NamedFrame, bank: Any, camera: Any, scale: float = 1.0) -> N
         check_frame_size(bank, width, height)
     if camera is not None:
         # Frames that have the bank's size already must keep it.
-        check_frame_size(camera, width, height, not getattr(bank, "image_width", 0))
+        check_frame_size(camera, width, height, bank is None or not bank.image_width)
     return frame
 
 
@@ -136,14 +136,10 @@ def named_frames(
         files = [file for source in sources for file in source.files]
         files += inputs_of(args, "bank", "camera", "depth", "motion")
 
-        def checked(name: str) -> Path:
-            target = output if to_file else output / f"{name}{suffix}"
-            for path in outputs(target):
-                check_output(path, files)
-            return target
+        def target_of(name: str) -> Path:
+            return output if to_file else output / f"{name}{suffix}"
 
-        for name in names:
-            checked(name)
+        check_outputs([path for name in names for path in outputs(target_of(name))], files)
 
         def frames() -> Iterator[tuple[str, Any, int]]:
             video, alone = 0, False
@@ -157,7 +153,9 @@ def named_frames(
                     logging.warning(f"{given}: read up to the damage: {source.damage}")
 
         for given, capture, video in progress(frames(), total, "frame"):
-            target = checked(capture.name)
+            target = target_of(capture.name)
+            if capture.name not in names:
+                check_outputs(outputs(target), files)
             mosaic = capture.mosaic or args.bayer
             how = capture.frame, args.gamma, args.bits, mosaic
             with naming(given):
