@@ -3,7 +3,7 @@
 import argparse
 import os
 import tempfile
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from coded_aperture_ros.core.errors import InputError
@@ -39,28 +39,24 @@ def check_output(
 
 def check_outputs(paths: Iterable[Path], inputs: Iterable[Path]) -> None:
     """Check likewise that files can be written, and that none of them is one of the inputs."""
-    taken = {(status.st_dev, status.st_ino) for status in map(_status, inputs) if status}
+    taken = {*map(_identity, inputs)} - {None}
     for path in paths:
-        _check_writable(path, taken)
+        if path.is_dir():
+            raise InputError(f"cannot write {path}: it is a folder")
+        if _identity(path) in taken:
+            raise InputError(
+                f"{path}: this is an input, and would be overwritten: use another name or folder"
+            )
+        folder = next(each for each in path.parents if each.exists() or each == each.parent)
+        if not folder.is_dir():
+            raise InputError(f"cannot write {path}: {folder} is not a folder")
+        try:
+            # Permissions alone do not tell: a file system may be read-only.
+            tempfile.TemporaryFile(dir=folder).close()
+        except OSError as error:
+            raise InputError(f"cannot write {path}: {folder}: {error.strerror or error}") from error
 
 
-def _status(path: Path) -> os.stat_result | None:
-    return path.stat() if path.exists() else None
-
-
-def _check_writable(path: Path, taken: Collection[tuple[int, int]]) -> None:
-    if path.is_dir():
-        raise InputError(f"cannot write {path}: it is a folder")
-    status = _status(path)
-    if status and (status.st_dev, status.st_ino) in taken:
-        raise InputError(
-            f"{path}: this is an input, and would be overwritten: use another name or folder"
-        )
-    folder = next(parent for parent in path.parents if parent.exists() or parent == parent.parent)
-    if not folder.is_dir():
-        raise InputError(f"cannot write {path}: {folder} is not a folder")
-    try:
-        # Permissions alone do not tell: a file system may be read-only.
-        tempfile.TemporaryFile(dir=folder).close()
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {folder}: {error.strerror or error}") from error
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Return what a file is told from others by, whatever they are called, if it exists."""
+    return (path.stat().st_dev, path.stat().st_ino) if path.exists() else None
