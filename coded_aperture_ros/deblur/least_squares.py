@@ -105,6 +105,7 @@ def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
             elif found > _DISCREPANCY * noise and done >= iterations // 2:
                 unexplained = max(least, _LESS * unexplained)
         held = operator.around(cv2.blur(held_by * (1 - trusted), (_HELD_PX, _HELD_PX)))
+        usual = max(float(trusted.mean()), _LEAST_WEIGHT)
         sparse = SparsePrior(scenes, operator.hidden)
         penalty = sparse.power(operator.scene_shape)
         of_hidden = sparse.of_hidden() if operator.hidden is not None else 1.0
@@ -121,13 +122,7 @@ def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
                 _system(operator, trusted, prior),
                 right_side,
                 scenes[channel],
-                preconditioner(
-                    fit,
-                    ranges,
-                    max(float(trusted.mean()), _LEAST_WEIGHT),
-                    strength * penalty,
-                    strength * of_hidden,
-                ),
+                preconditioner(fit, ranges, usual, strength * penalty, strength * of_hidden),
                 config.tolerance * _OF_ONE_SET,
                 min(between, iterations - done),
                 steps,

@@ -33,15 +33,16 @@ def measured_pixels(
     """
     # A NaN makes both comparisons false.
     measured = (frame > _DARKEST) & (frame < saturation)
-    at_least = np.zeros(frame.shape, bool)
-    if not measured.all():
-        at_least = _wide((frame >= saturation) & np.isfinite(frame))
-        recorded = frame[at_least]
-        channels = zip(np.atleast_3d(frame).T, np.atleast_3d(measured).T, strict=True)
-        frame = np.stack(
-            [filled(np.ascontiguousarray(channel), mask) for channel, mask in channels]
-        ).T.reshape(frame.shape)
-        frame[at_least] = np.maximum(frame[at_least], recorded)
+    if measured.all():
+        whole = np.ones(frame.shape[:2], bool)
+        return np.ascontiguousarray(frame, np.float32), whole, ~whole
+    at_least = _wide((frame >= saturation) & np.isfinite(frame))
+    recorded = frame[at_least]
+    channels = zip(np.atleast_3d(frame).T, np.atleast_3d(measured).T, strict=True)
+    frame = np.stack(
+        [filled(np.ascontiguousarray(channel), mask) for channel, mask in channels]
+    ).T.reshape(frame.shape)
+    frame[at_least] = np.maximum(frame[at_least], recorded)
     known = measured | at_least
     if measured.ndim == 3:
         # Much faster than a reduction along so short an axis.
