@@ -6,9 +6,7 @@ Another size, focus or focal length leave no trace in a picture: only what the b
 from coded_aperture_ros.bank.model import FilterBank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera
-
-# Sizes whose proportions differ by less than this many pixels are of the same view.
-_SAME_VIEW_PX = 1.0
+from coded_aperture_ros.optics.view import is_same_view
 
 
 def check_frame_size(
@@ -27,7 +25,7 @@ def check_frame_size(
             return  # which is what will be said of it
         what = "bank"
         remedy = f"learn a bank for {width}x{height} (sizes of the image in the camera file)"
-    if can_resample and abs(own_height * width / own_width - height) <= _SAME_VIEW_PX:
+    if can_resample and is_same_view((own_width, own_height), width, height):
         remedy += f", or let depth --frame-scale {own_width / width:.6g} resample the same view"
     raise InputError(
         f"frame of {width}x{height}: the {what} is for {own_width}x{own_height}, and the same blur "

@@ -11,7 +11,6 @@ from coded_aperture_ros.depth.estimate import DepthEstimate
 from coded_aperture_ros.imaging import Gamma
 from coded_aperture_ros.io.messages import pixels_from_frame
 from coded_aperture_ros.optics import Camera
-from coded_aperture_ros.optics.intrinsics import rays as rays_of
 
 _SPARSE = 2
 
@@ -63,9 +62,7 @@ def points_of_frame(
     assert estimate.depth_m is not None and estimate.std_dev_m is not None
     rows, columns = estimate.depth_m.shape
     small = cv2.resize(light, (columns, rows), interpolation=cv2.INTER_AREA)
-    model = camera.intrinsics.scaled(columns, rows)
-    matrix, bent = model.camera_matrix, model.distortion_coefficients
-    through = rays_of(model.distortion_model, matrix, bent, rows, columns)
+    through = camera.intrinsics.rays(rows, columns)
     maps = estimate.depth_m, estimate.confidence, estimate.std_dev_m
     return points_of_depth(*maps, pixels_from_frame(small, "rgb8", gamma), through)
 

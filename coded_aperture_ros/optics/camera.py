@@ -19,7 +19,7 @@ from coded_aperture_ros.optics.diffraction import scattering_px
 from coded_aperture_ros.optics.field import FieldCurvature
 from coded_aperture_ros.optics.intrinsics import Intrinsics, load_intrinsics, read_yaml
 from coded_aperture_ros.optics.mask import Mask
-from coded_aperture_ros.optics.view import View
+from coded_aperture_ros.optics.view import View, is_same_view
 
 # Every number of a camera file, with the values that a camera can have.
 _NUMBERS: dict[str, tuple[type, Option]] = {
@@ -347,13 +347,12 @@ class Camera:
         """
         if (width, height) == (self.image_width, self.image_height):
             return self
-        factor = width / self.image_width
-        if abs(self.image_height * factor - height) > 1.0:
+        if not is_same_view((self.image_width, self.image_height), width, height):
             raise InputError(
                 f"the frame is {width}x{height}, which is not the camera file's "
                 f"{self.image_width}x{self.image_height} resized"
             )
-        return self._resized(factor, width, height)
+        return self._resized(width / self.image_width, width, height)
 
     def cut(self, view: View) -> "Camera":
         """Return the camera of frames that are a part of its view: depth and blur are the same."""

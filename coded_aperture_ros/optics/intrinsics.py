@@ -106,6 +106,12 @@ class Intrinsics:
         matrix = (f, 0.0, cx, 0.0, f, cy, 0.0, 0.0, 1.0)
         return cls(image_width, image_height, matrix, camera_name=name)
 
+    def rays(self, rows: int, columns: int) -> FloatArray:
+        """Return `rays` through the pixels of the same view in a picture of this size."""
+        model = self.scaled(columns, rows)
+        distorted = model.distortion_model, model.camera_matrix, model.distortion_coefficients
+        return rays(*distorted, rows, columns)
+
     def scaled(self, width: int, height: int) -> "Intrinsics":
         """Return the model of the same view resized; distortion acts on normalised coordinates."""
         x, y = width / self.image_width, height / self.image_height

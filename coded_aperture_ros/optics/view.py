@@ -3,6 +3,11 @@
 import dataclasses
 
 
+def is_same_view(own: tuple[int, int], width: int, height: int) -> bool:
+    """Return whether a picture is one of `own` size (width, height) resized, to a pixel."""
+    return abs(own[1] * width / own[0] - height) <= 1.0
+
+
 @dataclasses.dataclass(frozen=True)
 class View:
     """A frame's place in the whole view, px of the frame: a region has the blur of the whole.

@@ -7,13 +7,14 @@ from typing import Any
 from urllib.parse import unquote
 
 from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.share import share_directory
 from coded_aperture_ros.io.messages import MessageError
 from coded_aperture_ros.optics import Intrinsics, load_intrinsics
-from coded_aperture_ros.ros.messages import intrinsics_of
+from coded_aperture_ros.optics.view import is_same_view
 
 DEFAULT_URL = "file://${ROS_HOME}/camera_info/${NAME}.yaml"
 _VARIABLE = re.compile(r"\$\{([^}]*)\}")
@@ -106,8 +107,25 @@ class CameraInfoStore:
         return response
 
 
+def intrinsics_of(info: CameraInfo, camera_name: str) -> Intrinsics:
+    """Return the model of a message.
+
+    Raises `InputError`, naming the value that no camera can have.
+    """
+    return Intrinsics(
+        image_width=int(info.width),
+        image_height=int(info.height),
+        camera_matrix=tuple(map(float, info.k)),
+        distortion_coefficients=tuple(map(float, info.d)),
+        distortion_model=info.distortion_model or "plumb_bob",
+        rectification_matrix=tuple(map(float, info.r)),
+        projection_matrix=tuple(map(float, info.p)) if info.p[0] else (),
+        camera_name=camera_name,
+    )
+
+
 def _fitted(model: Intrinsics, width: int, height: int) -> Intrinsics:
-    if abs(model.image_height * width / model.image_width - height) > 1.0:
+    if not is_same_view((model.image_width, model.image_height), width, height):
         raise MessageError(
             "size",
             f"the calibration is for {model.image_width}x{model.image_height}, which does not have "

@@ -99,23 +99,6 @@ def camera_info_from_intrinsics(model: Intrinsics, header: Header) -> CameraInfo
     return info
 
 
-def intrinsics_of(info: CameraInfo, camera_name: str = "camera") -> Intrinsics:
-    """Return the model of a message.
-
-    Raises `InputError`, naming the value that no camera can have.
-    """
-    return Intrinsics(
-        image_width=int(info.width),
-        image_height=int(info.height),
-        camera_matrix=tuple(map(float, info.k)),
-        distortion_coefficients=tuple(map(float, info.d)),
-        distortion_model=info.distortion_model or "plumb_bob",
-        rectification_matrix=tuple(map(float, info.r)),
-        projection_matrix=tuple(map(float, info.p)) if info.p[0] else (),
-        camera_name=camera_name,
-    )
-
-
 def scaled_camera_info(info: CameraInfo, width: int, height: int, header: Header) -> CameraInfo:
     """Return the camera model of its region resized to `width` x `height`.
 

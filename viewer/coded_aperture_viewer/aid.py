@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.depth import DepthEstimate
 from coded_aperture_ros.optics import Camera
-from coded_aperture_ros.optics.intrinsics import rays as rays_of
 
 _CLIPPED = 0.995
 # A wall is fitted to about so many pixels.
@@ -73,9 +72,7 @@ def wall_of(depth_m: FloatArray, camera: Camera) -> Wall | None:
     In front of a pinhole the inverse depth of a plane is linear in the coordinates of the rays.
     """
     rows, columns = depth_m.shape
-    model = camera.scaled(columns / camera.image_width).intrinsics
-    matrix, bent = model.camera_matrix, model.distortion_coefficients
-    rays = rays_of(model.distortion_model, matrix, bent, rows, columns)
+    rays = camera.intrinsics.rays(rows, columns)
     step = max(1, round((rows * columns / _FITTED) ** 0.5))
     some = depth_m[::step, ::step]
     known = np.isfinite(some)

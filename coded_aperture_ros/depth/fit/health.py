@@ -3,11 +3,10 @@
 import dataclasses
 from collections.abc import Iterator
 from functools import cache, cached_property, lru_cache, partial
-from pathlib import Path
 
 import numpy as np
 
-from coded_aperture_ros.core.archive import read_archive
+from coded_aperture_ros.core.archive import read_shipped
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.fit.evidence import Evidence, Witness
@@ -105,7 +104,7 @@ class _Weights:
 
 @lru_cache(maxsize=1)
 def _weights() -> _Weights:
-    arrays = read_archive(Path(__file__).with_name("fit.npz"), SCHEMA, SCHEMA_VERSION)
+    arrays = read_shipped(__file__, "fit.npz", SCHEMA, SCHEMA_VERSION)
 
     def of(name: str) -> FloatArray:
         return arrays[name].astype(np.float32)
