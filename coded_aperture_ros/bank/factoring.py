@@ -44,8 +44,7 @@ def fitted_coefficients(
 ) -> DoubleArray:
     """Return the coefficients [rank, M] of filters [M, K] in a basis, for spectra like `scale`."""
     scaled = basis * scale[:, None]
-    solution: DoubleArray = scipy.linalg.lstsq(scaled, (filters * scale).T, cond=1e-9)[0]
-    return solution
+    return scipy.linalg.lstsq(scaled, (filters * scale).T, cond=1e-9)[0]
 
 
 def _leading_vectors(matrix: DoubleArray, rank: int) -> DoubleArray:

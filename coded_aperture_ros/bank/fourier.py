@@ -68,13 +68,11 @@ class WindowedFourierBasis:
         vertical, horizontal = self._cycles
         once = (horizontal == 0) | (horizontal == self.window_px // 2)
         counts = np.maximum(vertical, horizontal) > 1
-        repetitions: IndexArray = (np.where(once, 1, 2) * counts).ravel()
-        return repetitions
+        return (np.where(once, 1, 2) * counts).ravel()
 
     @property
     def _frequency(self) -> DoubleArray:
-        frequency: DoubleArray = np.hypot(*self._cycles).ravel() / self.window_px
-        return frequency
+        return np.hypot(*self._cycles).ravel() / self.window_px
 
     @property
     def _cycles(self) -> tuple[DoubleArray, DoubleArray]:

@@ -72,8 +72,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command, or one of its actions; return its exit status."""
     if args.action is not None:
-        status: int = ACTIONS[args.action].run(args)
-        return status
+        return ACTIONS[args.action].run(args)
     return _design(args)
 
 

@@ -32,8 +32,7 @@ class Extension:
 
     def run(self, args: argparse.Namespace) -> int:
         """Run the sub-command; return its exit status."""
-        status: int = self.module("__main__", self.command).main(args.arguments)
-        return status
+        return self.module("__main__", self.command).main(args.arguments)
 
     def module(self, name: str, what: str) -> Any:
         """Return a module of the package; an `InputError` says that `what` needs it."""

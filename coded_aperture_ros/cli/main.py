@@ -78,8 +78,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     if warning := slow_blas_warning():
         logging.warning(warning)
     with sigterm_like_ctrl_c():
-        status: int = COMMANDS[options.command].run(options)
-        return status
+        return COMMANDS[options.command].run(options)
 
 
 def _replace_closed_streams() -> None:

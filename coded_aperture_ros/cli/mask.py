@@ -32,5 +32,4 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
-    status: int = ACTIONS[args.action].run(args)
-    return status
+    return ACTIONS[args.action].run(args)

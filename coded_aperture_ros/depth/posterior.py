@@ -144,5 +144,4 @@ def is_unsure(confidence: FloatArray, threshold: float) -> BoolArray:
 
 def is_uninformative(probability: FloatArray) -> BoolArray:
     """Return which patches [rows, columns] find all levels alike."""
-    alike: BoolArray = probability.max(axis=-1) <= 1.0001 / probability.shape[-1]
-    return alike
+    return probability.max(axis=-1) <= 1.0001 / probability.shape[-1]

@@ -142,8 +142,7 @@ class WindowSpectra:
         weighted = windows * (self._window[:, None] * self._window)
         # Every second frequency is what a transform of the sum of both halves has.
         folded = weighted.reshape(-1, 2, half, 2, half).sum(axis=(1, 3))
-        taken: NDArray[np.complex64] = scipy.fft.rfft2(folded)[:, self._counts]
-        return taken
+        return scipy.fft.rfft2(folded)[:, self._counts]
 
     def expected(self, psfs: FloatArray) -> FloatArray:
         """Return the power that is expected of the prior's texture behind PSFs [slopes, L, K].

@@ -145,8 +145,7 @@ class SearchState:
     def best(self) -> BoolArray:
         """The mask with the least objective [n, n]."""
         island = min(self.islands, key=lambda each: each.objective.min())
-        best: BoolArray = island.grids[int(np.argmin(island.objective))]
-        return best
+        return island.grids[int(np.argmin(island.objective))]
 
     @property
     def scored(self) -> int:
@@ -261,8 +260,7 @@ def _objective(
 
 
 def _value(scores: DoubleArray, config: SearchConfig) -> DoubleArray:
-    value: DoubleArray = np.log(scores[:, 0]) + config.deblurring * np.log(scores[:, 1])
-    return value
+    return np.log(scores[:, 0]) + config.deblurring * np.log(scores[:, 1])
 
 
 @lru_cache(maxsize=2)

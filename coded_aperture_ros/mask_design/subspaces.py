@@ -92,8 +92,7 @@ def subspace_distances(
 def _cosine_transform() -> NDArray[np.complex128]:
     """Return the spectra of the lowest cosines of a patch [cosines, torus]."""
     cosines = scipy.fft.idct(np.eye(_PATCH_PX)[:_COSINES], norm="ortho", axis=1)
-    spectra: NDArray[np.complex128] = scipy.fft.fft(cosines, _TORUS_PX, axis=1)
-    return spectra
+    return scipy.fft.fft(cosines, _TORUS_PX, axis=1)
 
 
 def _covariance(power: DoubleArray, transform: NDArray[np.complex128]) -> DoubleArray:

@@ -145,8 +145,7 @@ def new_topic(name: str, type_name: str) -> Topic:
 
 def stamp_ns_of(header: Any) -> int:
     """Return the stamp of a header, as rosbags has it."""
-    stamp: int = header.stamp.sec * _NS + header.stamp.nanosec
-    return stamp
+    return header.stamp.sec * _NS + header.stamp.nanosec
 
 
 @cache
@@ -167,8 +166,7 @@ def _whole_view() -> Any:
 
 
 def _sent(message: Any, type_name: str) -> memoryview:
-    data: memoryview = _store().serialize_cdr(message, type_name)
-    return data
+    return _store().serialize_cdr(message, type_name)
 
 
 def _read(data: bytes | memoryview, type_name: str) -> Any:

@@ -52,5 +52,4 @@ def channel_kernel(
 
 def passed_power(kernel: FloatArray, period: int) -> DoubleArray:
     """Return the power that a kernel passes [period, period // 2 + 1], as of `rfft2`."""
-    passed: DoubleArray = np.abs(np.fft.rfft2(kernel, (period, period))) ** 2
-    return passed
+    return np.abs(np.fft.rfft2(kernel, (period, period))) ** 2
