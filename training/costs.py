@@ -19,7 +19,7 @@ from shards import add_shard_options, compute
 from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank
 from coded_aperture_ros.bank.file import load_bank, save_bank
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.depth.refine.cells import Cells
+from coded_aperture_ros.depth.refine.cells import CELL_PX, Cells
 from coded_aperture_ros.depth.refine.features import (
     Look,
     Surroundings,
@@ -27,7 +27,7 @@ from coded_aperture_ros.depth.refine.features import (
     frame_features,
     tried_sizes,
 )
-from coded_aperture_ros.depth.refine.small import SmallPatches, small_bank
+from coded_aperture_ros.depth.refine.small import small_bank, small_cost
 from coded_aperture_ros.depth.temporal import bounded
 from coded_aperture_ros.optics import render_psf_stack
 
@@ -139,8 +139,8 @@ def shown(number: int, light: np.ndarray, blur_px: np.ndarray, folder: Path) -> 
     volume = cost.volume
     if how.added_up:
         volume = bounded(volume) * np.float32(how.added_up)
-    small = SmallPatches(bank_of_small, frame.shape)
-    of_small = small.cost(observed, observed.grey, observed.noise.deviation)
+    small = bank_of_small.plan(frame.shape, CELL_PX)
+    of_small = small_cost(small, observed, observed.grey, observed.noise.deviation)
     looks = Look.of(cost, observed.grid, volume), Look.of(of_small, small.grid)
     small.close()
     cells = Cells.covering(frame.shape, observed.grid)

@@ -19,7 +19,7 @@ from coded_aperture_ros.depth.fit import FitCheck, can_be_checked
 from coded_aperture_ros.depth.levels import Levels, depths_are_measured
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.posterior import is_unsure
-from coded_aperture_ros.depth.refine import Refined, SmallPatches, small_bank, untrained
+from coded_aperture_ros.depth.refine import CELL_PX, Refined, small_bank, small_cost, untrained
 from coded_aperture_ros.depth.regularize import LEARNED, Regularizer, regularizer
 from coded_aperture_ros.depth.sides import FocalSides
 from coded_aperture_ros.depth.temporal import TemporalFilter
@@ -37,7 +37,7 @@ class _Planned:
     shape: tuple[int, ...]
     likelihood: Likelihood
     sides: FocalSides | None
-    small: SmallPatches | None
+    small: Likelihood | None  # of the small patches
     decide: Decide
     workers: Workers
 
@@ -172,13 +172,7 @@ class DepthEstimator:
         return self.decide(seen, volume, own, size, stages)
 
     def observe(self, frame: FloatArray, hidden_noise: float = 0.0) -> Observation:
-        """Look at a frame by itself; the first step of `estimate`, with what that is given.
-
-        Raises
-        ------
-        InputError
-            If it has a wrong shape or type, or is smaller than the model's window.
-        """
+        """Look at a frame by itself: the first step of `estimate`, which says what is refused."""
         grey, unusable = grey_image(frame, self.config.saturation)
         channels = 1 if frame.ndim == 2 else frame.shape[2]
         grid = self._plan_for(grey.shape).likelihood.grid
@@ -192,14 +186,9 @@ class DepthEstimator:
         frames: FloatArray | None = None,
         prior: ExpectedMotion | None = None,
     ) -> Cost:
-        """Return the cost of every level for every patch.
+        """Return the cost of every level for every patch of a frame, or of a mean of frames.
 
-        Parameters
-        ----------
-        grey : ndarray, float32 [height, width]
-            The frame, or a mean of frames.
-        frames : ndarray, float32 [squares down, squares across], optional
-            How many frames it is the mean of; see `StaticAverage`.
+        `grey` is of that, and `frames` how many it is the mean of; see `StaticAverage`.
         """
         planned = self._plan_for(grey.shape)
         noise: Any = seen.noise.deviation
@@ -212,7 +201,7 @@ class DepthEstimator:
             volume = planned.sides.weigh(volume, seen, grey)
             stages.lap("side")
         if planned.small is not None:
-            small = planned.small.cost(seen, grey, noise)
+            small = small_cost(planned.small, seen, grey, noise)
             stages.lap("small patches")
         seconds = {**cost.seconds, **stages.seconds}
         return dataclasses.replace(cost, volume=volume, small=small, seconds=seconds)
@@ -280,10 +269,10 @@ class DepthEstimator:
                 workers, sides = Workers(threads), None
                 if model.stack.has_both_sides:
                     sides = FocalSides(model.stack, self._levels, shape, self._regularize)
-                small: SmallPatches | None = None
+                small: Likelihood | None = None
                 decide: Decide
                 if (bank := self._refined_bank(stride_px)) is not None:
-                    small = SmallPatches(self.small_bank, shape, config.backend, threads)
+                    small = self.small_bank.plan(shape, CELL_PX, config.backend, threads)
                     unless_planned.callback(small.close)
                     decide = Refined(bank, self._levels, small.grid, sides, workers)
                 else:

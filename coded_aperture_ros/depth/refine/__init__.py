@@ -1,6 +1,7 @@
 """Refinement of the cost volume by a small network that was trained on random scenes."""
 
+from coded_aperture_ros.depth.refine.cells import CELL_PX
 from coded_aperture_ros.depth.refine.refine import Refined, refinement_note, untrained
-from coded_aperture_ros.depth.refine.small import SmallPatches, small_bank
+from coded_aperture_ros.depth.refine.small import small_bank, small_cost
 
-__all__ = ["Refined", "SmallPatches", "refinement_note", "small_bank", "untrained"]
+__all__ = ["CELL_PX", "Refined", "refinement_note", "small_bank", "small_cost", "untrained"]

@@ -5,10 +5,9 @@ import numpy as np
 from coded_aperture_ros.bank import FilterBank, relearned
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.depth.observation import Observation
-from coded_aperture_ros.depth.refine.cells import CELL_PX
 from coded_aperture_ros.depth.refine.focal import Folding
 from coded_aperture_ros.imaging import PatchGrid
-from coded_aperture_ros.likelihood import Cost
+from coded_aperture_ros.likelihood import Cost, Likelihood
 
 # Side of the small patches: most blur still fits in.
 SMALL_PX = 32
@@ -19,39 +18,18 @@ def small_bank(bank: FilterBank) -> FilterBank:
     return relearned(bank, SMALL_PX, Folding.of(bank.blur_sizes_px).far)
 
 
-class SmallPatches:
-    """Gives the cost of small patches, for frames of one size; see `small_bank`."""
+def small_cost(
+    small: Likelihood, seen: Observation, grey: FloatArray, noise: float | FloatArray
+) -> Cost:
+    """Return the cost of every blur size for every small patch of a frame, or of a mean of frames.
 
-    def __init__(
-        self, bank: FilterBank, shape: tuple[int, ...], backend: str = "numpy", threads: int = 1
-    ) -> None:
-        self._likelihood = bank.plan(shape, CELL_PX, backend, threads)
-
-    @property
-    def grid(self) -> PatchGrid:
-        """Where the patches lie."""
-        return self._likelihood.grid
-
-    def cost(self, seen: Observation, grey: FloatArray, noise: float | FloatArray) -> Cost:
-        """Return the cost of every blur size for every small patch.
-
-        Parameters
-        ----------
-        seen : Observation
-            The frame.
-        grey : ndarray, float32 [height, width]
-            The frame, or a mean of frames.
-        noise : float, or ndarray, float32 [rows, columns]
-            Its standard deviation, of the frame or around every patch of the model.
-        """
-        nearest = _nearest(seen.grid, self.grid)
-        if isinstance(noise, np.ndarray):
-            noise = np.ascontiguousarray(noise[nearest])
-        return self._likelihood.cost(grey, noise, seen.usable[nearest])
-
-    def close(self) -> None:
-        """End the threads that the work was shared among."""
-        self._likelihood.close()
+    `small` is planned by the `small_bank`, with patches every `CELL_PX`. The `noise` of `grey` is
+    that of the frame, or that around every patch of the model [rows, columns].
+    """
+    nearest = _nearest(seen.grid, small.grid)
+    if isinstance(noise, np.ndarray):
+        noise = np.ascontiguousarray(noise[nearest])
+    return small.cost(grey, noise, seen.usable[nearest])
 
 
 def _nearest(of: PatchGrid, to: PatchGrid) -> tuple[IndexArray, ...]:
