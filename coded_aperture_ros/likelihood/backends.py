@@ -71,17 +71,11 @@ class EngineLikelihood:
 
 
 def new_engine(plan: Plan, backend: str = "numpy", threads: int = 1) -> Engine:
-    """Return what computes the energies of a plan.
+    """Return what computes the energies of a plan, with so many threads of the processor.
 
-    Raises `InputError` if the backend is not there, or there are fewer processors than threads.
-
-    Parameters
-    ----------
-    backend : str
-        One of `BACKENDS`: `numpy`; `torch`, on the processor; `cuda`, which is torch on a GPU;
-        `auto` takes the GPU where there is one, and NumPy elsewhere.
-    threads : int
-        Of the processor.
+    Backends are `numpy`; `torch`, on the processor; `cuda`, which is torch on a GPU; `auto` takes
+    the GPU where there is one, and NumPy elsewhere. Raises `InputError` if the backend is not
+    there, or there are fewer processors than threads.
     """
     check_backend(backend)
     device = torch_device(backend)

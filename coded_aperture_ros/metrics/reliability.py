@@ -29,16 +29,9 @@ class Reliability:
     def of(
         cls, confidence: NDArray[np.floating], right: BoolArray, bins: int = BINS
     ) -> "Reliability":
-        """Sort estimates by their confidence.
+        """Sort estimates by their confidence, in [0, 1]; `right` says which of them are right.
 
         Raises `InputError` if the shapes differ or a confidence is not in [0, 1].
-
-        Parameters
-        ----------
-        confidence : ndarray of float
-            In [0, 1].
-        right : ndarray of bool, of the same shape
-            Whether the estimate is right.
         """
         if confidence.shape != right.shape:
             raise InputError(

@@ -39,18 +39,8 @@ class Cells:
     def of_patches(self, values: FloatArray, grid: PatchGrid) -> tuple[FloatArray, FloatArray]:
         """Return patches' values at the cells, and where there are any.
 
-        Parameters
-        ----------
-        values : ndarray, float32 [..., grid rows, grid columns]
-        grid : PatchGrid
-            Where these patches lie.
-
-        Returns
-        -------
-        at_cells : ndarray, float32 [..., rows, columns]
-            Where there is no patch, those of the nearest.
-        known : ndarray, float32 [rows, columns]
-            1 or 0.
+        Takes those of a grid, float32 [..., grid rows, grid columns]. Returns [..., rows, columns],
+        where there is no patch those of the nearest, and 1 or 0 as float32 [rows, columns].
         """
         rows = _inside(grid.row_centres, self.top)
         columns = _inside(grid.column_centres, self.left)
@@ -75,9 +65,8 @@ class Cells:
         height, width = self.frame_shape
         bottom = self.top + self.rows * CELL_PX - height
         right = self.left + self.columns * CELL_PX - width
-        return np.asarray(
-            cv2.copyMakeBorder(picture, -self.top, bottom, -self.left, right, cv2.BORDER_REFLECT)
-        )
+        margins = -self.top, bottom, -self.left, right
+        return np.asarray(cv2.copyMakeBorder(picture, *margins, cv2.BORDER_REFLECT))
 
 
 class _Inside(NamedTuple):

@@ -94,18 +94,9 @@ def refinement_note(model: LikelihoodModel, config: DepthConfig) -> str | None:
 class Refined:
     """Decides the levels of frames of one size; see `Decide`.
 
-    Parameters
-    ----------
-    bank : FilterBank
-        For which `untrained` has nothing to say.
-    levels : Levels
-        Its levels.
-    small : PatchGrid
-        Where the small patches lie, whose cost comes with that of the model's; see `SmallPatches`.
-    sides : FocalSides or None
-        Tells the sides of the focal plane apart, if there are levels on both.
-    workers : Workers, optional
-        Share the work.
+    `untrained` has nothing to say of the bank. On the grid `small` lie the small patches, whose
+    cost comes with that of the model's; see `small_cost`. There are `sides` if there are levels on
+    both sides of the focal plane.
     """
 
     def __init__(
