@@ -64,9 +64,7 @@ def _halves(measured: NDArray, explained: NDArray) -> FloatArray:
     low, high = np.nanquantile(whole, (0.02, 0.995))
     light = np.clip((np.nan_to_num(whole, nan=low) - low) / max(high - low, 1e-9), 0, 1)
     size = (_TILE_PX, _TILE_PX)
-    return np.asarray(
-        cv2.resize(light.astype(np.float32), size, interpolation=cv2.INTER_NEAREST_EXACT)
-    )
+    return cv2.resize(light.astype(np.float32), size, interpolation=cv2.INTER_NEAREST_EXACT)
 
 
 def psf_picture(psfs: Sequence[NDArray[np.floating]]) -> FloatArray:

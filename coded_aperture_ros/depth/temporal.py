@@ -95,9 +95,7 @@ def _sampled(grey: FloatArray, grid: PatchGrid) -> FloatArray:
     top, left = max(grid.top + first, 0), max(grid.left + first, 0)
     bottom, right = top + grid.rows * grid.stride_px, left + grid.columns * grid.stride_px
     size = (_SAMPLES * grid.columns, _SAMPLES * grid.rows)
-    return np.asarray(
-        cv2.resize(grey[top:bottom, left:right], size, interpolation=cv2.INTER_AREA), np.float32
-    )
+    return cv2.resize(grey[top:bottom, left:right], size, interpolation=cv2.INTER_AREA)
 
 
 def _matches(

@@ -94,9 +94,7 @@ class Intrinsics:
             )
 
     @classmethod
-    def pinhole(
-        cls, focal_length_px: float, image_width: int, image_height: int, name: str = "camera"
-    ) -> "Intrinsics":
+    def pinhole(cls, focal_length_px: float, image_width: int, image_height: int) -> "Intrinsics":
         """Return the model without distortion, with the principal point in the middle.
 
         Pixel centres have whole coordinates, so the middle of a row of w pixels is (w - 1) / 2.
@@ -104,7 +102,7 @@ class Intrinsics:
         f = float(focal_length_px)
         cx, cy = (image_width - 1) / 2.0, (image_height - 1) / 2.0
         matrix = (f, 0.0, cx, 0.0, f, cy, 0.0, 0.0, 1.0)
-        return cls(image_width, image_height, matrix, camera_name=name)
+        return cls(image_width, image_height, matrix)
 
     def rays(self, rows: int, columns: int) -> FloatArray:
         """Return `rays` through the pixels of the same view in a picture of this size."""

@@ -31,9 +31,7 @@ def square_cells(mask: Mask) -> DoubleArray:
 def autocorrelation(parts: DoubleArray) -> DoubleArray:
     """Return the sum of the autocorrelations of grids [R, m, m]: [2m, 2m], lag zero first."""
     torus = (2 * parts.shape[1], 2 * parts.shape[2])
-    return np.asarray(
-        scipy.fft.irfft2((np.abs(scipy.fft.rfft2(parts, torus)) ** 2).sum(axis=0), torus)
-    )
+    return scipy.fft.irfft2((np.abs(scipy.fft.rfft2(parts, torus)) ** 2).sum(axis=0), torus)
 
 
 def retrieved_masks(parts: DoubleArray, count: int) -> list[DoubleArray]:

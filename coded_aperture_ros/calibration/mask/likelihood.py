@@ -108,9 +108,7 @@ class MaskLikelihood:
         """Return the cost of every contrast and slope for a plane's windows [W, hypotheses]."""
         variance = _CONTRASTS[:, None, None] * expected + np.exp(log_noise[plane])
         weights = (self.multiplicity / variance).reshape(-1, variance.shape[-1])
-        return np.asarray(
-            self.powers[plane] @ weights.T + (np.log(variance) @ self.multiplicity).ravel()
-        )
+        return self.powers[plane] @ weights.T + (np.log(variance) @ self.multiplicity).ravel()
 
     def _with_own_textures(self, groups: Groups, expected: NDArray, log_noise: NDArray) -> Groups:
         """Fit the texture of every group to its mean, by Fisher scoring."""
