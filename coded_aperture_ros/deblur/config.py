@@ -46,12 +46,7 @@ class DeblurConfig:
         within=(0.0, 1.0),
         parameter="deblur.tolerance",
     )
-    saturation: float = option(
-        0.995,
-        "Brightness from which a pixel counts as saturated, and is left out; above 1: none.",
-        within=(0.1, 2.0),
-        parameter="frames.saturation",
-    )
+    saturation: float = option_of(DepthConfig, "saturation")
     temporal_frames: float = option(
         0.0,
         "Frames of a video that are averaged at most, where they are alike; 0: every frame for "

@@ -17,7 +17,8 @@ from coded_aperture_ros.deblur.blur_map import (
 )
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fast import ClosedForm, Fast, Inverse
-from coded_aperture_ros.deblur.least_squares import ConjugateGradients, Sparse
+from coded_aperture_ros.deblur.iterative import Iterative
+from coded_aperture_ros.deblur.least_squares import in_few_steps, until_little_changes
 from coded_aperture_ros.deblur.problem import (
     Method,
     Problem,
@@ -173,5 +174,6 @@ class Deblurrer:
             if blends and self._blend is not None:
                 return Fast(self.config, self._blend)
             return Inverse(self.config, self._closed_form)
-        iterative = {"cg": ConjugateGradients, "sparse": Sparse}[self.config.method]
-        return iterative(self.config, self._closed_form, self._blend, self._basis, self._workers)
+        minimise = {"cg": in_few_steps, "sparse": until_little_changes}[self.config.method]
+        filters = self._closed_form, self._blend, self._basis
+        return Iterative(minimise, self.config, *filters, self._workers)

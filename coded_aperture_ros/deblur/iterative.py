@@ -1,6 +1,5 @@
 """What the methods share that solve for the whole frame at once, by conjugate gradients."""
 
-import abc
 import dataclasses
 from collections.abc import Callable, Iterable
 from itertools import repeat
@@ -46,8 +45,11 @@ class Fit:
     shines: BoolArray | None = None  # pixels whose brightness is at least g's, if any
 
 
-class Iterative(abc.ABC):
-    """A `Method` that minimises thesis eq. 6.27, beginning with the closed form."""
+class Iterative:
+    """A `Method` that minimises thesis eq. 6.27, beginning with the closed form.
+
+    `minimise` returns the channels of the sharp scene within the frame.
+    """
 
     reduction = 1
     edge_reach_px = 0
@@ -55,14 +57,15 @@ class Iterative(abc.ABC):
 
     def __init__(
         self,
+        minimise: Callable[[Fit], list[FloatArray]],
         config: DeblurConfig,
         closed_form: ClosedForm,
         blend: Blend | None,
         basis: Callable[[], PsfBasis],  # it takes time to make the first time
         workers: Workers,
     ) -> None:
+        self._minimise, self._basis, self._workers = minimise, basis, workers
         self._config, self._closed_form, self._blend = config, closed_form, blend
-        self._basis, self._workers = basis, workers
 
     def restore(self, problem: Problem, video: VideoState) -> FloatArray:
         """Return the all-in-focus frame; see `Method`."""
@@ -74,7 +77,7 @@ class Iterative(abc.ABC):
         if operator.hidden is None:
             weight = weight * model_weight(problem.blur_size_px, noise)
         closed_forms = self._closed_forms(problem, noise)
-        restored = self.minimise(
+        restored = self._minimise(
             Fit(
                 operator,
                 problem.channels,
@@ -98,10 +101,6 @@ class Iterative(abc.ABC):
         # Edges that are too sharp are found and lost again more easily than blurred ones.
         small = filled_blur_map(blur, channels[0], self._closed_form.reduction)
         return self._closed_form.restore(channels, small, noise / 3)
-
-    @abc.abstractmethod
-    def minimise(self, fit: Fit) -> list[FloatArray]:
-        """Return the channels of the sharp scene within the frame."""
 
     def _operator(self, problem: Problem) -> BlurOperator:
         basis, blur, workers = self._basis(), problem.blur_size_px, self._workers

@@ -10,7 +10,6 @@ from coded_aperture_ros.deblur.blur_map import MODEL_ERROR
 from coded_aperture_ros.deblur.iterative import (
     RANGES,
     Fit,
-    Iterative,
     Linear,
     conjugate_gradients,
     preconditioner,
@@ -48,21 +47,15 @@ _LEAST_WEIGHT = 1e-3
 _HELD, _HELD_PX = np.float32(0.003), 9
 
 
-class ConjugateGradients(Iterative):
-    """A few steps from the closed forms; see `Method`."""
-
-    def minimise(self, fit: Fit) -> list[FloatArray]:
-        """Return the channels of the sharp scene within the frame."""
-        return restore_sparse(fit, fit.config.iterations or _FEW[1], _FEW[0])
+def in_few_steps(fit: Fit) -> list[FloatArray]:
+    """Restore a frame in a few steps from the closed forms."""
+    return restore_sparse(fit, fit.config.iterations or _FEW[1], _FEW[0])
 
 
-class Sparse(Iterative):
-    """The prior of sharp edges until little changes; see `Method`."""
-
-    def minimise(self, fit: Fit) -> list[FloatArray]:
-        """Return the channels of the sharp scene within the frame."""
-        between, iterations = _MANY if fit.operator.hidden is not None else _LOOKING
-        return restore_sparse(fit, fit.config.iterations or iterations, between)
+def until_little_changes(fit: Fit) -> list[FloatArray]:
+    """Restore a frame until the prior of sharp edges changes little."""
+    between, iterations = _MANY if fit.operator.hidden is not None else _LOOKING
+    return restore_sparse(fit, fit.config.iterations or iterations, between)
 
 
 def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:

@@ -52,9 +52,8 @@ def confidence_picture(confidence: NDArray) -> NDArray[np.uint8]:
 
     Shape [h + strip, w, 3].
     """
-    picture = cv2.cvtColor(grey_picture(confidence), cv2.COLOR_GRAY2RGB)
-    strip = _scale_strip(confidence.shape[1], 0.0, 1.0, "", colours=_greys)
-    return np.vstack([picture, strip])
+    strip = _scale_strip(confidence.shape[1], 0.0, 1.0, "", rising=True, colours=_greys)
+    return np.vstack([_greys(confidence), strip])
 
 
 def grey_picture(values: NDArray) -> NDArray[np.uint8]:
@@ -63,8 +62,7 @@ def grey_picture(values: NDArray) -> NDArray[np.uint8]:
 
 
 def _greys(values: NDArray) -> NDArray[np.uint8]:
-    # The scale of depths begins with the nearest.
-    return cv2.cvtColor(grey_picture(1 - values), cv2.COLOR_GRAY2RGB)
+    return cv2.cvtColor(grey_picture(values), cv2.COLOR_GRAY2RGB)
 
 
 def _hatch(picture: NDArray[np.uint8], unknown: NDArray) -> None:
