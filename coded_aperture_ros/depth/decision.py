@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Callable
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
@@ -38,25 +37,6 @@ class Decision:
     nearest_plausible: Callable[[], FloatArray]
 
 
-class Decide(Protocol):
-    """Decides the level of every pixel of frames of one size."""
-
-    def __call__(
-        self,
-        seen: Observation,
-        volume: FloatArray,
-        own: Cost,
-        size: tuple[int, int],
-        stages: Stages,
-    ) -> Decision:
-        """Return the maps, at most of `size` (rows, columns).
-
-        `volume` is the cost of every level by all frames, float32 [rows, columns, L], and `own`
-        that of this frame alone, or of a mean of frames. `stages` takes down how long the parts
-        took.
-        """
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Regularized:
     """Decides by a regulariser, corrects foreground fattening, and lets each patch say how sure.
@@ -80,7 +60,12 @@ class Regularized:
         size: tuple[int, int],
         stages: Stages,
     ) -> Decision:
-        """See `Decide`."""
+        """Return the maps, at most of `size` (rows, columns).
+
+        `volume` is the cost of every level by all frames, float32 [rows, columns, L], and `own`
+        that of this frame alone, or of a mean of frames. `stages` takes down how long the parts
+        took.
+        """
         of_patches = self.regularize(volume, own.volume, seen.brightness, seen.grid.stride_px)
         stages.lap("regularise")
         at = MapGrid.worthwhile(seen.grid, seen.grey.shape, size)

@@ -12,7 +12,7 @@ from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.core.workers import Workers, thread_count
 from coded_aperture_ros.depth.config import DepthConfig
-from coded_aperture_ros.depth.decision import Decide, Regularized
+from coded_aperture_ros.depth.decision import Regularized
 from coded_aperture_ros.depth.edges import edge_correction
 from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
 from coded_aperture_ros.depth.fit import FitCheck, can_be_checked
@@ -38,7 +38,7 @@ class _Planned:
     likelihood: Likelihood
     sides: FocalSides | None
     small: Likelihood | None  # of the small patches
-    decide: Decide
+    decide: Regularized | Refined
     workers: Workers
 
 
@@ -216,7 +216,7 @@ class DepthEstimator:
     ) -> DepthEstimate:
         """Decide the level of every pixel and draw the maps; the last step of `estimate`.
 
-        By the cost of all frames; `own`, of this frame, says the rest: see `Decide`.
+        By the cost of all frames; `own`, of this frame, says the rest: see `Regularized`.
         """
         stages = stages or Stages()
         levels, shape, config = self._levels, seen.grey.shape, self.config
@@ -270,7 +270,7 @@ class DepthEstimator:
                 if model.stack.has_both_sides:
                     sides = FocalSides(model.stack, self._levels, shape, self._regularize)
                 small: Likelihood | None = None
-                decide: Decide
+                decide: Regularized | Refined
                 if (bank := self._refined_bank(stride_px)) is not None:
                     small = self.small_bank.plan(shape, CELL_PX, config.backend, threads)
                     unless_planned.callback(small.close)

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.calibration.mask.likelihood import MaskLikelihood
-from coded_aperture_ros.calibration.mask.sizes import BlurSizes
+from coded_aperture_ros.calibration.mask.sizes import FreeSizes, LensSizes
 from coded_aperture_ros.core.arrays import DoubleArray
 
-Sizes = TypeVar("Sizes", bound=BlurSizes)
+Sizes = TypeVar("Sizes", bound=FreeSizes | LensSizes)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -1,7 +1,9 @@
-"""What may vary of the blur sizes of planes while a mask is sought: all of them, or the focus."""
+"""What may vary of the blur sizes of planes while a mask is sought: all of them, or the focus.
+
+Sizes are a function of an optimiser's variables, whose `bounds` are the least and most of each.
+"""
 
 import dataclasses
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,33 +17,11 @@ _UNIT = 0.02
 _LARGEST_RATIO = 0.95
 
 
-class BlurSizes(Protocol):
-    """Unsigned blur sizes of I planes as a function of V variables of an optimiser.
-
-    `px` [I] are the widths of the mask's grid; `variables` [V] is where they stand, and `bounds`
-    the smallest and largest value of each. `moved` gives the sizes for other variables, `gradient`
-    the derivatives by the variables from those by the sizes.
-    """
-
-    @property
-    def px(self) -> DoubleArray: ...  # noqa: D102
-
-    @property
-    def variables(self) -> DoubleArray: ...  # noqa: D102
-
-    @property
-    def bounds(self) -> tuple[float, float]: ...  # noqa: D102
-
-    def moved(self, variables: DoubleArray) -> "BlurSizes": ...  # noqa: D102
-
-    def gradient(self, by_px: DoubleArray) -> DoubleArray: ...  # noqa: D102
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class FreeSizes:
     """Each plane by itself; none is blurred by more than `widest_px`."""
 
-    px: DoubleArray
+    px: DoubleArray  # [I]; widths of the mask's grid, unsigned
     widest_px: float
 
     @property
@@ -55,11 +35,11 @@ class FreeSizes:
         return 0.0, float(np.log(self.widest_px) / _UNIT)
 
     def moved(self, variables: DoubleArray) -> "FreeSizes":
-        """See `BlurSizes`."""
+        """Return the sizes for other variables."""
         return FreeSizes(np.exp(_UNIT * variables), self.widest_px)
 
     def gradient(self, by_px: DoubleArray) -> DoubleArray:
-        """See `BlurSizes`."""
+        """Return the derivatives by the variables from those by the sizes."""
         return by_px * self.px * _UNIT
 
 
@@ -75,7 +55,7 @@ class LensSizes:
 
     @property
     def px(self) -> DoubleArray:
-        """See `BlurSizes`."""
+        """Widths of the mask's grid, unsigned [I]."""
         return self.extent_px * (1 - (1 - self.near_ratio) * self._towards_focus)
 
     @property
@@ -92,15 +72,15 @@ class LensSizes:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """See `BlurSizes`."""
+        """From no blur of the nearest to the focus to nearly as much as that of the others."""
         return 0.0, _LARGEST_RATIO / _UNIT
 
     def moved(self, variables: DoubleArray) -> "LensSizes":
-        """See `BlurSizes`."""
+        """See `FreeSizes`."""
         return dataclasses.replace(self, near_ratio=float(variables[0] * _UNIT))
 
     def gradient(self, by_px: DoubleArray) -> DoubleArray:
-        """See `BlurSizes`."""
+        """See `FreeSizes`."""
         return np.array([by_px @ (self.extent_px * self._towards_focus) * _UNIT])
 
     @property

@@ -92,7 +92,7 @@ def refinement_note(model: LikelihoodModel, config: DepthConfig) -> str | None:
 
 
 class Refined:
-    """Decides the levels of frames of one size; see `Decide`.
+    """Decides the levels of frames of one size, as `Regularized` does by classical means.
 
     `untrained` has nothing to say of the bank. On the grid `small` lie the small patches, whose
     cost comes with that of the model's; see `small_cost`. There are `sides` if there are levels on
@@ -128,7 +128,7 @@ class Refined:
         size: tuple[int, int],
         stages: Stages,
     ) -> Decision:
-        """See `Decide`."""
+        """See `Regularized`."""
         if own.small is None:
             raise ValueError("the cost of the small patches is missing")
         grey = seen.grey

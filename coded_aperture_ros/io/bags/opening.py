@@ -1,32 +1,17 @@
 """The files of a bag, each as a whole or as far as it can be read."""
 
 import re
-from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Protocol
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.bags.complete import DAMAGE, CompleteBag, in_a_line
 from coded_aperture_ros.io.bags.cut_mcap import CutMcap
 from coded_aperture_ros.io.bags.cut_sqlite import CutSqlite
-from coded_aperture_ros.io.bags.recorded import METADATA, SUFFIXES, Recorded, Topic
+from coded_aperture_ros.io.bags.recorded import METADATA, SUFFIXES
 
 _CUT: dict[str, type] = {"mcap": CutMcap, "sqlite3": CutSqlite}
-
-
-class Part(Protocol):
-    """A complete bag, or one file of it; the attributes are those of `Bag`."""
-
-    path: Path
-    storage: str
-    topics: list[Topic]
-    damage: str
-
-    def messages(self, topics: Sequence[str]) -> Iterator[Recorded]:
-        """Yield the messages of some topics."""
-
-    def close(self) -> None:
-        """Close the files."""
+# A complete bag, or one file of it; the attributes are those of `Bag`.
+Part = CompleteBag | CutMcap | CutSqlite
 
 
 def open_parts(path: Path, files: list[Path]) -> tuple[list[Part], list[str]]:
