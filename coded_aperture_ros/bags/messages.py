@@ -8,17 +8,7 @@ from typing import Any
 import numpy as np
 
 from coded_aperture_ros.bags.frames import ProcessedFrame
-from coded_aperture_ros.io.bags.codec import (
-    CAMERA_INFO,
-    IMAGE,
-    camera_info_data,
-    image_data,
-    info_of,
-    motion_data,
-    new_topic,
-    read_camera_info,
-    read_depth_image,
-)
+from coded_aperture_ros.io.bags import codec
 from coded_aperture_ros.io.bags.reading import Bag
 from coded_aperture_ros.io.bags.recorded import Recorded, Topic
 from coded_aperture_ros.io.bags.topics import Outputs
@@ -48,7 +38,7 @@ def batches(
 
     The camera file's model counts until the bag has one of the frames. `view` is theirs.
     """
-    info = info_of(camera.intrinsics.cut(view))
+    info = codec.info_of(camera.intrinsics.cut(view))
     copies: list[Recorded] = []
     waiting, frames = 0, 0
     for message in bag.messages():
@@ -68,7 +58,7 @@ def first_info(bag: Bag, topic: str | None) -> Any:
     """Return the first camera model of a topic with a calibration; None if there is none."""
     for message in () if topic is None else bag.messages(topic):
         with suppress(MessageError):
-            info = read_camera_info(message.data)
+            info = codec.read_camera_info(message.data)
             if min(info.k[0], info.k[4]) > 0:
                 return info
     return None
@@ -77,7 +67,7 @@ def first_info(bag: Bag, topic: str | None) -> Any:
 def _usable_info(data: bytes, view: View, camera: Camera) -> Any:
     """Return a camera model of the bag; None if it is empty or not of the frames."""
     with suppress(MessageError):
-        info = read_camera_info(data)
+        info = codec.read_camera_info(data)
         if view_of(info, view.width, view.height, camera) is not None:
             return info
     return None
@@ -85,13 +75,13 @@ def _usable_info(data: bytes, view: View, camera: Camera) -> Any:
 
 def result_topics(outputs: Outputs, deblurs: bool) -> list[Topic]:
     """Return the topics of the results."""
-    kinds = dict.fromkeys((outputs.depth, outputs.confidence, outputs.std_dev), IMAGE)
-    kinds[outputs.depth_info] = CAMERA_INFO
+    kinds = dict.fromkeys((outputs.depth, outputs.confidence, outputs.std_dev), codec.IMAGE)
+    kinds[outputs.depth_info] = codec.CAMERA_INFO
     if outputs.motion is not None:
-        kinds[outputs.motion] = IMAGE
+        kinds[outputs.motion] = codec.IMAGE
     if deblurs:
-        kinds |= {outputs.deblurred: IMAGE, outputs.deblurred_info: CAMERA_INFO}
-    return [new_topic(name, kind) for name, kind in kinds.items()]
+        kinds |= {outputs.deblurred: codec.IMAGE, outputs.deblurred_info: codec.CAMERA_INFO}
+    return [codec.new_topic(name, kind) for name, kind in kinds.items()]
 
 
 def result_messages(
@@ -100,21 +90,21 @@ def result_messages(
     """Yield topic and data of the messages that say what was made of a frame."""
     header = result.header
     if (maps := result.maps) is not None:
-        yield outputs.depth, image_data(maps.depth_m, "32FC1", header)
-        yield outputs.confidence, image_data(maps.confidence, "32FC1", header)
-        yield outputs.std_dev, image_data(maps.std_dev_m, "32FC1", header)
+        yield outputs.depth, codec.image_data(maps.depth_m, "32FC1", header)
+        yield outputs.confidence, codec.image_data(maps.confidence, "32FC1", header)
+        yield outputs.std_dev, codec.image_data(maps.std_dev_m, "32FC1", header)
         rows, columns = maps.depth_m.shape
-        yield outputs.depth_info, camera_info_data(info, (rows, columns), header)
+        yield outputs.depth_info, codec.camera_info_data(info, (rows, columns), header)
         if outputs.motion is not None and maps.motion_px is not None:
-            yield outputs.motion, motion_data(maps.motion_px, header)
+            yield outputs.motion, codec.motion_data(maps.motion_px, header)
     if result.sharp is not None:
         rows, columns = result.sharp.shape[:2]
-        yield outputs.deblurred, image_data(result.sharp, result.encoding, header)
-        yield outputs.deblurred_info, camera_info_data(info, (rows, columns), header)
+        yield outputs.deblurred, codec.image_data(result.sharp, result.encoding, header)
+        yield outputs.deblurred_info, codec.camera_info_data(info, (rows, columns), header)
 
 
 def warm_up(camera: Camera) -> None:
     """Have made what reads and writes messages: with the first ones it takes 0.1 s."""
-    info = info_of(camera.intrinsics)
-    read_camera_info(camera_info_data(info, (1, 1), info.header))
-    read_depth_image(image_data(np.zeros((1, 1), np.float32), "32FC1", info.header))
+    info = codec.info_of(camera.intrinsics)
+    codec.read_camera_info(codec.camera_info_data(info, (1, 1), info.header))
+    codec.read_depth_image(codec.image_data(np.zeros((1, 1), np.float32), "32FC1", info.header))

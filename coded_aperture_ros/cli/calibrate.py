@@ -77,14 +77,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _design(args: argparse.Namespace) -> int:
-    from coded_aperture_ros.design import (
-        DesignConfig,
-        best_settings,
-        default_extent_range_mm,
-        default_focus_range_m,
-        openings_of,
-        setting_of,
-    )
+    from coded_aperture_ros import design
     from coded_aperture_ros.design.page import finite
     from coded_aperture_ros.optics import load_camera
 
@@ -94,17 +87,17 @@ def _design(args: argparse.Namespace) -> int:
     if missing:
         args.usage_error(f"the following arguments are required: {', '.join(missing)}")
     near_m, far_m = args.depth_range
-    config = checked_config(args, DesignConfig)
+    config = checked_config(args, design.DesignConfig)
     if args.output is not None:
         for name in (_NUMBERS, _PAGE, _PICTURE):
             check_output(Path(args.output) / name, inputs_of(args, "camera"))
     camera = load_camera(args.camera)
     with naming(args.camera):
-        setting = setting_of(camera, near_m, far_m, config)
-        focus_range_m = args.focus_range or default_focus_range_m(camera, near_m, far_m)
-        extent_range_mm = args.mask_range or default_extent_range_mm(camera)
-        best = best_settings(camera, near_m, far_m, config, focus_range_m, extent_range_mm)
-    openings = openings_of(camera.mask)
+        setting = design.setting_of(camera, near_m, far_m, config)
+        focus_range_m = args.focus_range or design.default_focus_range_m(camera, near_m, far_m)
+        extent_range_mm = args.mask_range or design.default_extent_range_mm(camera)
+        best = design.best_settings(camera, near_m, far_m, config, focus_range_m, extent_range_mm)
+    openings = design.openings_of(camera.mask)
     warnings = _warnings(args, setting)
     summary = {
         "camera": args.camera,

@@ -98,23 +98,19 @@ def _made(folder: Path) -> Iterator[list[str]]:
 
 
 def _record(path: Path, camera: Any, views: list[Any]) -> list[str]:
-    """Write a bag of the views; return its name, or nothing where bags cannot be written."""
-    from coded_aperture_ros.io.bags import bag_output
-    from coded_aperture_ros.io.bags.codec import (
-        CAMERA_INFO,
-        IMAGE,
-        camera_info_data,
-        image_data,
-        info_of,
-        new_topic,
-    )
+    """Write a bag of the views; return its name."""
+    from coded_aperture_ros.io.bags import bag_output, codec
     from coded_aperture_ros.io.messages import pixels_from_frame
 
-    info = info_of(camera.intrinsics)
+    info = codec.info_of(camera.intrinsics)
     with bag_output(path, "mcap") as bag:
-        kinds = {"/image_raw": IMAGE, "/camera_info": CAMERA_INFO, "/ground_truth/depth": IMAGE}
+        kinds = {
+            "/image_raw": codec.IMAGE,
+            "/camera_info": codec.CAMERA_INFO,
+            "/ground_truth/depth": codec.IMAGE,
+        }
         for topic, kind in kinds.items():
-            bag.add_topic(new_topic(topic, kind))
+            bag.add_topic(codec.new_topic(topic, kind))
         for index, view in enumerate(views):
             time_ns = 10**9 + index * 10**9 // _RATE_HZ
             stamp = dataclasses.replace(
@@ -123,8 +119,8 @@ def _record(path: Path, camera: Any, views: list[Any]) -> list[str]:
             header = dataclasses.replace(info.header, stamp=stamp, frame_id="camera_optical_frame")
             pixels = pixels_from_frame(view.coded, "mono16")
             size = view.depth_m.shape
-            bag.write("/image_raw", time_ns, image_data(pixels, "mono16", header))
-            bag.write("/camera_info", time_ns, camera_info_data(info, size, header))
-            depth = image_data(view.depth_m, "32FC1", header)
+            bag.write("/image_raw", time_ns, codec.image_data(pixels, "mono16", header))
+            bag.write("/camera_info", time_ns, codec.camera_info_data(info, size, header))
+            depth = codec.image_data(view.depth_m, "32FC1", header)
             bag.write("/ground_truth/depth", time_ns, depth)
     return [path.name]
