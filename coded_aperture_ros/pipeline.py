@@ -115,18 +115,12 @@ class FramePipeline:
 
         Parameters
         ----------
-        frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
-            Coded frame, linear light in [0, 1]; NaN and saturated pixels are left out.
+        frame, size, prior, hidden_noise
+            See `DepthEstimator.estimate`.
         stamp : int, optional
             Time of the frame, ns. Where time has gone back, another video begins.
-        size : (int, int), optional
-            Rows and columns of the maps, which cover the whole frame; the frame's by default.
-        prior : ExpectedMotion, optional
-            What a gyroscope says; for methods that find motion.
         coloured : ndarray, float32 [rows, columns, 3], optional
             What is deblurred in place of a grey frame; see `colour_from_mosaic`.
-        hidden_noise : float, optional
-            What compression has hidden in the frame; see `DepthEstimator.estimate`.
 
         Raises
         ------

@@ -26,7 +26,7 @@ _OCCLUSION_BYTES = 512 * 2**20
 _SEEN_OF_HIDDEN = 0.02
 # Ranges of blur sizes that the preconditioners tell apart.
 RANGES = 4
-# Arrays of NumPy, or tensors of PyTorch on any device: only what both can do is done to them.
+# From an array to one of its shape.
 Linear = Callable[[Any], Any]
 
 

@@ -54,18 +54,13 @@ def read_image(path: str | os.PathLike[str], gamma: Gamma = 1.0) -> FloatArray:
     InputError
         Naming the file, if it is missing, empty, or not a picture.
     """
-    return linear_from_pixels(read_pixels(path), gamma)
-
-
-def read_pixels(path: str | os.PathLike[str]) -> NDArray:
-    """Read a picture as it is stored: uint8, uint16 or float32; see `read_image`."""
-    return read_compressed(path)[0]
+    return linear_from_pixels(read_compressed(path)[0], gamma)
 
 
 def read_compressed(path: str | os.PathLike[str]) -> tuple[NDArray, float]:
-    """Read a picture as it is stored, and what compression has hidden in it.
+    """Read a picture as it is stored: uint8, uint16 or float32; and what compression has hidden.
 
-    See `read_pixels` and `lost_by_compression`.
+    See `read_image` and `lost_by_compression`.
     """
     data = _read_data(Path(path))
     pixels = _pixels_of(Path(path), data)

@@ -33,10 +33,10 @@ def optical_transform(
     return transform
 
 
-def broadcast_static(node: Node, transform: TransformStamped) -> bool:
+def broadcast_static(node: Node, transform: TransformStamped) -> None:
     """Publish a transform on /tf_static once, for late joiners too.
 
-    Returns False, with a warning, where tf2_msgs is not installed.
+    Where tf2_msgs is not installed there is a warning instead.
     """
     try:
         from tf2_msgs.msg import TFMessage
@@ -44,8 +44,7 @@ def broadcast_static(node: Node, transform: TransformStamped) -> bool:
         node.get_logger().warning(
             "no static transform published: tf2_msgs is not installed (apt: ros-jazzy-tf2-msgs)"
         )
-        return False
+        return
     qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     transform.header.stamp = node.get_clock().now().to_msg()
     node.create_publisher(TFMessage, "/tf_static", qos).publish(TFMessage(transforms=[transform]))
-    return True
