@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from coded_aperture_ros.bank import FilterBank, check_setting
+from coded_aperture_ros.bank import FilterBank, check_frame_size, check_setting
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimate, DepthEstimator
@@ -104,33 +104,36 @@ class FrameCheckup:
 
     def __init__(self, camera: Camera, bank: FilterBank) -> None:
         check_setting(bank, camera)
-        self._camera = camera
-        # The camera file's noise is what is compared with, not what is reckoned with.
-        blind = dataclasses.replace(camera, noise=0.0, noise_gain=0.0)
-        self._estimator = DepthEstimator(dataclasses.replace(bank, noise=0.0), DepthConfig(), blind)
+        self._camera, self._bank = camera, dataclasses.replace(bank, noise=0.0)
+        self._estimator: DepthEstimator | None = None  # for frames of one size
 
     def findings(self, frame: FloatArray, hidden_noise: float = 0.0) -> list[Finding]:
         """Say what is wrong with a frame [rows, columns(, 3)], linear light.
 
         In which compression has hidden some noise; see `imaging.hidden_noise`.
         """
-        expected = self._camera.image_height, self._camera.image_width
-        size = "{1}x{0}".format(*frame.shape[:2])
-        if frame.shape[:2] != expected:
-            text = f"{size}, the camera file says {expected[1]}x{expected[0]}"
-            return [
-                Finding("size", FAILED, text, "correct the camera file and learn the bank again")
-            ]
-        found = [Finding("size", OK, size), _saturation(frame)]
+        height, width = frame.shape[:2]
         try:
+            check_frame_size(self._bank, width, height)
+            camera = self._camera.fitted(width, height)
+        except InputError as error:
+            return [_failed("size", error)]
+        found = [Finding("size", OK, f"{width}x{height}"), _saturation(frame)]
+        # The camera file's noise is what is compared with, not what is reckoned with.
+        camera = dataclasses.replace(camera, noise=0.0, noise_gain=0.0)
+        try:
+            if self._estimator is None or self._estimator.camera != camera:
+                self.close()
+                self._estimator = DepthEstimator(self._bank, DepthConfig(), camera)
             estimate = self._estimator.estimate(frame, hidden_noise=hidden_noise)
         except InputError as error:
-            return [*found, Finding("frame", FAILED, str(error))]
+            return [*found, _failed("frame", error)]
         return [*found, self._noise(estimate), _fit(estimate), _known(estimate)]
 
     def close(self) -> None:
         """End the estimator's threads."""
-        self._estimator.close()
+        if self._estimator is not None:
+            self._estimator.close()
 
     def _noise(self, estimate: DepthEstimate) -> Finding:
         said, found = self._camera.noise, estimate.noise
@@ -145,6 +148,11 @@ class FrameCheckup:
             "measure it with calibrate noise" if unlike else "",
             numbers,
         )
+
+
+def _failed(about: str, error: InputError) -> Finding:
+    text, _, remedy = str(error).rpartition(": ")
+    return Finding(about, FAILED, text or remedy, remedy)
 
 
 def _saturation(frame: FloatArray) -> Finding:

@@ -6,31 +6,42 @@ Another size, focus or focal length leave no trace in a picture: only what the b
 from coded_aperture_ros.bank.model import FilterBank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera
-from coded_aperture_ros.optics.view import is_same_view
+
+# What `depth --frame-scale` takes.
+_SCALES = 0.1, 10.0
 
 
 def check_frame_size(
-    known: FilterBank | Camera, width: int, height: int, can_resample: bool = True
+    bank: FilterBank, width: int, height: int, given: tuple[int, int] | None = None
 ) -> None:
-    """Refuse frames of another size than that of a bank, where it knows that, or a camera file.
+    """Refuse frames of another size than that of a bank, where it knows that.
 
-    An `InputError` says which size it is for, and what to do; not to resample frames that may not.
+    An `InputError` says which size it is for, and what to do; `given` is the frame's own size
+    (width, height), where it was resampled.
     """
-    own_width, own_height = known.image_width, known.image_height
-    if not (own_width and own_height) or (width, height) == (own_width, own_height):
-        return
-    what, remedy = "camera file", "give one of such frames, with their size and their pixels"
-    if isinstance(known, FilterBank):
-        if min(width, height) < known.window_px:
-            return  # which is what will be said of it
-        what = "bank"
-        remedy = f"learn a bank for {width}x{height} (sizes of the image in the camera file)"
-    if can_resample and is_same_view((own_width, own_height), width, height):
-        remedy += f", or let depth --frame-scale {own_width / width:.6g} resample the same view"
+    own, given = (bank.image_width, bank.image_height), given or (width, height)
+    if not all(own) or (width, height) == own or min(width, height) < bank.window_px:
+        return  # of one smaller than the window, that will be said
+    size = "{}x{}".format(*given)
+    remedy = f"learn a bank for {size} (sizes of the image in the camera file)"
+    sides = list(zip(own, given, strict=True))
+    # Between these scales, both sides are rounded to the bank's.
+    least = max((side - 0.5) / length for side, length in sides)
+    most = min((side + 0.5) / length for side, length in sides)
+    scale = (least + most) / 2
+    if least < most and _SCALES[0] <= scale <= _SCALES[1]:
+        remedy += f", or, if it is the same view, resample it by depth --frame-scale {scale:.6g}"
+    resampled = "" if given == (width, height) else f", resampled to {width}x{height}"
     raise InputError(
-        f"frame of {width}x{height}: the {what} is for {own_width}x{own_height}, and the same blur "
-        f"in pixels would be another depth: {remedy}"
+        f"frame of {size}{resampled}: the bank is for {own[0]}x{own[1]}, and the same blur in "
+        f"pixels would be another depth: {remedy}"
     )
+
+
+def camera_of_bank(bank: FilterBank, camera: Camera) -> Camera:
+    """Return a camera for frames of a bank's size, where it knows that; `InputError`s as below."""
+    check_setting(bank, camera)
+    return camera.fitted(bank.image_width, bank.image_height) if bank.image_width else camera
 
 
 def check_setting(bank: FilterBank, camera: Camera) -> None:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from coded_aperture_ros.cli.estimators import CAMERA_OPTION
+from coded_aperture_ros.cli.estimators import CAMERA_OPTION, fit_camera
 from coded_aperture_ros.cli.frames import (
     NamedFrame,
     Unusable,
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         start = time.perf_counter()
         try:
             with naming(frame.source):
-                suitable(frame, bank, camera)
+                suitable(frame, bank)
                 stereo.check(frame.image)
                 sharp, blur_size_px = restore(frame)
         except InputError as error:
@@ -98,9 +98,9 @@ def _restorer(
     args: argparse.Namespace, bank: Any, camera: Any
 ) -> Callable[[NamedFrame], tuple[Any, Any]]:
     """Return a function from a frame to the all-in-focus frame and its map of blur sizes."""
-    from coded_aperture_ros.bank import check_setting
+    from coded_aperture_ros.bank import camera_of_bank
     from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, covers_frame
-    from coded_aperture_ros.depth import DepthConfig
+    from coded_aperture_ros.depth import DepthConfig, blur_sizes_px
     from coded_aperture_ros.imaging import KnownNoise
     from coded_aperture_ros.pipeline import FramePipeline
 
@@ -110,8 +110,10 @@ def _restorer(
     config = dataclasses.replace(config, **noise)
     deblurrer = Deblurrer(bank.stack, config, _iterations)
     if camera is not None:
-        check_setting(bank, camera)
-    given = None if args.depth == "auto" else _blur_sizes_of_file(args, bank, camera)
+        with naming(args.camera):
+            camera = camera_of_bank(bank, camera)
+    given: Any = None if args.depth == "auto" else _known_depths(args, bank, camera)
+    pipeline: Any = None
     if given is None:
         shared = {"saturation": config.saturation, "threads": args.threads or 0}
         # A picture from depth that is not sure shows that itself.
@@ -120,7 +122,8 @@ def _restorer(
             pipeline = FramePipeline(bank, camera, depth, config, _iterations)
 
     def restored(frame: NamedFrame) -> tuple[Any, Any]:
-        blur_size_px: Any = given
+        fitted = fit_camera(args, pipeline, camera, frame.image)
+        blur_size_px: Any
         if given is None:
             more = {"coloured": frame.coloured, "hidden_noise": frame.hidden_noise}
             result = pipeline(frame.image, frame.stamp_ns, **more)
@@ -133,6 +136,8 @@ def _restorer(
                 f"the depth map {args.depth} has {of_map} pixels, this frame {of_frame}: it must "
                 "be of this size, or of this shape and smaller"
             )
+        else:
+            blur_size_px = blur_sizes_px(bank, fitted, given)
         return deblurrer.deblur(frame.coloured, blur_size_px, motion_px=motion_px), blur_size_px
 
     return restored
@@ -157,17 +162,18 @@ def _motion(args: argparse.Namespace) -> Any:
         raise InputError(f"cannot read motion {args.motion}: {what}") from error
 
 
-def _blur_sizes_of_file(args: argparse.Namespace, bank: Any, camera: Any) -> Any:
-    """Return the blur sizes of the file's depths."""
+def _known_depths(args: argparse.Namespace, bank: Any, camera: Any) -> Any:
+    """Return the file's depths, of which blur sizes can be made."""
     import numpy as np
 
+    from coded_aperture_ros.depth import blur_sizes_px
     from coded_aperture_ros.io import read_depth
 
     depth_m = read_depth(args.depth)
-    blur_size_px = camera.blur_map_px(depth_m) if camera else bank.stack.blur_size_at(depth_m)
+    blur_size_px = blur_sizes_px(bank, camera, depth_m)
     if blur_size_px is None:
         what = "the bank does not know how far its levels are: give --camera, or --depth auto"
         raise InputError(f"{args.bank}: {what}")
     if not np.isfinite(blur_size_px).any():
         raise InputError(f"{args.depth}: no pixel has a known depth")
-    return blur_size_px
+    return depth_m

@@ -8,7 +8,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
-from functools import partial
 from itertools import groupby, tee
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from coded_aperture_ros.cli.estimators import (
     add_estimator_settings,
     check_estimator_options,
     expected_motion_of,
+    fit_camera,
     pipeline_of,
 )
 from coded_aperture_ros.cli.frames import (
@@ -127,7 +127,12 @@ def run(args: argparse.Namespace) -> int:
         return [*files(path).values(), *([Path(args.movie)] if args.movie else [])]
 
     unusable, bank = Unusable(), bank_of(pipeline.estimator.model)
-    fit = partial(suitable, bank=bank, camera=camera, scale=args.frame_scale)
+
+    def fit(found: NamedFrame) -> NamedFrame:
+        frame = suitable(found, bank, args.frame_scale)
+        fit_camera(args, pipeline, camera, frame.image)
+        return frame
+
     shown: AbstractContextManager[Any] = movie(args.movie) if args.movie else nullcontext()
     scale = _scale(args, pipeline.estimator)
     frames = named_frames(args, ".npy", _SUFFIXES, outputs, unusable)
@@ -224,7 +229,9 @@ def _with_look_ahead(
         except InputError as error:
             unreadable.append(error)  # the frames before it are finished first
 
-    images, hidden = tee(suited())
+    first, images, hidden = tee(suited(), 3)
+    next(first, None)  # the pipeline is made for its size before it begins
+    del first  # or it would keep all of them
     results = pipeline.video(
         (frame.image for frame in images), hidden_noise=(frame.hidden_noise for frame in hidden)
     )

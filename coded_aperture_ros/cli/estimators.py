@@ -96,12 +96,9 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
 
     `camera` is that of `--camera`, if any; `deblur` a `DeblurConfig`, None to deblur nothing.
     """
-    from coded_aperture_ros.bank import check_setting, load_bank
+    from coded_aperture_ros.bank import camera_of_bank, load_bank
     from coded_aperture_ros.depth import DepthConfig, refinement_note, side_warning
     from coded_aperture_ros.depth.regularize import LEARNED
-    from coded_aperture_ros.methods.choose import new_model
-    from coded_aperture_ros.methods.motion import MotionConfig
-    from coded_aperture_ros.methods.two_pixel import SimpleConfig
     from coded_aperture_ros.pipeline import FramePipeline
 
     bank = load_bank(args.bank) if args.bank else None
@@ -113,17 +110,8 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
         )
     with naming(args.camera or args.bank):
         if bank is not None and camera is not None:
-            check_setting(bank, camera)
-        model = new_model(
-            "motion" if args.motion else args.method,
-            camera=camera,
-            bank=bank,
-            depth_range_m=args.depth_range,
-            level_count=args.level_count,
-            simple=config_from(args, SimpleConfig),
-            motion=config_from(args, MotionConfig),
-            progress=lambda vectors: progress(vectors, unit="motion"),
-        )
+            camera = camera_of_bank(bank, camera)
+        model = _model_of(args, camera, bank)
         config = config_from(args, DepthConfig)
         pipeline = FramePipeline(model, camera, config, deblur)
     if note := refinement_note(model, config):
@@ -134,6 +122,37 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
     if warning := side_warning(model):
         logging.warning(warning)
     return pipeline
+
+
+def _model_of(args: argparse.Namespace, camera: Any, bank: Any) -> Any:
+    from coded_aperture_ros.methods.choose import new_model
+    from coded_aperture_ros.methods.motion import MotionConfig
+    from coded_aperture_ros.methods.two_pixel import SimpleConfig
+
+    return new_model(
+        "motion" if args.motion else args.method,
+        camera=camera,
+        bank=bank,
+        depth_range_m=args.depth_range,
+        level_count=args.level_count,
+        simple=config_from(args, SimpleConfig),
+        motion=config_from(args, MotionConfig),
+        progress=lambda vectors: progress(vectors, unit="motion"),
+    )
+
+
+def fit_camera(args: argparse.Namespace, pipeline: Any, camera: Any, image: Any) -> Any:
+    """Make a pipeline that for an image's size; return the camera of such images, if there is one.
+
+    An `InputError` if they cannot be the camera file's, resized.
+    """
+    if camera is None:
+        return None
+    fitted = camera.fitted(*image.shape[1::-1])
+    if pipeline is not None and fitted != pipeline.estimator.camera:
+        model = None if args.bank else _model_of(args, fitted, None)
+        pipeline.reconfigure(model=model, camera=fitted)
+    return fitted
 
 
 def expected_motion_of(args: argparse.Namespace, camera: Any) -> Any:

@@ -49,20 +49,17 @@ def add_input_options(parser: argparse.ArgumentParser, output_help: str) -> None
     parser.add_argument("-o", "--output", required=True, metavar="OUT", help=output_help)
 
 
-def suitable(frame: NamedFrame, bank: Any, camera: Any, scale: float = 1.0) -> NamedFrame:
-    """Resample a frame by a scale; an `InputError` if its size is not the bank's and camera's."""
+def suitable(frame: NamedFrame, bank: Any, scale: float = 1.0) -> NamedFrame:
+    """Resample a frame by a scale; an `InputError` if its size is not the bank's."""
     from coded_aperture_ros.bank import check_frame_size
     from coded_aperture_ros.imaging import resampled
 
     size = frame.image.shape[:2]
     if scale != 1:
         frame = dataclasses.replace(frame, image=resampled(frame.image, scale), size=size)
-    height, width = frame.image.shape[:2]
     if bank is not None:
-        check_frame_size(bank, width, height)
-    if camera is not None:
-        # Frames that have the bank's size already must keep it.
-        check_frame_size(camera, width, height, bank is None or not bank.image_width)
+        width, height = frame.image.shape[1::-1]
+        check_frame_size(bank, width, height, size[::-1])
     return frame
 
 

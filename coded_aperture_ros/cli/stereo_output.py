@@ -46,7 +46,7 @@ class StereoOutput:
         if args.parallax and not self._given:
             args.usage_error("--parallax only goes with --anaglyph or --stereo")
         self._args = args
-        self._direction = 1 if args.camera and args.depth != "auto" else _direction(stack)
+        self._direction = _direction(stack)
         self._parallax: Any = None  # of the first frame, which the others share
 
     def outputs(self, output: Path) -> list[Path]:

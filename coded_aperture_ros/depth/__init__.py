@@ -5,7 +5,7 @@ from coded_aperture_ros.depth.edges import DEPTH_EDGE_PX
 from coded_aperture_ros.depth.estimate import MAP_SIZES, DepthEstimate, map_size
 from coded_aperture_ros.depth.estimator import DepthEstimator
 from coded_aperture_ros.depth.fit import CAUSES, Health
-from coded_aperture_ros.depth.levels import Levels, depths_are_measured
+from coded_aperture_ros.depth.levels import Levels, blur_sizes_px, depths_are_measured
 from coded_aperture_ros.depth.points import nearest_obstacle_m, points_of_depth
 from coded_aperture_ros.depth.refine import refinement_note
 from coded_aperture_ros.depth.regularize import REGULARIZERS, Regularizer
@@ -23,6 +23,7 @@ __all__ = [
     "Health",
     "Levels",
     "Regularizer",
+    "blur_sizes_px",
     "depths_are_measured",
     "estimate_video",
     "map_size",

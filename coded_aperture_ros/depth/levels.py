@@ -103,6 +103,18 @@ def depths_are_measured(model: BlurLevels) -> bool:
     return not model.mask_digest and model.stack.depths_m is not None
 
 
+def blur_sizes_px(
+    model: BlurLevels, camera: Camera | None, depth_m: FloatArray
+) -> FloatArray | None:
+    """Return the blur sizes of a depth map of the whole image, NaN where it is; None if unknown.
+
+    From whoever knows the depths of the levels best, as in `Levels`.
+    """
+    if camera is None or depths_are_measured(model):
+        return model.stack.blur_size_at(depth_m)
+    return np.asarray(camera.blur_map_px(depth_m), np.float32)
+
+
 def _metres_per_level(depth_m: FloatArray) -> FloatArray:
     """Return by how much the depth changes in a level, from a table of depths; +inf at +inf."""
     per_level = np.where(np.isnan(depth_m), np.nan, np.inf)

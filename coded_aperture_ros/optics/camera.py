@@ -349,8 +349,8 @@ class Camera:
             return self
         if not is_same_view((self.image_width, self.image_height), width, height):
             raise InputError(
-                f"the frame is {width}x{height}, which is not the camera file's "
-                f"{self.image_width}x{self.image_height} resized"
+                f"frames of {width}x{height} are not the camera file's "
+                f"{self.image_width}x{self.image_height} resized: give a camera file of such frames"
             )
         return self._resized(width / self.image_width, width, height)
 

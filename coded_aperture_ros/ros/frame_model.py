@@ -6,7 +6,6 @@ from collections import deque
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-import numpy as np
 from rclpy.node import Node
 
 from coded_aperture_ros.bank import (
@@ -21,7 +20,7 @@ from coded_aperture_ros.bank.remap import remap_bank
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
-from coded_aperture_ros.depth import depths_are_measured
+from coded_aperture_ros.depth import blur_sizes_px, depths_are_measured
 from coded_aperture_ros.io.messages import MessageError
 from coded_aperture_ros.likelihood import BlurLevels
 from coded_aperture_ros.optics import Camera, View
@@ -180,10 +179,9 @@ class FrameModel(Generic[Model]):
 
     def blur_size_px(self, depth_m: FloatArray) -> FloatArray:
         """Return the blur size of depths; NaN stays."""
-        sizes = None
-        if depths_are_measured(self.model):
-            sizes = self.model.stack.blur_size_at(depth_m)
-        return self.camera.blur_map_px(depth_m).astype(np.float32) if sizes is None else sizes
+        sizes = blur_sizes_px(self.model, self.camera, depth_m)
+        assert sizes is not None  # of a camera
+        return sizes
 
     def _seen(self, file_camera: Camera) -> Camera:
         """Return the camera for the frames so far, or else for those that the bank is for."""

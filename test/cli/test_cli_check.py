@@ -59,8 +59,22 @@ def test_frames_with_faults(scene, tmp_path, capsys):
     assert found["dark"]["light"] == "warning"
     text = call(capsys, *arguments).out
     assert "5.0 % black" in text
-    assert "[ FAIL ] size: 88x64, the camera file says 176x128" in text
+    assert "[ FAIL ] size: frame of 88x64: the bank is for 176x128, and" in text
     assert "expose for less time" in text.partition("next:")[2]
+
+
+@pytest.mark.parametrize("fits", [True, False], ids=["resized", "another view"])
+def test_a_camera_file_of_another_resolution(scene, tmp_path, capsys, fits):
+    """It is fitted to the frames, as `depth` fits it."""
+    height = 2 * HEIGHT if fits else HEIGHT
+    camera = camera_file(tmp_path, focal_length_px=800, image_width=2 * WIDTH, image_height=height)
+    arguments = ("check", "--camera", camera, "--bank", scene.index_bank, "--depth-range", 1.6, 3)
+    result = call(capsys, *arguments, scene.coded_npy, "--json")
+    (frame,) = (found for name, found in findings(result).items() if name != "camera")
+    assert (result.status, frame["size"]) == ((0, "ok") if fits else (1, "failed"))
+    if not fits:
+        text = call(capsys, *arguments, scene.coded_npy).out.partition("next:")[2]
+        assert "give a camera file of such frames" in text
 
 
 def test_another_setting_is_refused(scene, tmp_path, capsys):

@@ -119,6 +119,32 @@ def test_a_bank_without_depths_takes_a_camera_or_the_frame_s_own_blur(scene, tmp
         assert gain_db(np.load(tmp_path / name), scene) > 3
 
 
+@pytest.mark.parametrize("depth", ["given", "auto"])
+@pytest.mark.parametrize("bank", ["bank", "index_bank"])
+def test_a_camera_file_of_another_resolution_is_fitted_to_the_frames(
+    scene, tmp_path, capsys, bank, depth
+):
+    camera = camera_file(
+        tmp_path, focal_length_px=200, image_width=WIDTH // 2, image_height=HEIGHT // 2
+    )
+    depth = scene.depth_npy if depth == "given" else "auto"
+    arguments = ("--bank", getattr(scene, bank), "--camera", camera, "--depth", depth)
+    output = tmp_path / "sharp.npy"
+    assert call(capsys, "deblur", *arguments, scene.coded_npy, "-o", output).status == 0
+    assert gain_db(np.load(output), scene) > 3
+
+
+def test_measured_depths_of_psfs_hold_whatever_the_camera_file_says(scene, tmp_path, capsys):
+    """PSFs without sizes have indices in their place, which no camera file can tell."""
+    stack = load_bank(scene.bank).stack
+    np.savez(tmp_path / "psfs.npz", psfs=stack.psfs, depths_m=stack.depths_m)
+    bank, output = tmp_path / "b.npz", tmp_path / "sharp.npy"
+    assert call(capsys, "learn", "--psfs", tmp_path / "psfs.npz", "-o", bank).status == 0
+    arguments = ("--bank", bank, "--camera", scene.camera, "--depth", scene.depth_npy)
+    assert call(capsys, "deblur", *arguments, scene.coded_npy, "-o", output).status == 0
+    assert gain_db(np.load(output), scene) > 3
+
+
 def test_8_bit_pictures_keep_their_encoding(scene, tmp_path, capsys):
     light = np.load(scene.coded_npy)
     srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)

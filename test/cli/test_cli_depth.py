@@ -488,23 +488,65 @@ def test_frames_of_another_size_are_refused_or_resampled(scene, tmp_path, capsys
     )
 
 
-@pytest.mark.parametrize("resized", [True, False], ids=["resized", "a part"])
+def test_a_part_of_a_frame_is_not_said_to_be_resampled(scene, tmp_path, capsys):
+    """No scale makes it as large as the bank's frames."""
+    np.save(tmp_path / "part.npy", np.load(scene.coded_npy)[:-1])
+    arguments = ("--bank", scene.bank, tmp_path / "part.npy", "-o", tmp_path / "d.npy")
+    result = call(capsys, "depth", *arguments)
+    refused(result, tmp_path / "part.npy", f"learn a bank for {WIDTH}x{HEIGHT - 1}")
+    assert "--frame-scale" not in result.err
+
+
+def test_the_scale_to_resample_by_is_that_of_the_frame_itself(scene, tmp_path, capsys):
+    small = (WIDTH // 3, HEIGHT // 3)
+    np.save(tmp_path / "small.npy", cv2.resize(np.load(scene.coded_npy), small))
+    arguments = ("--bank", scene.bank, tmp_path / "small.npy", "-o", tmp_path / "d.npy")
+    result = call(capsys, "depth", *arguments, "--frame-scale", 2)
+    scale = re.search(r"of 58x42, resampled to 116x84: .* --frame-scale ([.0-9]*)$", result.err)
+    assert scale, result.err
+    assert call(capsys, "depth", *arguments, "--frame-scale", scale[1]).status == 0
+
+
 @pytest.mark.parametrize("command", ["depth", "deblur"])
-def test_frames_of_another_size_than_the_camera_file_s(scene, tmp_path, capsys, command, resized):
-    """The bank was learned without a camera, and cannot tell what their pixels are."""
-    frame = tmp_path / "frame.npy"
-    coded = np.load(scene.coded_npy)
-    half = cv2.resize(coded, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    np.save(frame, half if resized else coded[: HEIGHT // 2])
-    out = tmp_path / "out.npy"
+def test_frames_of_another_view_than_the_camera_file_s(scene, tmp_path, capsys, command):
+    frame, out = tmp_path / "frame.npy", tmp_path / "out.npy"
+    np.save(frame, np.load(scene.coded_npy)[: HEIGHT // 2])
     options = ("--bank", scene.index_bank, "--camera", scene.camera, frame, "-o", out)
     options += ("--depth", "auto") if command == "deblur" else ()
-    shape = f"{WIDTH // 2}x{HEIGHT // 2}" if resized else f"{WIDTH}x{HEIGHT // 2}"
-    wanted = f"the camera file is for {WIDTH}x{HEIGHT}", "give one of such frames"
-    result = call(capsys, command, *options)
-    refused(result, f"{frame}: frame of {shape}: ", *wanted)
-    assert ("--frame-scale 2 resample" in result.err) == resized
+    what = f"frames of {WIDTH}x{HEIGHT // 2} are not the camera file's {WIDTH}x{HEIGHT} resized"
+    refused(call(capsys, command, *options), f"{frame}: {what}: give a camera file of such frames")
     assert names(tmp_path) == ["frame.npy"]
+
+
+@pytest.mark.parametrize("bank", ["bank", "index_bank"])
+@pytest.mark.parametrize("look_ahead", [False, True], ids=["alone", "look-ahead"])
+def test_a_camera_file_of_another_resolution(scene, tmp_path, capsys, bank, look_ahead):
+    """It is fitted to the frames, also where the bank does not say how large they are."""
+    camera = camera_file(
+        tmp_path, focal_length_px=200, image_width=WIDTH // 2, image_height=HEIGHT // 2
+    )
+    depths_m = {}
+    for file in (scene.camera, camera):
+        options = ("--camera", file, scene.coded_npy, "-o", tmp_path / "d.npy", "--points")
+        options += ("--look-ahead", "--temporal-frames", 1) if look_ahead else ()
+        assert call(capsys, "depth", "--bank", getattr(scene, bank), *options).status == 0
+        depths_m[file] = np.load(tmp_path / "d.npy")
+    np.testing.assert_allclose(depths_m[camera], depths_m[scene.camera], rtol=1e-5)
+    assert relative_error(depths_m[camera], scene)[0] < 0.03
+
+
+def test_simple_masks_with_a_camera_file_of_another_resolution(scene, tmp_path, capsys):
+    frame, depths_m, mask = tmp_path / "coded.npy", [], {"name": "three_hole"}
+    halves = {"focal_length_px": 200, "image_width": WIDTH // 2, "image_height": HEIGHT // 2}
+    for changes in ({}, halves):
+        camera = camera_file(tmp_path, mask=mask, **changes)
+        if not changes:
+            arguments = ("--image", scene.sharp_file, "--depth", scene.depth_npy, "-o", frame)
+            assert call(capsys, "simulate", "--camera", camera, *arguments).status == 0
+        options = ("--method", "simple", "--camera", camera, "--depth-range", 1.4, 4, frame)
+        assert call(capsys, "depth", *options, "-o", tmp_path / "d.npy").status == 0
+        depths_m.append(np.load(tmp_path / "d.npy"))
+    np.testing.assert_allclose(*depths_m, rtol=1e-5)
 
 
 def test_resampled_frames_have_their_own_depths_and_points(scene, tmp_path, capsys):
