@@ -182,6 +182,7 @@ def _check_usage(args: argparse.Namespace) -> None:
     ranged, counted = args.depth_range is not None, args.level_count is not None
     filters = changed(args, args.filters) if remap or tuned else []
     chosen = [name for name in filters if remap or name != "--noise"]
+    other = "--remap" if remap else "--budget-ms"
     for wrong, message in (
         (remap and not args.camera, "--remap needs --camera, which says what the new setting is"),
         (remap and args.images is not None, "--images does not go with --remap"),
@@ -191,7 +192,7 @@ def _check_usage(args: argparse.Namespace) -> None:
         (args.planes and args.images, "--images does not go with --planes: they have textures"),
         (tuned and not args.camera, "--budget-ms needs --camera, which says how large frames are"),
         (args.budget_threads and not tuned, "--budget-threads only goes with --budget-ms"),
-        *((True, f"{name} does not go with --remap or --budget-ms, see --help") for name in chosen),
+        *((True, f"{name} does not go with {other}, see --help") for name in chosen),
     ):
         if wrong:
             args.usage_error(message)

@@ -578,11 +578,18 @@ def test_a_picture_that_is_cut_has_the_middle_of_the_field(scene, tmp_path, caps
     assert np.abs(cut[inside] - whole[middle][inside]).max() < 0.004
 
 
-def test_simulate_says_that_the_picture_is_not_the_camera_s(scene, tmp_path, capsys, caplog):
-    camera = camera_file(tmp_path, image_width=640, image_height=480)
+@pytest.mark.parametrize(
+    ("size", "what"),
+    [((640, 480), "the middle of"), ((64, 48), "more than"), ((640, 48), "more than")],
+)
+def test_simulate_says_that_the_picture_is_not_the_camera_s(
+    scene, tmp_path, capsys, caplog, size, what
+):
+    camera = camera_file(tmp_path, image_width=size[0], image_height=size[1])
     with caplog.at_level(logging.WARNING):
         assert simulate(capsys, scene, tmp_path / "coded.npy", camera=camera).status == 0
-    assert f"has {WIDTH} x {HEIGHT} pixels, not the 640 x 480 of the camera file" in caplog.text
+    sizes = f"has {WIDTH} x {HEIGHT} pixels, not the {size[0]} x {size[1]} of the camera file"
+    assert f"{sizes}: taken as {what} its image" in caplog.text
 
 
 @pytest.mark.parametrize(
