@@ -38,9 +38,13 @@ def check_output(
 
 
 def check_outputs(paths: Iterable[Path], inputs: Iterable[Path]) -> None:
-    """Check likewise that files can be written, and that none of them is one of the inputs."""
-    taken = {*map(_identity, inputs)} - {None}
+    """Check likewise that files can be written, none of them twice, and none that is an input."""
+    taken, written = {*map(_identity, inputs)} - {None}, set()
     for path in paths:
+        if (resolved := path.resolve()) in written:
+            what = "two results cannot go to one file: use another name, or a folder for each input"
+            raise InputError(f"{path}: {what}")
+        written.add(resolved)
         if path.is_dir():
             raise InputError(f"cannot write {path}: it is a folder")
         if _identity(path) in taken:

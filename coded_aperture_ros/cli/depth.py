@@ -123,9 +123,6 @@ def run(args: argparse.Namespace) -> int:
     def files(path: Path) -> dict[str, Path]:
         return _files(path, args, both_sides)
 
-    def outputs(path: Path) -> list[Path]:
-        return [*files(path).values(), *([Path(args.movie)] if args.movie else [])]
-
     unusable, bank = Unusable(), bank_of(pipeline.estimator.model)
 
     def fit(found: NamedFrame) -> NamedFrame:
@@ -135,7 +132,10 @@ def run(args: argparse.Namespace) -> int:
 
     shown: AbstractContextManager[Any] = movie(args.movie) if args.movie else nullcontext()
     scale = _scale(args, pipeline.estimator)
-    frames = named_frames(args, ".npy", _SUFFIXES, outputs, unusable)
+    shared = [Path(args.movie)] if args.movie else []
+    frames = named_frames(
+        args, ".npy", _SUFFIXES, lambda path: files(path).values(), unusable, shared
+    )
     summaries: list[dict[str, Any]] = []
     with shown as add_to_movie:
         for _, grouped in groupby(frames, key=lambda frame: frame.video):

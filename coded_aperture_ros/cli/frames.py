@@ -3,6 +3,7 @@
 import argparse
 import dataclasses
 import logging
+import re
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -89,16 +90,17 @@ def named_frames(
     suffixes: Sequence[str],
     outputs: Callable[[Path], Iterable[Path]],
     unusable: Unusable,
+    shared: Sequence[Path] = (),
 ) -> Iterator[NamedFrame]:
     """Go through every frame of every input.
 
     A single frame goes to the output itself where that names a file, which may end in one of
     `suffixes`; otherwise the output is a folder that gets one file per frame, named like the frame,
-    that ends in `suffix`. `outputs` gives all the files that belong to an output. That they can be
-    written is checked before a frame is handed out; those of pictures, before the first. Raises
-    `InputError` if several frames would go to one file, an input cannot be read, or an output
-    cannot be written or would overwrite an input. Of several pictures, those that cannot be read
-    are left to `unusable`.
+    that ends in `suffix`. `outputs` gives all the files that belong to an output, and `shared` has
+    those of all frames. That they can be written is checked before a frame is handed out; those of
+    pictures, before the first. Raises `InputError` if several frames would go to one file, an input
+    cannot be read, or an output cannot be written or would overwrite an input. Of several pictures,
+    those that cannot be read are left to `unusable`.
     """
     from coded_aperture_ros.imaging import hidden_noise
     from coded_aperture_ros.io.messages import frame_from_pixels
@@ -124,7 +126,10 @@ def named_frames(
         names = Counter(file.stem for source in pictures for file in source.files)
         # Frames of these are numbered.
         others = Counter(source.files[0].stem for source in sources if source not in pictures)
-        if twice := [name for name, count in [*names.items(), *others.items()] if count > 1]:
+        twice = [name for name, count in [*names.items(), *others.items()] if count > 1]
+        # A picture may be named like a frame of these.
+        numbered = [re.fullmatch(r"(.+)_\d{6,}", name) for name in names]
+        if twice := twice + [found[0] for found in numbered if found and found[1] in others]:
             raise InputError(
                 f"{output}: several inputs are named {twice[0]}, and so would their results be: "
                 "use a folder for each"
@@ -136,7 +141,8 @@ def named_frames(
         def target_of(name: str) -> Path:
             return output if to_file else output / f"{name}{suffix}"
 
-        check_outputs([path for name in names for path in outputs(target_of(name))], files)
+        results = (path for name in names for path in outputs(target_of(name)))
+        check_outputs([*shared, *results], files)
 
         def frames() -> Iterator[tuple[str, Any, int]]:
             video, alone = 0, False

@@ -51,11 +51,7 @@ class StereoOutput:
 
     def outputs(self, output: Path) -> list[Path]:
         """Return all files that belong to the all-in-focus picture `output`, which is the first."""
-        paths = [output, *self._files(output).values()]
-        for index, path in enumerate(paths):
-            if path.resolve() in [other.resolve() for other in paths[:index]]:
-                raise InputError(f"{path}: two results cannot go to one file: use another name")
-        return paths
+        return [output, *self._files(output).values()]
 
     def check(self, frame: Any) -> None:
         """Check that the views of a frame can be as far apart as asked for."""

@@ -281,6 +281,26 @@ def test_a_video(scene, tmp_path, capsys):
     assert relative_error(np.load(tmp_path / "depth" / depths[0]), scene)[0] < 0.05
 
 
+@pytest.mark.parametrize("command", ["depth", "deblur"])
+def test_pictures_with_results_of_one_name(scene, tmp_path, capsys, command):
+    """A picture like a frame of a video or a bag, and one like another result of a picture."""
+    inputs = [tmp_path / f"{name}.npy" for name in ("clip_000000", "a", "a.std_dev", "clip")]
+    for file in inputs:
+        shutil.copy(scene.coded_npy, file)
+    bag = write_bag(tmp_path / "clip.bag", recording(scene, frames=1)).rename(tmp_path / "clip.b")
+    arguments = (command, "--bank", scene.bank, "-o", tmp_path / "out/")
+    arguments += ("--depth", "auto") if command == "deblur" else ()
+    for given in ([bag, inputs[0]], [inputs[0], bag]):
+        refused(call(capsys, *arguments, *given), "several inputs are named clip_000000")
+    result = call(capsys, *arguments, *inputs[1:3])
+    if command == "depth":
+        refused(result, "a.std_dev.npy: two results cannot go to one file")
+        assert not (tmp_path / "out").exists()
+    else:
+        assert result.status == 0
+    assert call(capsys, *arguments, bag, inputs[3]).status == 0
+
+
 @pytest.mark.parametrize("scale", [0.5, 2])
 def test_a_video_of_resampled_frames(scene, tmp_path, capsys, scale):
     """It has their own size, which is that of their depth."""
