@@ -178,8 +178,8 @@ def _given(args: argparse.Namespace, sensor: Any) -> int:
     if (width, height) != whole:
         part = "the middle of" if width <= whole[0] and height <= whole[1] else "more than"
         logging.warning(
-            "%s has %d x %d pixels, not the %d x %d of the camera file: taken as %s its image, with "
-            "pixels of the same size; depth of it needs a camera file with its size",
+            "%s has %d x %d pixels, not the %d x %d of the camera file: taken as %s its image, "
+            "with pixels of the same size; depth of it needs a camera file with its size",
             *(args.image, width, height, *whole, part),
         )
         margins = (whole[0] - width) / 2, (whole[1] - height) / 2

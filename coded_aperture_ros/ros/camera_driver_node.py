@@ -30,7 +30,7 @@ from coded_aperture_ros.ros.diagnostics import (
     Statistics,
     camera_of,
 )
-from coded_aperture_ros.ros.managed_node import ManagedNode
+from coded_aperture_ros.ros.managed_node import LONGEST_FRAME_S, ManagedNode
 from coded_aperture_ros.ros.messages import camera_info_from_intrinsics, image_from_array
 from coded_aperture_ros.ros.pace import Pace
 from coded_aperture_ros.ros.rgbd_source import RGBD, RgbdSource
@@ -38,8 +38,6 @@ from coded_aperture_ros.ros.static_transform import broadcast_static, optical_tr
 from coded_aperture_ros.ros.topics import LocalTopics, Outputs
 
 _IDLE_S = 0.05
-# A camera that is gone may keep a thread waiting for longer; it is not waited for.
-_LONGEST_FRAME_S = 5.0
 _RETRY_S = (0.5, 10.0)
 
 
@@ -180,7 +178,7 @@ class CameraDriverNode(ManagedNode):
         """End the thread, which lets go of the camera, as soon as the frame in work is done."""
         self._stopping.set()
         if self._thread is not None:
-            self._thread.join(_LONGEST_FRAME_S)
+            self._thread.join(LONGEST_FRAME_S)
 
     def end(self) -> None:
         """End the thread, and let go of the camera."""
@@ -236,9 +234,11 @@ class CameraDriverNode(ManagedNode):
             except Exception as error:
                 # A camera that is unplugged, or a driver that fails in its own way: the robot
                 # goes on, and so does this node as soon as there are frames again.
-                self._tell_failure(source, error)
-                # Pairs have been waited for as they were read, and those that come are not to wait.
-                if not isinstance(source, RgbdSource):
+                # Pairs may be missing many times a second. They have been waited for as they were
+                # read, and those that come are not to wait.
+                pairs = isinstance(source, RgbdSource)
+                self._tell_failure(source, error, 10.0 if pairs else 0.0)
+                if not pairs:
                     stopping.wait(retry_s)
                     retry_s = min(2 * retry_s, _RETRY_S[1])
                 continue
@@ -246,7 +246,7 @@ class CameraDriverNode(ManagedNode):
                 self._failing, retry_s = False, _RETRY_S[0]
                 self.get_logger().info("frames are coming again")
 
-    def _tell_failure(self, source: Source, error: Exception) -> None:
+    def _tell_failure(self, source: Source, error: Exception, pause_s: float) -> None:
         self.statistics.count_rejected("source", str(error))
         if not self._failing:
             self._failing = True
@@ -254,8 +254,6 @@ class CameraDriverNode(ManagedNode):
             going_on = (
                 "trying again until it works" if source.live else "going on with what follows"
             )
-            # Pairs may be missing many times a second.
-            pause_s = 10.0 if isinstance(source, RgbdSource) else 0.0
             self.get_logger().error(f"{error}; {going_on}", throttle_duration_sec=pause_s)
 
     def _keep_settings(self, source: DeviceSource, settings: DeviceConfig) -> DeviceConfig:

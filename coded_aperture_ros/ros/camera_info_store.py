@@ -102,7 +102,9 @@ class CameraInfoStore:
             self._node.get_logger().warning(f"set_camera_info refused: {error}")
             return response
         self.measured = measured
-        response.success, response.status_message = True, f"saved in {self._path}"
+        untold = "; no frame has come yet, so whether it has their proportions is not known"
+        response.success = True
+        response.status_message = f"saved in {self._path}{'' if self._frame_size else untold}"
         self._node.get_logger().info(f"camera_info {response.status_message}")
         return response
 

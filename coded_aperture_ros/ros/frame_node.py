@@ -24,7 +24,7 @@ from coded_aperture_ros.ros.diagnostics import (
     Statistics,
     camera_of,
 )
-from coded_aperture_ros.ros.managed_node import ManagedNode
+from coded_aperture_ros.ros.managed_node import LONGEST_FRAME_S, ManagedNode
 from coded_aperture_ros.ros.messages import image_from_compressed, stamp_ns
 from coded_aperture_ros.ros.newest import NewestWorker
 from coded_aperture_ros.ros.pace import RateLimit
@@ -34,8 +34,6 @@ Item = TypeVar("Item")
 
 _LAZY_PERIOD_S = 0.2
 _LOG_PERIOD_S = 10.0
-# What a node that ends waits for the frame in work.
-_LONGEST_FRAME_S = 5.0
 # What it waits in silence.
 _PATIENCE_S = 2.0
 
@@ -209,7 +207,7 @@ class FrameNode(ManagedNode, Generic[Item]):
 
     def end(self) -> None:
         """End the threads."""
-        self._end_worker(_LONGEST_FRAME_S)
+        self._end_worker(LONGEST_FRAME_S)
         self.unload()
 
     def _end_worker(self, timeout_s: float | None = None) -> None:

@@ -12,6 +12,8 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.ros.parameters import NodeParameters
 
+# What a node that ends waits for the frame in work; a camera that is gone may hang for longer.
+LONGEST_FRAME_S = 5.0
 _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 

@@ -10,8 +10,8 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.messages import (
     MessageError,
-    array_from_image,
     depth_from_pixels,
+    depth_pixels,
     frame_from_image,
 )
 from coded_aperture_ros.io.sources import Capture
@@ -91,10 +91,7 @@ def depth_in_metres(message: Image) -> FloatArray:
 
     Raises `MessageError` where it is no depth image, or nothing is known in it.
     """
-    pixels = array_from_image(message)
-    if message.encoding not in ("32FC1", "16UC1", "mono16"):
-        raise MessageError("depth", f"depth image is {message.encoding}, expected 32FC1 or 16UC1")
-    depth_m = depth_from_pixels(pixels)
+    depth_m = depth_from_pixels(depth_pixels(message))
     if not np.isfinite(depth_m).any():
         raise MessageError("depth", "no depth is known in the whole image")
     return depth_m

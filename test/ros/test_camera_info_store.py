@@ -138,6 +138,19 @@ def test_a_calibration_of_other_proportions_is_refused(ros, home, tmp_path):
     assert wait_until(lambda: infos[-1].k[0] == 60.5)
 
 
+def test_before_the_first_frame_nobody_knows_whether_a_calibration_fits(ros, home, tmp_path):
+    """While nobody listens, there are no frames."""
+    node = drive(ros, tmp_path, lazy=True)
+    answer = set_info(ros, message(height=36))
+    assert answer.success
+    assert "no frame has come yet, so whether it has their proportions is" in answer.status_message
+    images = ros.subscribe("image_raw", Image)
+    assert wait_until(lambda: images, 30)
+    assert node.statistics.summary().received
+    answer = set_info(ros, message())
+    assert answer.success and answer.status_message.endswith("camera.yaml")
+
+
 def test_frames_of_other_proportions_have_no_camera_info(ros, tmp_path, capfd):
     wide = dataclasses.replace(MEASURED, image_height=36)
     wide.save(tmp_path / "wide.yaml")

@@ -175,7 +175,7 @@ def test_a_device_that_vanishes_is_tried_again(ros, camera_file, tmp_path):
 
 
 def test_a_camera_that_hangs_is_not_read_by_two_threads(ros, camera_file, folder, monkeypatch):
-    monkeypatch.setattr("coded_aperture_ros.ros.camera_driver_node._LONGEST_FRAME_S", 0.1)
+    monkeypatch.setattr("coded_aperture_ros.ros.camera_driver_node.LONGEST_FRAME_S", 0.1)
     images = ros.subscribe("image_raw", Image, 50)
     node = drive(ros, camera_file, folder)
     assert wait_until(lambda: images)

@@ -16,6 +16,7 @@ from coded_aperture_ros.io.messages import (
     array_from_compressed,
     array_from_image,
     check_pixels,
+    depth_pixels,
     encoding_of,
     scaled_matrices,
     written_encoding,
@@ -61,12 +62,8 @@ def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
 
 def read_depth_image(data: bytes | memoryview) -> Picture:
     """Read a depth image for `depth_from_pixels`; a `MessageError` ("depth") if it is none."""
-    picture = read_picture(data, IMAGE)
-    if picture.encoding not in ("32FC1", "16UC1", "mono16"):
-        raise MessageError(
-            "depth", f"depth has the encoding 32FC1 or 16UC1, not {picture.encoding}"
-        )
-    return picture
+    message = _read(data, IMAGE)
+    return Picture(message.header, depth_pixels(message), message.encoding)
 
 
 def read_camera_info(data: bytes | memoryview) -> Any:

@@ -21,6 +21,7 @@ from coded_aperture_ros.io.messages.encodings import (
 )
 from coded_aperture_ros.io.messages.frames import (
     depth_from_pixels,
+    depth_pixels,
     frame_from_image,
     frame_from_pixels,
     limit_depth,
@@ -40,6 +41,7 @@ __all__ = [
     "compressed_depth",
     "compressed_picture",
     "depth_from_pixels",
+    "depth_pixels",
     "encoding_of",
     "frame_from_image",
     "frame_from_pixels",

@@ -15,7 +15,7 @@ from coded_aperture_ros.imaging import (
     mosaic_from_colour,
     pixels_from_linear,
 )
-from coded_aperture_ros.io.messages.encodings import array_from_image, encoding_of
+from coded_aperture_ros.io.messages.encodings import MessageError, array_from_image, encoding_of
 
 # Weights of linear red, green and blue in luminance (ITU-R BT.709).
 _LUMINANCE = np.array([[0.2126, 0.7152, 0.0722]], np.float32)
@@ -112,6 +112,14 @@ def millimetres_from_depth(depth_m: FloatArray) -> NDArray[np.uint16]:
     # Clipped in metres first: the largest float32 would overflow when multiplied.
     millimetres = np.rint(np.clip(np.where(known, depth_m, 0.0), 0.0, 66.0) * 1000.0)
     return np.where(known, np.clip(millimetres, 1, 65535), 0).astype(np.uint16)
+
+
+def depth_pixels(message: Any) -> NDArray:
+    """Return the pixels of a depth image (REP 118); a `MessageError` ("depth") if it is none."""
+    pixels = array_from_image(message)
+    if message.encoding not in ("32FC1", "16UC1", "mono16"):
+        raise MessageError("depth", f"depth image is {message.encoding}, expected 32FC1 or 16UC1")
+    return pixels
 
 
 def depth_from_pixels(pixels: NDArray) -> FloatArray:
