@@ -197,7 +197,7 @@ def test_the_scene_moves_and_has_the_noise_that_was_told():
     first, second = frames.moving_frames(stack, shape, count=2)
     assert first.dtype == np.float32
     assert first.shape == shape
-    assert 0 <= first.min() <= first.max() <= 0.99
+    assert 0 <= first.min() <= first.max() <= np.float32(0.99)
     down, right = frames._STEP_PX
     difference = first[down:, right:] - second[:-down, :-right]
     assert np.std(difference) == pytest.approx(math.sqrt(2) * frames.NOISE, rel=0.05)

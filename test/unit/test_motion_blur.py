@@ -156,7 +156,7 @@ def test_what_an_object_hides_for_a_part_of_the_exposure_is_seen_for_the_rest():
     assert np.diff(row[24:36]).min() > -1e-6
     assert row.sum() == pytest.approx(20, abs=0.5)  # its light is spread, not lost
     assert frame.depth_m[30, 40] == pytest.approx(OBJECT_M)
-    assert frame.depth_m[30, 20] == SCENE_M
+    assert frame.depth_m[30, 20] == np.float32(SCENE_M)
 
 
 def test_objects_that_cannot_be():
