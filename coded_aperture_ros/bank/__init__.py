@@ -2,7 +2,7 @@
 
 from coded_aperture_ros.bank.empirical import EmpiricalPrior
 from coded_aperture_ros.bank.file import load_bank, save_bank
-from coded_aperture_ros.bank.fitting import camera_of_bank, check_frame_size, check_setting
+from coded_aperture_ros.bank.fitting import check_frame_size, check_setting
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.learning import (
     DEFAULT_LEVEL_COUNT,
@@ -29,7 +29,6 @@ __all__ = [
     "NaturalImagePrior",
     "ThinLens",
     "WindowedFourierBasis",
-    "camera_of_bank",
     "check_frame_size",
     "check_setting",
     "image_prior",

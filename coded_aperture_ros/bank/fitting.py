@@ -5,10 +5,8 @@ Another size, focus or focal length leave no trace in a picture: only what the b
 
 from coded_aperture_ros.bank.model import FilterBank
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.optics import Camera
-
-# What `depth --frame-scale` takes.
-_SCALES = 0.1, 10.0
 
 
 def check_frame_size(
@@ -20,16 +18,16 @@ def check_frame_size(
     (width, height), where it was resampled.
     """
     own, given = (bank.image_width, bank.image_height), given or (width, height)
-    if not all(own) or (width, height) == own or min(width, height) < bank.window_px:
-        return  # of one smaller than the window, that will be said
+    PatchGrid.covering((height, width), bank.window_px, 1)  # refuses what is smaller than a window
+    if not all(own) or (width, height) == own:
+        return
     size = "{}x{}".format(*given)
+    scale = (own[0] / given[0] + own[1] / given[1]) / 2
+    fits = tuple(round(scale * length) for length in given) == own
     remedy = f"learn a bank for {size} (sizes of the image in the camera file)"
-    sides = list(zip(own, given, strict=True))
-    # Between these scales, both sides are rounded to the bank's.
-    least = max((side - 0.5) / length for side, length in sides)
-    most = min((side + 0.5) / length for side, length in sides)
-    scale = (least + most) / 2
-    if least < most and _SCALES[0] <= scale <= _SCALES[1]:
+    if given == own:
+        remedy = "leave out --frame-scale"
+    elif fits and 0.1 <= scale <= 10:  # which that option takes
         remedy += f", or, if it is the same view, resample it by depth --frame-scale {scale:.6g}"
     resampled = "" if given == (width, height) else f", resampled to {width}x{height}"
     raise InputError(
@@ -38,19 +36,14 @@ def check_frame_size(
     )
 
 
-def camera_of_bank(bank: FilterBank, camera: Camera) -> Camera:
-    """Return a camera for frames of a bank's size, where it knows that; `InputError`s as below."""
-    check_setting(bank, camera)
-    return camera.fitted(bank.image_width, bank.image_height) if bank.image_width else camera
+def check_setting(bank: FilterBank, camera: Camera) -> Camera:
+    """Refuse a camera with another focus, focal length, mask size or view than the bank's.
 
-
-def check_setting(bank: FilterBank, camera: Camera) -> None:
-    """Refuse a camera with another focus, focal length or mask size than the bank's.
-
-    An `InputError` says what to do.
+    Returns the camera for frames of the bank's size, if it knows that. An `InputError` says what to
+    do.
     """
     if bank.setting_digest in ("", camera.setting_digest):
-        return
+        return camera.fitted(bank.image_width, bank.image_height) if bank.image_width else camera
     raise InputError(
         f"the bank was learned for another setting of the camera ({bank.learned_from}), with "
         "another focus, focal length, mask size or side: learn the bank for this camera file, or "

@@ -28,6 +28,7 @@ _HIGHEST_FREQUENCY, _SHARP_PX, _LOWEST_LIMIT = 0.46, 1.0, 0.1
 _SMALLEST_WINDOW_PX, _LARGEST_WINDOW_PX = 16, 256
 # A difference of blur that is told apart.
 _LEAST_SPAN_PX = 1.0
+_MOST_LEVELS = 500
 # The rank that all frequencies need.
 RANK_OF_ALL = 128
 # A window chosen by the blur has so many patches a side, no farther apart than this.
@@ -361,9 +362,10 @@ def textures_of(prior: NaturalImagePrior | None) -> str:
 
 
 def check_levels(count: int) -> None:
-    """Refuse fewer than two levels."""
-    if count < 2:
-        raise InputError(f"a bank needs at least 2 levels, got {count}")
+    """Refuse fewer than two levels, and so many that they would take all memory."""
+    if not 2 <= count <= _MOST_LEVELS:
+        allowed = "needs at least 2" if count < 2 else f"has at most {_MOST_LEVELS}"
+        raise InputError(f"a bank {allowed} levels, got {count}")
 
 
 def guarded_range(

@@ -4,7 +4,7 @@ import argparse
 import dataclasses
 from typing import Any
 
-from coded_aperture_ros.cli.measuring import tell
+from coded_aperture_ros.cli.measuring import pictures_in, tell
 from coded_aperture_ros.cli.options import add_gamma_option, add_options
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError, naming
@@ -27,7 +27,7 @@ def add_parser(subparsers: Any) -> None:
         "and as bright as possible. Frames have to be linear.",
         epilog=_EPILOG,
     )
-    parser.add_argument("frames", nargs="+", metavar="FRAME", help="two or more pictures")
+    parser.add_argument("frames", nargs="+", metavar="FRAME", help="two or more, or their folder")
     add_gamma_option(parser)
     add_options(parser, {"--json": "print the numbers as JSON"})
 
@@ -37,17 +37,17 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.calibration.noise import noise_from_frames
     from coded_aperture_ros.io import read_image
 
-    if len(args.frames) < 2:
+    names, frames = pictures_in(args.frames), list[Any]()
+    if len(names) < 2:
         args.usage_error("give two or more frames of one scene")
-    frames: list[Any] = []
-    for name in progress(args.frames, len(args.frames), "frame"):
+    for name in progress(names, len(names), "frame"):
         frames.append(read_image(name, args.gamma))
         if frames[-1].shape != frames[0].shape:
             raise InputError(
-                f"{name}: has the shape {list(frames[-1].shape)}, {args.frames[0]} "
+                f"{name}: has the shape {list(frames[-1].shape)}, {names[0]} "
                 f"{list(frames[0].shape)}: frames of one camera are needed"
             )
-    with naming(f"{args.frames[0]} to {args.frames[-1]}"):
+    with naming(f"{names[0]} to {names[-1]}"):
         found = noise_from_frames(frames)
     warnings = []
     if not found.gain_is_known:

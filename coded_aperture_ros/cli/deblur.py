@@ -98,7 +98,7 @@ def _restorer(
     args: argparse.Namespace, bank: Any, camera: Any
 ) -> Callable[[NamedFrame], tuple[Any, Any]]:
     """Return a function from a frame to the all-in-focus frame and its map of blur sizes."""
-    from coded_aperture_ros.bank import camera_of_bank
+    from coded_aperture_ros.bank import check_setting
     from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, covers_frame
     from coded_aperture_ros.depth import DepthConfig, blur_sizes_px
     from coded_aperture_ros.imaging import KnownNoise
@@ -111,7 +111,7 @@ def _restorer(
     deblurrer = Deblurrer(bank.stack, config, _iterations)
     if camera is not None:
         with naming(args.camera):
-            camera = camera_of_bank(bank, camera)
+            camera = check_setting(bank, camera)
     given: Any = None if args.depth == "auto" else _known_depths(args, bank, camera)
     pipeline: Any = None
     if given is None:

@@ -6,13 +6,13 @@ import json
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from itertools import groupby, tee
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_suffix
+from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.cli.estimators import (
     add_estimator_options,
     add_estimator_settings,
@@ -123,6 +123,9 @@ def run(args: argparse.Namespace) -> int:
     def files(path: Path) -> dict[str, Path]:
         return _files(path, args, both_sides)
 
+    def outputs(path: Path) -> Iterable[Path]:
+        return files(path).values()
+
     unusable, bank = Unusable(), bank_of(pipeline.estimator.model)
 
     def fit(found: NamedFrame) -> NamedFrame:
@@ -132,10 +135,7 @@ def run(args: argparse.Namespace) -> int:
 
     shown: AbstractContextManager[Any] = movie(args.movie) if args.movie else nullcontext()
     scale = _scale(args, pipeline.estimator)
-    shared = [Path(args.movie)] if args.movie else []
-    frames = named_frames(
-        args, ".npy", _SUFFIXES, lambda path: files(path).values(), unusable, shared
-    )
+    frames = named_frames(args, ".npy", _SUFFIXES, outputs, unusable)
     summaries: list[dict[str, Any]] = []
     with shown as add_to_movie:
         for _, grouped in groupby(frames, key=lambda frame: frame.video):
@@ -178,7 +178,7 @@ def _check_usage(args: argparse.Namespace) -> None:
     if args.frame_scale != 1 and (args.look_ahead or args.motion):
         args.usage_error("--frame-scale: not with --look-ahead or --motion")
     if args.movie:
-        check_suffix(args.movie, (".mp4",))
+        check_output(args.movie, map(Path, args.inputs), (".mp4",))
 
 
 def _told_if_lossy(video: Iterator[NamedFrame]) -> Iterator[NamedFrame]:

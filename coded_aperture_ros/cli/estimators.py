@@ -96,9 +96,12 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
 
     `camera` is that of `--camera`, if any; `deblur` a `DeblurConfig`, None to deblur nothing.
     """
-    from coded_aperture_ros.bank import camera_of_bank, load_bank
+    from coded_aperture_ros.bank import check_setting, load_bank
     from coded_aperture_ros.depth import DepthConfig, refinement_note, side_warning
     from coded_aperture_ros.depth.regularize import LEARNED
+    from coded_aperture_ros.methods.choose import new_model
+    from coded_aperture_ros.methods.motion import MotionConfig
+    from coded_aperture_ros.methods.two_pixel import SimpleConfig
     from coded_aperture_ros.pipeline import FramePipeline
 
     bank = load_bank(args.bank) if args.bank else None
@@ -110,8 +113,17 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
         )
     with naming(args.camera or args.bank):
         if bank is not None and camera is not None:
-            camera = camera_of_bank(bank, camera)
-        model = _model_of(args, camera, bank)
+            camera = check_setting(bank, camera)
+        model = new_model(
+            "motion" if args.motion else args.method,
+            camera=camera,
+            bank=bank,
+            depth_range_m=args.depth_range,
+            level_count=args.level_count,
+            simple=config_from(args, SimpleConfig),
+            motion=config_from(args, MotionConfig),
+            progress=lambda vectors: progress(vectors, unit="motion"),
+        )
         config = config_from(args, DepthConfig)
         pipeline = FramePipeline(model, camera, config, deblur)
     if note := refinement_note(model, config):
@@ -124,23 +136,6 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
     return pipeline
 
 
-def _model_of(args: argparse.Namespace, camera: Any, bank: Any) -> Any:
-    from coded_aperture_ros.methods.choose import new_model
-    from coded_aperture_ros.methods.motion import MotionConfig
-    from coded_aperture_ros.methods.two_pixel import SimpleConfig
-
-    return new_model(
-        "motion" if args.motion else args.method,
-        camera=camera,
-        bank=bank,
-        depth_range_m=args.depth_range,
-        level_count=args.level_count,
-        simple=config_from(args, SimpleConfig),
-        motion=config_from(args, MotionConfig),
-        progress=lambda vectors: progress(vectors, unit="motion"),
-    )
-
-
 def fit_camera(args: argparse.Namespace, pipeline: Any, camera: Any, image: Any) -> Any:
     """Make a pipeline that for an image's size; return the camera of such images, if there is one.
 
@@ -150,7 +145,7 @@ def fit_camera(args: argparse.Namespace, pipeline: Any, camera: Any, image: Any)
         return None
     fitted = camera.fitted(*image.shape[1::-1])
     if pipeline is not None and fitted != pipeline.estimator.camera:
-        model = None if args.bank else _model_of(args, fitted, None)
+        model = None if args.bank else pipeline_of(args, fitted).estimator.model
         pipeline.reconfigure(model=model, camera=fitted)
     return fitted
 

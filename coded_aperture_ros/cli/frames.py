@@ -90,17 +90,16 @@ def named_frames(
     suffixes: Sequence[str],
     outputs: Callable[[Path], Iterable[Path]],
     unusable: Unusable,
-    shared: Sequence[Path] = (),
 ) -> Iterator[NamedFrame]:
     """Go through every frame of every input.
 
     A single frame goes to the output itself where that names a file, which may end in one of
     `suffixes`; otherwise the output is a folder that gets one file per frame, named like the frame,
-    that ends in `suffix`. `outputs` gives all the files that belong to an output, and `shared` has
-    those of all frames. That they can be written is checked before a frame is handed out; those of
-    pictures, before the first. Raises `InputError` if several frames would go to one file, an input
-    cannot be read, or an output cannot be written or would overwrite an input. Of several pictures,
-    those that cannot be read are left to `unusable`.
+    that ends in `suffix`. `outputs` gives all the files that belong to an output. That they can be
+    written is checked before a frame is handed out; those of pictures, before the first. Raises
+    `InputError` if several frames would go to one file, an input cannot be read, or an output
+    cannot be written or would overwrite an input. Of several pictures, those that cannot be read
+    are left to `unusable`.
     """
     from coded_aperture_ros.imaging import hidden_noise
     from coded_aperture_ros.io.messages import frame_from_pixels
@@ -141,8 +140,7 @@ def named_frames(
         def target_of(name: str) -> Path:
             return output if to_file else output / f"{name}{suffix}"
 
-        results = (path for name in names for path in outputs(target_of(name)))
-        check_outputs([*shared, *results], files)
+        check_outputs([path for name in names for path in outputs(target_of(name))], files)
 
         def frames() -> Iterator[tuple[str, Any, int]]:
             video, alone = 0, False

@@ -5,6 +5,7 @@ import logging
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,9 @@ class CommandParser(argparse.ArgumentParser):
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Add the late options, then parse; see `argparse.ArgumentParser`."""
         show_late_options(self, ())
+        # `--namespace ''` is that of the root.
+        if any(not two and one != "--namespace" for one, two in pairwise(["", *(args or ())])):
+            self.error("an argument is empty, like a variable of the shell that is not set")
         return super().parse_known_args(args, namespace)
 
 

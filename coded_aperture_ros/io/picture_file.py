@@ -137,7 +137,8 @@ def read_depth(path: str | os.PathLike[str], metres_per_unit: float | None = Non
         )
     if metres_per_unit is None:
         if pixels.dtype == np.uint8:
-            raise InputError(f"{path}: 8-bit depth has no usual unit, say how long one unit is")
+            what = "give one of 16 bits in mm, or simulate --depth-scale"
+            raise InputError(f"{path}: 8-bit depth has no usual unit: {what}")
         metres_per_unit = _MILLIMETRE if pixels.dtype.kind in "ui" else 1.0
     if not 0 < metres_per_unit < np.inf:
         raise InputError(f"metres per unit: expected a positive number, got {metres_per_unit!r}")

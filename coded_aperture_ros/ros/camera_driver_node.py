@@ -13,7 +13,7 @@ from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
-from coded_aperture_ros.io.messages import MessageError, frame_from_pixels, pixels_from_frame
+from coded_aperture_ros.io.messages import frame_from_pixels, pixels_from_frame
 from coded_aperture_ros.io.sources import (
     SIMULATOR,
     Capture,
@@ -23,7 +23,7 @@ from coded_aperture_ros.io.sources import (
     open_source,
 )
 from coded_aperture_ros.ros.camera_info_store import CameraInfoStore
-from coded_aperture_ros.ros.camera_model import fitted_camera, required_camera
+from coded_aperture_ros.ros.camera_model import required_camera
 from coded_aperture_ros.ros.diagnostics import (
     DiagnosticsConfig,
     DiagnosticsPublisher,
@@ -298,8 +298,8 @@ class CameraDriverNode(ManagedNode):
     def _publish_camera_info(self, width: int, height: int, header: Header) -> None:
         try:
             model = self._store and self._store.fitted(width, height)
-            model = model or fitted_camera(self._camera, width, height).intrinsics
-        except MessageError as error:
+            model = model or self._camera.fitted(width, height).intrinsics
+        except InputError as error:
             self.get_logger().warning(f"no camera_info: {error}", throttle_duration_sec=10.0)
             return
         self._outputs.send("camera_info", camera_info_from_intrinsics(model, header))

@@ -7,7 +7,7 @@ from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.messages import MessageError, view_of
+from coded_aperture_ros.io.messages import view_of
 from coded_aperture_ros.optics import Camera, View, load_camera
 from coded_aperture_ros.ros.messages import camera_info_from_camera, scaled_camera_info, stamp_ns
 
@@ -24,18 +24,6 @@ def required_camera(path: str) -> Camera:
             "parameter camera_file is empty: set it, as in --ros-args -p camera_file:=camera.yaml"
         )
     return load_camera(path)
-
-
-def fitted_camera(camera: Camera, width: int, height: int) -> Camera:
-    """Return the camera for frames of this size.
-
-    A frame of the same proportions as the camera file's is taken to be the same view, resized.
-    Raises `MessageError` of kind "size", where the proportions differ.
-    """
-    try:
-        return camera.fitted(width, height)
-    except InputError as error:
-        raise MessageError("size", str(error)) from error
 
 
 class CameraModel:

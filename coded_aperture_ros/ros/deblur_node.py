@@ -85,10 +85,10 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         if self._arriving.follow(stamp_ns(message.header)) == "restart":
             # The same stamps may come again, and frames from before are not theirs.
             self._pairs.clear()
-        self.offer(self._pairs.add_first(stamp_ns(message.header), message))
+        self.offer(self._pairs.add(True, stamp_ns(message.header), message))
 
     def _on_depth(self, message: Image) -> None:
-        self.offer(self._pairs.add_second(stamp_ns(message.header), message))
+        self.offer(self._pairs.add(False, stamp_ns(message.header), message))
 
     def process(self, item: tuple[Image, Image]) -> None:
         """Deblur and publish one frame."""

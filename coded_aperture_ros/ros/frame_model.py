@@ -21,10 +21,11 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.depth import blur_sizes_px, depths_are_measured
+from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.io.messages import MessageError
 from coded_aperture_ros.likelihood import BlurLevels
 from coded_aperture_ros.optics import Camera, View
-from coded_aperture_ros.ros.camera_model import fitted_camera, required_camera
+from coded_aperture_ros.ros.camera_model import required_camera
 from coded_aperture_ros.ros.parameters import NodeParameters
 
 Model = TypeVar("Model", bound=BlurLevels)
@@ -94,8 +95,7 @@ class FrameModel(Generic[Model]):
         self._first_camera = camera = required_camera(config.camera_file)
         self._bank = load_bank(config.bank) if config.bank else None
         if self._bank is not None:
-            check_setting(self._bank, camera)
-            camera = self._seen(camera)
+            camera = check_setting(self._bank, camera)
             self._warn_of_ends(self._bank, camera)
         model = self._made(self._first_camera, camera, config)
         self._state = _State(self._first_camera, camera, model)
@@ -148,21 +148,16 @@ class FrameModel(Generic[Model]):
         """
         if self._next:
             self._state = self._next.pop()
-        least_px = self.model.window_px
-        if min(view.width, view.height) < least_px:  # before a bank is learned for it in vain
-            raise MessageError(
-                "size",
-                f"the frame is {view.width}x{view.height}, the bank needs at least "
-                f"{least_px}x{least_px}",
-            )
         size = view.whole_width, view.whole_height
         file_camera, bank = self._state.file_camera, self._bank
-        camera = fitted_camera(file_camera, *size)
-        if bank is not None and not view.is_binned:
-            try:
+        try:
+            # Before a bank is learned in vain for what is smaller than a window.
+            PatchGrid.covering((view.height, view.width), self.model.window_px, 1)
+            camera = file_camera.fitted(*size)
+            if bank is not None and not view.is_binned:
                 check_frame_size(bank, *size)
-            except InputError as error:
-                raise MessageError("size", str(error)) from error
+        except InputError as error:
+            raise MessageError("size", str(error)) from error
         if camera != self.whole:
             scaled = "" if camera == file_camera else ": the camera file is scaled to them"
             self._logger.info(
@@ -187,9 +182,9 @@ class FrameModel(Generic[Model]):
         """Return the camera for the frames so far, or else for those that the bank is for."""
         view, bank = self._view, self._bank
         if view is not None:
-            return fitted_camera(file_camera, view.whole_width, view.whole_height)
+            return file_camera.fitted(view.whole_width, view.whole_height)
         if bank is not None and bank.image_width:
-            return fitted_camera(file_camera, bank.image_width, bank.image_height)
+            return file_camera.fitted(bank.image_width, bank.image_height)
         return file_camera
 
     def _made(self, file_camera: Camera, camera: Camera, config: ModelConfig) -> Model:
@@ -203,7 +198,7 @@ class FrameModel(Generic[Model]):
             if near_m is None:
                 depths_m = bank.stack.depths_m
                 if depths_m is None:
-                    own = fitted_camera(file_camera, bank.image_width, bank.image_height)
+                    own = file_camera.fitted(bank.image_width, bank.image_height)
                     depths_m = own.depth_m(bank.blur_sizes_px)
                 near_m, far_m = float(depths_m.min()), float(depths_m.max())
             bank = remap_bank(bank, camera, near_m, far_m)

@@ -35,16 +35,12 @@ class StampPairs(Generic[First, Second]):
         self._first: dict[int, First] = {}
         self._second: dict[int, Second] = {}
 
-    def add_first(self, stamp_ns: int, message: First) -> tuple[First, Second] | None:
-        """Add a message of the first topic; return the pair that it completes."""
+    def add(
+        self, first: bool, stamp_ns: int, message: First | Second
+    ) -> tuple[First, Second] | None:
+        """Add a message of the first or the second topic; return the pair that it completes."""
         with self._lock:
-            self._keep(self._first, stamp_ns, message)
-            return self._pair(stamp_ns)
-
-    def add_second(self, stamp_ns: int, message: Second) -> tuple[First, Second] | None:
-        """Add a message of the second topic; return the pair that it completes."""
-        with self._lock:
-            self._keep(self._second, stamp_ns, message)
+            self._keep(self._first if first else self._second, stamp_ns, message)
             return self._pair(stamp_ns)
 
     def clear(self) -> None:

@@ -1,6 +1,7 @@
 """Coded frames made from the RGB-D topics of any simulator, camera or bag."""
 
 import threading
+from functools import partial
 
 import numpy as np
 from rclpy.node import Node
@@ -45,8 +46,8 @@ class RgbdSource:
         self._changed = threading.Condition()
         self._pair: tuple[Image, Image] | None = None
         self._inputs = Inputs(node, None)
-        self._inputs.add(_IMAGE, Image, self._on_image)
-        self._inputs.add(_DEPTH, Image, self._on_depth)
+        self._inputs.add(_IMAGE, Image, partial(self._take, True))
+        self._inputs.add(_DEPTH, Image, partial(self._take, False))
         self._inputs.open()
 
     def read(self) -> Capture | None:
@@ -73,13 +74,8 @@ class RgbdSource:
         """Listen no more; only where no executor waits for the node."""
         self._inputs.close()
 
-    def _on_image(self, message: Image) -> None:
-        self._take(self._pairs.add_first(stamp_of(message.header), message))
-
-    def _on_depth(self, message: Image) -> None:
-        self._take(self._pairs.add_second(stamp_of(message.header), message))
-
-    def _take(self, pair: tuple[Image, Image] | None) -> None:
+    def _take(self, first: bool, message: Image) -> None:
+        pair = self._pairs.add(first, stamp_of(message.header), message)
         if pair is not None:
             with self._changed:
                 self._pair = pair

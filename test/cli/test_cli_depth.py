@@ -508,6 +508,25 @@ def test_frames_of_another_size_are_refused_or_resampled(scene, tmp_path, capsys
     )
 
 
+@pytest.mark.parametrize("empty", ["--bank", "--camera", "-o", "input"])
+def test_an_empty_argument_is_not_the_folder_where_the_command_runs(
+    scene, tmp_path, capsys, monkeypatch, empty
+):
+    monkeypatch.chdir(tmp_path)
+    given = {"--bank": scene.bank, "--camera": scene.camera, "-o": "d.npy"}
+    given = {name: "" if name == empty else value for name, value in given.items()}
+    words = [word for pair in given.items() for word in pair]
+    frame = "" if empty == "input" else scene.coded_npy
+    wrong_usage(call(capsys, "depth", frame, *words), "depth", "an argument is empty")
+    assert everything(tmp_path) == {}
+
+
+def test_a_scale_that_the_frame_does_not_need_is_to_be_left_out(scene, tmp_path, capsys):
+    arguments = ("--bank", scene.bank, scene.coded_npy, "-o", tmp_path / "d.npy")
+    result = call(capsys, "depth", *arguments, "--frame-scale", 0.5)
+    refused(result, f"resampled to {WIDTH // 2}x{HEIGHT // 2}", "leave out --frame-scale")
+
+
 def test_a_part_of_a_frame_is_not_said_to_be_resampled(scene, tmp_path, capsys):
     """No scale makes it as large as the bank's frames."""
     np.save(tmp_path / "part.npy", np.load(scene.coded_npy)[:-1])
@@ -535,6 +554,8 @@ def test_frames_of_another_view_than_the_camera_file_s(scene, tmp_path, capsys, 
     options += ("--depth", "auto") if command == "deblur" else ()
     what = f"frames of {WIDTH}x{HEIGHT // 2} are not the camera file's {WIDTH}x{HEIGHT} resized"
     refused(call(capsys, command, *options), f"{frame}: {what}: give a camera file of such frames")
+    np.save(frame, np.load(scene.coded_npy)[:30, :30])  # nor would it help to resample this one
+    refused(call(capsys, command, *options), "image of 30x30 px is smaller than the bank's 48 px")
     assert names(tmp_path) == ["frame.npy"]
 
 

@@ -227,6 +227,7 @@ def test_a_camera_file_that_cannot_be_read(tmp_path, capsys, name):
         ({"psfs": np.ones((3, 5, 5)), "sizes_px": np.ones(2)}, (), ["sizes_px: expected 3"]),
         ({"psfs": np.ones((3, 5, 5)), "depths_m": [0, 1, 2]}, (), ["more than 0 m"]),
         ({"psfs": np.ones((1, 5, 5))}, (), ["at least 2 levels, got 1"]),
+        ({"psfs": np.ones((501, 5, 5))}, (), ["at most 500 levels, got 501"]),
         ({"psfs": np.ones((3, 17, 17))}, (), ["17 px does not fit the 16 px window"]),
         ({"psfs": np.array([{}, None])}, (), ["not an .npz of plain arrays"]),
         ({"psfs": np.array(["a", "b"])}, (), ["could not convert"]),

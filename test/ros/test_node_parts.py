@@ -92,26 +92,26 @@ class Pairs:
 
 def test_pairs_by_exact_stamp_in_either_order():
     made = Pairs()
-    assert made.pairs.add_first(10, "image") is None
-    assert made.pairs.add_second(11, "depth of another") is None
-    assert made.pairs.add_second(10, "depth") == ("image", "depth")
-    assert made.pairs.add_first(11, "late image") == ("late image", "depth of another")
+    assert made.pairs.add(True, 10, "image") is None
+    assert made.pairs.add(False, 11, "depth of another") is None
+    assert made.pairs.add(False, 10, "depth") == ("image", "depth")
+    assert made.pairs.add(True, 11, "late image") == ("late image", "depth of another")
     assert (made.dropped, len(made.pairs)) == (0, 0)
 
 
 def test_a_pair_makes_what_is_older_obsolete():
     made = Pairs()
     for stamp in (1, 2, 3):
-        made.pairs.add_first(stamp, f"image {stamp}")
-    assert made.pairs.add_second(3, "depth 3") == ("image 3", "depth 3")
+        made.pairs.add(True, stamp, f"image {stamp}")
+    assert made.pairs.add(False, 3, "depth 3") == ("image 3", "depth 3")
     assert (made.dropped, len(made.pairs)) == (2, 0)
 
 
 def test_the_buffer_is_bounded():
     made = Pairs(capacity=3)
     for stamp in range(100):
-        assert made.pairs.add_first(stamp, stamp) is None
-        assert made.pairs.add_second(1000 + stamp, stamp) is None
+        assert made.pairs.add(True, stamp, stamp) is None
+        assert made.pairs.add(False, 1000 + stamp, stamp) is None
     assert len(made.pairs) == 6
     assert made.dropped == 97
 
@@ -120,10 +120,10 @@ def test_the_buffer_is_bounded_in_bytes():
     made = Pairs(capacity=50)
     made.pairs = StampPairs(50, made.drop, 10, len)
     for stamp in range(5):
-        made.pairs.add_first(stamp, "1234")
+        made.pairs.add(True, stamp, "1234")
     assert (len(made.pairs), made.dropped) == (2, 3)
-    assert made.pairs.add_first(5, "larger than ten") is None
-    assert made.pairs.add_second(5, "") == ("larger than ten", "")
+    assert made.pairs.add(True, 5, "larger than ten") is None
+    assert made.pairs.add(False, 5, "") == ("larger than ten", "")
 
 
 def test_statistics_count_and_measure():

@@ -347,7 +347,7 @@ def test_stamps_in_any_order(steps):
     pairs, order = StampPairs(5, lambda: None, 20_000, lambda message: message), StampOrder()
     for first, stamp, size in steps:
         assert order.follow(stamp) in ("next", "late", "restart")
-        pair = (pairs.add_first if first else pairs.add_second)(stamp % 7, size)
+        pair = pairs.add(first, stamp % 7, size)
         assert pair is None or len(pair) == 2
         assert len(pairs) <= 10
 

@@ -120,7 +120,7 @@ def _server(args: argparse.Namespace, parser: argparse.ArgumentParser) -> tuple[
     with naming(str(path)):
         if args.bank is not None:
             bank = load_bank(args.bank)
-            check_setting(bank, camera)
+            camera = check_setting(bank, camera)
         elif depth_range:
             near, far = depth_range
             logging.warning("learning the bank of %s", path)
