@@ -61,7 +61,8 @@ class BagConversion:
     gamma: Gamma = 1.0  # of 8-bit frames
     map_size: str = "full"  # of the depth images, see `depth.map_size`
     motion: bool = False  # whether the pipeline's method finds motion
-    prior: ExpectedMotion | None = None  # of all frames, for such a method
+    # Of all frames, by their camera; for such a method.
+    prior: Callable[[Camera], ExpectedMotion | None] = lambda camera: None
     bits: int = 16  # of 16-bit frames
 
     def run(
@@ -91,9 +92,10 @@ class BagConversion:
         pipeline = self.new_pipeline(camera)
         if (bank := bank_of(pipeline.estimator.model)) is not None:
             check_frame_size(bank, view.whole_width, view.whole_height)
-        pipeline.reconfigure(camera=camera.cut(view))
+        cut, kind = camera.cut(view), image.type_name
+        pipeline.reconfigure(camera=cut)
         processor = FrameProcessor(
-            pipeline, image.type_name, size, depth_size, self.gamma, self.prior, self.bits
+            pipeline, kind, size, depth_size, self.gamma, self.prior(cut), self.bits
         )
         warm_up(camera)
         record = Record(image.type_name, self.bits, self.gamma)

@@ -119,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
         bits=args.bits,
         map_size=args.output_size,
         motion=args.motion,
-        prior=expected_motion_of(args, camera),
+        prior=lambda camera: expected_motion_of(args, camera),
     )
     results = conversion.run(source, target, lambda steps, total: progress(steps, total, "frame"))
     if results["damage"]:

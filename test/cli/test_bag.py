@@ -29,7 +29,7 @@ from bag_scene import (
     stamp_of,
     write_bag,
 )
-from cli_scene import call, everything, examples, wrong_usage
+from cli_scene import HEIGHT, WIDTH, call, everything, examples, refused, wrong_usage
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import CompressionMode
@@ -37,6 +37,7 @@ from rosbags.rosbag2 import CompressionMode
 from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
 from coded_aperture_ros.bags.record import Record
 from coded_aperture_ros.cli.main import make_parser
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.bags import Recorded
 from coded_aperture_ros.io.bags.codec import read_picture
 from coded_aperture_ros.io.messages import MessageError, array_from_image
@@ -122,9 +123,9 @@ def test_the_camera_model_of_the_bag_is_resized(scene, recorded, tmp_path, capsy
     assert not [name for name, *_ in messages if "deblurred" in name]
 
 
-def test_a_region_of_interest_has_the_blur_of_the_whole_view(scene, tmp_path, capsys):
+def region_of(scene, tmp_path, top, left, rows, columns):
+    """Write a bag with frames of a region of interest."""
     height, width = scene.depth_m.shape
-    top, left, rows, columns = 16, 24, 96, 136
     part = slice(top, top + rows), slice(left, left + columns)
     messages = []
     for index in range(2):
@@ -135,7 +136,31 @@ def test_a_region_of_interest_has_the_blur_of_the_whole_view(scene, tmp_path, ca
             ("/eye/camera_info", CAMERA_INFO, time_ns, info),
             ("/eye/image_raw", IMAGE, time_ns + 1, image(pixels, "mono8", index)),
         ]
-    bag = write_bag(tmp_path / "in", messages)
+    return write_bag(tmp_path / "in", messages)
+
+
+def test_a_region_of_interest_turns_around_the_axis_of_the_whole_view(
+    scene, tmp_path, capsys, monkeypatch
+):
+    top, left, rows, columns = 16, 24, 96, 136
+    bag, priors = region_of(scene, tmp_path, top, left, rows, columns), []
+
+    def processor(pipeline, kind, size, depth_size, gamma, prior, bits):
+        priors.append(prior)
+        raise InputError("that is enough")
+
+    monkeypatch.setattr("coded_aperture_ros.bags.conversion.FrameProcessor", processor)
+    options = ("--motion", *FEW_MOTIONS, "--angular-velocity", 0, 0, 1, "--exposure", 0.01)
+    refused(call(capsys, *command(scene, bag, tmp_path / "out", *options)), "that is enough")
+    middle = (HEIGHT - 1) / 2 - top, (WIDTH - 1) / 2 - left
+    still = priors[0].at([middle[0]], [middle[1]], columns)
+    np.testing.assert_allclose(still, 0, atol=1e-9)
+
+
+def test_a_region_of_interest_has_the_blur_of_the_whole_view(scene, tmp_path, capsys):
+    top, left, rows, columns = 16, 24, 96, 136
+    part = slice(top, top + rows), slice(left, left + columns)
+    bag = region_of(scene, tmp_path, top, left, rows, columns)
     result = call(capsys, *command(scene, bag, tmp_path / "out", "--deblur", "none"))
     assert result.status == 0, result.err
     written = read(tmp_path / "out")
