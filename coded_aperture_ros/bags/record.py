@@ -14,9 +14,9 @@ from coded_aperture_ros.bags.score import FrameScore, summary
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import Gamma
-from coded_aperture_ros.io.bags.codec import read_picture, stamp_ns_of
+from coded_aperture_ros.io.bags.codec import read_picture
 from coded_aperture_ros.io.bags.recorded import Recorded
-from coded_aperture_ros.io.messages import frame_from_pixels
+from coded_aperture_ros.io.messages import frame_from_pixels, stamp_ns
 from coded_aperture_ros.metrics.errors import median
 from coded_aperture_ros.metrics.times import Times
 
@@ -82,7 +82,7 @@ class Record:
         known = np.isfinite(maps.depth_m)
         depths = maps.depth_m[known]
         self._rows[index] = {
-            "stamp_ns": stamp_ns_of(result.header) or recorded.time_ns,
+            "stamp_ns": stamp_ns(result.header) or recorded.time_ns,
             "coverage": depths.size / maps.depth_m.size,
             "median_depth_m": median(depths) if depths.size else None,
             "median_std_dev_m": median(maps.std_dev_m[known]) if depths.size else None,

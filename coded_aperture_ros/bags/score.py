@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.io.bags.codec import read_depth_image, stamp_ns_of
+from coded_aperture_ros.io.bags.codec import read_depth_image
 from coded_aperture_ros.io.bags.recorded import Recorded
-from coded_aperture_ros.io.messages import MessageError, depth_from_pixels
+from coded_aperture_ros.io.messages import MessageError, depth_from_pixels, stamp_ns
 from coded_aperture_ros.metrics import Reliability
 from coded_aperture_ros.metrics.errors import RelativeError
 
@@ -122,13 +122,13 @@ class References:
     def add_frame(self, index: int, result: ProcessedFrame) -> None:
         """Take the depth of a frame, if it has any."""
         if result.maps is not None:
-            self._frames[index] = stamp_ns_of(result.header), result.maps
+            self._frames[index] = stamp_ns(result.header), result.maps
 
     def scores(self, end: bool = False) -> Iterator[tuple[int, FrameScore]]:
         """Yield what can be scored by now, with the frames' indices; in the end what is left."""
-        for index, (stamp_ns, maps) in list(self._frames.items()):
-            nearest = min(self._references, key=lambda at: abs(at - stamp_ns), default=None)
-            apart_ns = TOLERANCE_NS + 1 if nearest is None else abs(nearest - stamp_ns)
+        for index, (taken_ns, maps) in list(self._frames.items()):
+            nearest = min(self._references, key=lambda at: abs(at - taken_ns), default=None)
+            apart_ns = TOLERANCE_NS + 1 if nearest is None else abs(nearest - taken_ns)
             late = end or len(self._frames) > _WAITING
             if apart_ns and not late:
                 continue

@@ -89,8 +89,8 @@ def _design(args: argparse.Namespace) -> int:
     near_m, far_m = args.depth_range
     config = checked_config(args, design.DesignConfig)
     if args.output is not None:
-        for name in (_NUMBERS, _PAGE, _PICTURE):
-            check_output(Path(args.output) / name, inputs_of(args, "camera"))
+        results = (Path(args.output) / name for name in (_NUMBERS, _PAGE, _PICTURE))
+        check_output(results, inputs_of(args, "camera"))
     camera = load_camera(args.camera)
     with naming(args.camera):
         setting = design.setting_of(camera, near_m, far_m, config)

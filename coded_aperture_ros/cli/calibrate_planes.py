@@ -170,8 +170,8 @@ def _calibrate(args: argparse.Namespace) -> int:
     planes = load_planes(args.inputs, args.depths, args.gamma)
     folder = None if args.output is None else Path(args.output)
     beside = [folder / name for name in (_REPORT, MASK_FILE, _CAMERA)] if folder else []
-    for path in (args.bank, *beside):
-        check_output(path, [*map(Path, planes.names), *inputs_of(args, "camera")])
+    inputs = [*map(Path, planes.names), *inputs_of(args, "camera")]
+    check_output([Path(args.bank), *beside], inputs)
     if camera is not None:
         _check_size(args.camera, camera, planes)
     found = calibrate_planes(

@@ -25,22 +25,19 @@ def inputs_of(args: argparse.Namespace, *names: str) -> list[Path]:
 
 
 def check_output(
-    path: str | os.PathLike[str], inputs: Iterable[Path] = (), suffixes: Sequence[str] = ()
+    paths: str | os.PathLike[str] | Iterable[Path],
+    inputs: Iterable[Path] = (),
+    suffixes: Sequence[str] = (),
 ) -> None:
-    """Check that a file can be written, without writing it.
+    """Check that a file, or several, can be written, without writing them.
 
-    An `InputError` says why it cannot, and what to do instead; where it is one of the existing
+    An `InputError` says why one cannot, and what to do instead; where it is one of the existing
     files `inputs`, that it must not be overwritten. `suffixes` are those of `check_suffix`, if any.
     """
-    if suffixes:
-        check_suffix(path, suffixes)
-    check_outputs([Path(path)], inputs)
-
-
-def check_outputs(paths: Iterable[Path], inputs: Iterable[Path]) -> None:
-    """Check likewise that files can be written, none of them twice, and none that is an input."""
     taken, written = {*map(_identity, inputs)} - {None}, set()
-    for path in paths:
+    for path in [Path(paths)] if isinstance(paths, (str, os.PathLike)) else paths:
+        if suffixes:
+            check_suffix(path, suffixes)
         if (resolved := path.resolve()) in written:
             what = "two results cannot go to one file: use another name, or a folder for each input"
             raise InputError(f"{path}: {what}")

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coded_aperture_ros.cli.checks import check_outputs
+from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.cli.demo_processes import Children, private_network
 from coded_aperture_ros.cli.demo_report import (
     RESULTS,
@@ -74,7 +74,7 @@ def add_parser(subparsers: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the demo."""
     say = Speaker(sys.stderr if options.json else sys.stdout)
-    check_outputs((options.output / name for name in RESULTS), ())
+    check_output(options.output / name for name in RESULTS)
     shared_memory = shared_memory_suffices()
     os.environ.update(private_network(shared_memory))
     # Without it large best-effort messages are lost; asked for again, they take longer.

@@ -77,12 +77,13 @@ def _comparison(snapshot: "dict[str, NDArray]") -> "NDArray":
     """Return what was found beside what is there, in one picture."""
     import numpy as np
 
+    from coded_aperture_ros.bags.score import at_size
     from coded_aperture_ros.imaging import SRGB, pixels_from_linear
     from coded_aperture_ros.io import depth_picture, error_picture
     from coded_aperture_ros.io.panels import panels
     from coded_aperture_ros.ros import demo_monitor as topics
 
-    found = topics.resized(snapshot[topics.DEPTH], snapshot[topics.TRUE_DEPTH].shape)
+    found = at_size(snapshot[topics.DEPTH], snapshot[topics.TRUE_DEPTH].shape)
     truth = snapshot[topics.TRUE_DEPTH]
     known = truth[np.isfinite(truth)]
     near_m, far_m = map(float, (known.min(), known.max())) if known.size else (1.0, 2.0)

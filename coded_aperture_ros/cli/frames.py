@@ -11,7 +11,7 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_outputs, inputs_of
+from coded_aperture_ros.cli.checks import check_output, inputs_of
 from coded_aperture_ros.cli.options import add_bits_option, add_mosaic_option
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError, naming
@@ -140,7 +140,7 @@ def named_frames(
         def target_of(name: str) -> Path:
             return output if to_file else output / f"{name}{suffix}"
 
-        check_outputs([path for name in names for path in outputs(target_of(name))], files)
+        check_output([path for name in names for path in outputs(target_of(name))], files)
 
         def frames() -> Iterator[tuple[str, Any, int]]:
             video, alone = 0, False
@@ -156,7 +156,7 @@ def named_frames(
         for given, capture, video in progress(frames(), total, "frame"):
             target = target_of(capture.name)
             if capture.name not in names:
-                check_outputs(outputs(target), files)
+                check_output(outputs(target), files)
             mosaic = capture.mosaic or args.bayer
             how = capture.frame, args.gamma, args.bits, mosaic
             with naming(given):

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, check_outputs, check_suffix, inputs_of
+from coded_aperture_ros.cli.checks import check_output, check_suffix, inputs_of
 from coded_aperture_ros.cli.extension import BENCH
 from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import add_gamma_option, add_options, mask_of
@@ -121,7 +121,7 @@ def _random(args: argparse.Namespace, sensor: Any) -> int:
             ("camera", ".camera.yaml"),
         )
     }
-    check_outputs([output, *beside.values()], inputs_of(args, "mask"))
+    check_output([output, *beside.values()], inputs_of(args, "mask"))
     width, height = args.size or _SIZE
     start = time.perf_counter()
     make = BENCH.module("layered", "--random").random_scene

@@ -5,14 +5,13 @@ import time
 from collections import deque
 from contextlib import AbstractContextManager
 
-import cv2
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 
+from coded_aperture_ros.bags.score import at_size
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.io.messages import array_from_image, frame_from_image
 from coded_aperture_ros.metrics.errors import DepthError, depth_error
@@ -137,13 +136,7 @@ class DemoMonitor(Node):
 
 def error_of(depth_m: FloatArray, confidence: FloatArray, true_depth_m: FloatArray) -> DepthError:
     """Return the error of a depth map, which may be of another size than the truth."""
-    return depth_error(depth_m, confidence, resized(true_depth_m, depth_m.shape))
-
-
-def resized(depth_m: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """Return a depth map of another shape; each value is one that it had."""
-    whole = cv2.resize(depth_m, shape[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
-    return np.asarray(whole, np.float32)
+    return depth_error(depth_m, confidence, at_size(true_depth_m, depth_m.shape))
 
 
 def running_monitor(reliable: bool = False) -> AbstractContextManager[DemoMonitor]:

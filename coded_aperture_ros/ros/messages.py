@@ -11,6 +11,7 @@ from std_msgs.msg import Header
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.io.messages import array_from_compressed, check_pixels, scaled_matrices
+from coded_aperture_ros.io.messages import stamp_ns as stamp_ns
 from coded_aperture_ros.optics import Camera, Intrinsics
 
 
@@ -45,11 +46,6 @@ def copied_header(header: Header) -> Header:
     copy.stamp.sec = header.stamp.sec
     copy.stamp.nanosec = header.stamp.nanosec
     return copy
-
-
-def stamp_ns(header: Header) -> int:
-    """Return the stamp of a header in nanoseconds."""
-    return header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
 
 
 def image_from_compressed(message: CompressedImage) -> Image:

@@ -19,6 +19,7 @@ from coded_aperture_ros.io.messages import (
     depth_pixels,
     encoding_of,
     scaled_matrices,
+    stamp_ns,
     written_encoding,
 )
 from coded_aperture_ros.optics import Intrinsics
@@ -26,7 +27,6 @@ from coded_aperture_ros.optics import Intrinsics
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-_NS = 1_000_000_000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Picture:
     @property
     def stamp_ns(self) -> int:
         """When the picture was taken."""
-        return stamp_ns_of(self.header)
+        return stamp_ns(self.header)
 
 
 def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
@@ -138,11 +138,6 @@ def new_topic(name: str, type_name: str) -> Topic:
     """Return a topic of a type of messages that is made here."""
     definition, _ = _store().generate_msgdef(type_name, ros_version=2)
     return Topic(name, type_name, definition, _store().hash_rihs01(type_name))
-
-
-def stamp_ns_of(header: Any) -> int:
-    """Return the stamp of a header, as rosbags has it."""
-    return header.stamp.sec * _NS + header.stamp.nanosec
 
 
 @cache

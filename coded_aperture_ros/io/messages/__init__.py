@@ -11,12 +11,12 @@ from coded_aperture_ros.io.messages.compressed import (
 )
 from coded_aperture_ros.io.messages.encodings import (
     ENCODINGS,
-    Encoding,
     MessageError,
     array_from_compressed,
     array_from_image,
     check_pixels,
     encoding_of,
+    stamp_ns,
     written_encoding,
 )
 from coded_aperture_ros.io.messages.frames import (
@@ -33,7 +33,6 @@ from coded_aperture_ros.io.messages.frames import (
 __all__ = [
     "DEPTH_FORMATS",
     "ENCODINGS",
-    "Encoding",
     "MessageError",
     "array_from_compressed",
     "array_from_image",
@@ -50,6 +49,7 @@ __all__ = [
     "millimetres_from_depth",
     "pixels_from_frame",
     "scaled_matrices",
+    "stamp_ns",
     "view_of",
     "written_encoding",
 ]

@@ -68,6 +68,11 @@ def written_encoding(name: str) -> str:
     return "rgb16" if encoding.dtype == "u2" else "rgb8"
 
 
+def stamp_ns(header: Any) -> int:
+    """Return the stamp of a header in nanoseconds."""
+    return int(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec)
+
+
 def array_from_image(message: Any) -> NDArray:
     """Return the pixels of an image message as they are stored, in native byte order.
 
