@@ -96,7 +96,7 @@ def result_messages(
         rows, columns = maps.depth_m.shape
         yield outputs.depth_info, codec.camera_info_data(info, (rows, columns), header)
         if outputs.motion is not None and maps.motion_px is not None:
-            yield outputs.motion, codec.motion_data(maps.motion_px, header)
+            yield outputs.motion, codec.image_data(maps.motion_px, "32FC2", header)
     if result.sharp is not None:
         rows, columns = result.sharp.shape[:2]
         yield outputs.deblurred, codec.image_data(result.sharp, result.encoding, header)

@@ -31,7 +31,7 @@ from coded_aperture_ros.ros.diagnostics import (
     camera_of,
 )
 from coded_aperture_ros.ros.managed_node import LONGEST_FRAME_S, ManagedNode
-from coded_aperture_ros.ros.messages import camera_info_from_intrinsics, image_from_array
+from coded_aperture_ros.ros.messages import camera_info_from_camera, image_from_array
 from coded_aperture_ros.ros.pace import Pace
 from coded_aperture_ros.ros.rgbd_source import RGBD, RgbdSource
 from coded_aperture_ros.ros.static_transform import broadcast_static, optical_transform
@@ -302,7 +302,7 @@ class CameraDriverNode(ManagedNode):
         except InputError as error:
             self.get_logger().warning(f"no camera_info: {error}", throttle_duration_sec=10.0)
             return
-        self._outputs.send("camera_info", camera_info_from_intrinsics(model, header))
+        self._outputs.send("camera_info", camera_info_from_camera(model, header))
 
     def _described(self) -> dict[str, Any]:
         source, config = self._source, self._config

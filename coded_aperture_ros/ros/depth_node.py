@@ -52,7 +52,6 @@ from coded_aperture_ros.ros.messages import (
     cloud_from_points,
     compressed_message,
     image_from_array,
-    image_from_motion,
     stamp_ns,
 )
 
@@ -233,7 +232,9 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if estimate.motion is not None:
             self._searched = estimate.motion.searched
             if self.wants("depth/motion"):
-                self.send("depth/motion", image_from_motion(estimate.motion.vectors_px, header))
+                self.send(
+                    "depth/motion", image_from_array(estimate.motion.vectors_px, "32FC2", header)
+                )
         # What is a little nearer than the range is measured all the same.
         seen_m = np.where(depth_m == -np.inf, estimate.depth_m, depth_m)
         figures = {"nearest_obstacle_m": nearest_obstacle_m(seen_m, config.obstacle_share)}

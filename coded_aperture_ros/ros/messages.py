@@ -19,18 +19,9 @@ def image_from_array(pixels: NDArray, encoding: str, header: Header) -> Image:
     """Return an image message with a copy of the header.
 
     The pixels, [row, column] or [row, column, stored channel], are of exactly the dtype and number
-    of channels of the encoding, one of `ENCODINGS`.
+    of channels of the encoding; see `check_pixels`.
     """
     check_pixels(pixels, encoding)
-    return _image(pixels, encoding, header)
-
-
-def image_from_motion(motion_px: FloatArray, header: Header) -> Image:
-    """Return a field of motions [row, column, right and down], as optical flow is kept (32FC2)."""
-    return _image(motion_px, "32FC2", header)
-
-
-def _image(pixels: NDArray, encoding: str, header: Header) -> Image:
     message = Image(header=copied_header(header), encoding=encoding)
     message.height, message.width = pixels.shape[:2]
     message.step = pixels.nbytes // message.height
@@ -79,13 +70,9 @@ def cloud_from_points(points: FloatArray, header: Header) -> PointCloud2:
     return cloud
 
 
-def camera_info_from_camera(camera: Camera, header: Header) -> CameraInfo:
-    """Return the pinhole model of a camera file; see `Camera.intrinsics`."""
-    return camera_info_from_intrinsics(camera.intrinsics, header)
-
-
-def camera_info_from_intrinsics(model: Intrinsics, header: Header) -> CameraInfo:
-    """Return a camera model as a message."""
+def camera_info_from_camera(camera: Camera | Intrinsics, header: Header) -> CameraInfo:
+    """Return a camera model, or the pinhole model of a camera file, as a message."""
+    model = camera.intrinsics if isinstance(camera, Camera) else camera
     info = CameraInfo(header=copied_header(header), distortion_model=model.distortion_model)
     info.width, info.height = model.image_width, model.image_height
     info.d = list(model.distortion_coefficients)

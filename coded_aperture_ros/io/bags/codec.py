@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.imaging.decoding import lost_by_compression
 from coded_aperture_ros.io.bags.recorded import Topic
 from coded_aperture_ros.io.messages import (
@@ -74,15 +73,6 @@ def read_camera_info(data: bytes | memoryview) -> Any:
 def image_data(pixels: NDArray, encoding: str, header: Any) -> memoryview:
     """Make an image message of pixels as `check_pixels` wants them."""
     check_pixels(pixels, encoding)
-    return _image_data(pixels, encoding, header)
-
-
-def motion_data(motion_px: FloatArray, header: Any) -> memoryview:
-    """Make an image message of motions [row, column, right and down], as optical flow is kept."""
-    return _image_data(motion_px, "32FC2", header)
-
-
-def _image_data(pixels: NDArray, encoding: str, header: Any) -> memoryview:
     height, width = pixels.shape[:2]
     return _sent(
         _types()[IMAGE](

@@ -137,9 +137,10 @@ def array_from_compressed(message: Any) -> tuple[NDArray, str]:
 def check_pixels(pixels: NDArray, encoding: str) -> Encoding:
     """Check that pixels [row, column(, stored channel)] are exactly as an encoding stores them.
 
-    Raises `MessageError` of kind "encoding", if they are of another type or number of channels.
+    Fields of motion, right and down, are kept as optical flow is: 32FC2. Raises `MessageError` of
+    kind "encoding", if they are of another type or number of channels.
     """
-    target = encoding_of(encoding)
+    target = Encoding("f4", 2) if encoding == "32FC2" else encoding_of(encoding)
     shape = (*pixels.shape[:2], *((target.channels,) if target.channels > 1 else ()))
     if pixels.dtype != np.dtype(target.dtype) or pixels.shape != shape or pixels.ndim < 2:
         raise MessageError(
