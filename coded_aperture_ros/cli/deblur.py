@@ -123,7 +123,7 @@ def _restorer(
 
     def restored(frame: NamedFrame) -> tuple[Any, Any]:
         fitted = fit_camera(args, pipeline, camera, frame.image)
-        blur_size_px: Any
+        blur_size_px: Any = None if given is None else blur_sizes_px(bank, fitted, given)
         if given is None:
             more = {"coloured": frame.coloured, "hidden_noise": frame.hidden_noise}
             result = pipeline(frame.image, frame.stamp_ns, **more)
@@ -136,8 +136,6 @@ def _restorer(
                 f"the depth map {args.depth} has {of_map} pixels, this frame {of_frame}: it must "
                 "be of this size, or of this shape and smaller"
             )
-        else:
-            blur_size_px = blur_sizes_px(bank, fitted, given)
         return deblurrer.deblur(frame.coloured, blur_size_px, motion_px=motion_px), blur_size_px
 
     return restored

@@ -137,10 +137,7 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
 
 
 def fit_camera(args: argparse.Namespace, pipeline: Any, camera: Any, image: Any) -> Any:
-    """Make a pipeline that for an image's size; return the camera of such images, if there is one.
-
-    An `InputError` if they cannot be the camera file's, resized.
-    """
+    """Make a pipeline that for an image's size; return the camera, if any, of such images."""
     if camera is None:
         return None
     fitted = camera.fitted(*image.shape[1::-1])

@@ -137,8 +137,7 @@ def read_depth(path: str | os.PathLike[str], metres_per_unit: float | None = Non
         )
     if metres_per_unit is None:
         if pixels.dtype == np.uint8:
-            what = "give one of 16 bits in mm, or simulate --depth-scale"
-            raise InputError(f"{path}: 8-bit depth has no usual unit: {what}")
+            raise InputError(f"{path}: 8-bit depth has no usual unit: give 16 bits in mm")
         metres_per_unit = _MILLIMETRE if pixels.dtype.kind in "ui" else 1.0
     if not 0 < metres_per_unit < np.inf:
         raise InputError(f"metres per unit: expected a positive number, got {metres_per_unit!r}")
