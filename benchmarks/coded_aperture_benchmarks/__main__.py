@@ -102,6 +102,7 @@ BENCHMARKS: dict[str, Group | str] = {
     "fitting": "frames that fit their bank, and videos whose light changes",
     "datasheet": "what the data sheet of a camera would say",
     "lens": "a real lens: before and after its field curvature is measured",
+    "odometry": "how far a robot drifts that steers by these frames alone",
     "blind": "masks found from planes at unknown distances, and what deblurring loses by them",
 }
 _EPILOG = """examples:
@@ -127,6 +128,8 @@ _EPILOG = """examples:
     coded_aperture bench datasheet --camera config/demo_camera.yaml --depth-range 2.1 5.1
   a real lens, measured with planes:
     coded_aperture bench lens desk/ --planes calib/
+  the way of a camera through a room, found by its frames alone:
+    coded_aperture bench odometry --rooms 1 --length 2
   masks found from planes at unknown distances:
     coded_aperture bench blind
   what each benchmark is, and its options:

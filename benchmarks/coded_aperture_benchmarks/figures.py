@@ -216,3 +216,17 @@ def _draw_sizes(axes: Any, sizes: Mapping[str, Any]) -> None:
     axes.tick_params(axis="x", labelsize=7)
     axes.set_ylabel("ms", fontsize=8)
     axes.legend(fontsize=7)
+
+
+def seen_from_above(ways: Mapping[str, NDArray[np.floating]], path: PathLike) -> None:
+    """Draw ways [n, 4, 4] from one place, x to the right and z upwards; the first one dashed."""
+    figure = new_figure(6, 5)
+    axes = figure.subplots()
+    for index, (name, poses) in enumerate(ways.items()):
+        places = (np.linalg.inv(poses[0]) @ poses)[:, :3, 3]
+        axes.plot(places[:, 0], places[:, 2], "k--" if index == 0 else "-", label=name, linewidth=1)
+    axes.set_aspect("equal")
+    axes.set_xlabel("to the right, m", fontsize=8)
+    axes.set_ylabel("ahead, m", fontsize=8)
+    axes.legend(fontsize=7)
+    save_figure(figure, path)

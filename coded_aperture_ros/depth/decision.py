@@ -35,6 +35,8 @@ class Decision:
     side_confidence: FloatArray | None  # see `DepthEstimate`
     # Returns the level that the true one is hardly nearer than.
     nearest_plausible: Callable[[], FloatArray]
+    # What the check of fit goes by, coarser, if that is not `confidence`; see `refine`.
+    to_check: FloatArray | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

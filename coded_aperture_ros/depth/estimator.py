@@ -225,7 +225,8 @@ class DepthEstimator:
         level, confidence, health = decided.level, decided.confidence, None
         stages.lap("map")
         if self._fit is not None and own.misfit is not None:
-            health = self._fit(seen, own.misfit, level, confidence)
+            to_check = confidence if decided.to_check is None else decided.to_check
+            health = self._fit(seen, own.misfit, level, to_check)
             stages.lap("fit")
         if health is not None:
             confidence = health.trusted(confidence)

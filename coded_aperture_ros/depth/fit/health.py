@@ -147,7 +147,7 @@ class FitCheck:
         """Return how well a frame fits; None if there is too little to see.
 
         Takes the misfit of the patches, see `Cost`, the fractional level that was found of every
-        pixel, and how sure that is.
+        pixel, and how sure that is, of every pixel or coarser.
         """
         due = not self._remembers or self._frames % _EVERY == 0
         self._frames += 1
@@ -209,7 +209,8 @@ class FitCheck:
             own_px = np.clip(own_px, np.abs(sizes_px).min(), np.abs(sizes_px).max())
         found_px = np.interp(level[tuple(of_map)], np.arange(len(sizes_px)), sizes_px)
         apart = np.abs(np.abs(found_px) - own_px)
-        some = np.ascontiguousarray(confidence[::_SPARSE, ::_SPARSE])
+        step = _SPARSE if confidence.shape == level.shape else 1
+        some = np.ascontiguousarray(confidence[::step, ::step])
         return [
             *quantiles(telling.ravel(), 0.1, 0.25, 0.5, 0.75, 0.9),
             some.mean(),

@@ -45,9 +45,13 @@ _PLAUSIBLE = 0.05
 _OF_THE_PAST = 0.5
 # Costs that differ by less are those of a frame without any texture.
 _ALIKE = 1e-3
-# Logistic calibration of how likely a depth is right, fitted on random scenes kept apart. Below
-# even odds it falls faster, by the last: frames with flaws and plain walls are right less often.
-_CALIBRATION = (0.39, 0.97, 2.3)
+# How likely a depth is right, fitted on random scenes kept apart: the logarithm of the odds, from
+# that of what the network says, the blur size in px and the logarithm of the tolerance in px. The
+# network doubts wide blur too much, and what has to be right to a fraction of a pixel too little.
+_CALIBRATION = (-0.58, 1.45, 0.071, -0.5)
+# The same as it was when the check of fit learned what to expect of it: offset, slope, and the
+# factor below even odds.
+_AS_CHECKED = (0.39, 0.97, 2.3)
 _DEVIATION = 0.78
 _SURE = 1e-3
 
@@ -150,14 +154,20 @@ class Refined:
         signed_px = np.where(far >= 0.5, found.size_px, -found.size_px)
         level = self._level(signed_px)
         tolerance_px = self._tolerance[np.rint(level).astype(np.intp)]
-        right = _calibrated(found.right_within(tolerance_px))
         # One side may reach farther than the other.
-        right[np.abs(signed_px - np.clip(signed_px, *self._ends_px)) > BLUR_STEP_PX] = 0
+        beyond_px = np.abs(signed_px - np.clip(signed_px, *self._ends_px))
+        possible = (beyond_px <= BLUR_STEP_PX).astype(np.float32)
         of_side = None
         if self._sides is not None:
             of_side = np.maximum(far, 1 - far)
             # Where both sides' depths are about the same, either is right.
-            right *= np.where(self._sides.agree(level), 1, of_side)
+            possible *= np.where(self._sides.agree(level), 1, of_side)
+        odds = _log_odds(found.right_within(tolerance_px))
+        right = possible * _calibrated(odds, found.size_px, tolerance_px)
+        half_px = CELL_PX // 2
+        rows, columns = (-(-length // half_px) for length in grey.shape)
+        to_check = (possible * _as_checked(odds))[-cells.top // half_px :, -cells.left // half_px :]
+        to_check = to_check[:rows, :columns]
         deviation = found.deviation_px() * (self._per_px * np.float32(_DEVIATION))
         quarters = chosen_neighbours(logits.neighbour)
         stages.lap("refine")
@@ -173,7 +183,7 @@ class Refined:
         confidence = map_of(right, 0.1)
         blank = volume.max() <= _ALIKE  # nothing to go by anywhere
         if blank:
-            confidence[:] = 0
+            confidence[:] = to_check[:] = 0
         at = MapGrid.of(seen.grid, grey.shape, size)
         if not seen.usable.all():
             confidence[at.nearest(~seen.usable)] = 0
@@ -196,6 +206,7 @@ class Refined:
             confidence,
             None if of_side is None else map_of(of_side, 0.1),
             nearest_plausible,
+            to_check,
         )
 
     def _far(self, size_px: FloatArray, volume: FloatArray, cells: Cells) -> FloatArray:
@@ -240,8 +251,18 @@ def _tolerance_px(levels: Levels) -> FloatArray:
     return np.divide(0.05 * inverse, per_px, out=tolerance, where=finite).astype(np.float32)
 
 
-def _calibrated(probability: FloatArray) -> FloatArray:
-    offset, slope, doubt = map(np.float32, _CALIBRATION)
-    odds_against = 1 / np.clip(probability, _SURE, 1 - _SURE) - 1
-    against = slope * np.log(odds_against) - offset
-    return np.asarray(1 / (1 + np.exp(np.maximum(against, doubt * against))), np.float32)
+def _log_odds(probability: FloatArray) -> FloatArray:
+    certain = np.clip(probability, _SURE, 1 - _SURE)
+    return np.asarray(np.log(certain / (1 - certain)), np.float32)
+
+
+def _calibrated(odds: FloatArray, size_px: FloatArray, tolerance_px: FloatArray) -> FloatArray:
+    offset, of_odds, of_size, of_tolerance = map(np.float32, _CALIBRATION)
+    found = offset + of_odds * odds + of_size * size_px + of_tolerance * np.log(tolerance_px)
+    return np.asarray(1 / (1 + np.exp(-found)), np.float32)
+
+
+def _as_checked(odds: FloatArray) -> FloatArray:
+    offset, slope, doubt = map(np.float32, _AS_CHECKED)
+    found = offset + slope * odds
+    return np.asarray(1 / (1 + np.exp(-np.minimum(found, doubt * found))), np.float32)

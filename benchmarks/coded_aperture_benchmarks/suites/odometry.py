@@ -1,0 +1,238 @@
+"""`coded_aperture bench odometry`: how far a robot drifts that has nothing but these frames."""
+
+import argparse
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.figures import seen_from_above
+from coded_aperture_benchmarks.frames.cameras import camera_for_blur
+from coded_aperture_benchmarks.frames.room import Room, random_room, walk
+from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
+from coded_aperture_benchmarks.rows import columns, grouped, mean_of
+from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_benchmarks.trajectories import Tracker, tracked, write_tum
+from coded_aperture_ros.bank import learn_bank_for_camera
+from coded_aperture_ros.bank.learning import guarded_range
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth.config import VIDEO_FRAMES
+from coded_aperture_ros.imaging import SRGB
+from coded_aperture_ros.io import depth_picture, write_image
+from coded_aperture_ros.optics import MASK_NAMES, Camera, Mask
+
+_FOCAL_LENGTH_PX, _SIZE = 600.0, (480, 640)
+_RANGE_M, _BLUR_PX = (0.8, 7.0), (2.0, 16.0)
+# Drift is told over ways of this length, wherever they begin.
+_SEGMENT_M = 1.0
+_SHOWN, _WIDTH_PX = 4, 1600
+# What odometry is given, and what it is called.
+TRUE, SAME_PIXELS, OURS, ALL, CODED = "true", "true, same pixels", "ours", "ours, all", "coded"
+_TITLES = {
+    TRUE: "sharp frame, true depth",
+    SAME_PIXELS: "sharp frame, true depth where ours is known",
+    OURS: "all-in-focus frame, depth as published",
+    ALL: "all-in-focus frame, depth of every pixel",
+    CODED: "coded frame, depth as published",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Cell:
+    """A walk through a room."""
+
+    room: int
+    length_m: float
+    step_m: float
+    noise: float
+    mask: str
+
+    @property
+    def camera(self) -> Camera:
+        """Sees the whole room beyond its focus."""
+        mask = Mask.named(self.mask)
+        return camera_for_blur(mask, _FOCAL_LENGTH_PX, _SIZE, _RANGE_M, _BLUR_PX)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Measured:
+    """A row for everything that odometry was given, the ways that it found, and some frames."""
+
+    cell: Cell
+    rows: list[Row]
+    poses: dict[str, DoubleArray]
+    shown: list[Any]
+
+
+def _cells(args: argparse.Namespace) -> list[Cell]:
+    if not 0 < args.step < args.length:
+        args.usage_error("--step: expected less than --length")
+    options.check_known(args, "mask", [args.mask], MASK_NAMES)
+    Tracker.check()
+    rooms = range(args.first_room, args.first_room + args.rooms)
+    return [Cell(room, args.length, args.step, args.noise, args.mask) for room in rooms]
+
+
+def measure(cell: Cell) -> Measured:
+    """Walk, and follow the way by everything that odometry may be given."""
+    true = walk(cell.room, cell.length_m, cell.step_m)
+    trackers = {name: Tracker(cell.camera) for name in _TITLES}
+    shown, errors, known = [], [], []
+    frames = _frames(cell, random_room(cell.room), true)
+    for index, (sharp, true_m, coded, clear, depth_m, every_m) in enumerate(frames):
+        published = np.isfinite(depth_m)
+        given = {
+            TRUE: (sharp, true_m),
+            SAME_PIXELS: (sharp, np.where(published, true_m, np.nan)),
+            OURS: (clear, depth_m),
+            ALL: (clear, every_m),
+            CODED: (coded, depth_m),
+        }
+        for name, (frame, depth) in given.items():
+            trackers[name].add(frame, depth)
+        errors.append(float(np.median(np.abs(depth_m / true_m - 1)[published])))
+        known.append(float(published.mean()))
+        if index % -(-len(true) // _SHOWN) == 0:
+            shown.append((sharp, coded, clear, true_m, every_m))
+    rows = [
+        {"room": cell.room, "given": name, "frames": len(true)}
+        | tracked(true, tracker.poses(), _SEGMENT_M)
+        | ({"depth_error": mean_of(errors, 4), "known": mean_of(known, 3)} if name == OURS else {})
+        for name, tracker in trackers.items()
+    ]
+    poses = {"truth": true} | {name: tracker.poses() for name, tracker in trackers.items()}
+    return Measured(cell, rows, poses, shown)
+
+
+def _frames(cell: Cell, room: Room, poses: DoubleArray) -> Iterator[tuple[FloatArray, ...]]:
+    """Yield of every pose the sharp frame, true depth, coded and all-in-focus frame, and depths."""
+    camera, random = cell.camera, np.random.default_rng(cell.room)
+    bank = learn_bank_for_camera(camera, *guarded_range(camera, *_RANGE_M, 30))
+    config = DepthConfig(temporal_frames=VIDEO_FRAMES, confidence_threshold=0.0)
+    estimator = DepthEstimator(bank, config, camera)
+    deblurrer = Deblurrer(bank.stack, DeblurConfig(method="fast"))
+    threshold = DepthConfig().confidence_threshold
+    for pose in poses:
+        sharp, true_m = room.seen(camera, pose)
+        sharp, coded = (
+            _with_noise(each, cell.noise, random) for each in (sharp, room.coded(camera, pose))
+        )
+        estimate = estimator.estimate(coded)
+        published = estimate.where_confident(threshold)
+        clear = deblurrer.deblur(coded, published.blur_size_px)
+        yield (
+            sharp,
+            true_m,
+            coded,
+            clear,
+            np.asarray(published.depth_m),
+            np.asarray(estimate.depth_m),
+        )
+    estimator.close()
+    deblurrer.close()
+
+
+def _with_noise(light: FloatArray, noise: float, random: np.random.Generator) -> FloatArray:
+    return np.clip(
+        light + np.float32(noise) * random.standard_normal(light.shape, np.float32), 0, 1
+    )
+
+
+def _results(args: argparse.Namespace, measured: list[Measured], seconds: float) -> Row:
+    rows = [row for each in measured for row in each.rows]
+    return {
+        "benchmark": "odometry",
+        **options.header(args, "length", "step", "noise", "mask"),
+        "segment_m": _SEGMENT_M,
+        "seconds": seconds,
+        "rows": rows,
+        "pooled": [
+            {
+                "given": given,
+                **{
+                    key: mean_of((row[key] for row in group), 4)
+                    for key in ("drift_per_m", "turn_per_m_deg", "scale", "end_per_m")
+                },
+            }
+            for (given,), group in grouped(rows, "given").items()
+        ],
+    }
+
+
+def _text(results: Row) -> str:
+    shown = {
+        "odometry is given": lambda row: _TITLES[row["given"]],
+        "drift over 1 m": lambda row: f"{100 * row['drift_per_m']:.1f} %",
+        "turned, degrees a metre": "{turn_per_m_deg:.2f}",
+        "length of a step": "{scale:.3f}",
+        "off at the end, of the way": lambda row: f"{100 * row['end_per_m']:.1f} %",
+    }
+    parts = [
+        f"walks of {results['length']:g} m in steps of {100 * results['step']:g} cm, noise "
+        f"{results['noise']:g}, mask {results['mask']}; length of a step: found over true"
+    ]
+    for (room,), rows in grouped(results["rows"], "room").items():
+        ours = next(row for row in rows if row["given"] == OURS)
+        parts.append(
+            f"room {room}: depth of {100 * ours['known']:.0f} % of the pixels, median error "
+            f"{100 * ours['depth_error']:.1f} %\n{columns(rows, shown)}"
+        )
+    if len(parts) > 2:
+        parts.append(f"mean\n{columns(results['pooled'], shown)}")
+    return "\n\n".join(parts)
+
+
+def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
+    titles = ("sharp", "coded", "all-in-focus", "true depth", "depth of every pixel")
+    for each in measured:
+        name = f"room_{each.cell.room}"
+        seen_from_above(each.poses, folder / f"{name}.png")
+        for given, poses in each.poses.items():
+            write_tum(poses, folder / f"{name}_{given.replace(', ', '_').replace(' ', '_')}.tum")
+        drawn = [
+            [as_rgb(light, SRGB) for light in frames] + [_drawn_depth(depth) for depth in depths]
+            for *frames, true_m, depth_m in each.shown
+            for depths in [(true_m, depth_m)]
+        ]
+        pictures = side_by_side(list(zip(titles, zip(*drawn, strict=True), strict=True)))
+        write_image(folder / f"{name}_frames.jpg", of_width(pictures, _WIDTH_PX))
+
+
+def _drawn_depth(depth_m: FloatArray) -> NDArray[np.uint8]:
+    """Return a picture of the same size: without the bar below, which all have in common."""
+    return depth_picture(depth_m, *_RANGE_M)[: depth_m.shape[0]]
+
+
+SUITE = Suite(
+    description="Walk with a coded camera through random furnished rooms, and give depth and "
+    "all-in-focus frames to the RGB-D odometry of Open3D, beside the same odometry with true "
+    "depth. Rays are traced through every opening of the mask. The odometry compares each frame "
+    "with the one before (intensity, three sizes of the picture), and begins where the last step "
+    "would lead. Drift: root mean square of how far it is off after a metre, wherever that begins.",
+    examples="""examples:
+  two walks of 20 m (half an hour on two cores), with figures and trajectories for evo:
+    coded_aperture bench odometry --output walks/
+  a short one:
+    coded_aperture bench odometry --rooms 1 --length 2
+""",
+    options=(
+        options.number("--rooms", 1, 2, "that are walked through"),
+        options.number("--first-room", 0, 1, "the number of the first", "N"),
+        options.option("--length", "of a walk, m", 20.0, type=float, metavar="M"),
+        options.option("--step", "from frame to frame, m", 0.05, type=float, metavar="M"),
+        options.added_noise(0.002),
+        options.option("--mask", "of the camera", "levin", metavar="MASK"),
+        *options.RESULTS,
+    ),
+    cells=_cells,
+    measure=measure,
+    results=_results,
+    text=_text,
+    draw=_draw,
+)
