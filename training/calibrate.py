@@ -1,8 +1,9 @@
-"""Fit how sure the refinement may be, on frames that it has not learned from.
+"""Fit the standard deviation of the refinement, on frames that it has not learned from.
 
     python training/calibrate.py --scenes DIR --costs DIR --shards 0 4 80 84
 
-Prints the constants of `coded_aperture_ros/depth/refine/refine.py`, and how well they hold.
+Prints the constant of `coded_aperture_ros/depth/refine/refine.py`, and how well its confidence,
+which `calibrate_frames.py` fits, holds on these small frames with the flaws of cameras.
 """
 
 import argparse
@@ -10,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 from batches import Frame, load, true_blur_px
-from scipy.optimize import minimize
 from shards import shards_of
 
 from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX
 from coded_aperture_ros.depth.refine.network import Network
 from coded_aperture_ros.depth.refine.probabilities import HalfCells
+from coded_aperture_ros.depth.refine.refine import _calibrated, _log_odds
 
 _PUBLISHED = 0.55
-_SURE = 1e-3
+_LEAST_PX = 1e-3
 
 
 def measured(frame: Frame) -> dict[str, np.ndarray]:
@@ -27,20 +28,15 @@ def measured(frame: Frame) -> dict[str, np.ndarray]:
     found = HalfCells.of(logits, BLUR_SIZES_PX[frame.tried].astype(np.float32))
     truth = true_blur_px(frame)[2::4, 2::4]
     tolerance = 0.05 * np.abs(frame.infinity_px - np.sign(truth) * found.size_px)
-    probability = found.right_within(np.nan_to_num(tolerance).astype(np.float32))
+    odds = _log_odds(found.right_within(np.nan_to_num(tolerance).astype(np.float32)))
     known = np.isfinite(truth)
     return {
-        "probability": probability[known],
+        "odds": odds[known],
+        "size": found.size_px[known],
         "error": np.abs(found.size_px - np.abs(truth))[known],
         "tolerance": tolerance[known],
         "deviation": found.deviation_px()[known],
     }
-
-
-def log_odds(probability: np.ndarray) -> np.ndarray:
-    """Return the logarithm of the odds, cut off where nothing is that sure."""
-    probability = np.clip(probability, _SURE, 1 - _SURE)
-    return np.log(probability / (1 - probability))
 
 
 def main() -> None:
@@ -56,17 +52,11 @@ def main() -> None:
     each = [measured(frame) for frame in frames]
     found = {name: np.concatenate([one[name] for one in each]) for name in each[0]}
     right = found["error"] <= found["tolerance"]
-    odds = log_odds(found["probability"])
-
-    def unlikelihood(parameters: np.ndarray) -> float:
-        values = parameters[0] + parameters[1] * odds
-        return float(np.mean(np.logaddexp(0, values) - right * values))
-
-    offset, slope = minimize(unlikelihood, [0.0, 1.0], method="Nelder-Mead").x
-    confidence = 1 / (1 + np.exp(-(offset + slope * odds)))
+    odds, size, tolerance = (found[name] for name in ("odds", "size", "tolerance"))
+    confidence = _calibrated(odds, size, np.maximum(tolerance, _LEAST_PX))
     published = confidence >= _PUBLISHED
     factor = np.quantile((found["error"] / found["deviation"])[published], 0.68)
-    print(f"_CALIBRATION = ({offset:.3f}, {slope:.3f})\n_DEVIATION = {factor:.3f}")
+    print(f"_DEVIATION = {factor:.3f}")
     twice = found["error"] <= 2 * found["tolerance"]
     print(f"right to 5 %: {right.mean():.3f}, to 10 %: {twice.mean():.3f}")
     print(f"published {published.mean():.3f}, of these to 10 %: {twice[published].mean():.3f}")

@@ -62,13 +62,14 @@ class Room:
     def coded(self, camera: Camera, pose: DoubleArray) -> FloatArray:
         """Return the frame that a camera records there, without noise, float32 [rows, columns]."""
         _, depth_m = self.seen(camera, pose)
-        blur_px = camera.blur_size_px(depth_m[depth_m > 0])
+        blur_px = camera.blur_size_px(depth_m[np.isfinite(depth_m)])
         samples = lens_samples(camera.mask, float(np.abs(blur_px).max(initial=1.0)))
         return self._trace(camera, pose, samples)[0]
 
     def seen(self, camera: Camera, pose: DoubleArray) -> tuple[FloatArray, FloatArray]:
-        """Return the all-in-focus frame and the true depth there, m; 0 where nothing is."""
-        return self._trace(camera, pose, np.array([[0, 0, 1]], np.float32))
+        """Return the all-in-focus frame and the true depth there, m; NaN where nothing is."""
+        light, depth_m = self._trace(camera, pose, np.array([[0, 0, 1]], np.float32))
+        return light, np.where(depth_m > 0, depth_m, np.float32(np.nan))
 
     def _trace(
         self, camera: Camera, pose: DoubleArray, samples: FloatArray

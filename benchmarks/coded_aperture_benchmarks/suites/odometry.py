@@ -96,7 +96,7 @@ def measure(cell: Cell) -> Measured:
         }
         for name, (frame, depth) in given.items():
             trackers[name].add(frame, depth)
-        errors.append(float(np.median(np.abs(depth_m / true_m - 1)[published])))
+        errors.append(float(np.nanmedian(np.abs(depth_m / true_m - 1)[published])))
         known.append(float(published.mean()))
         if index % -(-len(true) // _SHOWN) == 0:
             shown.append((sharp, coded, clear, true_m, every_m))
