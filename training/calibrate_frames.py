@@ -24,9 +24,11 @@ from coded_aperture_ros.bank import learn_bank_for_camera
 from coded_aperture_ros.cli.options import mask_of
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.refine import refine
 from coded_aperture_ros.depth.refine.cells import CELL_PX, Cells
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.simulation import SensorModel
 
 _MASKS = ("levin", "levin", "four_hole", "zhou", "levin", "veeraraghavan")
 _NOISE = (0.0, 0.0005, 0.001, 0.002, 0.002, 0.003, 0.005)
@@ -57,10 +59,7 @@ def shown(index: int, random: np.random.Generator) -> _Shown:
         blur_px = random.uniform(1, 5), random.uniform(8, 19)
         focal_px = float(random.uniform(400, 800))
         camera = camera_for_blur(mask, focal_px, _SIZE, (near_m, far_m), blur_px)
-        room, poses = (
-            make(_FIRST_ROOM + index // 4, *way)
-            for make, way in ((random_room, ()), (walk, (10.0, 0.5)))
-        )
+        room, poses = random_room(_FIRST_ROOM + index // 4), walk(_FIRST_ROOM + index // 4, 10, 0.5)
         pose = poses[random.integers(len(poses))]
         _, depth_m = room.seen(camera, pose)
         range_m = near_m * random.uniform(0.9, 1), far_m * random.uniform(1, 1.2)
@@ -86,7 +85,7 @@ def measured(index: int) -> np.ndarray | None:
         wrong = camera.mask_extent_mm * (1 + _BY * random.standard_normal())
         camera = dataclasses.replace(camera, mask_extent_mm=wrong)
     coded = np.dstack([one.coded] * 3) if random.random() < 0.5 else one.coded
-    frame = coded + np.float32(noise) * random.standard_normal(coded.shape, np.float32)
+    frame = np.clip(SensorModel(noise).expose(coded, random), 0, None)
     try:
         bank = learn_bank_for_camera(camera, *one.range_m, _LEVELS)
     except InputError:  # too shallow
@@ -94,24 +93,14 @@ def measured(index: int) -> np.ndarray | None:
     if refine.untrained(bank, bank.stride_px):
         return None
     estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0.0), camera)
-    told = _told(estimator, np.clip(frame, 0, None).astype(np.float32))
-    cells = Cells.covering(_SIZE, estimator.observe(frame.astype(np.float32)).grid)
+    seen = estimator.observe(frame)
+    told = _told(estimator, seen)
     estimator.close()
-    half_px = CELL_PX // 2
-    rows, columns = (
-        first + half_px * np.arange(count) + half_px // 2
-        for first, count in zip((cells.top, cells.left), told[0].shape, strict=True)
-    )
-    inside = np.ix_((rows >= 0) & (rows < _SIZE[0]), (columns >= 0) & (columns < _SIZE[1]))
-    truth_m = one.depth_m[
-        np.ix_(
-            *(
-                at[(at >= 0) & (at < length)]
-                for at, length in zip((rows, columns), _SIZE, strict=True)
-            )
-        )
-    ]
-    odds, size_px, tolerance_px = (values[inside] for values in told)
+    cells = Cells.covering(_SIZE, seen.grid)
+    starts = cells.top, cells.left
+    at, middles = zip(*map(_within, starts, told[0].shape, _SIZE), strict=True)
+    truth_m = one.depth_m[np.ix_(*middles)]
+    odds, size_px, tolerance_px = (values[np.ix_(*at)] for values in told)
     side = np.sign(bank.blur_sizes_px.mean())
     error = np.abs(np.asarray(camera.depth_m(side * size_px)) / truth_m - 1)
     kind = np.full(error.shape, one.kind)
@@ -119,7 +108,15 @@ def measured(index: int) -> np.ndarray | None:
     return places[:, random.permutation(places.shape[1])[:_PLACES]]
 
 
-def _told(estimator: DepthEstimator, frame: np.ndarray) -> tuple[np.ndarray, ...]:
+def _within(first: int, count: int, length: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return which half-cells of an axis have their middle in the frame, and where that is."""
+    half_px = CELL_PX // 2
+    middles = first + half_px * np.arange(count) + half_px // 2
+    inside = np.flatnonzero((middles >= 0) & (middles < length))
+    return inside, middles[inside]
+
+
+def _told(estimator: DepthEstimator, seen: Observation) -> tuple[np.ndarray, ...]:
     """Return what the package would calibrate the confidence of a frame from."""
     taken: list[tuple[np.ndarray, ...]] = []
     usual = refine._calibrated
@@ -130,7 +127,8 @@ def _told(estimator: DepthEstimator, frame: np.ndarray) -> tuple[np.ndarray, ...
 
     refine._calibrated = take
     try:
-        estimator.estimate(frame)
+        own = estimator.cost(seen, seen.grey)
+        estimator.decide(seen, own.volume, own)
     finally:
         refine._calibrated = usual
     return taken[0]

@@ -11,10 +11,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from coded_aperture_benchmarks.layered.textures import TEXTURE_PX, texture
-from coded_aperture_benchmarks.layered.tracing import lens_samples
+from coded_aperture_benchmarks.layered.textures import TEXTURE_PX, TEXTURED_COUNT, texture
+from coded_aperture_benchmarks.layered.tracing import compiled, lens_samples
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
-from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera
 
 # The room's sides and height; the camera keeps to a ring in its middle.
@@ -27,7 +26,6 @@ _LEVELS = 4
 _FURNITURE = 24
 # Textures have a texel of about this size; most surfaces are neither very plain nor very bright.
 _TEXEL_M = (0.002, 0.006)
-_TEXTURES = 320
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -103,7 +101,7 @@ class Room:
             )
             for board in self.boards
         ]
-        found = _kernels().trace(
+        found = compiled("frames.room_kernels", "rooms").trace(
             np.array(boards, np.float32),
             np.array(boxes, np.float32),
             np.array(paint, np.float64),
@@ -199,7 +197,7 @@ def _box_boards(
                     corner,
                     right,
                     down,
-                    int(random.integers(_TEXTURES)),
+                    int(random.integers(TEXTURED_COUNT)),
                     float(np.exp(random.uniform(np.log(0.08), np.log(0.35)))),
                     float(random.uniform(0.12, 0.45)),
                     float(random.uniform(*_TEXEL_M)),
@@ -236,13 +234,3 @@ def _textures(numbers: tuple[int, ...]) -> tuple[FloatArray, Any, Any, dict[int,
             for side in sides
         ]
     return np.concatenate(parts), sides, starts, first
-
-
-def _kernels() -> Any:
-    try:
-        from coded_aperture_benchmarks.frames import room_kernels
-    except ImportError as error:
-        raise InputError(
-            "a room needs numba: pip install numba (on Ubuntu: apt install python3-numba)"
-        ) from error
-    return room_kernels

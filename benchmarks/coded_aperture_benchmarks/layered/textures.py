@@ -20,7 +20,7 @@ from coded_aperture_ros.core.arrays import FloatArray
 TEXTURE_PX = 768
 TEXTURE_COUNT = 440
 # The first so many have texture all over; of the others parts are nearly plain.
-_TEXTURED = 320
+TEXTURED_COUNT = 320
 _PICTURES = {
     "skimage": (
         "data",
@@ -47,7 +47,7 @@ def texture(number: int) -> FloatArray:
         Mean 0, standard deviation 1, cut off at 4.
     """
     random = np.random.default_rng([7, number])
-    if number >= _TEXTURED:
+    if number >= TEXTURED_COUNT:
         kinds = list(_PLAIN_KINDS)
         values = _PLAIN_KINDS[kinds[number % len(kinds)]](random)
         return np.clip(_standard(values), -4, 4).astype(np.float16)

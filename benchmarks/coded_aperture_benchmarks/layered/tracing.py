@@ -1,6 +1,7 @@
 """Light through every opening of the mask, past layers that occlude each other."""
 
 import dataclasses
+from importlib import import_module
 from typing import Any
 
 import cv2
@@ -121,12 +122,15 @@ def _packed(layers: list[Layer]) -> tuple[Any, ...]:
     return table, sizes, flat[0], flat[1], bumpy
 
 
-def _kernels() -> Any:
-    """Return the compiled loops; only who renders layered scenes needs numba."""
+def compiled(kernels: str, what: str) -> Any:
+    """Return a module of compiled loops; only who renders what it is for needs numba."""
     try:
-        from coded_aperture_benchmarks.layered import kernels
+        return import_module(f"coded_aperture_benchmarks.{kernels}")
     except ImportError as error:
         raise InputError(
-            "random scenes need numba: pip install numba (on Ubuntu: apt install python3-numba)"
+            f"{what} need numba: pip install numba (on Ubuntu: apt install python3-numba)"
         ) from error
-    return kernels
+
+
+def _kernels() -> Any:
+    return compiled("layered.kernels", "random scenes")

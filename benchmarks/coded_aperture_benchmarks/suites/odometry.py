@@ -26,6 +26,7 @@ from coded_aperture_ros.depth.config import VIDEO_FRAMES
 from coded_aperture_ros.imaging import SRGB
 from coded_aperture_ros.io import depth_picture, write_image
 from coded_aperture_ros.optics import MASK_NAMES, Camera, Mask
+from coded_aperture_ros.simulation import SensorModel
 
 _FOCAL_LENGTH_PX, _SIZE = 600.0, (480, 640)
 _RANGE_M, _BLUR_PX = (0.8, 7.0), (2.0, 16.0)
@@ -113,6 +114,7 @@ def measure(cell: Cell) -> Measured:
 def _frames(cell: Cell, room: Room, poses: DoubleArray) -> Iterator[tuple[FloatArray, ...]]:
     """Yield of every pose the sharp frame, true depth, coded and all-in-focus frame, and depths."""
     camera, random = cell.camera, np.random.default_rng(cell.room)
+    sensor = SensorModel(cell.noise)
     bank = learn_bank_for_camera(camera, *guarded_range(camera, *_RANGE_M, 30))
     config = DepthConfig(temporal_frames=VIDEO_FRAMES, confidence_threshold=0.0)
     estimator = DepthEstimator(bank, config, camera)
@@ -120,9 +122,8 @@ def _frames(cell: Cell, room: Room, poses: DoubleArray) -> Iterator[tuple[FloatA
     threshold = DepthConfig().confidence_threshold
     for pose in poses:
         sharp, true_m = room.seen(camera, pose)
-        sharp, coded = (
-            _with_noise(each, cell.noise, random) for each in (sharp, room.coded(camera, pose))
-        )
+        lights = sharp, room.coded(camera, pose)
+        sharp, coded = (np.clip(sensor.expose(light, random), 0, 1) for light in lights)
         estimate = estimator.estimate(coded)
         published = estimate.where_confident(threshold)
         clear = deblurrer.deblur(coded, published.blur_size_px)
@@ -136,12 +137,6 @@ def _frames(cell: Cell, room: Room, poses: DoubleArray) -> Iterator[tuple[FloatA
         )
     estimator.close()
     deblurrer.close()
-
-
-def _with_noise(light: FloatArray, noise: float, random: np.random.Generator) -> FloatArray:
-    return np.clip(
-        light + np.float32(noise) * random.standard_normal(light.shape, np.float32), 0, 1
-    )
 
 
 def _results(args: argparse.Namespace, measured: list[Measured], seconds: float) -> Row:

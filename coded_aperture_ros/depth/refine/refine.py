@@ -47,7 +47,7 @@ _OF_THE_PAST = 0.5
 _ALIKE = 1e-3
 # How likely a depth is right, fitted on random scenes kept apart: the logarithm of the odds, from
 # that of what the network says, the blur size in px and the logarithm of the tolerance in px. The
-# network doubts wide blur too much, and what has to be right to a fraction of a pixel too little.
+# network doubts wide blur too much, and too little what may be wrong by many pixels.
 _CALIBRATION = (-0.58, 1.45, 0.071, -0.5)
 # The same as it was when the check of fit learned what to expect of it: offset, slope, and the
 # factor below even odds.
