@@ -175,18 +175,19 @@ def _given(args: argparse.Namespace, sensor: Any) -> int:
     depth_m = read_depth(args.depth, args.depth_scale)
     (height, width), whole = image.shape[:2], (camera.image_width, camera.image_height)
     if (width, height) != whole:
-        part = "the middle of" if width <= whole[0] and height <= whole[1] else "more than"
-        logging.warning(
-            "%s has %d x %d pixels, not the %d x %d of the camera file: taken as %s its image, "
-            "with pixels of the same size; depth of it needs a camera file with its size",
-            *(args.image, width, height, *whole, part),
-        )
         margins = (whole[0] - width) / 2, (whole[1] - height) / 2
         camera = camera.cut(View(width, height, *whole, *margins))
     start = time.perf_counter()
     with naming(f"{args.image} with {args.depth}"):
         coded = render_coded_frame(image, depth_m, camera)
     seconds = time.perf_counter() - start
+    if (width, height) != whole:
+        part = "the middle of" if width <= whole[0] and height <= whole[1] else "more than"
+        logging.warning(
+            "%s has %d x %d pixels, not the %d x %d of the camera file: taken as %s its image, "
+            "with pixels of the same size; depth of it needs a camera file with its size",
+            *(args.image, width, height, *whole, part),
+        )
     write_image(args.output, sensor.expose(coded, np.random.default_rng(args.seed)))
     blur = camera.blur_map_px(depth_m)[np.isfinite(depth_m)]
     if warning := diffraction_warning(camera, float(np.abs(blur).max())):

@@ -268,6 +268,7 @@ class DepthEstimator:
             with ExitStack() as unless_planned:
                 unless_planned.callback(likelihood.close)
                 workers, sides = Workers(threads), None
+                unless_planned.callback(workers.close)
                 if model.stack.has_both_sides:
                     sides = FocalSides(model.stack, self._levels, shape, self._regularize)
                 small: Likelihood | None = None

@@ -244,6 +244,8 @@ def test_bags_are_overwritten_only_if_told_so(scene, tmp_path, capsys):
         (target, (), "--overwrite"),
         (plain, ("--overwrite",), "no bag"),
         (bag, ("--overwrite",), "the input"),
+        (bag / "out", (), f"{bag} is a bag: use a folder outside it"),
+        (plain / "notes.txt" / "out", (), "notes.txt is not a folder"),
     ):
         result = call(capsys, *command(scene, bag, goal, *options))
         assert result.status == 1

@@ -605,7 +605,7 @@ def test_simulate_says_that_the_picture_is_not_the_camera_s(
         ({"depth": np.full((HEIGHT, WIDTH), 2000.0)}, None),
     ],
 )
-def test_scenes_that_cannot_be_simulated(scene, tmp_path, capsys, files, phrase):
+def test_scenes_that_cannot_be_simulated(scene, tmp_path, capsys, caplog, files, phrase):
     paths = {}
     for name, content in files.items():
         paths[name] = tmp_path / (content if isinstance(content, str) else f"{name}.npy")
@@ -617,6 +617,7 @@ def test_scenes_that_cannot_be_simulated(scene, tmp_path, capsys, files, phrase)
         assert result.status == 0
         return
     refused(result, *paths.values(), phrase)
+    assert not caplog.messages
     assert everything(tmp_path) == before
 
 

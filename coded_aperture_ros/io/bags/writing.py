@@ -80,6 +80,11 @@ def check_bag_output(path: Path, inputs: Iterable[Path], overwrite: bool) -> Non
     for given in inputs:
         if path.exists() and path.resolve() in (given.resolve(), *given.resolve().parents):
             raise InputError(f"{path}: the input {given} would be overwritten: use another name")
+    for folder in path.resolve().parents:
+        if (folder / METADATA).is_file():
+            raise InputError(f"cannot write {path}: {folder} is a bag: use a folder outside it")
+        if folder.is_file():
+            raise InputError(f"cannot write {path}: {folder} is not a folder")
     if path.exists() or path.is_symlink():
         if not overwrite:
             raise InputError(f"{path} exists already: use another name, or --overwrite")
