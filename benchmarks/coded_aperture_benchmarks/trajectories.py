@@ -75,11 +75,15 @@ class Tracker:
 
 
 def tracked(true: DoubleArray, found: DoubleArray, segment_m: float) -> Row:
-    """Return how far a way [n, 4, 4] is off, without any alignment but of its first pose."""
+    """Return how far a way [n, 4, 4] is off, without any alignment but of its first pose.
+
+    Drift is told over ways of a length, or half of the whole way where that is shorter.
+    """
     true = np.linalg.inv(true[0]) @ true
     steps_m = np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1)
     way_m = np.concatenate([[0], np.cumsum(steps_m)])
     found_m = np.linalg.norm(np.diff(found[:, :3, 3], axis=0), axis=1)
+    segment_m = min(segment_m, way_m[-1] / 2)
     first = np.flatnonzero(way_m <= way_m[-1] - segment_m)
     last = np.searchsorted(way_m, way_m[first] + segment_m).clip(max=len(way_m) - 1)
     length_m = way_m[last] - way_m[first]
@@ -93,6 +97,8 @@ def tracked(true: DoubleArray, found: DoubleArray, segment_m: float) -> Row:
         "turn_per_m_deg": _rounded(np.rad2deg(np.sqrt(np.mean((turned / length_m) ** 2)))),
         "scale": _rounded(np.median(found_m) / np.median(steps_m)),
         "end_per_m": _rounded(end_m / way_m[-1]),
+        "way_m": _rounded(way_m[-1]),
+        "segment_m": _rounded(segment_m),
     }
 
 

@@ -8,11 +8,13 @@ import pytest
 from cli_scene import call, texture
 from coded_aperture_benchmarks.frames.video import (
     CodedVideo,
+    check_moving_video,
     check_video,
     load_video,
     moving_pixels,
     score_video,
 )
+from coded_aperture_benchmarks.frames.walks import of_video
 from coded_aperture_benchmarks.suites.video import ratios, tables_of, ways
 
 from coded_aperture_ros.core.errors import InputError
@@ -252,6 +254,24 @@ def test_an_rgbd_video_is_simulated(rgbd):
         assert 0 < frame.min() < frame.max() <= 0.901
     sharp = read_image(rgbd / "color_00000.jpg", SRGB)
     assert video.frames[0].std() < 0.9 * sharp.std()  # it is blurred
+
+
+def test_a_video_is_walked_through(rgbd, ray_traced):
+    walk = of_video(rgbd, "zhou")
+    assert walk.poses is None
+    assert walk.count == LENGTH
+    assert walk.camera.mask.name == "zhou"
+    assert walk.range_m == pytest.approx((1.0, 2.48), abs=0.01)
+    views = list(walk.views)
+    assert len(views) == LENGTH
+    for (sharp, depth_m, coded), expected in zip(views, load_video(rgbd, 99).depth_m, strict=True):
+        assert sharp.shape == coded.shape == (HEIGHT, WIDTH)
+        assert coded.std() < sharp.std()
+        assert abs(coded.mean() - sharp.mean()) < 0.01
+        np.testing.assert_array_equal(depth_m, expected)
+    check_moving_video(rgbd)
+    with pytest.raises(InputError, match=r"no RGB-D video: expected intrinsics\.json"):
+        check_moving_video(ray_traced)
 
 
 def test_a_folder_without_video_is_named(tmp_path, ray_traced):

@@ -85,6 +85,9 @@ def test_ways_are_compared_as_they_are():
     assert off["scale"] == pytest.approx(1.1, abs=1e-3)
     assert off["drift_per_m"] == pytest.approx(0.1, abs=0.005)
     assert off["turn_per_m_deg"] < 1e-3
+    short = tracked(true[:20], longer[:20], 1.0)
+    assert short["segment_m"] == pytest.approx(short["way_m"] / 2, abs=1e-4)
+    assert short["drift_per_m"] == pytest.approx(0.1, abs=0.01)
 
 
 def test_ways_are_written_as_evo_reads_them(tmp_path):

@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +119,12 @@ def check_video(folder: Path) -> None:
     _loader(folder)
 
 
+def check_moving_video(folder: Path) -> None:
+    """Check that a folder looks like an RGB-D video, whose camera moves."""
+    if not (folder / _RGBD).is_file():
+        raise InputError(f"{folder}: no RGB-D video: expected {_RGBD}, color_*.jpg, depth_*.png")
+
+
 def load_video(folder: Path, frames: int, mask_name: str = "levin") -> CodedVideo:
     """Read the first frames of a ray-traced video, or simulate those of an RGB-D video.
 
@@ -172,7 +178,7 @@ def _simulated(folder: Path, frames: int, mask_name: str) -> CodedVideo:
     camera = _camera_for(folder, depths, Mask.named(mask_name))
     coded = []
     for path, depth_m in zip(colour_files[:frames], depths, strict=False):
-        light = _WHITE * read_image(path, SRGB)
+        light = _light(path)
         try:
             coded.append(
                 render_coded_frame(light, depth_m, camera, aperture_blocks=_APERTURE_BLOCKS)
@@ -180,6 +186,15 @@ def _simulated(folder: Path, frames: int, mask_name: str) -> CodedVideo:
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
     return CodedVideo(coded, np.stack(depths[:frames]), camera)
+
+
+def sharp_frames(folder: Path) -> Iterator[NDArray[np.float32]]:
+    """Yield the pictures of an RGB-D video as `load_video` takes them, linear light."""
+    return map(_light, sorted(folder.glob("color_*.jpg")))
+
+
+def _light(path: Path) -> NDArray[np.float32]:
+    return _WHITE * read_image(path, SRGB)
 
 
 def _camera_for(folder: Path, depths: list[NDArray[np.float32]], mask: Mask) -> Camera:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.figures import seen_from_above
-from coded_aperture_benchmarks.frames.cameras import camera_for_blur
-from coded_aperture_benchmarks.frames.room import Room, random_room, walk
+from coded_aperture_benchmarks.frames.video import check_moving_video
+from coded_aperture_benchmarks.frames.walks import Walk, of_video, through_room
 from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
 from coded_aperture_benchmarks.rows import columns, grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
@@ -25,11 +25,9 @@ from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.config import VIDEO_FRAMES
 from coded_aperture_ros.imaging import SRGB
 from coded_aperture_ros.io import depth_picture, write_image
-from coded_aperture_ros.optics import MASK_NAMES, Camera, Mask
+from coded_aperture_ros.optics import MASK_NAMES, Mask
 from coded_aperture_ros.simulation import SensorModel
 
-_FOCAL_LENGTH_PX, _SIZE = 600.0, (480, 640)
-_RANGE_M, _BLUR_PX = (0.8, 7.0), (2.0, 16.0)
 # Drift is told over ways of this length, wherever they begin.
 _SEGMENT_M = 1.0
 _SHOWN, _WIDTH_PX = 4, 1600
@@ -46,19 +44,25 @@ _TITLES = {
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
-    """A walk through a room."""
+    """A walk through a room made by chance, or that of a video."""
 
     room: int
     length_m: float
     step_m: float
     noise: float
     mask: str
+    video: Path | None = None
 
     @property
-    def camera(self) -> Camera:
-        """Sees the whole room beyond its focus."""
-        mask = Mask.named(self.mask)
-        return camera_for_blur(mask, _FOCAL_LENGTH_PX, _SIZE, _RANGE_M, _BLUR_PX)
+    def name(self) -> str:
+        """What the tables call it."""
+        return f"room {self.room}" if self.video is None else self.video.resolve().name
+
+    def walk(self) -> Walk:
+        """Begin the walk."""
+        if self.video is not None:
+            return of_video(self.video, self.mask)
+        return through_room(self.room, self.length_m, self.step_m, Mask.named(self.mask))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -69,6 +73,7 @@ class Measured:
     rows: list[Row]
     poses: dict[str, DoubleArray]
     shown: list[Any]
+    range_m: tuple[float, float]
 
 
 def _cells(args: argparse.Namespace) -> list[Cell]:
@@ -76,17 +81,22 @@ def _cells(args: argparse.Namespace) -> list[Cell]:
         args.usage_error("--step: expected less than --length")
     options.check_known(args, "mask", [args.mask], MASK_NAMES)
     Tracker.check()
+    for folder in args.folders:
+        check_moving_video(folder)
     rooms = range(args.first_room, args.first_room + args.rooms)
-    return [Cell(room, args.length, args.step, args.noise, args.mask) for room in rooms]
+    how = args.length, args.step, args.noise, args.mask
+    videos = [Cell(0, *how, folder) for folder in args.folders]
+    return videos or [Cell(room, *how) for room in rooms]
 
 
 def measure(cell: Cell) -> Measured:
     """Walk, and follow the way by everything that odometry may be given."""
-    true = walk(cell.room, cell.length_m, cell.step_m)
-    trackers = {name: Tracker(cell.camera) for name in _TITLES}
+    walk = cell.walk()
+    trackers = {name: Tracker(walk.camera) for name in _TITLES}
     shown, errors, known = [], [], []
-    frames = _frames(cell, random_room(cell.room), true)
-    for index, (sharp, true_m, coded, clear, depth_m, every_m) in enumerate(frames):
+    every = -(-walk.count // _SHOWN)
+    for index, frames in enumerate(_frames(cell, walk)):
+        sharp, true_m, coded, clear, depth_m, every_m = frames
         published = np.isfinite(depth_m)
         given = {
             TRUE: (sharp, true_m),
@@ -99,31 +109,32 @@ def measure(cell: Cell) -> Measured:
             trackers[name].add(frame, depth)
         errors.append(float(np.nanmedian(np.abs(depth_m / true_m - 1)[published])))
         known.append(float(published.mean()))
-        if index % -(-len(true) // _SHOWN) == 0:
+        if index % every == 0:
             shown.append((sharp, coded, clear, true_m, every_m))
+    poses = {name: tracker.poses() for name, tracker in trackers.items()}
+    # Of a video nothing tells the way but odometry with its own depth.
+    true = poses.pop(TRUE) if walk.poses is None else walk.poses
+    of_depth = {"depth_error": mean_of(errors, 4), "known": mean_of(known, 3)}
     rows = [
-        {"room": cell.room, "given": name, "frames": len(true)}
-        | tracked(true, tracker.poses(), _SEGMENT_M)
-        | ({"depth_error": mean_of(errors, 4), "known": mean_of(known, 3)} if name == OURS else {})
-        for name, tracker in trackers.items()
+        {"walk": cell.name, "given": name, "frames": len(true)}
+        | tracked(true, found, _SEGMENT_M)
+        | (of_depth if name == OURS else {})
+        for name, found in poses.items()
     ]
-    poses = {"truth": true} | {name: tracker.poses() for name, tracker in trackers.items()}
-    return Measured(cell, rows, poses, shown)
+    return Measured(cell, rows, {"truth": true} | poses, shown, walk.range_m)
 
 
-def _frames(cell: Cell, room: Room, poses: DoubleArray) -> Iterator[tuple[FloatArray, ...]]:
+def _frames(cell: Cell, walk: Walk) -> Iterator[tuple[FloatArray, ...]]:
     """Yield of every pose the sharp frame, true depth, coded and all-in-focus frame, and depths."""
-    camera, random = cell.camera, np.random.default_rng(cell.room)
+    camera, random = walk.camera, np.random.default_rng(cell.room)
     sensor = SensorModel(cell.noise)
-    bank = learn_bank_for_camera(camera, *guarded_range(camera, *_RANGE_M, 30))
+    bank = learn_bank_for_camera(camera, *guarded_range(camera, *walk.range_m, 30))
     config = DepthConfig(temporal_frames=VIDEO_FRAMES, confidence_threshold=0.0)
     estimator = DepthEstimator(bank, config, camera)
     deblurrer = Deblurrer(bank.stack, DeblurConfig(method="fast"))
     threshold = DepthConfig().confidence_threshold
-    for pose in poses:
-        sharp, true_m = room.seen(camera, pose)
-        lights = sharp, room.coded(camera, pose)
-        sharp, coded = (np.clip(sensor.expose(light, random), 0, 1) for light in lights)
+    for light, true_m, coded_light in walk.views:
+        sharp, coded = (np.clip(sensor.expose(each, random), 0, 1) for each in (light, coded_light))
         estimate = estimator.estimate(coded)
         published = estimate.where_confident(threshold)
         clear = deblurrer.deblur(coded, published.blur_size_px)
@@ -144,7 +155,7 @@ def _results(args: argparse.Namespace, measured: list[Measured], seconds: float)
     return {
         "benchmark": "odometry",
         **options.header(args, "length", "step", "noise", "mask"),
-        "segment_m": _SEGMENT_M,
+        "videos": [str(folder) for folder in args.folders],
         "seconds": seconds,
         "rows": rows,
         "pooled": [
@@ -163,19 +174,23 @@ def _results(args: argparse.Namespace, measured: list[Measured], seconds: float)
 def _text(results: Row) -> str:
     shown = {
         "odometry is given": lambda row: _TITLES[row["given"]],
-        "drift over 1 m": lambda row: f"{100 * row['drift_per_m']:.1f} %",
+        "drift": lambda row: f"{100 * row['drift_per_m']:.1f} %",
         "turned, degrees a metre": "{turn_per_m_deg:.2f}",
         "length of a step": "{scale:.3f}",
         "off at the end, of the way": lambda row: f"{100 * row['end_per_m']:.1f} %",
     }
+    way = f"walks of {results['length']:g} m in steps of {100 * results['step']:g} cm"
+    if results["videos"]:
+        way = "videos, against the way found with their own depth"
     parts = [
-        f"walks of {results['length']:g} m in steps of {100 * results['step']:g} cm, noise "
-        f"{results['noise']:g}, mask {results['mask']}; length of a step: found over true"
+        f"{way}, noise {results['noise']:g}, mask {results['mask']}; length of a step: found over "
+        "true"
     ]
-    for (room,), rows in grouped(results["rows"], "room").items():
+    for (walk,), rows in grouped(results["rows"], "walk").items():
         ours = next(row for row in rows if row["given"] == OURS)
         parts.append(
-            f"room {room}: depth of {100 * ours['known']:.0f} % of the pixels, median error "
+            f"{walk}: {ours['way_m']:.1f} m, drift over {ours['segment_m']:.2g} m; depth of "
+            f"{100 * ours['known']:.0f} % of the pixels, median error "
             f"{100 * ours['depth_error']:.1f} %\n{columns(rows, shown)}"
         )
     if len(parts) > 2:
@@ -186,12 +201,13 @@ def _text(results: Row) -> str:
 def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
     titles = ("sharp", "coded", "all-in-focus", "true depth", "depth of every pixel")
     for each in measured:
-        name = f"room_{each.cell.room}"
+        name = each.cell.name.replace(" ", "_")
         seen_from_above(each.poses, folder / f"{name}.png")
         for given, poses in each.poses.items():
             write_tum(poses, folder / f"{name}_{given.replace(', ', '_').replace(' ', '_')}.tum")
         drawn = [
-            [as_rgb(light, SRGB) for light in frames] + [_drawn_depth(depth) for depth in depths]
+            [as_rgb(light, SRGB) for light in frames]
+            + [_drawn(depth, each.range_m) for depth in depths]
             for *frames, true_m, depth_m in each.shown
             for depths in [(true_m, depth_m)]
         ]
@@ -199,9 +215,9 @@ def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
         write_image(folder / f"{name}_frames.jpg", of_width(pictures, _WIDTH_PX))
 
 
-def _drawn_depth(depth_m: FloatArray) -> NDArray[np.uint8]:
+def _drawn(depth_m: FloatArray, range_m: tuple[float, float]) -> NDArray[np.uint8]:
     """Return a picture of the same size: without the bar below, which all have in common."""
-    return depth_picture(depth_m, *_RANGE_M)[: depth_m.shape[0]]
+    return depth_picture(depth_m, *range_m)[: depth_m.shape[0]]
 
 
 SUITE = Suite(
@@ -215,8 +231,12 @@ SUITE = Suite(
     coded_aperture bench odometry --output walks/
   a short one:
     coded_aperture bench odometry --rooms 1 --length 2
+  an RGB-D video (see accuracy video) as a coded camera would see it, against odometry with its
+  own depth:
+    coded_aperture bench odometry livingroom/
 """,
     options=(
+        options.folders("an RGB-D video, in place of rooms", "*"),
         options.number("--rooms", 1, 2, "that are walked through"),
         options.number("--first-room", 0, 1, "the number of the first", "N"),
         options.option("--length", "of a walk, m", 20.0, type=float, metavar="M"),
