@@ -45,12 +45,16 @@ class CodeReader:
     def __init__(self, gamma: Gamma = 1.0) -> None:
         self._gamma, self._zxing, aruco = gamma, _zxing(), _aruco()
         dictionary = aruco.getPredefinedDictionary(aruco.DICT_APRILTAG_36h11)
-        self._detectors = []
-        # The first way has exact corners, the second one finds more where there is noise.
-        for refinement in (aruco.CORNER_REFINE_APRILTAG, aruco.CORNER_REFINE_SUBPIX):
+        self._ways = []
+        # The first way has exact corners, the second one finds more where there is noise. The
+        # first counts from the corner of the first pixel, not from its middle.
+        for refinement, begins in (
+            (aruco.CORNER_REFINE_APRILTAG, 0.5),
+            (aruco.CORNER_REFINE_SUBPIX, 0.0),
+        ):
             parameters = aruco.DetectorParameters()
             parameters.cornerRefinementMethod = refinement
-            self._detectors.append(aruco.ArucoDetector(dictionary, parameters))
+            self._ways.append((aruco.ArucoDetector(dictionary, parameters), begins))
 
     @staticmethod
     def check() -> None:
@@ -64,7 +68,7 @@ class CodeReader:
         A tag that is found in two ways is there twice, the one with the better corners first.
         """
         pixels = np.asarray(pixels_from_linear(frame, 8, self._gamma), np.uint8)
-        codes = [code for detector in self._detectors for code in _tags(detector, pixels)]
+        codes = [code for way in self._ways for code in _tags(*way, pixels)]
         bars = self._zxing.read_barcodes(pixels, formats=self._zxing.BarcodeFormat.QRCode)
         return codes + [Code(QR, bar.text, _corners(bar.position)) for bar in bars if bar.valid]
 
@@ -88,10 +92,10 @@ def distance_error(card: Card, code: Code, camera: Camera) -> float:
     return abs(float(place[2, 0]) / card.distance_m - 1)
 
 
-def _tags(detector: Any, pixels: NDArray[np.uint8]) -> list[Code]:
+def _tags(detector: Any, begins: float, pixels: NDArray[np.uint8]) -> list[Code]:
     corners, numbers, _ = detector.detectMarkers(pixels)
     return [
-        Code(TAG, str(number), np.reshape(each, (4, 2)).astype(np.float64))
+        Code(TAG, str(number), np.reshape(each, (4, 2)).astype(np.float64) - begins)
         for each, number in zip(corners, np.ravel(numbers if corners else []), strict=True)
     ]
 

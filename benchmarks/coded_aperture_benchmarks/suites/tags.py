@@ -129,10 +129,12 @@ def measure(cell: Cell) -> Measured:
     camera, reader = coded_camera(cell.mask), cell.reader
     rows, frames = [], {SHARP: lights[SHARP]}
     frames |= dict(_exposed(cell, lights))
-    frames |= dict(_deblurred(cell.mask, frames[CODED], scene.seen_by(camera).blur_size_px()))
+    true_px, found_px = scene.seen_by(camera).blur_size_px(), _found(cell.mask, frames[CODED])
+    frames |= dict(_deblurred(cell.mask, frames[CODED], found_px, true_px))
+    blur = [_blur_on(card, np.abs(found_px - true_px)) for card in scene.cards]
     for given, frame in frames.items():
         codes = reader.read(frame)
-        for card in scene.cards:
+        for card, of_card in zip(scene.cards, blur, strict=True):
             code = code_of(card, codes)
             error = None
             if code is not None and card.kind == TAG:
@@ -146,6 +148,7 @@ def measure(cell: Cell) -> Measured:
                     "part": part_of(card.distance_m),
                     "read": code is not None,
                     "distance_error": error,
+                    **of_card,
                 }
             )
     return Measured(cell, rows, frames)
@@ -173,19 +176,35 @@ def _exposed(cell: Cell, lights: dict[str, FloatArray]) -> Iterator[tuple[str, F
         yield name, sensor.expose((counted + noise) / white, random)
 
 
-def _deblurred(
-    mask: str, coded: FloatArray, true_px: FloatArray
-) -> Iterator[tuple[str, FloatArray]]:
-    bank = _bank(mask)
-    estimator = DepthEstimator(bank, DepthConfig(), coded_camera(mask))
-    found_px = estimator.estimate(coded).blur_size_px
+def _found(mask: str, coded: FloatArray) -> FloatArray:
+    """Return the blur size that is estimated of every pixel."""
+    estimator = DepthEstimator(_bank(mask), DepthConfig(), coded_camera(mask))
+    found_px = np.asarray(estimator.estimate(coded).blur_size_px)
     estimator.close()
+    return found_px
+
+
+def _deblurred(
+    mask: str, coded: FloatArray, found_px: FloatArray, true_px: FloatArray
+) -> Iterator[tuple[str, FloatArray]]:
     for method in _METHODS:
-        deblurrer = Deblurrer(bank.stack, DeblurConfig(method=method))
+        deblurrer = Deblurrer(_bank(mask).stack, DeblurConfig(method=method))
         yield method, deblurrer.deblur(coded, found_px)
         if method == "sparse":
             yield TRUE, deblurrer.deblur(coded, true_px)
         deblurrer.close()
+
+
+def _blur_on(card: Card, errors_px: FloatArray) -> Row:
+    """Return of how much of a code the blur is known, and how wrong it is there."""
+    inside = np.zeros(errors_px.shape, np.uint8)
+    cv2.fillPoly(inside, [np.rint(card.corners_px()).astype(np.int32)], 1)
+    errors = errors_px[inside > 0]
+    known = errors[np.isfinite(errors)]
+    return {
+        "known": known.size / errors.size,
+        "blur_error_px": float(np.median(known)) if known.size else None,
+    }
 
 
 @lru_cache(maxsize=1)
@@ -237,6 +256,7 @@ def _results(args: argparse.Namespace, measured: list[Measured], seconds: float)
         },
         "same_depth_of_field": _same_depth_of_field(args),
         "seconds": seconds,
+        "blur_errors": list(_blur_errors(rows)),
         "rows": pooled,
         "goal": [
             {"electrons": electrons, **_goal(group)}
@@ -257,11 +277,29 @@ def _pooled(rows: list[Row]) -> Row:
         **{f"read_{kind}": _share(group) for kind, group in of_kind.items()},
         "parts": parts,
         **{f"parts_{kind}": _by_part(group) for kind, group in of_kind.items()},
-        "distance_error": round(float(np.median(errors)), 4) if errors else None,
+        "distance_error": _median(errors, 4),
         "from_m": round(edges[start], 3) if stop > start else None,
         "to_m": round(edges[stop], 3) if stop > start else None,
         "dioptres": round((stop - start) * (1 / edges[0] - 1 / edges[-1]) / _PARTS, 3),
     }
+
+
+def _blur_errors(rows: list[Row]) -> Iterator[Row]:
+    """Yield what is known of the blur on codes that `sparse` gets read by it, and on the others."""
+    of_sparse = [row for row in rows if row["given"] == "sparse"]
+    for (electrons, read), group in grouped(of_sparse, "electrons", "read").items():
+        errors = [row["blur_error_px"] for row in group if row["known"]]
+        yield {
+            "electrons": electrons,
+            "read": read,
+            "codes": len(group),
+            "known": round(float(np.mean([row["known"] for row in group])), 3),
+            "blur_error_px": _median(errors, 3),
+        }
+
+
+def _median(values: Sequence[float], digits: int) -> float | None:
+    return round(float(np.median(values)), digits) if values else None
 
 
 def _by_part(rows: list[Row]) -> list[float | None]:
@@ -330,6 +368,14 @@ def _text(results: Row) -> str:
     ]
     for (electrons,), rows in grouped(results["rows"], "electrons").items():
         parts.append(f"{electrons} electrons make white\n{columns(rows, shown)}")
+    errors = {
+        "electrons": "{electrons}",
+        "by sparse": lambda row: "read" if row["read"] else "missed",
+        "codes": "{codes}",
+        "blur known of": lambda row: _percent(row["known"], "{:.0f} %"),
+        "off by (median)": lambda row: or_dash(row["blur_error_px"], "{:.2f} px"),
+    }
+    parts.append(columns(results["blur_errors"], errors))
     goals = {
         "electrons": "{electrons}",
         "longest range of ours": lambda row: _longest(row, "ours"),
@@ -376,6 +422,7 @@ def _draw(args: options.Args, measured: list[Measured], folder: Path) -> None:
         f"{electrons} electrons": {
             _TITLES[row["given"]]: [np.nan if share is None else share for share in row["parts"]]
             for row in rows
+            if row["given"] != SHARP
         }
         for (electrons,), rows in grouped(results["rows"], "electrons").items()
     }
@@ -387,13 +434,15 @@ def _outlined(frame: FloatArray, cards: Sequence[Card], cell: Cell) -> NDArray[n
     """Return the left of a frame, up to two cards wide: what is read in green, the rest in red."""
     codes, module_px = cell.reader.read(frame), cell.module_px
     picture = np.ascontiguousarray(as_rgb(np.clip(frame, 0, 1), SRGB))
+    font = cv2.FONT_HERSHEY_SIMPLEX
     for card in cards:
         colour = _RED if code_of(card, codes) is None else _GREEN
         corners = np.rint(card.corners_px(1.5 * module_px)).astype(np.int32)
         cv2.polylines(picture, [corners], True, colour, 2, cv2.LINE_AA)
         where = int(card.middle_px[0]) - 30, int(corners[:, 1].max()) + 20
         text = f"{card.distance_m:.2f} m"
-        cv2.putText(picture, text, where, cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, 2, cv2.LINE_AA)
+        for rim, width in (((0, 0, 0), 5), (colour, 2)):  # legible on white and on black
+            cv2.putText(picture, text, where, font, 0.6, rim, width, cv2.LINE_AA)
     return picture[:, : min(2 * pitch_px(module_px), picture.shape[1])]
 
 
