@@ -113,10 +113,10 @@ def card_scene(seed: int, module_px: float) -> CardScene:
         says = str(numbers[index]) if kind == TAG else f"BIN {seed % 100:02d}{index:02d}"
         modules = modules_of(kind, says)
         off = module_px * random.uniform(-_OFF_MIDDLE_MODULES, _OFF_MIDDLE_MODULES, 2)
-        right, down = (np.array([column, row]) + 0.5) * pitch - 0.5 + off
+        right, down = map(float, (np.array([column, row]) + 0.5) * pitch - 0.5 + off)
         side_px = module_px * (len(modules) - 2 * _QUIET[kind])
         angle = random.uniform(-_LARGEST_ANGLE, _LARGEST_ANGLE)
-        card = Card(kind, says, side_px, (right, down), 1 / inverse[index], angle)
+        card = Card(kind, says, side_px, (right, down), float(1 / inverse[index]), angle)
         found.append((card, _layer(card, modules, module_px)))
     nearest_first = [layer for _, layer in sorted(found, key=lambda pair: pair[0].distance_m)]
     return CardScene(tuple(card for card, _ in found), (*nearest_first, *_wall(seed)))

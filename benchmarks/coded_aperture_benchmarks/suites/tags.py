@@ -454,7 +454,7 @@ SUITE = Suite(
     "distances (equal ones of the inverse distance, next to each other) in each of which at least "
     "half is read; in dioptres, as blur goes by these.",
     examples="""examples:
-  three frames of twelve cards (two minutes on two cores), with pictures and a figure:
+  three frames of twelve cards (a minute and a half), with pictures and a figure:
     coded_aperture bench tags --output tags/
   a single one, in good light:
     coded_aperture bench tags --scenes 1 --electrons 10000
