@@ -127,7 +127,7 @@ def modules_of(kind: str, says: str) -> BoolArray:
     if kind == TAG:
         code = cv2.aruco.generateImageMarker(_dictionary(), int(says), _TAG_MODULES) > 0
     else:
-        code = cv2.QRCodeEncoder.create().encode(says) > 0
+        code = cv2.QRCodeEncoder_create().encode(says) > 0
         dark = np.flatnonzero(~code.all(axis=1))
         inside = slice(dark[0], dark[-1] + 1)  # OpenCV adds some white itself
         code = code[inside, inside]
