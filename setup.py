@@ -66,7 +66,13 @@ setup(
             "ros-lifecycle-msgs==2.0.3",
             "ros-ament-index-python==1.8.1",
         ],
-        "eval": ["rosbags>=0.11.9", "matplotlib>=3.8", "scikit-image>=0.22", "scikit-learn>=1.4"],
+        "eval": [
+            "rosbags>=0.11.9",
+            "matplotlib>=3.8",
+            "scikit-image>=0.22",
+            "scikit-learn>=1.4",
+            "zxing-cpp>=2.2",
+        ],
         # `coded_aperture view`.
         "view": ["aiohttp>=3.9"],
         "gpu": ["torch>=2.2"],

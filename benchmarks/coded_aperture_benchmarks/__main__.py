@@ -103,6 +103,7 @@ BENCHMARKS: dict[str, Group | str] = {
     "datasheet": "what the data sheet of a camera would say",
     "lens": "a real lens: before and after its field curvature is measured",
     "odometry": "how far a robot drifts that steers by these frames alone",
+    "tags": "over what distances tags and QR codes are read",
     "blind": "masks found from planes at unknown distances, and what deblurring loses by them",
 }
 _EPILOG = """examples:
@@ -130,6 +131,8 @@ _EPILOG = """examples:
     coded_aperture bench lens desk/ --planes calib/
   the way of a camera through a room, found by its frames alone:
     coded_aperture bench odometry --rooms 1 --length 2
+  tags and QR codes at random distances, beside an ordinary lens:
+    coded_aperture bench tags
   masks found from planes at unknown distances:
     coded_aperture bench blind
   what each benchmark is, and its options:

@@ -230,3 +230,31 @@ def seen_from_above(ways: Mapping[str, NDArray[np.floating]], path: PathLike) ->
     axes.set_ylabel("ahead, m", fontsize=8)
     axes.legend(fontsize=7)
     save_figure(figure, path)
+
+
+def shares_over_distance(
+    panels: Mapping[str, Mapping[str, Sequence[float]]], parts: Sequence[str], path: PathLike
+) -> None:
+    """Draw shares for each part of the distances.
+
+    Parameters
+    ----------
+    panels : mapping of str to mapping of str to sequence of float
+        For each panel's title, a curve for each name; NaN is left out.
+    parts : sequence of str
+        What the parts are called.
+    """
+    figure, (line,) = new_panels(1, len(panels), width=1.3)
+    for axes, (title, curves) in zip(line, panels.items(), strict=True):
+        for index, (name, shares) in enumerate(curves.items()):
+            # A little beside each other, so that they do not hide each other.
+            place = np.arange(len(parts)) + 0.03 * (index - len(curves) / 2)
+            axes.plot(place, 100 * np.asarray(shares, float), "o-", label=name, markersize=3)
+        axes.axhline(50, color="0.6", linewidth=0.8, linestyle="--")
+        axes.set_title(title, fontsize=9)
+        axes.set_ylim(-5, 105)
+        axes.set_xticks(range(len(parts)), parts, fontsize=7)
+        axes.set_xlabel("distance, m", fontsize=8)
+    line[0].set_ylabel("read, %", fontsize=8)
+    figure.legend(*line[0].get_legend_handles_labels(), fontsize=7, loc="outside right")
+    save_figure(figure, path)

@@ -1,0 +1,487 @@
+"""`coded_aperture bench tags`: over what distances tags and QR codes are read."""
+
+import argparse
+import dataclasses
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from itertools import groupby, pairwise
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.codes import CodeReader, code_of, distance_error
+from coded_aperture_benchmarks.figures import shares_over_distance
+from coded_aperture_benchmarks.frames.cameras import camera_for_blur
+from coded_aperture_benchmarks.frames.tag_cards import (
+    CARDS_M,
+    QR,
+    SIZE,
+    TAG,
+    WALL_M,
+    Card,
+    CardScene,
+    card_scene,
+    pitch_px,
+)
+from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
+from coded_aperture_benchmarks.rows import columns, grouped, or_dash
+from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_ros.bank import FilterBank, learn_bank_for_camera
+from coded_aperture_ros.bank.learning import guarded_range
+from coded_aperture_ros.cli.options import at_least
+from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.imaging import SRGB
+from coded_aperture_ros.io import write_image
+from coded_aperture_ros.optics import MASK_NAMES, Camera, Mask
+from coded_aperture_ros.simulation import SensorModel
+
+_FOCAL_LENGTH_PX, _BLUR_PX = 1194.0, (2.0, 16.0)
+_READ_NOISE, _BITS = 2.5, 12
+# Smaller ones are not read even where they are sharp; of larger ones not four fit into a frame.
+_MODULES_PX = 2.0, 6.0
+# Of the light that passes the mask, what passes the ordinary lens.
+_STOPS = (1.0, 0.5, 0.25, 0.1)
+# Inverse distances are told in so many equal parts.
+_PARTS = 5
+# A part of the distances belongs to the range if as many of its cards are read.
+_READ_ENOUGH = 0.5
+_METHODS = ("fast", "cg", "sparse")
+_WIDTH_PX = 1600
+_GREEN, _RED = (0, 220, 0), (255, 40, 40)
+# What codes are read from, and what it is called.
+SHARP, CODED, TRUE = "sharp", "coded", "sparse, true depth"
+_TITLES = {
+    SHARP: "sharp, no noise",
+    CODED: "coded frame",
+    **{method: f"coded, {method}" for method in _METHODS},
+    TRUE: "coded, sparse, true depth",
+    **{f"ordinary {stop:g}": f"ordinary, {100 * stop:.0f} % of the light" for stop in _STOPS},
+}
+# What a coded camera knows by itself.
+_OURS, _ORDINARY = (CODED, *_METHODS), tuple(f"ordinary {stop:g}" for stop in _STOPS)
+
+
+@dataclasses.dataclass(frozen=True)
+class Cell:
+    """A frame of cards, in some light."""
+
+    scene: int
+    electrons: int
+    module_px: float
+    mask: str
+    srgb: bool
+
+    @property
+    def reader(self) -> CodeReader:
+        """Reads frames, encoded or not."""
+        return CodeReader(SRGB if self.srgb else 1.0)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Measured:
+    """A row for each card and whatever it is read from, and the frames."""
+
+    cell: Cell
+    rows: list[Row]
+    frames: dict[str, FloatArray]
+
+
+def coded_camera(mask: str) -> Camera:
+    """Return the camera that is in focus before all cards."""
+    return camera_for_blur(Mask.named(mask), _FOCAL_LENGTH_PX, SIZE, CARDS_M, _BLUR_PX)
+
+
+def ordinary_camera(mask: str, stop: float) -> Camera:
+    """Return one with a round aperture, in focus in the middle, by the light that it lets pass."""
+    coded, disc = coded_camera(mask), Mask.named("disc")
+    area = stop * coded.mask.open_fraction / disc.open_fraction
+    return dataclasses.replace(
+        coded,
+        mask=disc,
+        mask_extent_mm=coded.mask_extent_mm * np.sqrt(area),
+        focus_distance_m=2 / sum(1 / distance for distance in CARDS_M),
+        side="both",
+    )
+
+
+def _cells(args: argparse.Namespace) -> list[Cell]:
+    least, most = _MODULES_PX
+    if not least <= args.module <= most:
+        args.usage_error(f"--module: expected {least:g} to {most:g} px")
+    options.check_known(args, "mask", [args.mask], MASK_NAMES)
+    CodeReader.check()
+    return [
+        Cell(scene, electrons, args.module, args.mask, args.srgb)
+        for scene in range(args.scenes)
+        for electrons in dict.fromkeys(args.electrons)
+    ]
+
+
+def measure(cell: Cell) -> Measured:
+    """Take a frame with every camera, deblur, and read."""
+    scene, lights = _seen(cell.scene, cell.module_px, cell.mask)
+    camera, reader = coded_camera(cell.mask), cell.reader
+    rows, frames = [], {SHARP: lights[SHARP]}
+    frames |= dict(_exposed(cell, lights))
+    true_px, found_px = scene.seen_by(camera).blur_size_px(), _found(cell.mask, frames[CODED])
+    frames |= dict(_deblurred(cell.mask, frames[CODED], found_px, true_px))
+    blur = [_blur_on(card, np.abs(found_px - true_px)) for card in scene.cards]
+    for given, frame in frames.items():
+        codes = reader.read(frame)
+        for card, of_card in zip(scene.cards, blur, strict=True):
+            code = code_of(card, codes)
+            error = None
+            if code is not None and card.kind == TAG:
+                error = distance_error(card, code, camera)
+            rows.append(
+                {
+                    "scene": cell.scene,
+                    "electrons": cell.electrons,
+                    "given": given,
+                    "kind": card.kind,
+                    "part": part_of(card.distance_m),
+                    "read": code is not None,
+                    "distance_error": error,
+                    **of_card,
+                }
+            )
+    return Measured(cell, rows, frames)
+
+
+@lru_cache(maxsize=1)
+def _seen(seed: int, module_px: float, mask: str) -> tuple[CardScene, dict[str, FloatArray]]:
+    """Return the cards, and the light that they send to each sensor."""
+    scene = card_scene(seed, module_px)
+    coded = scene.seen_by(coded_camera(mask))
+    lights = {SHARP: coded.all_in_focus(), CODED: coded.coded()}
+    for name, stop in zip(_ORDINARY, _STOPS, strict=True):
+        lights[name] = scene.seen_by(ordinary_camera(mask, stop)).coded()
+    return scene, lights
+
+
+def _exposed(cell: Cell, lights: dict[str, FloatArray]) -> Iterator[tuple[str, FloatArray]]:
+    """Yield every frame after the same time of exposure, amplified where there is less light."""
+    random = np.random.default_rng([cell.scene, cell.electrons])
+    sensor = SensorModel(bits=_BITS)
+    for name, share in ((CODED, 1.0), *zip(_ORDINARY, _STOPS, strict=True)):
+        white = cell.electrons * share
+        counted = random.poisson(np.clip(lights[name], 0, None) * white)
+        noise = random.normal(0, _READ_NOISE, counted.shape)
+        yield name, sensor.expose((counted + noise) / white, random)
+
+
+def _found(mask: str, coded: FloatArray) -> FloatArray:
+    """Return the blur size that is estimated of every pixel."""
+    estimator = DepthEstimator(_bank(mask), DepthConfig(), coded_camera(mask))
+    found_px = np.asarray(estimator.estimate(coded).blur_size_px)
+    estimator.close()
+    return found_px
+
+
+def _deblurred(
+    mask: str, coded: FloatArray, found_px: FloatArray, true_px: FloatArray
+) -> Iterator[tuple[str, FloatArray]]:
+    for method in _METHODS:
+        deblurrer = Deblurrer(_bank(mask).stack, DeblurConfig(method=method))
+        yield method, deblurrer.deblur(coded, found_px)
+        if method == "sparse":
+            yield TRUE, deblurrer.deblur(coded, true_px)
+        deblurrer.close()
+
+
+def _blur_on(card: Card, errors_px: FloatArray) -> Row:
+    """Return of how much of a code the blur is known, and how wrong it is there."""
+    inside = np.zeros(errors_px.shape, np.uint8)
+    cv2.fillPoly(inside, [np.rint(card.corners_px()).astype(np.int32)], 1)
+    errors = errors_px[inside > 0]
+    known = errors[np.isfinite(errors)]
+    return {
+        "known": known.size / errors.size,
+        "blur_error_px": float(np.median(known)) if known.size else None,
+    }
+
+
+@lru_cache(maxsize=1)
+def _bank(mask: str) -> FilterBank:
+    camera = coded_camera(mask)
+    return learn_bank_for_camera(camera, *guarded_range(camera, CARDS_M[0], WALL_M[1], 30))
+
+
+def part_edges_m() -> list[float]:
+    """Return the distances between which the parts are, nearest first."""
+    nearest, farthest = (1 / distance for distance in CARDS_M)
+    return [float(1 / inverse) for inverse in np.linspace(nearest, farthest, _PARTS + 1)]
+
+
+def part_of(distance_m: float) -> int:
+    """Return the part of a distance, 0 for the nearest."""
+    return int(np.clip(np.searchsorted(part_edges_m(), distance_m) - 1, 0, _PARTS - 1))
+
+
+def range_of(shares: Sequence[float | None]) -> tuple[int, int]:
+    """Return the longest run of parts in each of which at least half is read: from, to before.
+
+    A part without a card ends a run. (0, 0) if there is none; the nearest of several.
+    """
+    best, start = (0, 0), 0
+    enough = [share is not None and share >= _READ_ENOUGH for share in shares]
+    for read, run in groupby(enough):
+        stop = start + len(list(run))
+        if read and stop - start > best[1] - best[0]:
+            best = start, stop
+        start = stop
+    return best
+
+
+def _results(args: argparse.Namespace, measured: list[Measured], seconds: float) -> Row:
+    rows = [row for each in measured for row in each.rows]
+    pooled = [
+        {"electrons": electrons, "given": given, **_pooled(group)}
+        for (electrons, given), group in grouped(rows, "electrons", "given").items()
+    ]
+    return {
+        "benchmark": "tags",
+        **options.header(args, "module", "scenes", "mask", "srgb"),
+        "cards": len(rows) // len(grouped(rows, "electrons", "given")),
+        "part_edges_m": [round(edge, 3) for edge in part_edges_m()],
+        "blur_at_ends_px": {
+            name: round(_blur_at_ends_px(args.mask, stop), 2)
+            for name, stop in zip(_ORDINARY, _STOPS, strict=True)
+        },
+        "same_depth_of_field": _same_depth_of_field(args),
+        "seconds": seconds,
+        "blur_errors": list(_blur_errors(rows)),
+        "rows": pooled,
+        "goal": [
+            {"electrons": electrons, **_goal(group)}
+            for (electrons,), group in grouped(pooled, "electrons").items()
+        ],
+    }
+
+
+def _pooled(rows: list[Row]) -> Row:
+    """Return what is read of cards, in all and by their distance."""
+    of_kind = {kind: [row for row in rows if row["kind"] == kind] for kind in (TAG, QR)}
+    parts = _by_part(rows)
+    start, stop = range_of(parts)
+    edges, errors = part_edges_m(), [row["distance_error"] for row in rows]
+    errors = [error for error in errors if error is not None]
+    return {
+        "read": _share(rows),
+        **{f"read_{kind}": _share(group) for kind, group in of_kind.items()},
+        "parts": parts,
+        **{f"parts_{kind}": _by_part(group) for kind, group in of_kind.items()},
+        "distance_error": _median(errors, 4),
+        "from_m": round(edges[start], 3) if stop > start else None,
+        "to_m": round(edges[stop], 3) if stop > start else None,
+        "dioptres": round((stop - start) * (1 / edges[0] - 1 / edges[-1]) / _PARTS, 3),
+    }
+
+
+def _blur_errors(rows: list[Row]) -> Iterator[Row]:
+    """Yield what is known of the blur on codes that `sparse` gets read by it, and on the others."""
+    of_sparse = [row for row in rows if row["given"] == "sparse"]
+    for (electrons, read), group in grouped(of_sparse, "electrons", "read").items():
+        errors = [row["blur_error_px"] for row in group if row["known"]]
+        yield {
+            "electrons": electrons,
+            "read": read,
+            "codes": len(group),
+            "known": round(float(np.mean([row["known"] for row in group])), 3),
+            "blur_error_px": _median(errors, 3),
+        }
+
+
+def _median(values: Sequence[float], digits: int) -> float | None:
+    return round(float(np.median(values)), digits) if values else None
+
+
+def _by_part(rows: list[Row]) -> list[float | None]:
+    return [_share([row for row in rows if row["part"] == part]) for part in range(_PARTS)]
+
+
+def _share(rows: list[Row]) -> float | None:
+    return round(float(np.mean([row["read"] for row in rows])), 3) if rows else None
+
+
+def _goal(rows: list[Row]) -> Row:
+    """Return the longer range of ours, and of the ordinary lens, in dioptres, and their ratio."""
+    ours, ordinary = (
+        max((row for row in rows if row["given"] in names), key=_far_and_often)
+        for names in (_OURS, _ORDINARY)
+    )
+    ratio = ours["dioptres"] / ordinary["dioptres"] if ordinary["dioptres"] else None
+    return {
+        "ours": ours["given"],
+        "ours_dioptres": ours["dioptres"],
+        "ordinary": ordinary["given"],
+        "ordinary_dioptres": ordinary["dioptres"],
+        "ratio": None if ratio is None else round(ratio, 3),
+    }
+
+
+def _far_and_often(row: Row) -> tuple[float, float]:
+    """Order by range, then by what is read in all."""
+    return row["dioptres"], row["read"]
+
+
+def _blur_at_ends_px(mask: str, stop: float) -> float:
+    """Return the blur size of the ordinary lens at the nearest and at the farthest distance."""
+    return float(np.abs(ordinary_camera(mask, stop).blur_size_px(CARDS_M)).max())
+
+
+def _same_depth_of_field(args: argparse.Namespace) -> str | None:
+    """Return the widest stop that blurs nothing by more than a module."""
+    for name, stop in zip(_ORDINARY, _STOPS, strict=True):
+        if _blur_at_ends_px(args.mask, stop) <= args.module:
+            return name
+    return None
+
+
+def _text(results: Row) -> str:
+    edges = results["part_edges_m"]
+    shown: dict[str, Any] = {
+        "read from": lambda row: _TITLES[row["given"]],
+        "tags": lambda row: _percent(row["read_tag"]),
+        "QR codes": lambda row: _percent(row["read_qr"]),
+        **{title: _in_part(index) for index, title in enumerate(_part_titles(edges))},
+        "error of distance": lambda row: _percent(row["distance_error"], "{:.1f} %"),
+        "range": _range_text,
+    }
+    fits = results["same_depth_of_field"]
+    parts = [
+        f"{results['cards']} cards, modules of {results['module']:g} px, mask {results['mask']}, "
+        f"{'sRGB' if results['srgb'] else 'linear'} frames; read, %: tags / QR codes by distance\n"
+        "range: distances at which at least half of all cards is read",
+        "blur of the ordinary lens at both ends: "
+        + ", ".join(
+            f"{size:.1f} px ({_TITLES[name].removeprefix('ordinary, ')})"
+            for name, size in results["blur_at_ends_px"].items()
+        )
+        + f"\nno more than a module: {'none' if fits is None else _TITLES[fits]}",
+    ]
+    for (electrons,), rows in grouped(results["rows"], "electrons").items():
+        parts.append(f"{electrons} electrons make white\n{columns(rows, shown)}")
+    errors = {
+        "electrons": "{electrons}",
+        "by sparse": lambda row: "read" if row["read"] else "missed",
+        "codes": "{codes}",
+        "blur known of": lambda row: _percent(row["known"], "{:.0f} %"),
+        "off by (median)": lambda row: or_dash(row["blur_error_px"], "{:.2f} px"),
+    }
+    parts.append(columns(results["blur_errors"], errors))
+    goals = {
+        "electrons": "{electrons}",
+        "longest range of ours": lambda row: _longest(row, "ours"),
+        "of the ordinary lens": lambda row: _longest(row, "ordinary"),
+        "ratio": lambda row: or_dash(row["ratio"], "{:.2f}"),
+    }
+    return "\n\n".join([*parts, columns(results["goal"], goals)])
+
+
+def _percent(share: float | None, form: str = "{:.0f}") -> str:
+    return or_dash(None if share is None else 100 * share, form)
+
+
+def _in_part(index: int) -> Any:
+    return lambda row: " / ".join(_percent(row[f"parts_{kind}"][index]) for kind in (TAG, QR))
+
+
+def _part_titles(edges_m: Sequence[float]) -> list[str]:
+    return [f"{near:.2f}-{far:.2f} m" for near, far in pairwise(edges_m)]
+
+
+def _range_text(row: Row) -> str:
+    return "none" if row["from_m"] is None else f"{row['from_m']:.2f} to {row['to_m']:.2f} m"
+
+
+def _longest(row: Row, whose: str) -> str:
+    return f"{row[f'{whose}_dioptres']:.2f} dioptres, {_TITLES[row[whose]]}"
+
+
+def _draw(args: options.Args, measured: list[Measured], folder: Path) -> None:
+    stopped = _same_depth_of_field(args) or _ORDINARY[-1]
+    given = [SHARP, CODED, "fast", "sparse", _ORDINARY[0], stopped]
+    for each in measured:
+        if each.cell.scene == 0:
+            cards = card_scene(0, each.cell.module_px).cards
+            parts = [
+                (_TITLES[name], [_outlined(each.frames[name], cards, each.cell)])
+                for name in dict.fromkeys(given)
+            ]
+            picture = of_width(side_by_side(parts), _WIDTH_PX)
+            write_image(folder / f"codes_{each.cell.electrons}.jpg", picture)
+    results = _results(args, measured, 0.0)
+    panels = {
+        f"{electrons} electrons": {
+            _TITLES[row["given"]]: [np.nan if share is None else share for share in row["parts"]]
+            for row in rows
+            if row["given"] != SHARP
+        }
+        for (electrons,), rows in grouped(results["rows"], "electrons").items()
+    }
+    titles = [title.removesuffix(" m") for title in _part_titles(results["part_edges_m"])]
+    shares_over_distance(panels, titles, folder / "read.png")
+
+
+def _outlined(frame: FloatArray, cards: Sequence[Card], cell: Cell) -> NDArray[np.uint8]:
+    """Return the left of a frame, up to two cards wide: what is read in green, the rest in red."""
+    codes, module_px = cell.reader.read(frame), cell.module_px
+    picture = np.ascontiguousarray(as_rgb(np.clip(frame, 0, 1), SRGB))
+    font = cv2.FONT_HERSHEY_SIMPLEX
+    for card in cards:
+        colour = _RED if code_of(card, codes) is None else _GREEN
+        corners = np.rint(card.corners_px(1.5 * module_px)).astype(np.int32)
+        cv2.polylines(picture, [corners], True, colour, 2, cv2.LINE_AA)
+        where = int(card.middle_px[0]) - 30, int(corners[:, 1].max()) + 20
+        text = f"{card.distance_m:.2f} m"
+        for rim, width in (((0, 0, 0), 5), (colour, 2)):  # legible on white and on black
+            cv2.putText(picture, text, where, font, 0.6, rim, width, cv2.LINE_AA)
+    return picture[:, : min(2 * pitch_px(module_px), picture.shape[1])]
+
+
+SUITE = Suite(
+    description="Read AprilTags (36h11, by OpenCV) and QR codes (by zxing-cpp) on cards at random "
+    "distances, by a coded camera before and after deblurring, and by an ordinary lens that is in "
+    "focus in the middle and lets pass as much light as the mask, or less. The exposure is the "
+    "same for all; all codes have modules of one size in the picture. Range: the parts of the "
+    "distances (equal ones of the inverse distance, next to each other) in each of which at least "
+    "half is read; in dioptres, as blur goes by these.",
+    examples="""examples:
+  three frames of twelve cards (a minute and a half), with pictures and a figure:
+    coded_aperture bench tags --output tags/
+  a single one, in good light:
+    coded_aperture bench tags --scenes 1 --electrons 10000
+""",
+    options=(
+        options.number("--scenes", 1, 3, "frames of cards"),
+        options.option(
+            "--module", "of the codes (black or white square), px", 4.0, type=float, metavar="PX"
+        ),
+        options.option(
+            "--electrons",
+            "that make white behind the mask",
+            [10_000, 1_000, 200],
+            type=at_least(1),
+            metavar="N",
+        ),
+        options.option("--mask", "of the coded camera", "levin", metavar="MASK"),
+        options.option(
+            "--srgb",
+            "read frames encoded as pictures are, not as linear light",
+            action="store_true",
+        ),
+        *options.RESULTS,
+    ),
+    cells=_cells,
+    measure=measure,
+    results=_results,
+    text=_text,
+    draw=_draw,
+)
