@@ -20,6 +20,8 @@ PICTURE_SUFFIXES = (
 )
 _TIFF = (".tif", ".tiff")
 _MILLIMETRE = 1e-3
+# Of linear light, where 1 is white: bright lamps may be above, a whole picture is not.
+_FAR_ABOVE_WHITE = 2.0
 # By default OpenCV 4.6 stores float colours in the lossy LogLuv form; 5 is LZW.
 _ENCODING = dict.fromkeys(_TIFF, (cv2.IMWRITE_TIFF_COMPRESSION, 5))
 
@@ -52,7 +54,7 @@ def read_image(path: str | os.PathLike[str], gamma: Gamma = 1.0) -> FloatArray:
     Raises
     ------
     InputError
-        Naming the file, if it is missing, empty, or not a picture.
+        Naming the file, if it is missing, empty, or not a picture, or its numbers are not 0 to 1.
     """
     return linear_from_pixels(read_compressed(path)[0], gamma)
 
@@ -72,6 +74,11 @@ def read_compressed(path: str | os.PathLike[str]) -> tuple[NDArray, float]:
             f"got the shape {list(pixels.shape)}"
         )
     if pixels.dtype.kind == "f":
+        if 2 * np.count_nonzero(pixels > _FAR_ABOVE_WHITE) > pixels.size:
+            raise InputError(
+                f"{path}: most values are above {_FAR_ABOVE_WHITE:g}, expected linear light from 0 "
+                "to 1: divide by what white is, such as 255"
+            )
         return pixels.astype(np.float32, copy=False), 0.0
     if pixels.dtype not in (np.uint8, np.uint16):
         raise InputError(f"{path}: expected 8-bit, 16-bit or float pixels, got {pixels.dtype}")

@@ -59,7 +59,7 @@ def test_gamma_applies_to_8_bit_files(tmp_path, gamma, expected):
 
 @pytest.mark.parametrize("kind", [np.uint16, np.float32])
 def test_numbers_of_either_byte_order_are_read(tmp_path, kind):
-    values = np.array([[0, 1, 300], [20_000, 65_000, 258]], kind)
+    values = np.array([[0, 1, 300], [2, 0, 258]], kind)
     for order in "<>":
         np.save(tmp_path / "a.npy", values.astype(values.dtype.newbyteorder(order)))
         assert read_compressed(tmp_path / "a.npy")[0].dtype == kind
@@ -94,6 +94,16 @@ def test_writing_clips_and_blacks_out_nan(tmp_path):
 def test_nan_is_kept_in_float_files(tmp_path):
     write_image(tmp_path / "a.tif", np.array([[np.nan, 0.5]]))
     assert np.isnan(read_image(tmp_path / "a.tif")).tolist() == [[True, False]]
+
+
+@pytest.mark.parametrize("name", ["a.npy", "a.tif"])
+def test_numbers_up_to_255_are_no_linear_light(tmp_path, name):
+    values = np.linspace(0, 255, 35, dtype=np.float32).reshape(5, 7)
+    (np.save if name.endswith("npy") else write_image)(tmp_path / name, values)
+    with pytest.raises(InputError, match="divide by what white is, such as 255"):
+        read_image(tmp_path / name)
+    write_image(tmp_path / "lamp.npy", np.array([[0.1, 0.2, 0.3, 50, 90]]))
+    assert read_image(tmp_path / "lamp.npy").max() == 90
 
 
 def test_exif_does_not_turn_the_picture_against_the_mask(tmp_path):
