@@ -7,6 +7,7 @@ import numpy as np
 from coded_aperture_ros.bank.empirical import EmpiricalPrior
 from coded_aperture_ros.bank.factoring import factor_weights
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
+from coded_aperture_ros.bank.hypotheses import RATIOS, Hypotheses
 from coded_aperture_ros.bank.model import DEFAULT_STRIDE_PX, FilterBank
 from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.bank.prior import NaturalImagePrior
@@ -18,8 +19,6 @@ from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
 
 # Blur levels that a depth range is divided into, unless something else is asked for.
 DEFAULT_LEVEL_COUNT = 30
-# Contrast over noise variance: contrasts of 1e-5 to 0.1 under noise of 0.0002 to 0.01.
-RATIOS = 10.0 ** (np.arange(-2, 14) / 2)
 # On textured planes a window of 48 px is wrong by 0.1 px at a blur of 20 px, and by 0.28 px at
 # 30 px, where one of 96 px is wrong by 0.06 px.
 _WINDOW_PX, _ENOUGH_FOR_PX, _WINDOWS_PER_BLUR = 48, 22.0, 3.2
@@ -260,20 +259,8 @@ def learn_bank(
     config, stride_px = _suiting(stack, config or LearnConfig())
     fourier = WindowedFourierBasis(config.window_px, config.highest_frequency)
     of_levels = stack.psfs[:, None] if components is None else components.swapaxes(0, 1)
-    expected = np.array(
-        [
-            [sum(fourier.expected_power(psf, texture) for psf in psfs) for texture in prior.spectra]
-            for psfs in progress(of_levels)
-        ]
-    )  # [L, slopes, K]
-    expected = expected.transpose(1, 0, 2) + prior.model_error**2
-    variances = RATIOS[:, None, None, None] * expected + 1  # [S, slopes, L, K]
-    log_variances = np.log(variances)
-    multiplicity = fourier.multiplicity.astype(np.float64)
-    hypotheses = (len(RATIOS), -1, fourier.size)
-    weights = (multiplicity / variances).reshape(hypotheses)  # [S, slopes * L, K]
-    scales = np.exp(log_variances.reshape(hypotheses).mean(axis=1))
-    scales[:, multiplicity == 0] = 1  # these have no weight at any level
+    found = Hypotheses.of(fourier, of_levels, prior.spectra, prior.model_error, progress)
+    multiplicity, weights, scales = fourier.multiplicity, found.weights, found.scales
     basis, coefficients = factor_weights(weights, scales, config.rank)
     # Rounding leaves next to nothing there, and numbers next to nothing are slow to multiply.
     basis[multiplicity == 0] = 0
@@ -285,8 +272,8 @@ def learn_bank(
         prior=prior,
         ratios=RATIOS,
         basis=basis,
-        coefficients=coefficients.reshape(len(coefficients), *variances.shape[:-1]),
-        log_determinants=(log_variances @ multiplicity).astype(np.float32),
+        coefficients=coefficients.reshape(len(coefficients), *found.log_determinants.shape),
+        log_determinants=found.log_determinants.astype(np.float32),
         truncation_error=float(np.linalg.norm(factored - scaled) / np.linalg.norm(scaled)),
         noise=config.noise,
         mask_digest=mask.digest if mask else "",

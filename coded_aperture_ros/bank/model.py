@@ -6,8 +6,11 @@ from functools import cached_property
 
 import numpy as np
 
+from coded_aperture_ros.bank.factoring import fitted_coefficients
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
+from coded_aperture_ros.bank.hypotheses import Hypotheses
 from coded_aperture_ros.bank.pattern import LearnedPattern
+from coded_aperture_ros.bank.periodic import periodic_levels, periodic_spectra
 from coded_aperture_ros.bank.prior import NaturalImagePrior
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.likelihood import EngineLikelihood, Plan, new_engine
@@ -152,11 +155,50 @@ class FilterBank:
         return 1.0
 
     def plan(
-        self, shape: tuple[int, ...], stride_px: int, backend: str = "numpy", threads: int = 1
+        self,
+        shape: tuple[int, ...],
+        stride_px: int,
+        backend: str = "numpy",
+        threads: int = 1,
+        periodic: bool = True,
     ) -> EngineLikelihood:
-        """Plan the work on frames of one size; see `LikelihoodModel.plan`."""
-        engine = new_engine(Plan.of(self, shape, stride_px), backend, threads)
-        return EngineLikelihood(engine, self.window_correlation)
+        """Plan the work on frames of one size; see `LikelihoodModel.plan`.
+
+        Whether `periodic` texture is tried, too: see `Cost`.
+        """
+        tried = self._with_periodic if periodic else self
+        engine = new_engine(Plan.of(tried, shape, stride_px), backend, threads)
+        return EngineLikelihood(engine, self.window_correlation, self.levels)
+
+    @cached_property
+    def _with_periodic(self) -> "FilterBank":
+        """The bank with `periodic_levels` after its own, whose kinds of texture are periodic.
+
+        There are several of these for each kind of its own: first all levels with some of the
+        bands, then all with others.
+        """
+        some, kinds = periodic_levels(self.levels), self.log_determinants.shape[1]
+        psfs = self.stack.psfs[some, None]
+        if self.pattern is not None:
+            psfs = self.pattern.components(self.blur_sizes_px[some]).swapaxes(0, 1)
+        spectra = periodic_spectra(kinds)
+        found = Hypotheses.of(self.fourier, psfs, spectra, self.prior.model_error)
+        basis = self.basis.astype(np.float64)
+        weights = [
+            fitted_coefficients(basis, filters, scale)
+            for filters, scale in zip(found.weights, found.scales, strict=True)
+        ]
+
+        def after(own: FloatArray, more: DoubleArray) -> FloatArray:
+            more = more.reshape(*own.shape[:-2], -1, kinds, len(some)).swapaxes(-3, -2)
+            more = more.reshape(*own.shape[:-1], -1)
+            return np.concatenate([own, more.astype(own.dtype)], axis=-1)
+
+        return dataclasses.replace(
+            self,
+            coefficients=after(self.coefficients, np.stack(weights, axis=1)),
+            log_determinants=after(self.log_determinants, found.log_determinants),
+        )
 
     def energies(self, grey: FloatArray, stride_px: int, noise: float | FloatArray) -> FloatArray:
         """Return the energies of a single frame [rows, columns, L]; `plan` is for many.

@@ -11,6 +11,7 @@ from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.core.workers import Workers, thread_count
+from coded_aperture_ros.depth.ambiguity import BY_CHANCE, may_be_periodic
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.decision import Regularized
 from coded_aperture_ros.depth.edges import edge_correction
@@ -230,6 +231,11 @@ class DepthEstimator:
             stages.lap("fit")
         if health is not None:
             confidence = health.trusted(confidence)
+        if own.periodic is not None and levels.in_pixels:
+            at = MapGrid.of(seen.grid, shape, level.shape)
+            as_well = may_be_periodic(own, at.at_patches(level), levels.blur_sizes_px, seen.grid)
+            doubted = at.nearest(as_well)
+            confidence = np.where(doubted, np.minimum(confidence, BY_CHANCE), confidence)
         unknown = is_unsure(confidence, config.confidence_threshold)
         if config.unknown == "nearest":  # so that nothing is run into
             level = np.where(unknown, levels.nearer(level, decided.nearest_plausible()), level)
@@ -274,7 +280,9 @@ class DepthEstimator:
                 small: Likelihood | None = None
                 decide: Regularized | Refined
                 if (bank := self._refined_bank(stride_px)) is not None:
-                    small = self.small_bank.plan(shape, CELL_PX, config.backend, threads)
+                    small = self.small_bank.plan(
+                        shape, CELL_PX, config.backend, threads, periodic=False
+                    )
                     unless_planned.callback(small.close)
                     decide = Refined(bank, self._levels, small.grid, sides, workers)
                 else:

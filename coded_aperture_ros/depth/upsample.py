@@ -75,6 +75,11 @@ class MapGrid:
         rows, columns = self.patches
         return np.take(np.take(values, columns, axis=1), rows, axis=0)
 
+    def at_patches(self, values: NDArray) -> NDArray:
+        """Return the map's value at the centre of every patch [rows, columns]."""
+        axes = _axes(self.grid, self.frame_shape, self.size)
+        return values[np.ix_(*(centres * length // whole for centres, whole, length in axes))]
+
 
 def _axes(
     grid: PatchGrid, frame_shape: tuple[int, ...], size: tuple[int, int]

@@ -40,12 +40,17 @@ class Engine(Protocol):
 
 
 class EngineLikelihood:
-    """Cost volumes by an engine; see `Likelihood`, and `relative_cost` for the correlation."""
+    """Cost volumes by an engine; see `Likelihood`, and `relative_cost` for the correlation.
 
-    def __init__(self, engine: Engine, window_correlation: float) -> None:
+    Of its first `levels`, if not of all; the others are those of periodic texture, see `Cost`.
+    """
+
+    def __init__(
+        self, engine: Engine, window_correlation: float, levels: int | None = None
+    ) -> None:
         self.backend, self.grid = engine.name, engine.grid
         self._engine = engine
-        self._window_correlation = window_correlation
+        self._window_correlation, self._levels = window_correlation, levels
 
     def cost(
         self,
@@ -59,11 +64,18 @@ class EngineLikelihood:
         self._engine.project(grey)
         stages.lap("spectra")
         energies = self._engine.energies(noise)
-        volume = relative_cost(energies, self._window_correlation, usable)
+        count = self._levels or energies.shape[-1]
+        energies, others = energies[..., :count], energies[..., count:]
+        least = energies.min(axis=-1, keepdims=True)
+        volume, periodic = (
+            relative_cost(part, self._window_correlation, usable, least)
+            for part in (energies, others)
+        )
         # A window has about as many numbers as pixels.
-        misfit = energies.min(axis=-1) / np.float32(self.grid.window_px**2)
+        misfit = least[..., 0] / np.float32(self.grid.window_px**2)
         stages.lap("energies")
-        return Cost(volume, misfit, seconds=stages.seconds)
+        tried = periodic if periodic.shape[-1] else None
+        return Cost(volume, misfit, periodic=tried, seconds=stages.seconds)
 
     def close(self) -> None:
         """End the engine's threads, and let go of its memory."""

@@ -49,6 +49,9 @@ class Cost:
         expected noise, for methods that find it: more than usual where a patch shows two surfaces.
     small : Cost or None
         Of smaller patches, where they were asked for.
+    periodic : ndarray, float32 [rows, columns, P], or None
+        As `volume`, if a patch shows periodic texture at some levels: `periodic_levels`, once or
+        several times. Below 0 where it explains more than usual texture at any level.
     motion : MotionField or None
         From methods that tell motion from defocus.
     seconds : mapping of str to float
@@ -58,6 +61,7 @@ class Cost:
     volume: FloatArray
     misfit: FloatArray | None = None
     small: "Cost | None" = None
+    periodic: FloatArray | None = None
     motion: MotionField | None = None
     seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
 

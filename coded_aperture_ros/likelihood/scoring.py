@@ -30,15 +30,18 @@ def take_logarithm(excess: FloatArray, textureless: FloatArray, count: float) ->
 
 
 def relative_cost(
-    energies: FloatArray, window_correlation: float, usable: BoolArray | None = None
+    energies: FloatArray,
+    window_correlation: float,
+    usable: BoolArray | None = None,
+    least: FloatArray | None = None,
 ) -> FloatArray:
     """Return the cost volume: the negative log-likelihood of every level, 0 for the likeliest.
 
     Of `energies` [rows, columns, L]; see `take_logarithm`. `window_correlation` says how many of a
     patch's numbers tell one thing, for windows correlate them. Where `usable` is False, nothing is
-    known: all levels cost 0.
+    known: all levels cost 0. With `least` [rows, columns, 1], that energy costs 0.
     """
-    cost = energies - energies.min(axis=-1, keepdims=True)
+    cost = energies - (energies.min(axis=-1, keepdims=True) if least is None else least)
     cost *= np.float32(0.5 / (window_correlation * TEMPERATURE))
     if usable is not None:
         cost[~usable] = 0

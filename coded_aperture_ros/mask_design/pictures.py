@@ -12,7 +12,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
-from coded_aperture_ros.bank.learning import RATIOS
+from coded_aperture_ros.bank.hypotheses import RATIOS
 from coded_aperture_ros.bank.prior import NaturalImagePrior, power_spectrum
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError

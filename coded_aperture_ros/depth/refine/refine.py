@@ -186,7 +186,9 @@ class Refined:
             confidence[:] = to_check[:] = 0
         at = MapGrid.of(seen.grid, grey.shape, size)
         if not seen.usable.all():
-            confidence[at.nearest(~seen.usable)] = 0
+            coarse = MapGrid.of(seen.grid, grey.shape, to_check.shape)
+            for values, where in ((confidence, at), (to_check, coarse)):
+                values[where.nearest(~seen.usable)] = 0
 
         def nearest_plausible() -> FloatArray:
             nearest = np.float32(self._levels.nearest_first[0])

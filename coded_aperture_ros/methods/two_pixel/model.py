@@ -4,7 +4,8 @@ import numpy as np
 import scipy.fft
 
 from coded_aperture_ros.bank import NaturalImagePrior, power_spectrum
-from coded_aperture_ros.bank.learning import RATIOS, check_levels, psf_stack_for_camera
+from coded_aperture_ros.bank.hypotheses import RATIOS
+from coded_aperture_ros.bank.learning import check_levels, psf_stack_for_camera
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.methods.two_pixel.config import SimpleConfig

@@ -1,0 +1,41 @@
+"""Where texture of another kind would explain a frame as well, at another depth.
+
+Blurred texture of one band of frequencies may look like usual texture that is nearly sharp. All
+patches of a wall then agree on a wrong level, and neither they nor their neighbours show it.
+"""
+
+import cv2
+import numpy as np
+
+from coded_aperture_ros.bank.periodic import periodic_levels
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
+from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.likelihood import Cost
+
+# What is left of the confidence: such depth is hardly ever right.
+BY_CHANCE = np.float32(0.2)
+# Blur sizes that differ by less are no other depth.
+_APART_PX = 1.5
+# Of the patches around so many have to say so: next to edges single ones do.
+_AROUND_PX, _AGREE = 104, 0.75
+
+
+def may_be_periodic(
+    cost: Cost, level: FloatArray, sizes_px: DoubleArray, grid: PatchGrid
+) -> BoolArray:
+    """Return where periodic texture at another depth explains what is seen as well.
+
+    For the `cost` of a frame, the fractional level that was found for every patch [rows, columns],
+    and the blur sizes of the levels [L].
+    """
+    assert cost.periodic is not None
+    sizes = np.abs(sizes_px).astype(np.float32)
+    found = np.interp(level, np.arange(len(sizes)), sizes)[..., None].astype(np.float32)
+    others = sizes[periodic_levels(len(sizes))]
+    far = np.float32(np.inf)
+    here = np.where(np.abs(sizes - found) < _APART_PX, cost.volume, far).min(axis=-1)
+    tried = cost.periodic.reshape(*level.shape, -1, len(others)).min(axis=-2)
+    there = np.where(np.abs(others - found) < _APART_PX, far, tried).min(axis=-1)
+    side = (2 * round(_AROUND_PX / grid.stride_px / 2) + 1,) * 2
+    share = cv2.blur((there < here).astype(np.float32), side)
+    return np.asarray(share > _AGREE)
