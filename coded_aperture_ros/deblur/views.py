@@ -1,7 +1,5 @@
 """The light field behind one frame: what is seen through each place of the aperture."""
 
-import dataclasses
-
 import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray
@@ -15,43 +13,21 @@ from coded_aperture_ros.optics import Mask
 _SHUT = 0.2
 
 
-@dataclasses.dataclass(frozen=True)
-class Opening:
-    """A cell of a mask that lets light pass, or a square group of cells.
+def openings(mask: Mask, most: int = 11) -> dict[tuple[int, int], tuple[float, float]]:
+    """Return the places of a mask's openings, as `view_through` takes them, by row and column.
 
-    `row` and `column` count cells or groups from 0; `down` and `right` say where the middle lies, in
-    units of the mask's extent from its middle; `share` is the part of all light that passes here.
+    Where a mask is more than `most` cells high or wide, these are square groups of cells.
     """
-
-    row: int
-    column: int
-    down: float
-    right: float
-    share: float
-
-
-def openings(mask: Mask, most: int = 11) -> tuple[Opening, ...]:
-    """Return the openings of a mask, row by row; at most `most` groups of cells in each direction.
-
-    Cells are grouped where a mask has more. The shares add up to 1.
-    """
-    cells = np.array(mask.transmission.shape)
-    group = -(-cells.max() // most)
-    starts = [np.arange(0, length, group) for length in cells]
+    side = max(mask.transmission.shape)
+    group = -(-side // most)
+    starts = [np.arange(0, length, group) for length in mask.transmission.shape]
     light = np.add.reduceat(np.add.reduceat(mask.transmission, starts[0], 0), starts[1], 1)
-    found = np.argwhere(light > _SHUT * light.max())
-    total = light[tuple(found.T)].sum()
-    middles = [(start + np.minimum(start + group, n)) / 2 for start, n in zip(starts, cells, strict=True)]
-    return tuple(
-        Opening(
-            int(row),
-            int(column),
-            float((middles[0][row] - cells[0] / 2) / cells.max()),
-            float((middles[1][column] - cells[1] / 2) / cells.max()),
-            float(light[row, column] / total),
-        )
-        for row, column in found
+    down, right = (
+        (start + np.minimum(start + group, length) - length) / (2 * side)
+        for start, length in zip(starts, mask.transmission.shape, strict=True)
     )
+    found = np.argwhere(light > _SHUT * light.max()).tolist()
+    return {(row, column): (float(down[row]), float(right[column])) for row, column in found}
 
 
 def view_through(
