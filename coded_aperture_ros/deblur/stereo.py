@@ -7,7 +7,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur.blur_map import filled_blur_map
-from coded_aperture_ros.deblur.moving import moved
+from coded_aperture_ros.deblur.views import view_through
 from coded_aperture_ros.imaging import check_frame
 
 # The few pixels beyond these percentiles of blur size, most of them wrong, do not set the scale.
@@ -84,15 +84,13 @@ def stereo_pair(
         not positive or more than half of the frame's width.
     """
     check_frame(sharp)
-    sharp = np.ascontiguousarray(sharp, np.float32)
     blur = filled_blur_map(blur_size_px, sharp)
     if not isinstance(parallax, Parallax):
         parallax = Parallax.of_scene(blur_size_px, parallax)
     check_parallax(parallax.largest_px, sharp.shape[1])
-    shift = parallax.disparity_px(blur) / np.float32(2)
-    # What the right eye sees is what the left one would see in a mirror.
-    right = moved(np.ascontiguousarray(sharp[:, ::-1]), shift[:, ::-1])
-    return moved(sharp, shift), np.ascontiguousarray(right[:, ::-1])
+    # As from both sides of an aperture that makes such blur.
+    farness = -parallax.disparity_px(blur)
+    return view_through(sharp, farness, 0, -0.5), view_through(sharp, farness, 0, 0.5)
 
 
 def check_parallax(shift_px: float, width: int) -> None:

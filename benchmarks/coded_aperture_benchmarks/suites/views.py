@@ -92,12 +92,14 @@ def measure(cell: Cell) -> Measured:
         STILL: lambda *_: frames["sparse"],
     }
     here = {"scene": cell.scene}
-    places = list(openings(scene.camera.mask).values())
+    # The view through the middle is the frame itself.
+    places = [place for place in openings(scene.camera.mask).values() if any(place)]
     seen = [true_view(scene, *place) for place in places]
     rows: list[Row] = []
     for name in _OF_VIEWS:
         scores = [
-            psnr_db(views[name](*place, 0.0), true) for place, true in zip(places, seen, strict=True)
+            psnr_db(views[name](*place, 0.0), true)
+            for place, true in zip(places, seen, strict=True)
         ]
         rows.append(
             here
@@ -197,7 +199,9 @@ def _results(args: argparse.Namespace, measured: list[Measured], seconds: float)
     by_given = grouped(rows, "given")
     return {
         "benchmark": "views",
-        **options.header(args, "scenes", "first_scene", "noise", "mask", "size", side_of_focus=args.side),
+        **options.header(
+            args, "scenes", "first_scene", "noise", "mask", "size", side_of_focus=args.side
+        ),
         "seconds": seconds,
         "goal_db": GOAL_DB,
         "rows": rows,
@@ -255,8 +259,9 @@ def _text(results: Row) -> str:
     ]
     return "\n\n".join(
         [
-            f"{ours[0]['openings']} openings of {results['mask']}, side {results['side_of_focus']}, noise "
-            f"{results['noise']:g}; PSNR of whole views, dB: mean / worst opening, worst scene first",
+            f"{ours[0]['openings']} openings of {results['mask']} beside the middle, side "
+            f"{results['side_of_focus']}, noise {results['noise']:g}; PSNR of whole views, dB: "
+            "mean / worst opening, worst scene first",
             columns(by_scene, each),
             columns(results["pooled"], pooled),
             "a round lens of the mask's extent, focused near / in the middle / far, PSNR, dB",
