@@ -11,7 +11,7 @@ from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.layered import SIDES, LayeredScene, random_scene
 from coded_aperture_benchmarks.layered.tracing import lens_samples, traced
 from coded_aperture_benchmarks.pictures import as_rgb, side_by_side
-from coded_aperture_benchmarks.rows import columns, grouped, mean_of
+from coded_aperture_benchmarks.rows import columns, grouped, mean_of, or_dash
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.bank import FilterBank, learn_bank_for_camera
 from coded_aperture_ros.bank.learning import guarded_range
@@ -34,16 +34,18 @@ _FOCUSES = (5, 50, 95)
 _LARGER = 4
 # What views are made of, and what it is called.
 TRUE, DEPTH, STILL, LAYERS = "true", "found depth", "not moved", "layers"
+TOLD = "sparse, true depth"
 _TITLES = {
     TRUE: "sharp frame, true depth",
     DEPTH: "sharp frame, found depth",
+    TOLD: "sparse, true depth",
     "sparse": "sparse, found depth",
     "fast": "fast, found depth",
     STILL: "sparse, not moved",
     LAYERS: "sparse, by the viewer's layers",
 }
-_OF_VIEWS = (TRUE, DEPTH, "sparse", "fast", STILL)
-_OF_FOCUS = (TRUE, DEPTH, "sparse", "fast", LAYERS, STILL)
+_OF_VIEWS = (TRUE, DEPTH, TOLD, "sparse", "fast", STILL)
+_OF_FOCUS = (TRUE, DEPTH, TOLD, "sparse", "fast", LAYERS, STILL)
 
 # What a pinhole sees of a place of the aperture, down and right, with one blur size in focus.
 View = Callable[[float, float, float], FloatArray]
@@ -88,7 +90,8 @@ def measure(cell: Cell) -> Measured:
     views = {
         TRUE: _views_of(sharp, true_px),
         DEPTH: _views_of(sharp, found_px),
-        **{method: _views_of(frame, found_px) for method, frame in frames.items()},
+        TOLD: _views_of(frames[TOLD], true_px),
+        **{method: _views_of(frames[method], found_px) for method in _METHODS},
         STILL: lambda *_: frames["sparse"],
     }
     here = {"scene": cell.scene}
@@ -109,7 +112,10 @@ def measure(cell: Cell) -> Measured:
                 "mean_db": mean_of(scores, 2),
                 "worst_db": round(min(scores), 2),
                 "worst_at": list(places[int(np.argmin(scores))]),
-                "middle_db": round(psnr_db(views[name](0.0, 0.0, 0.0), sharp), 2),
+                # Of the sharp frame itself it is infinite.
+                "middle_db": None
+                if name in (TRUE, DEPTH)
+                else round(psnr_db(views[name](0.0, 0.0, 0.0), sharp), 2),
             }
         )
     focuses = []
@@ -166,7 +172,7 @@ def _of_layers(
 
 
 def _seen_by_us(cell: Cell, scene: LayeredScene) -> tuple[dict[str, FloatArray], FloatArray]:
-    """Return the all-in-focus frames of each method, and the blur sizes that were found."""
+    """Return the all-in-focus frames by each method, and the blur sizes that were found."""
     random = np.random.default_rng(cell.scene)
     coded = SensorModel(cell.noise, _BITS).expose(scene.coded(), random)
     bank = _bank(scene)
@@ -177,6 +183,8 @@ def _seen_by_us(cell: Cell, scene: LayeredScene) -> tuple[dict[str, FloatArray],
     for method in _METHODS:
         deblurrer = Deblurrer(bank.stack, DeblurConfig(method=method))
         frames[method] = np.clip(deblurrer.deblur(coded, found_px), 0, 1)
+        if method == "sparse":
+            frames[TOLD] = np.clip(deblurrer.deblur(coded, scene.blur_size_px()), 0, 1)
         deblurrer.close()
     return frames, found_px
 
@@ -210,7 +218,9 @@ def _results(args: argparse.Namespace, measured: list[Measured], seconds: float)
                 "given": given,
                 "mean_db": mean_of((row["mean_db"] for row in group), 2),
                 "worst_db": min(row["worst_db"] for row in group),
-                "middle_db": mean_of((row["middle_db"] for row in group), 2),
+                "middle_db": None
+                if given in (TRUE, DEPTH)
+                else mean_of((row["middle_db"] for row in group), 2),
                 "scenes_at_goal": sum(row["mean_db"] >= GOAL_DB for row in group),
                 "scenes_all_at_goal": sum(row["worst_db"] >= GOAL_DB for row in group),
             }
@@ -241,7 +251,7 @@ def _text(results: Row) -> str:
         "views of": lambda row: _TITLES[row["given"]],
         "mean": "{mean_db:.1f} dB",
         "worst of all": "{worst_db:.1f} dB",
-        "the middle itself": "{middle_db:.1f} dB",
+        "the frame itself": lambda row: or_dash(row["middle_db"], "{:.1f} dB"),
         f"scenes of {goal:g} dB": f"{{scenes_at_goal}} of {results['scenes']}",
         "through every opening": f"{{scenes_all_at_goal}} of {results['scenes']}",
     }
