@@ -126,12 +126,11 @@ class StereoOutput:
 
 
 def _write_turn(path: Path, sharp: Any, blur_size_px: Any, encoding: Any) -> None:
-    """Write what is seen on the way around the aperture's edge, clockwise from the right."""
+    """Write what is seen on the way around the aperture; what has the median depth stays still."""
     from coded_aperture_ros.deblur import Parallax, view_through
     from coded_aperture_ros.imaging import pixels_from_linear
     from coded_aperture_ros.io.movie_file import movie
 
-    # As in stereo pairs, what is in the middle of the scene stays where it is.
     relief_px = blur_size_px - Parallax.of_scene(blur_size_px, 1).screen_px
     with movie(path) as add:
         for angle in (2 * pi * turn / _MOVIE_FRAMES for turn in range(_MOVIE_FRAMES)):

@@ -38,10 +38,9 @@ def view_through(
 ) -> FloatArray:
     """Render what a pinhole at a place of the aperture sees.
 
-    A point of signed blur size S is seen `down` S lower and `right` S farther to the right than in
-    the all-in-focus frame, which is the view through the middle: what is in focus stays. Subtract a
-    blur size from all to hold that still instead. Nearer things cover farther ones, and what
-    appears from behind them is filled with the mirrored background beside it.
+    A point of signed blur size S is seen `down` S lower and `right` S farther right than in the
+    all-in-focus frame, the view through the middle: what has a blur size of 0 stays. Nearer things
+    cover farther ones; what appears behind them is the mirrored background beside them.
 
     Parameters
     ----------
