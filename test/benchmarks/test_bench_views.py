@@ -23,9 +23,10 @@ def scene():
 
 def test_the_coded_frame_is_the_mean_of_the_true_views(scene):
     """So the views are on the side of the aperture where the mask's openings are."""
-    samples = lens_samples(scene.camera.mask, float(scene.blur_size_px().max()))
+    mask = Mask.named("zhou")  # has no symmetry
+    samples = lens_samples(mask, float(scene.blur_size_px().max()))
     mean = sum(share * views.true_view(scene, down, right) for down, right, share in samples)
-    np.testing.assert_allclose(mean, scene.coded(), atol=1e-4)
+    np.testing.assert_allclose(mean, scene.coded(mask), atol=1e-4)
 
 
 def test_what_a_round_lens_is_focused_on_is_sharp(scene):
