@@ -104,6 +104,7 @@ BENCHMARKS: dict[str, Group | str] = {
     "lens": "a real lens: before and after its field curvature is measured",
     "odometry": "how far a robot drifts that steers by these frames alone",
     "tags": "over what distances tags and QR codes are read",
+    "views": "the view through each opening of the mask, and focus after the shot",
     "blind": "masks found from planes at unknown distances, and what deblurring loses by them",
 }
 _EPILOG = """examples:
@@ -133,6 +134,8 @@ _EPILOG = """examples:
     coded_aperture bench odometry --rooms 1 --length 2
   tags and QR codes at random distances, beside an ordinary lens:
     coded_aperture bench tags
+  views through each opening of the mask:
+    coded_aperture bench views
   masks found from planes at unknown distances:
     coded_aperture bench blind
   what each benchmark is, and its options:

@@ -67,8 +67,8 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.optics import load_camera
 
     bank = load_bank(args.bank)
-    stereo = StereoOutput(args, bank.stack)
     camera = load_camera(args.camera) if args.camera else None
+    stereo = StereoOutput(args, bank.stack, camera)
     restore = _restorer(args, bank, camera)
     encoding: dict[str, Any] = {} if args.gamma == 1 else {"bits": 8, "gamma": args.gamma}
     summaries = []

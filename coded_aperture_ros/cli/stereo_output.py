@@ -1,12 +1,13 @@
-"""The 3D pictures that `deblur` writes beside the all-in-focus ones."""
+"""The 3D pictures and views that `deblur` writes beside the all-in-focus ones."""
 
 import argparse
 from contextlib import suppress
+from math import cos, pi, sin
 from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_suffix
-from coded_aperture_ros.cli.options import add_options
+from coded_aperture_ros.cli.options import add_options, written_name
 from coded_aperture_ros.core.errors import InputError
 
 # Of the width. Wider views are hard to fuse on a screen that fills much of the field of view.
@@ -15,6 +16,7 @@ _PICTURES = {
     "anaglyph": "a picture for red-cyan glasses, red on the left",
     "stereo": "the views of both eyes side by side, left on left",
 }
+_VIEWS, _MOVIE, _MOVIE_FRAMES = "views", "parallax_movie", 30
 
 
 def add_stereo_options(parser: argparse.ArgumentParser) -> None:
@@ -29,6 +31,11 @@ def add_stereo_options(parser: argparse.ArgumentParser) -> None:
         f"the scale of the first (default {_USUAL_PARALLAX * 100:.0f} %% of the width)"
     }
     add_options(group, parallax, type=_parallax)
+    views = {
+        "--views FOLDER": "write what each opening of the mask sees; needs --camera",
+        "--parallax-movie FILE.mp4": "write a video, once around the edge of the aperture in 3 s",
+    }
+    add_options(group, views)
 
 
 def _parallax(text: str) -> float:
@@ -39,44 +46,62 @@ def _parallax(text: str) -> float:
 
 
 class StereoOutput:
-    """What `--anaglyph` and `--stereo` ask for, of a bank with the PSFs `stack`."""
+    """What `--anaglyph`, `--views` and so on ask for, of a bank with the PSFs `stack`."""
 
-    def __init__(self, args: argparse.Namespace, stack: Any) -> None:
-        self._given = {name: getattr(args, name) for name in _PICTURES if getattr(args, name)}
-        if args.parallax and not self._given:
+    def __init__(self, args: argparse.Namespace, stack: Any, camera: Any) -> None:
+        from coded_aperture_ros.deblur import openings
+
+        names = *_PICTURES, _VIEWS, _MOVIE
+        self._given = {name: getattr(args, name) for name in names if getattr(args, name)}
+        self._paired = args.anaglyph or args.stereo
+        if args.parallax and not self._paired:
             args.usage_error("--parallax only goes with --anaglyph or --stereo")
+        if args.views and camera is None:
+            args.usage_error("--views: needs --camera, whose mask says where the openings are")
+        if (args.views or args.parallax_movie) and not stack.in_pixels:
+            raise InputError(f"{args.bank}: --views and --parallax-movie need blur sizes in pixels")
         self._args = args
+        found = openings(camera.mask) if args.views else {}
+        self._places = {f"view_{row:02}_{col:02}.png": found[row, col] for row, col in found}
         self._direction = _direction(stack)
         self._parallax: Any = None  # of the first frame, which the others share
 
     def outputs(self, output: Path) -> list[Path]:
         """Return all files that belong to the all-in-focus picture `output`, which is the first."""
-        return [output, *self._files(output).values()]
+        files = self._files(output)
+        folder = files.pop(_VIEWS, Path())
+        return [output, *files.values(), *(folder / name for name in self._places)]
 
     def check(self, frame: Any) -> None:
         """Check that the views of a frame can be as far apart as asked for."""
         from coded_aperture_ros.deblur import check_parallax
 
-        if self._given:
+        if self._paired:
             check_parallax(self._shift_px(frame), frame.shape[1])
 
     def write(self, output: Path, sharp: Any, blur_size_px: Any) -> dict[str, str]:
         """Write the 3D pictures of one frame; return the name of each, by option."""
-        from coded_aperture_ros.deblur import Parallax, anaglyph, side_by_side, stereo_pair
+        from coded_aperture_ros import deblur
         from coded_aperture_ros.imaging import SRGB
         from coded_aperture_ros.io import write_image
 
-        if not self._given:
-            return {}
         farness = self._direction * blur_size_px
-        self._parallax = self._parallax or Parallax.of_scene(farness, self._shift_px(sharp))
-        pair = stereo_pair(sharp, farness, self._parallax)
+        if self._paired:
+            how = self._parallax or deblur.Parallax.of_scene(farness, self._shift_px(sharp))
+            self._parallax, pair = how, deblur.stereo_pair(sharp, farness, how)
         # Unlike the all-in-focus picture these are to be looked at, not to be computed with.
-        gamma = SRGB if self._args.gamma == 1 else self._args.gamma
+        encoding: Any = {"bits": 8, "gamma": SRGB if self._args.gamma == 1 else self._args.gamma}
         files = self._files(output)
         for name, path in files.items():
-            joined = {"anaglyph": anaglyph, "stereo": side_by_side}[name](*pair)
-            write_image(path, joined, bits=8, gamma=gamma)
+            if name == _VIEWS:
+                for file, place in self._places.items():
+                    view = deblur.view_through(sharp, farness, *place)
+                    write_image(path / file, view, **encoding)
+            elif name == _MOVIE:
+                _write_turn(path, sharp, farness, encoding)
+            else:
+                joined = {"anaglyph": deblur.anaglyph, "stereo": deblur.side_by_side}[name](*pair)
+                write_image(path, joined, **encoding)
         return {name: str(path) for name, path in files.items()}
 
     def _shift_px(self, frame: Any) -> float:
@@ -87,15 +112,31 @@ class StereoOutput:
     def _files(self, output: Path) -> dict[str, Path]:
         from coded_aperture_ros.io import PICTURE_SUFFIXES
 
+        kinds = dict.fromkeys(_PICTURES, PICTURE_SUFFIXES) | {_MOVIE: (".mp4",)}
         if output == Path(self._args.output):
-            for given in self._given.values():
-                check_suffix(given, PICTURE_SUFFIXES)
+            for name in sorted(self._given.keys() & kinds):
+                check_suffix(self._given[name], kinds[name])
             return {name: Path(given) for name, given in self._given.items()}
         for name, given in self._given.items():
-            if Path(given).suffix.lower() in PICTURE_SUFFIXES and not given.endswith("/"):
-                what = f"the all-in-focus pictures go to a folder, name one for --{name} too"
-                raise InputError(f"{given}: {what}")
-        return {name: Path(given) / output.name for name, given in self._given.items()}
+            if Path(given).suffix.lower() in kinds.get(name, ()) and not given.endswith("/"):
+                what = "the all-in-focus pictures go to a folder, name one for"
+                raise InputError(f"{given}: {what} {written_name(name)} too")
+        own = {_VIEWS: output.stem, _MOVIE: f"{output.stem}.mp4"}
+        return {name: Path(self._given[name], own.get(name, output.name)) for name in self._given}
+
+
+def _write_turn(path: Path, sharp: Any, blur_size_px: Any, encoding: Any) -> None:
+    """Write what is seen on the way around the aperture; what has the median depth stays still."""
+    from coded_aperture_ros.deblur import Parallax, view_through
+    from coded_aperture_ros.imaging import pixels_from_linear
+    from coded_aperture_ros.io.movie_file import movie
+
+    relief_px = blur_size_px - Parallax.of_scene(blur_size_px, 1).screen_px
+    with movie(path) as add:
+        for angle in (2 * pi * turn / _MOVIE_FRAMES for turn in range(_MOVIE_FRAMES)):
+            view = view_through(sharp, relief_px, sin(angle) / 2, cos(angle) / 2)
+            rgb = view if view.ndim == 3 else view[..., None].repeat(3, axis=2)
+            add(pixels_from_linear(rgb, **encoding))
 
 
 def _direction(stack: Any) -> int:

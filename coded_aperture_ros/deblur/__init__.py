@@ -11,6 +11,7 @@ from coded_aperture_ros.deblur.stereo import (
     side_by_side,
     stereo_pair,
 )
+from coded_aperture_ros.deblur.views import openings, view_through
 
 __all__ = [
     "DeblurConfig",
@@ -20,6 +21,8 @@ __all__ = [
     "blur_levels",
     "check_parallax",
     "covers_frame",
+    "openings",
     "side_by_side",
     "stereo_pair",
+    "view_through",
 ]
