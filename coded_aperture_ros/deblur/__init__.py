@@ -11,15 +11,3 @@ from coded_aperture_ros.deblur.stereo import (
     side_by_side,
     stereo_pair,
 )
-
-__all__ = [
-    "DeblurConfig",
-    "Deblurrer",
-    "Parallax",
-    "anaglyph",
-    "blur_levels",
-    "check_parallax",
-    "covers_frame",
-    "side_by_side",
-    "stereo_pair",
-]

@@ -11,7 +11,6 @@ from coded_aperture_ros.io.messages.compressed import (
 )
 from coded_aperture_ros.io.messages.encodings import (
     ENCODINGS,
-    Encoding,
     MessageError,
     array_from_compressed,
     array_from_image,
@@ -28,26 +27,3 @@ from coded_aperture_ros.io.messages.frames import (
     millimetres_from_depth,
     pixels_from_frame,
 )
-
-__all__ = [
-    "DEPTH_FORMATS",
-    "ENCODINGS",
-    "Encoding",
-    "MessageError",
-    "array_from_compressed",
-    "array_from_image",
-    "check_pixels",
-    "compressed_depth",
-    "compressed_picture",
-    "depth_from_pixels",
-    "encoding_of",
-    "frame_from_image",
-    "frame_from_pixels",
-    "limit_depth",
-    "luminance",
-    "millimetres_from_depth",
-    "pixels_from_frame",
-    "scaled_matrices",
-    "view_of",
-    "written_encoding",
-]
