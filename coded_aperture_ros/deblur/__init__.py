@@ -12,17 +12,3 @@ from coded_aperture_ros.deblur.stereo import (
     stereo_pair,
 )
 from coded_aperture_ros.deblur.views import openings, view_through
-
-__all__ = [
-    "DeblurConfig",
-    "Deblurrer",
-    "Parallax",
-    "anaglyph",
-    "blur_levels",
-    "check_parallax",
-    "covers_frame",
-    "openings",
-    "side_by_side",
-    "stereo_pair",
-    "view_through",
-]

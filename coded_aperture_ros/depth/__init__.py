@@ -11,24 +11,3 @@ from coded_aperture_ros.depth.refine import refinement_note
 from coded_aperture_ros.depth.regularize import REGULARIZERS, Regularizer
 from coded_aperture_ros.depth.sides import side_warning
 from coded_aperture_ros.depth.video import estimate_video
-
-__all__ = [
-    "CAUSES",
-    "DEPTH_EDGE_PX",
-    "MAP_SIZES",
-    "REGULARIZERS",
-    "DepthConfig",
-    "DepthEstimate",
-    "DepthEstimator",
-    "Health",
-    "Levels",
-    "Regularizer",
-    "blur_sizes_px",
-    "depths_are_measured",
-    "estimate_video",
-    "map_size",
-    "nearest_obstacle_m",
-    "points_of_depth",
-    "refinement_note",
-    "side_warning",
-]

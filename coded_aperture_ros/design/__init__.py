@@ -8,13 +8,3 @@ from coded_aperture_ros.design.curves import (
 )
 from coded_aperture_ros.design.openings import openings_of
 from coded_aperture_ros.design.setting import DesignConfig, setting_of
-
-__all__ = [
-    "DesignConfig",
-    "best_settings",
-    "curves_of",
-    "default_extent_range_mm",
-    "default_focus_range_m",
-    "openings_of",
-    "setting_of",
-]

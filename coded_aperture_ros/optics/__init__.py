@@ -11,20 +11,3 @@ from coded_aperture_ros.optics.intrinsics import Intrinsics, load_intrinsics
 from coded_aperture_ros.optics.mask import MASK_NAMES, Mask
 from coded_aperture_ros.optics.psf import PsfStack, psf_width, render_psf, render_psf_stack
 from coded_aperture_ros.optics.view import View
-
-__all__ = [
-    "MASK_NAMES",
-    "Camera",
-    "FieldCurvature",
-    "Intrinsics",
-    "Mask",
-    "PsfStack",
-    "View",
-    "camera_from_mapping",
-    "image_distance",
-    "load_camera",
-    "load_intrinsics",
-    "psf_width",
-    "render_psf",
-    "render_psf_stack",
-]

@@ -3,5 +3,3 @@
 from coded_aperture_ros.depth.refine.cells import CELL_PX
 from coded_aperture_ros.depth.refine.refine import Refined, refinement_note, untrained
 from coded_aperture_ros.depth.refine.small import small_bank, small_cost
-
-__all__ = ["CELL_PX", "Refined", "refinement_note", "small_bank", "small_cost", "untrained"]

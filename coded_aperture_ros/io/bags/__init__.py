@@ -6,5 +6,3 @@ Needs rosbags, and matplotlib for reports; both come with the extra `eval`.
 from coded_aperture_ros.io.bags.reading import Bag, is_bag
 from coded_aperture_ros.io.bags.recorded import Recorded
 from coded_aperture_ros.io.bags.writing import bag_output, check_bag_output
-
-__all__ = ["Bag", "Recorded", "bag_output", "check_bag_output", "is_bag"]

@@ -6,17 +6,3 @@ from coded_aperture_ros.io.sources.files import PictureSource
 from coded_aperture_ros.io.sources.opening import SIMULATOR, open_files, open_source
 from coded_aperture_ros.io.sources.simulator import SimulatorSource
 from coded_aperture_ros.io.sources.source import Capture, Source, captures
-
-__all__ = [
-    "SIMULATOR",
-    "BagSource",
-    "Capture",
-    "DeviceConfig",
-    "DeviceSource",
-    "PictureSource",
-    "SimulatorSource",
-    "Source",
-    "captures",
-    "open_files",
-    "open_source",
-]

@@ -4,12 +4,3 @@ from coded_aperture_ros.methods.motion.bank import learn_motion_bank
 from coded_aperture_ros.methods.motion.config import MotionConfig
 from coded_aperture_ros.methods.motion.kernels import Motions, blurred_psf, motion_kernel
 from coded_aperture_ros.methods.motion.likelihood import MotionModel
-
-__all__ = [
-    "MotionConfig",
-    "MotionModel",
-    "Motions",
-    "blurred_psf",
-    "learn_motion_bank",
-    "motion_kernel",
-]

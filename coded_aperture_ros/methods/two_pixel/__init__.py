@@ -5,12 +5,3 @@ from coded_aperture_ros.methods.two_pixel.holes import find_holes
 from coded_aperture_ros.methods.two_pixel.likelihood import NeighbourModel
 from coded_aperture_ros.methods.two_pixel.lines import neighbour_lines
 from coded_aperture_ros.methods.two_pixel.model import neighbour_model, neighbour_model_for_camera
-
-__all__ = [
-    "NeighbourModel",
-    "SimpleConfig",
-    "find_holes",
-    "neighbour_lines",
-    "neighbour_model",
-    "neighbour_model_for_camera",
-]
