@@ -234,8 +234,9 @@ class DepthEstimator:
         if own.periodic is not None and levels.in_pixels:
             at = MapGrid.of(seen.grid, shape, level.shape)
             as_well = may_be_periodic(own, at.at_patches(level), levels.blur_sizes_px, seen.grid)
-            doubted = at.nearest(as_well)
-            confidence = np.where(doubted, np.minimum(confidence, BY_CHANCE), confidence)
+            if as_well.any():
+                doubted = at.nearest(as_well)
+                confidence = np.where(doubted, np.minimum(confidence, BY_CHANCE), confidence)
         unknown = is_unsure(confidence, config.confidence_threshold)
         if config.unknown == "nearest":  # so that nothing is run into
             level = np.where(unknown, levels.nearer(level, decided.nearest_plausible()), level)
