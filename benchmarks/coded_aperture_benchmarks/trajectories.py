@@ -83,6 +83,8 @@ def tracked(true: DoubleArray, found: DoubleArray, segment_m: float) -> Row:
     steps_m = np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1)
     way_m = np.concatenate([[0], np.cumsum(steps_m)])
     found_m = np.linalg.norm(np.diff(found[:, :3, 3], axis=0), axis=1)
+    if not way_m[-1] > 0:
+        raise InputError("the camera does not move: there is no way to follow")
     segment_m = min(segment_m, way_m[-1] / 2)
     first = np.flatnonzero(way_m <= way_m[-1] - segment_m)
     last = np.searchsorted(way_m, way_m[first] + segment_m).clip(max=len(way_m) - 1)

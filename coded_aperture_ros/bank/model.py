@@ -164,9 +164,9 @@ class FilterBank:
     ) -> EngineLikelihood:
         """Plan the work on frames of one size; see `LikelihoodModel.plan`.
 
-        Whether `periodic` texture is tried, too: see `Cost`.
+        Whether `periodic` texture is tried, too, if sizes are in pixels: see `Cost`.
         """
-        tried = self._with_periodic if periodic else self
+        tried = self._with_periodic if periodic and self.stack.in_pixels else self
         engine = new_engine(Plan.of(tried, shape, stride_px), backend, threads)
         return EngineLikelihood(engine, self.window_correlation, self.levels)
 
@@ -175,7 +175,7 @@ class FilterBank:
         """The bank with `periodic_levels` after its own, whose kinds of texture are periodic.
 
         There are several of these for each kind of its own: first all levels with some of the
-        bands, then all with others.
+        bands, then all with others. Only for `Plan.of`: its stack has the own levels alone.
         """
         some, kinds = periodic_levels(self.levels), self.log_determinants.shape[1]
         psfs = self.stack.psfs[some, None]

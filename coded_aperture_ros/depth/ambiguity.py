@@ -14,28 +14,31 @@ from coded_aperture_ros.likelihood import Cost
 
 # What is left of the confidence: such depth is hardly ever right.
 BY_CHANCE = np.float32(0.2)
-# Blur sizes that differ by less are no other depth.
+# Blur sizes that differ by less, or by a step from level to level, are no other depth.
 _APART_PX = 1.5
 # Of the patches around so many have to say so: next to edges single ones do.
 _AROUND_PX, _AGREE = 104, 0.75
 
 
 def may_be_periodic(
-    cost: Cost, level: FloatArray, sizes_px: DoubleArray, grid: PatchGrid
+    cost: Cost, usable: BoolArray, level: FloatArray, sizes_px: DoubleArray, grid: PatchGrid
 ) -> BoolArray:
     """Return where periodic texture at another depth explains what is seen as well.
 
-    For the `cost` of a frame, the fractional level that was found for every patch [rows, columns],
-    and the blur sizes of the levels [L].
+    For the `cost` of a frame, which patches are `usable`, the fractional level that was found for
+    each [rows, columns], and the blur sizes of the levels [L].
     """
     assert cost.periodic is not None
     sizes = np.abs(sizes_px).astype(np.float32)
-    found = np.interp(level, np.arange(len(sizes)), sizes)[..., None].astype(np.float32)
+    found = np.abs(np.interp(level, np.arange(len(sizes)), sizes_px))[..., None].astype(np.float32)
+    apart = np.float32(max(_APART_PX, np.abs(np.diff(sizes_px)).max()))
     others = sizes[periodic_levels(len(sizes))]
     far = np.float32(np.inf)
-    here = np.where(np.abs(sizes - found) < _APART_PX, cost.volume, far).min(axis=-1)
+    here = np.where(np.abs(sizes - found) < apart, cost.volume, far).min(axis=-1)
     tried = cost.periodic.reshape(*level.shape, -1, len(others)).min(axis=-2)
-    there = np.where(np.abs(others - found) < _APART_PX, far, tried).min(axis=-1)
+    there = np.where(np.abs(others - found) < apart, far, tried).min(axis=-1)
     side = (2 * round(_AROUND_PX / grid.stride_px / 2) + 1,) * 2
-    share = cv2.blur((there < here).astype(np.float32), side)
-    return np.asarray(share > _AGREE)
+    say_so, counted = (
+        cv2.blur(each.astype(np.float32), side) for each in ((there < here) & usable, usable)
+    )
+    return np.asarray(say_so > _AGREE * counted)

@@ -231,9 +231,11 @@ class DepthEstimator:
             stages.lap("fit")
         if health is not None:
             confidence = health.trusted(confidence)
-        if own.periodic is not None and levels.in_pixels:
+        if own.periodic is not None:
             at = MapGrid.of(seen.grid, shape, level.shape)
-            as_well = may_be_periodic(own, at.at_patches(level), levels.blur_sizes_px, seen.grid)
+            as_well = may_be_periodic(
+                own, seen.usable, at.at_patches(level), levels.blur_sizes_px, seen.grid
+            )
             if as_well.any():
                 doubted = at.nearest(as_well)
                 confidence = np.where(doubted, np.minimum(confidence, BY_CHANCE), confidence)

@@ -8,7 +8,7 @@ import pytest
 from cli_scene import call, texture
 from coded_aperture_benchmarks.frames.video import (
     CodedVideo,
-    check_moving_video,
+    check_rgbd_video,
     check_video,
     load_video,
     moving_pixels,
@@ -269,9 +269,9 @@ def test_a_video_is_walked_through(rgbd, ray_traced):
         assert coded.std() < sharp.std()
         assert abs(coded.mean() - sharp.mean()) < 0.01
         np.testing.assert_array_equal(depth_m, expected)
-    check_moving_video(rgbd)
+    check_rgbd_video(rgbd)
     with pytest.raises(InputError, match=r"no RGB-D video: expected intrinsics\.json"):
-        check_moving_video(ray_traced)
+        check_rgbd_video(ray_traced)
 
 
 def test_a_folder_without_video_is_named(tmp_path, ray_traced):

@@ -7,6 +7,7 @@ import pytest
 from coded_aperture_benchmarks.frames.room import Board, Room, random_room, walk
 from coded_aperture_benchmarks.trajectories import tracked, write_tum
 
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 
 pytest.importorskip("numba", reason="a room needs numba")
@@ -85,6 +86,8 @@ def test_ways_are_compared_as_they_are():
     assert off["scale"] == pytest.approx(1.1, abs=1e-3)
     assert off["drift_per_m"] == pytest.approx(0.1, abs=0.005)
     assert off["turn_per_m_deg"] < 1e-3
+    with pytest.raises(InputError, match="does not move"):
+        tracked(true[:1].repeat(3, axis=0), longer[:3], 1.0)
     short = tracked(true[:20], longer[:20], 1.0)
     assert short["segment_m"] == pytest.approx(short["way_m"] / 2, abs=1e-4)
     assert short["drift_per_m"] == pytest.approx(0.1, abs=0.01)

@@ -89,14 +89,40 @@ def test_single_patches_are_not_enough():
     periodic[..., -1] = -1  # the last level, with some of the bands
     level = np.full((grid.rows, grid.columns), 2, np.float32)
 
+    usable = np.ones((grid.rows, grid.columns), bool)
+
     def doubted(periodic, level):
-        return may_be_periodic(Cost(volume, periodic=periodic), level, sizes_px, grid)
+        return may_be_periodic(Cost(volume, periodic=periodic), usable, level, sizes_px, grid)
 
     assert doubted(periodic, level).all()
     few = periodic.copy()
     few[:, ::2] = 5
     assert not doubted(few, level).any()
     assert not doubted(periodic, np.full_like(level, 29)).any()  # the same depth
+    # Those that say nothing do not count.
+    usable[:, ::2] = False
+    assert doubted(few, level).all()
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_coarse_levels_are_no_other_depth(side):
+    grid = PatchGrid.covering((240, 320), 48, 8)
+    sizes_px = np.linspace(2, 20, 4) * side
+    shape = grid.rows, grid.columns
+    volume = np.tile(np.float32([5, 0, 0, 5]), (*shape, 1))
+    cost = Cost(volume, periodic=np.full((*shape, 6), 100, np.float32))
+    for level in (1.0, 1.5, 2.0):
+        found = np.full(shape, level, np.float32)
+        assert not may_be_periodic(cost, np.ones(shape, bool), found, sizes_px, grid).any()
+
+
+def test_saturated_lamps_do_not_hide_a_wall_of_wood(bank, camera):
+    frame = wall(camera, grain(13), 0.004)
+    frame[:, 50::110] = frame[:, 51::110] = frame[:, 52::110] = 1
+    before, _ = published(bank, camera, frame, "semiglobal", periodic=False)
+    after, _ = published(bank, camera, frame, "semiglobal", periodic=True)
+    assert before > 0.2
+    assert after < before / 10
 
 
 def test_only_the_own_levels_are_in_the_volume(bank, camera):

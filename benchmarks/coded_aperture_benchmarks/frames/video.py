@@ -119,8 +119,8 @@ def check_video(folder: Path) -> None:
     _loader(folder)
 
 
-def check_moving_video(folder: Path) -> None:
-    """Check that a folder looks like an RGB-D video, whose camera moves."""
+def check_rgbd_video(folder: Path) -> None:
+    """Check that a folder looks like an RGB-D video."""
     if not (folder / _RGBD).is_file():
         raise InputError(f"{folder}: no RGB-D video: expected {_RGBD}, color_*.jpg, depth_*.png")
 

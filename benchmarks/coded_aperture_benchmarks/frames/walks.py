@@ -64,8 +64,10 @@ def of_video(folder: Path, mask_name: str) -> Walk:
     range_m = float(np.nanmin(video.depth_m)), float(np.nanmax(video.depth_m))
 
     def views() -> Iterator[View]:
-        for sharp, *others in zip(sharp_frames(folder), video.depth_m, video.frames, strict=True):
-            depth_m, coded = others
+        # There may be more sharp frames than were read.
+        for depth_m, coded, sharp in zip(
+            video.depth_m, video.frames, sharp_frames(folder), strict=False
+        ):
             yield luminance(sharp), depth_m, luminance(coded)
 
     return Walk(video.camera, range_m, None, len(video.frames), views())

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.figures import seen_from_above
-from coded_aperture_benchmarks.frames.video import check_moving_video
+from coded_aperture_benchmarks.frames.video import check_rgbd_video
 from coded_aperture_benchmarks.frames.walks import Walk, of_video, through_room
 from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
 from coded_aperture_benchmarks.rows import columns, grouped, mean_of
@@ -82,7 +82,7 @@ def _cells(args: argparse.Namespace) -> list[Cell]:
     options.check_known(args, "mask", [args.mask], MASK_NAMES)
     Tracker.check()
     for folder in args.folders:
-        check_moving_video(folder)
+        check_rgbd_video(folder)
     rooms = range(args.first_room, args.first_room + args.rooms)
     how = args.length, args.step, args.noise, args.mask
     videos = [Cell(0, *how, folder) for folder in args.folders]
@@ -107,7 +107,9 @@ def measure(cell: Cell) -> Measured:
         }
         for name, (frame, depth) in given.items():
             trackers[name].add(frame, depth)
-        errors.append(float(np.nanmedian(np.abs(depth_m / true_m - 1)[published])))
+        off = np.abs(depth_m / true_m - 1)[published & np.isfinite(true_m)]
+        if off.size:
+            errors.append(float(np.median(off)))
         known.append(float(published.mean()))
         if index % every == 0:
             shown.append((sharp, coded, clear, true_m, every_m))
