@@ -120,7 +120,7 @@ def test_extras(requirements):
     assert {"ros-rclpy", "ros-jazzy-sensor-msgs", "ros-jazzy-diagnostic-msgs"} <= names_in_extra(
         requirements, "ros"
     )
-    evaluation = {"rosbags", "matplotlib", "scikit-image", "scikit-learn"}
+    evaluation = {"rosbags", "matplotlib", "scikit-image", "scikit-learn", "zxing-cpp"}
     assert evaluation == names_in_extra(requirements, "eval")
     assert {"torch"} == names_in_extra(requirements, "gpu")
     dev = {"pytest", "pytest-xdist", "hypothesis", "ruff", "mypy", "colcon-core", "colcon-ros"}
