@@ -25,6 +25,7 @@ from cli_scene import (
     call,
     camera_file,
     everything,
+    forbid_work,
     refused,
     wrong_usage,
 )
@@ -394,11 +395,7 @@ def test_frames_of_a_folder_share_the_scale_of_their_parallax(scene, tmp_path, c
 def test_impossible_3d_pictures_are_refused_before_deblurring(
     scene, tmp_path, capsys, monkeypatch, output, options, phrase
 ):
-    def work(*_):
-        raise AssertionError("the options have to be checked first")
-
-    monkeypatch.setattr("coded_aperture_ros.deblur.Deblurrer.deblur", work)
-    monkeypatch.setattr("coded_aperture_ros.depth.DepthEstimator.estimate", work)
+    forbid_work(monkeypatch, "deblur.Deblurrer.deblur", "depth.DepthEstimator.estimate")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("")
     (tmp_path / "in").mkdir()
@@ -486,11 +483,7 @@ def test_unusable_frames(scene, tmp_path, capsys, name):
 def test_impossible_outputs_are_refused_before_deblurring(
     scene, tmp_path, capsys, monkeypatch, output, phrase
 ):
-    def work(*_):
-        raise AssertionError("the output has to be checked first")
-
-    monkeypatch.setattr("coded_aperture_ros.deblur.Deblurrer.deblur", work)
-    monkeypatch.setattr("coded_aperture_ros.depth.DepthEstimator.estimate", work)
+    forbid_work(monkeypatch, "deblur.Deblurrer.deblur", "depth.DepthEstimator.estimate")
     (tmp_path / "file").write_text("")
     before = everything(tmp_path)
     refused(deblur(capsys, scene, tmp_path / output), output, phrase)
@@ -632,10 +625,7 @@ def test_scenes_that_cannot_be_simulated(scene, tmp_path, capsys, caplog, files,
 def test_simulate_refuses_impossible_outputs_before_rendering(
     scene, tmp_path, capsys, monkeypatch, output, phrase
 ):
-    def render(*_):
-        raise AssertionError("the output has to be checked first")
-
-    monkeypatch.setattr("coded_aperture_ros.simulation.render_coded_frame", render)
+    forbid_work(monkeypatch, "simulation.render_coded_frame")
     (tmp_path / "file").write_text("")
     before = everything(tmp_path)
     refused(simulate(capsys, scene, tmp_path / output), output, phrase)

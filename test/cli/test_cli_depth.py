@@ -21,6 +21,7 @@ from cli_scene import (
     call,
     camera_file,
     everything,
+    forbid_work,
     refused,
     wrong_usage,
 )
@@ -407,10 +408,7 @@ def test_inputs_are_not_overwritten(scene, tmp_path, capsys):
 def test_impossible_outputs_are_refused_before_estimating(
     scene, tmp_path, capsys, monkeypatch, output, options, phrase
 ):
-    def estimate(*_):
-        raise AssertionError("the output has to be checked first")
-
-    monkeypatch.setattr("coded_aperture_ros.depth.DepthEstimator.estimate", estimate)
+    forbid_work(monkeypatch, "depth.DepthEstimator.estimate")
     (tmp_path / "file").write_text("")
     (tmp_path / "second.confidence.npy").mkdir()
     (tmp_path / "fourth.std_dev.npy").mkdir()

@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from cli_scene import CAMERA, call, camera_file, everything, refused, wrong_usage
+from cli_scene import CAMERA, call, camera_file, everything, forbid_work, refused, wrong_usage
 from psf_pictures import measured_file
 
 from coded_aperture_ros.bank import LearnConfig, load_bank
@@ -298,10 +298,7 @@ def test_a_bank_that_exists_survives_a_failure(scene, tmp_path, capsys):
 def test_impossible_outputs_are_refused_before_learning(
     scene, tmp_path, capsys, monkeypatch, output, phrase
 ):
-    def learn(*_):
-        raise AssertionError("the output has to be checked first")
-
-    monkeypatch.setattr("coded_aperture_ros.bank.learn_bank_for_camera", learn)
+    forbid_work(monkeypatch, "bank.learn_bank_for_camera")
     (tmp_path / "file").write_text("")
     (tmp_path / "folder.npz").mkdir()
     before = everything(tmp_path)

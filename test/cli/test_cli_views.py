@@ -6,7 +6,8 @@ import shutil
 import cv2
 import numpy as np
 import pytest
-from cli_scene import HEIGHT, WIDTH, call, everything, json_of, refused, wrong_usage
+from bad_frames import names
+from cli_scene import HEIGHT, WIDTH, call, everything, forbid_work, json_of, refused, wrong_usage
 
 from coded_aperture_ros.bank import load_bank, save_bank
 from coded_aperture_ros.deblur import openings, view_through
@@ -15,11 +16,6 @@ from coded_aperture_ros.io import read_image
 from coded_aperture_ros.optics import Mask, load_camera
 
 PLACES = openings(Mask.named("levin"))
-
-
-def names(folder):
-    """Return what lies in a folder."""
-    return sorted(path.name for path in folder.iterdir())
 
 
 def frames_of(path):
@@ -93,11 +89,7 @@ def test_each_frame_of_a_folder_has_views_and_a_movie_of_its_own(scene, tmp_path
 def test_impossible_views_are_refused_before_deblurring(
     scene, tmp_path, capsys, monkeypatch, output, options, phrase
 ):
-    def work(*_):
-        raise AssertionError("the options have to be checked first")
-
-    monkeypatch.setattr("coded_aperture_ros.deblur.Deblurrer.deblur", work)
-    monkeypatch.setattr("coded_aperture_ros.depth.DepthEstimator.estimate", work)
+    forbid_work(monkeypatch, "deblur.Deblurrer.deblur", "depth.DepthEstimator.estimate")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("")
     for folder in ("in", "kept", "made.mp4", "v/view_05_05/view_05_05.png"):

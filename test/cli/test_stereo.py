@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from scipy import ndimage
+from square_scene import red_square
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur import Parallax, anaglyph, check_parallax, side_by_side, stereo_pair
@@ -13,23 +14,10 @@ TOP, BOTTOM, LEFT, RIGHT = 24, 72, 60, 104
 FAR_PX, NEAR_PX = 10.0, 4.0
 
 
-def texture(seed):
-    """Fine texture that has no period, in [0.2, 0.8]."""
-    white = np.random.default_rng(seed).random((HEIGHT, WIDTH))
-    smooth = ndimage.gaussian_filter(white, 1.2)
-    return np.interp(smooth, (smooth.min(), smooth.max()), (0.2, 0.8)).astype(np.float32)
-
-
 @pytest.fixture(scope="module")
 def square():
     """A red square before a blue background, and their blur sizes."""
-    sharp = np.zeros((HEIGHT, WIDTH, 3), np.float32)
-    sharp[..., 2] = texture(1)
-    blur = np.full((HEIGHT, WIDTH), FAR_PX, np.float32)
-    inside = np.s_[TOP:BOTTOM, LEFT:RIGHT]
-    sharp[inside], blur[inside] = 0, NEAR_PX
-    sharp[(*inside, 0)] = texture(2)[inside]
-    return sharp, blur
+    return red_square((HEIGHT, WIDTH), np.s_[TOP:BOTTOM, LEFT:RIGHT], NEAR_PX, FAR_PX)
 
 
 def shift_of(patch, image, row, column):

@@ -74,6 +74,16 @@ def camera_file(folder, name="camera.yaml", **changes):
     return path
 
 
+def forbid_work(monkeypatch, *names):
+    """Let these functions of the package fail: what is wrong has to be told before."""
+
+    def work(*_):
+        raise AssertionError("it has to be told first what is wrong")
+
+    for name in names:
+        monkeypatch.setattr(f"coded_aperture_ros.{name}", work)
+
+
 def everything(folder):
     """Return every file and folder below, hidden ones too, with the files' contents."""
     return {

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy import ndimage
+from square_scene import red_square
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur import openings, view_through
@@ -13,22 +14,9 @@ HEIGHT, WIDTH = 80, 112
 TOP, BOTTOM, LEFT, RIGHT = 24, 52, 40, 76
 
 
-def texture(seed):
-    """Fine texture that has no period, in [0.2, 0.8]."""
-    white = np.random.default_rng(seed).random((HEIGHT, WIDTH))
-    smooth = ndimage.gaussian_filter(white, 1.2)
-    return np.interp(smooth, (smooth.min(), smooth.max()), (0.2, 0.8)).astype(np.float32)
-
-
 def square(near_px, far_px):
     """A red square before a blue background, and their blur sizes."""
-    sharp = np.zeros((HEIGHT, WIDTH, 3), np.float32)
-    sharp[..., 2] = texture(1)
-    blur = np.full((HEIGHT, WIDTH), far_px, np.float32)
-    inside = np.s_[TOP:BOTTOM, LEFT:RIGHT]
-    sharp[inside], blur[inside] = 0, near_px
-    sharp[(*inside, 0)] = texture(2)[inside]
-    return sharp, blur
+    return red_square((HEIGHT, WIDTH), np.s_[TOP:BOTTOM, LEFT:RIGHT], near_px, far_px)
 
 
 def centroid(picture):
