@@ -89,8 +89,10 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
     assert (tmp_path / "moving.motion.npy").is_file()
 
     deblur = examples(capsys, "deblur")
-    assert len(deblur) == 3
+    assert len(deblur) == 4
     for arguments in deblur:
         (tmp_path / "sharp.png").unlink()
         type_in(arguments)
         assert (tmp_path / "sharp.png").is_file()
+    assert len(list((tmp_path / "views").iterdir())) > 1
+    assert (tmp_path / "parallax.mp4").is_file()
