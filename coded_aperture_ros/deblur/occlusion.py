@@ -182,10 +182,9 @@ class _Light:
         front, offsets = self.surfaces.front, self.operator._offsets
         shape = len(self.taps), band.stop - band.start, self.operator.shape[1]
         weights = np.empty(shape, np.float32)
+        scene = front, self._least, sizes, steps, self._near_edges
         place = float(front.min()), band.start, self.operator.margin_px
-        rays(
-            front, self._least, sizes, steps, self.taps, offsets, self._near_edges, *place, weights
-        )
+        rays(scene, self.taps, offsets, place, weights)
         return weights
 
 

@@ -14,6 +14,8 @@ _CLOSED_PX = 0.25
 # Points that are less blurred are met by next to one ray: nothing is between.
 _SHARP_PX = 0.3
 NOTHING = -1e9
+_Scene = tuple[FloatArray, FloatArray, FloatArray, IndexArray, BoolArray]
+_Place = tuple[float, int, int]
 
 
 def least_towards(front: FloatArray, reach_px: int) -> FloatArray:
@@ -28,18 +30,9 @@ def least_towards(front: FloatArray, reach_px: int) -> FloatArray:
 
 
 def _loop(
-    front: FloatArray,
-    least: FloatArray,
-    sizes: FloatArray,
-    steps: IndexArray,
-    taps: FloatArray,
-    offsets: IndexArray,
-    edges: BoolArray,
-    nearest: float,
-    top: int,
-    margin: int,
-    weights: FloatArray,
+    scene: _Scene, taps: FloatArray, offsets: IndexArray, place: _Place, weights: FloatArray
 ) -> None:
+    (front, least, sizes, steps, edges), (nearest, top, margin) = scene, place
     count, rows, columns = weights.shape
     height, width = front.shape
     for k in range(count):
@@ -82,18 +75,12 @@ def _loop(
 
 
 def _plain(
-    front: FloatArray,
-    _: FloatArray,  # it saves the loop work
-    sizes: FloatArray,
-    steps: IndexArray,
-    taps: FloatArray,
-    offsets: IndexArray,
-    edges: BoolArray,
-    nearest: float,
-    top: int,
-    margin: int,
-    weights: FloatArray,
+    scene: _Scene, taps: FloatArray, offsets: IndexArray, place: _Place, weights: FloatArray
 ) -> None:
+    (front, _, sizes, steps, edges), (nearest, top, margin) = (
+        scene,
+        place,
+    )  # one saves the loop work
     count, rows, columns = weights.shape
     height, width = front.shape
     py, px = np.mgrid[top + margin : top + margin + rows, margin : margin + columns]
@@ -128,9 +115,9 @@ def _plain(
 # the surface in focus as blur size t says, at ``x + t / s (y - x)``. A surface stops it whose
 # size there is t.
 #
-# `front` has the size that every pixel of the scene shows, which is a margin larger than the frame
+# Of the scene `front` has the size that every pixel shows, which is a margin larger than the frame
 # on all sides, `least` those of `least_towards`, `sizes` those of the points, `NOTHING` where there
-# are none, and `steps` the columns of `taps` [K, steps] for them: the light at each of the
-# `offsets` [K, 2]. Rays are followed from size `nearest` on at the pixels with `edges` around
-# [frame rows, columns]. The first row is `top`.
+# are none, `steps` the columns of `taps` [K, steps] for them, the light at each of the `offsets`
+# [K, 2], and `edges` the pixels where rays are followed, from size `nearest` on [frame rows,
+# columns]. The place has this size, the first row and the margin.
 rays = Compiled(_loop, _plain)

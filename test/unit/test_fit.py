@@ -153,7 +153,7 @@ def test_loops_and_numpy_tally_residuals_alike():
     for tally in (evidence._tally_loop, evidence._tally_plain, evidence._tally):
         sums = np.zeros((2, 13 * 4)), np.zeros((3, 31 * 15))
         arrays = at.radius, at.vertical, at.horizontal, at.directions(4)
-        tally(residual, sizes_px, weight, *arrays, *sums)
+        tally(residual, sizes_px, weight, arrays, sums)
         found.append(sums)
     for sums in found[1:]:
         for one, other in zip(sums, found[0], strict=True):

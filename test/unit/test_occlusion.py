@@ -79,7 +79,7 @@ def test_both_forms_follow_the_same_rays(sign):
     forms = [np.empty((81, 10, 52), np.float32) for _ in range(3)]
     for form, weights in zip((rays, rays.plain, rays.loop), forms, strict=True):
         place = float(front.min()), 3, 4
-        form(front, least, sizes, steps, taps, offsets, edges, *place, weights)
+        form((front, least, sizes, steps, edges), taps, offsets, place, weights)
     assert (forms[0] == 0).mean() > 0.15
     assert np.array_equal(forms[0], forms[1])
     assert np.array_equal(forms[2], forms[1])

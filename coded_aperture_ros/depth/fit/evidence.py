@@ -34,6 +34,9 @@ _SIZE_UNIT_PX = 20.0
 _BANDS, _DIRECTIONS = (0.1, 0.2, 0.3, 0.4), 8
 _RINGS, _SECTORS = 12, 4
 _MAP_ROWS, _MAP_COLUMNS, _MAP_STEPS, _MAP_LEAST = 31, 15, 2.5, 30
+# Frequencies' radius, vertical and horizontal part, and sector; and what is added up by ring, map.
+_At = tuple[DoubleArray, DoubleArray, DoubleArray, IndexArray]
+_Sums = tuple[DoubleArray, DoubleArray]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -183,7 +186,7 @@ def _residuals(residual: FloatArray, size_px: DoubleArray, weight: DoubleArray) 
     of_rings = np.zeros((2, (_RINGS + 1) * _SECTORS))
     of_map = np.zeros((3, _MAP_ROWS * _MAP_COLUMNS))
     arrays = at.radius, at.vertical, at.horizontal, _sectors()
-    _tally(residual, size_px, weight, *arrays, of_rings, of_map)
+    _tally(residual, size_px, weight, arrays, (of_rings, of_map))
     enough = of_map[2] > min(_MAP_LEAST, of_map[2].max() - 1)
     pattern = np.log(of_map[0, enough] / of_map[1, enough])
     rings = of_rings.reshape(2, -1, _SECTORS)[:, :_RINGS]
@@ -212,17 +215,10 @@ def _sectors() -> IndexArray:
 
 
 def _tally_loop(
-    residual: FloatArray,
-    size_px: DoubleArray,
-    weight: DoubleArray,
-    radius: DoubleArray,
-    vertical: DoubleArray,
-    horizontal: DoubleArray,
-    sector: IndexArray,
-    of_rings: DoubleArray,
-    of_map: DoubleArray,
+    residual: FloatArray, size_px: DoubleArray, weight: DoubleArray, at: _At, sums: _Sums
 ) -> None:
     """Add up residuals and weights by ring and sector, and in a map of the PSFs' frequencies."""
+    (radius, vertical, horizontal, sector), (of_rings, of_map) = at, sums
     for i in range(len(residual)):
         size = size_px[i]
         for k in range(len(radius)):
@@ -239,24 +235,17 @@ def _tally_loop(
 
 
 def _tally_plain(
-    residual: FloatArray,
-    size_px: DoubleArray,
-    weight: DoubleArray,
-    radius: DoubleArray,
-    vertical: DoubleArray,
-    horizontal: DoubleArray,
-    sector: IndexArray,
-    of_rings: DoubleArray,
-    of_map: DoubleArray,
+    residual: FloatArray, size_px: DoubleArray, weight: DoubleArray, at: _At, sums: _Sums
 ) -> None:
+    (radius, vertical, horizontal, sector), (of_rings, of_map) = at, sums
     weights = np.repeat(weight, len(radius))
     values = weights * residual.ravel(), weights, None
     ring = np.minimum(np.outer(2 * size_px, radius).astype(int), _RINGS)
     column = np.minimum((np.outer(size_px, horizontal) * _MAP_STEPS).astype(int), _MAP_COLUMNS - 1)
     row = (np.outer(size_px, vertical) * _MAP_STEPS + _MAP_ROWS // 2).astype(int)
     in_map = column * _MAP_ROWS + np.clip(row, 0, _MAP_ROWS - 1)
-    for sums, cell in ((of_rings, ring * _SECTORS + sector), (of_map, in_map)):
-        for total, value in zip(sums, values, strict=False):
+    for totals, cell in ((of_rings, ring * _SECTORS + sector), (of_map, in_map)):
+        for total, value in zip(totals, values, strict=False):
             total += np.bincount(cell.ravel(), value, len(total))
 
 
