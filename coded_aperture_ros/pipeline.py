@@ -48,12 +48,8 @@ class FrameResult:
         """The frame without its blur, float32 in [0, 1], like the frame.
 
         It is made when first asked for, with the pipeline's settings of that time. With
-        `DeblurConfig.temporal_frames` ask for it frame by frame, in order.
-
-        Raises
-        ------
-        InputError
-            If the pipeline does not deblur, or no depth is known in the whole frame.
+        `DeblurConfig.temporal_frames` ask for it frame by frame, in order. An `InputError` if the
+        pipeline does not deblur, or no depth is known in the whole frame.
         """
         return self._deblur()
 
@@ -169,12 +165,8 @@ class FramePipeline:
         """Go on with other settings, from the next frame on; what is not given stays.
 
         With the same model, camera and settings of depth nothing is planned anew, and the memory of
-        the video is kept; so it is of deblurring while the model stays.
-
-        Raises
-        ------
-        InputError
-            If the model is not for the camera; then everything stays as it was.
+        the video is kept; so it is of deblurring while the model stays. If settings do not suit the
+        model, or that the camera, there is an `InputError`, and everything stays as it was.
         """
         old = self.estimator
         model, depth, camera = model or old.model, depth or old.config, camera or old.camera

@@ -102,6 +102,7 @@ BENCHMARKS: dict[str, Group | str] = {
     "fitting": "frames that fit their bank, and videos whose light changes",
     "datasheet": "what the data sheet of a camera would say",
     "lens": "a real lens: before and after its field curvature is measured",
+    "free-space": "a bound that what is seen is hardly ever nearer than, and what it costs",
     "odometry": "how far a robot drifts that steers by these frames alone",
     "tags": "over what distances tags and QR codes are read",
     "views": "the view through each opening of the mask, and focus after the shot",
@@ -130,6 +131,8 @@ _EPILOG = """examples:
     coded_aperture bench datasheet --camera config/demo_camera.yaml --depth-range 2.1 5.1
   a real lens, measured with planes:
     coded_aperture bench lens desk/ --planes calib/
+  how often something is nearer than the bound on free space:
+    coded_aperture bench free-space
   the way of a camera through a room, found by its frames alone:
     coded_aperture bench odometry --rooms 1 --length 2
   tags and QR codes at random distances, beside an ordinary lens:

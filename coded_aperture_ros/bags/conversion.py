@@ -60,7 +60,7 @@ class BagConversion:
     new_pipeline: Callable[[Camera], FramePipeline]  # for the camera at the frames' scale
     gamma: Gamma = 1.0  # of 8-bit frames
     map_size: str = "full"  # of the depth images, see `depth.map_size`
-    motion: bool = False  # whether the pipeline's method finds motion
+    more: tuple[str, ...] = ()  # what else the pipeline gives; see `Outputs.within`
     # Of all frames, by their camera; for such a method.
     prior: Callable[[Camera], ExpectedMotion | None] = lambda camera: None
     bits: int = 16  # of 16-bit frames
@@ -164,7 +164,7 @@ class BagConversion:
                 reference = depth_topic(bag.topics, self.reference_topic).name
             image = image_topic(bag.topics, self.topic, reference)
             namespace = namespace_of(image) if self.namespace is None else self.namespace
-            outputs = Outputs.within(f"/{namespace.strip('/')}", self.motion)
+            outputs = Outputs.within(f"/{namespace.strip('/')}", self.more)
             check_outputs(bag.topics, outputs)
         return image, None if reference is None else References(reference), outputs
 

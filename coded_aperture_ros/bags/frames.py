@@ -26,6 +26,7 @@ class DepthMaps:
     std_dev_m: FloatArray
     noise: float
     motion_px: FloatArray | None = None
+    free_space_m: FloatArray | None = None
     health: Health | None = None
 
 
@@ -99,6 +100,7 @@ class FrameProcessor:
                 depth.std_dev_m,
                 depth.noise,
                 motion_px,
+                depth.free_space_m,
                 depth.health,
             ),
             seconds=stages.seconds,

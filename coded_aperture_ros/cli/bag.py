@@ -118,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
         gamma=args.gamma,
         bits=args.bits,
         map_size=args.output_size,
-        motion=args.motion,
+        more=("motion",) * bool(args.motion) + ("free_space",) * bool(args.free_space_risk),
         prior=lambda camera: expected_motion_of(args, camera),
     )
     results = conversion.run(source, target, lambda steps, total: progress(steps, total, "frame"))

@@ -68,9 +68,10 @@ def add_parser(subparsers: Any) -> None:
         help="estimate depth from coded frames",
         description="Estimate the depth of every pixel of coded frames. Beside each depth "
         "map x.npy its confidence, 0 to 1, is written to x.confidence.npy; where that is low, the "
-        "depth is unknown (NaN, or 0 in a 16-bit PNG). The standard deviation of the depth, in m, "
-        "goes to x.std_dev.npy (not with --as-levels). With levels on both sides of the focal "
-        "plane (side: both), x.side.npy has the probability that the side is right.",
+        "depth is unknown (NaN, or 0 in a 16-bit PNG). In m, its standard deviation goes to "
+        "x.std_dev.npy, and the bound of --free-space-risk to x.free_space.npy (not with "
+        "--as-levels). With levels on both sides of the focal plane (side: both), x.side.npy has "
+        "the probability that the side is right.",
         epilog=_EPILOG,
     )
     add_input_options(
@@ -329,6 +330,8 @@ def _files(path: Path, args: argparse.Namespace, both_sides: bool) -> dict[str, 
     ends = {"confidence": f".confidence{suffix}"}
     if not args.as_levels:
         ends["std_dev"] = f".std_dev{suffix}"
+        if args.free_space_risk:
+            ends["free_space"] = f".free_space{suffix}"
     if args.pictures:
         ends |= {"picture": ".picture.png", "confidence picture": ".confidence.picture.png"}
     if args.points:
@@ -347,6 +350,7 @@ def _write(
 
     results = {"depth": values, "confidence": estimate.confidence}
     results |= {"std_dev": estimate.std_dev_m, "side": estimate.side_confidence}
+    results["free_space"] = estimate.free_space_m
     if args.motion:
         results["motion"] = estimate.motion.vectors_px
         results["motion confidence"] = estimate.motion.confidence

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.core.workers import thread_count
 from coded_aperture_ros.depth.regularize import LEARNED, REGULARIZERS
@@ -84,6 +85,13 @@ class DepthConfig:
         choices=("nothing", "nearest"),
         parameter="confidence.unknown",
     )
+    free_space_risk: float = option(
+        0.0,
+        "Give a bound, too, that such a share of the pixels may be nearer than, 0.001 to 0.03, "
+        "for whoever clears space by it; 0: no bound.",
+        within=(0.0, 0.1),
+        parameter="free_space.risk",
+    )
     check_fit: bool = option(
         True,
         "Check whether frames fit the bank at all, and lower the confidence where they do not.",
@@ -113,5 +121,7 @@ class DepthConfig:
 
     def __post_init__(self) -> None:
         check_options(self)
+        if self.free_space_risk and self.regularize != LEARNED:
+            raise InputError("free_space_risk: use 0, only regularize: learned gives a bound")
         thread_count(self.threads)
         check_backend(self.backend)

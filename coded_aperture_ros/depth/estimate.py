@@ -18,6 +18,7 @@ _LARGEST_AUTO = (240, 320)
 _DIVISORS = {"full": 1, "half": 2, "quarter": 4}
 # Maps that are unknown together.
 _OF_LEVELS = ("level", "blur_size_px", "depth_m", "std_dev_m")
+_BESIDE = ("confidence", "side_confidence", "free_space_m")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -45,6 +46,9 @@ class DepthEstimate:
     std_dev_m : ndarray or None
         Standard deviation of `depth_m` in metres; NaN where that is, +inf where that is. None if
         there are no depths.
+    free_space_m : ndarray or None
+        What is seen is nearer than this, in metres, in a share of the pixels that the configuration
+        says, if frames fit and nothing is nearer than the levels. None if it asks for no bound.
     motion : MotionField or None
         Motion during the exposure, in maps of the same size; from methods that find it.
     health : Health or None
@@ -61,6 +65,7 @@ class DepthEstimate:
     noise: float
     side_confidence: FloatArray | None = None
     std_dev_m: FloatArray | None = None
+    free_space_m: FloatArray | None = None
     motion: MotionField | None = None
     health: Health | None = None
     seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
@@ -88,7 +93,7 @@ class DepthEstimate:
             # Not linearly: that would make up depths in the air beside every edge.
             return np.asarray(cv2.resize(values, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT))
 
-        return self._mapped(large, *_OF_LEVELS, "confidence", "side_confidence")
+        return self._mapped(large, *_OF_LEVELS, *_BESIDE)
 
     def _mapped(self, change: Callable[[FloatArray], FloatArray], *names: str) -> "DepthEstimate":
         values = {name: getattr(self, name) for name in names}

@@ -9,6 +9,7 @@ import numpy as np
 
 from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.core.workers import Workers, thread_count
 from coded_aperture_ros.depth.ambiguity import BY_CHANCE, may_be_periodic
@@ -17,9 +18,10 @@ from coded_aperture_ros.depth.decision import Regularized
 from coded_aperture_ros.depth.edges import edge_correction
 from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
 from coded_aperture_ros.depth.fit import FitCheck, can_be_checked
+from coded_aperture_ros.depth.free_space import free_level
 from coded_aperture_ros.depth.levels import Levels, depths_are_measured
 from coded_aperture_ros.depth.observation import Observation
-from coded_aperture_ros.depth.posterior import is_unsure
+from coded_aperture_ros.depth.posterior import PLAUSIBLE, is_unsure
 from coded_aperture_ros.depth.refine import CELL_PX, Refined, small_bank, small_cost, untrained
 from coded_aperture_ros.depth.regularize import LEARNED, Regularizer, regularizer
 from coded_aperture_ros.depth.sides import FocalSides
@@ -65,7 +67,8 @@ class DepthEstimator:
     Raises
     ------
     InputError
-        If the model is not for the camera.
+        If the model is not for the camera, or a bound on free space is asked for that the network
+        cannot give.
     """
 
     def __init__(
@@ -85,6 +88,9 @@ class DepthEstimator:
         bends = camera is not None and camera.field_curvature and not depths_are_measured(model)
         self._bends = camera if bends else None
         self._learned = regularize is None and config.regularize == LEARNED
+        why = untrained(model, config.stride_px or model.stride_px)
+        if config.free_space_risk and why:
+            raise InputError(f"free_space_risk: use 0, learned gives no bound by this bank: {why}")
         # What is not learned, or was not trained for, is regularised by classical means.
         classical = "semiglobal" if self._learned else config.regularize
         self._regularize = regularize or regularizer(classical, config.smoothness)
@@ -231,18 +237,30 @@ class DepthEstimator:
             stages.lap("fit")
         if health is not None:
             confidence = health.trusted(confidence)
+        doubted = np.full(level.shape, health is not None and not health.fits)
         if own.periodic is not None:
             at = MapGrid.of(seen.grid, shape, level.shape)
             as_well = may_be_periodic(
                 own, seen.usable, at.at_patches(level), levels.blur_sizes_px, seen.grid
             )
             if as_well.any():
-                doubted = at.nearest(as_well)
-                confidence = np.where(doubted, np.minimum(confidence, BY_CHANCE), confidence)
+                found = at.nearest(as_well)
+                confidence = np.where(found, np.minimum(confidence, BY_CHANCE), confidence)
+                doubted |= found
         unknown = is_unsure(confidence, config.confidence_threshold)
         if config.unknown == "nearest":  # so that nothing is run into
-            level = np.where(unknown, levels.nearer(level, decided.nearest_plausible()), level)
+            level = np.where(
+                unknown, levels.nearer(level, decided.nearest_plausible(PLAUSIBLE)), level
+            )
             unknown = np.zeros_like(unknown)
+        free_space_m: FloatArray | None = None
+        if config.free_space_risk:
+            scale, known = len(level) / shape[0], np.zeros_like(unknown)
+            free = np.where(doubted, np.float32(levels.nearest_first[0]), level)
+            free = free_level(free, decided, levels, config.free_space_risk, scale)
+            free_space_m = levels.meaning(free, np.zeros_like(free), known)[2]
+            if self._bends and free_space_m is not None:
+                free_space_m = self._bends.depth_in_field(free_space_m)
         level, blur_size_px, depth_m, std_dev_m = levels.meaning(level, decided.deviation, unknown)
         if self._bends and depth_m is not None and std_dev_m is not None:
             axial_m, depth_m = depth_m, self._bends.depth_in_field(depth_m)
@@ -255,6 +273,7 @@ class DepthEstimator:
             seen.channel_noise,
             decided.side_confidence,
             std_dev_m,
+            free_space_m,
             health=health,
         ).enlarged(size)
         if own.motion is not None:

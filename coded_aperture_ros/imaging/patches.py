@@ -40,10 +40,7 @@ class PatchGrid:
     def covering(cls, shape: tuple[int, ...], window_px: int, stride_px: int) -> "PatchGrid":
         """Centre as many windows as fit into a frame of `shape` (rows, columns, ...).
 
-        Raises
-        ------
-        InputError
-            If the frame is smaller than one window.
+        An `InputError` if it is smaller than one window.
         """
         height, width = shape[:2]
         if height < window_px or width < window_px:

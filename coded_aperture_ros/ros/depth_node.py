@@ -107,6 +107,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         "depth/image_raw/compressedDepth": CompressedImage,
         "depth/confidence": Image,
         "depth/std_dev": Image,
+        "depth/free_space": Image,  # only with free_space.risk
         "depth/camera_info": CameraInfo,
         "depth/points": PointCloud2,
         "depth/motion": Image,  # only with method: motion
@@ -218,6 +219,9 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         std_dev_m = np.where(np.isinf(depth_m), np.float32(np.inf), estimate.std_dev_m)
         if self.wants("depth/std_dev"):
             self.send("depth/std_dev", image_from_array(std_dev_m, "32FC1", header))
+        if estimate.free_space_m is not None and self.wants("depth/free_space"):
+            free = limit_depth(estimate.free_space_m, 0.0, self._range.far_m or math.inf)
+            self.send("depth/free_space", image_from_array(free, "32FC1", header))
         if complaint := driver.complaint(self._model.whole, frame_size):
             self.reject("camera_info", complaint)
         info = driver.info(self._model.whole, frame_size, size, header)

@@ -40,7 +40,6 @@ _LARGEST_STEP_PX = 0.8
 _LEAST_SPAN_PX = 3.0
 # Neighbouring half-cells whose blur sizes differ by at most this are one surface.
 _ONE_SURFACE_PX = 0.8
-_PLAUSIBLE = 0.05
 # The network knows costs of up to three frames: the sum of all past ones counts by this share.
 _OF_THE_PAST = 0.5
 # Costs that differ by less are those of a frame without any texture.
@@ -190,14 +189,14 @@ class Refined:
             for values, where in ((confidence, at), (to_check, coarse)):
                 values[where.nearest(~seen.usable)] = 0
 
-        def nearest_plausible() -> FloatArray:
+        def nearest_plausible(share: float) -> FloatArray:
             nearest = np.float32(self._levels.nearest_first[0])
             if blank:
                 return np.full(size, nearest)
             # Before the focal plane the nearer surface is the more blurred one.
-            before = -found.quantile_px(1 - _PLAUSIBLE)
-            beyond = found.quantile_px(_PLAUSIBLE)
-            level = self._level(np.where(far > 1 - _PLAUSIBLE, beyond, before))
+            before = -found.quantile_px(1 - share)
+            beyond = found.quantile_px(share)
+            level = self._level(np.where(far > 1 - share, beyond, before))
             # Where nothing was seen anything may be, whatever is around.
             blind = ~seen.usable & (volume.max(axis=-1) <= _ALIKE)
             return np.where(at.nearest(blind), nearest, map_of(level, one_surface))

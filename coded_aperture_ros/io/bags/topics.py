@@ -1,7 +1,7 @@
 """Which topic of a bag is the camera's, and what those of the results are called."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.bags.codec import CAMERA_INFO, COMPRESSED, IMAGE
@@ -22,16 +22,21 @@ class Outputs:
     deblurred: str
     deblurred_info: str
     motion: str | None = None
+    free_space: str | None = None
 
     @classmethod
-    def within(cls, namespace: str, motion: bool = False) -> "Outputs":
-        """Return the names in a namespace, such as `/camera`; empty for the topmost."""
+    def within(cls, namespace: str, more: Iterable[str] = ()) -> "Outputs":
+        """Return the names in a namespace, such as `/camera`; empty for the topmost.
+
+        With `more` of depth, which only some bags get: motion, free_space.
+        """
         names = (
             *("depth/image", "depth/confidence", "depth/std_dev", "depth/camera_info"),
             *("deblurred/image", "deblurred/camera_info"),
-            *(("depth/motion",) if motion else ()),
         )
-        return cls(*(f"{namespace.rstrip('/')}/{name}" for name in names))
+        top = namespace.rstrip("/")
+        others = {name: f"{top}/depth/{name}" for name in more}
+        return cls(*(f"{top}/{name}" for name in names), **others)
 
 
 def image_topic(

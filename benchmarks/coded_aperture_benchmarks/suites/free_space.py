@@ -1,0 +1,271 @@
+"""`coded_aperture bench free-space`: how often something is nearer than the bound, at what cost."""
+
+import argparse
+import dataclasses
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.frames.cameras import camera_for_blur
+from coded_aperture_benchmarks.frames.ray_traced import RANGE_MARGIN, RayTracedScene, bank_for
+from coded_aperture_benchmarks.frames.room import random_room, walk
+from coded_aperture_benchmarks.layered import random_scene
+from coded_aperture_benchmarks.pictures import as_rgb, side_by_side
+from coded_aperture_benchmarks.rows import columns, grouped, mean_of
+from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_ros.bank import FilterBank
+from coded_aperture_ros.cli.options import mask_of
+from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth.refine import untrained
+from coded_aperture_ros.imaging import SRGB
+from coded_aperture_ros.io import depth_picture, write_image
+from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.simulation import SensorModel
+
+_LEVELS, _SIZE = 30, (288, 384)
+KINDS = ("room", "empty", "layered")
+_MASKS, _NOISES = ("levin", "four_hole", "zhou"), (0.0005, 0.002, 0.005)
+_RISKS = (0.01, 0.003, 0.001)
+_FIRST_ROOM, _FIRST_SCENE = 500, 2_500_000
+_FOCAL_LENGTH_PX, _ROOM_M, _ROOM_BLUR_PX = 600.0, (0.8, 7.0), (2.0, 16.0)
+_PUBLISHED = DepthConfig().confidence_threshold
+_NEARER = 0.9
+# Of a shallow scene the nearest level is nearer: at such a share of the farthest depth.
+_NEAREST = 0.7, 0.5, 0.3, 0.15
+
+
+@dataclasses.dataclass(frozen=True)
+class Cell:
+    """A frame: of a kind of random scene, or of a ray-traced scene's folder."""
+
+    kind: str
+    number: int
+    mask: str
+    noise: float
+    regularize: str
+    risks: tuple[float, ...]
+    folder: Path | None = None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Seen:
+    """What a frame shows, without noise."""
+
+    coded: FloatArray
+    depth_m: FloatArray
+    camera: Camera
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Measured:
+    """A row for each risk, and the frame, the truth and the bounds."""
+
+    cell: Cell
+    rows: list[Row]
+    frame: FloatArray
+    depth_m: FloatArray
+    bounds_m: dict[float, FloatArray]
+
+
+def _cells(args: argparse.Namespace) -> list[Cell]:
+    options.check_masks(args)
+    options.check_names(args.folders, "scene")
+    how = args.regularize, tuple(sorted(args.risks, reverse=True))
+    if args.folders:
+        return [
+            Cell(folder.resolve().name, 0, mask, args.noise, *how, folder)
+            for folder in args.folders
+            for mask in args.masks
+            if (folder / f"coded_{mask}_linear.png").is_file()
+        ]
+    count = len(args.masks)
+    return [
+        Cell(kind, number, args.masks[number % count], _NOISES[number // count % 3], *how)
+        for kind in KINDS
+        for number in range(args.frames)
+    ]
+
+
+@lru_cache(maxsize=1)
+def _seen(cell: Cell) -> Seen:
+    mask = mask_of(cell.mask)
+    if cell.folder is not None:
+        scene = RayTracedScene.load(cell.folder, cell.mask)
+        return Seen(scene.coded, scene.depth_m, scene.camera)
+    if cell.kind == "room":
+        camera = camera_for_blur(mask, _FOCAL_LENGTH_PX, _SIZE, _ROOM_M, _ROOM_BLUR_PX)
+        seed = _FIRST_ROOM + cell.number
+        room, poses = random_room(seed), walk(seed, 10, 0.5)
+        pose = poses[seed % len(poses)]
+        return Seen(room.coded(camera, pose), room.seen(camera, pose)[1], camera)
+    # One in six before the focal plane.
+    side = "near" if cell.number % 6 == 5 else "far"
+    seed = _FIRST_SCENE + cell.number
+    layered = random_scene(seed, mask, side, _SIZE, empty=cell.kind == "empty")
+    return Seen(layered.coded(), layered.depth_m(), layered.camera)
+
+
+def measure(cell: Cell) -> Measured:
+    """Take a frame, and ask for the bound at every risk."""
+    seen = _seen(cell)
+    frame = SensorModel(cell.noise).expose(seen.coded, np.random.default_rng(cell.number))
+    bank, near_m = _bank(seen)
+    rows, bounds_m = [], {}
+    known = seen.depth_m > 0
+    # In inverse depth, as blur goes by that: 0 for the nearest level, 1 for the truth.
+    nearest = 1 / near_m
+    before: DepthEstimator | None = None
+    for risk in cell.risks:
+        config = DepthConfig(regularize=cell.regularize, free_space_risk=risk)
+        estimator = DepthEstimator(bank, config, seen.camera, like=before)
+        estimate = estimator.estimate(frame)
+        estimator.close()
+        before, bound = estimator, estimate.free_space_m
+        assert bound is not None and estimate.depth_m is not None
+        bounds_m[risk], truth = bound, seen.depth_m[known]
+        there, found = bound[known], estimate.depth_m[known]
+        range_of_all = (nearest - 1 / truth).sum()
+        rows.append(
+            {
+                "kind": cell.kind,
+                "number": cell.number,
+                "mask": cell.mask,
+                "noise": cell.noise,
+                "risk": risk,
+                "nearer": float((truth < there).mean()),
+                "gain": float((nearest - 1 / np.minimum(there, truth)).sum() / range_of_all),
+                "of_truth": float(np.median(there / truth)),
+                # What stands nearer than nine tenths of the depth that is published.
+                "published": float((estimate.confidence >= _PUBLISHED).mean()),
+                "nearer_than_published": float((truth < _NEARER * found).mean()),
+                "fits": estimate.health is None or estimate.health.fits,
+            }
+        )
+    return Measured(cell, rows, frame, seen.depth_m, bounds_m)
+
+
+def _bank(seen: Seen) -> tuple[FilterBank, float]:
+    """Return the bank of a frame, and the depth of its nearest level."""
+    ends_m = float(np.nanmin(seen.depth_m)), float(np.nanmax(seen.depth_m))
+    for share in _NEAREST:
+        range_m = np.array([min(ends_m[0], share * ends_m[1]), ends_m[1]], np.float32)
+        with suppress(InputError):
+            bank = bank_for(seen.camera, range_m, _LEVELS)
+            if not untrained(bank, bank.stride_px):
+                return bank, float(range_m[0] * (1 - RANGE_MARGIN))
+    raise InputError("there is no bank for this scene that a bound can be given by")
+
+
+def _pooled(rows: list[Row]) -> Row:
+    return {
+        "frames": len(rows),
+        "nearer": mean_of((row["nearer"] for row in rows), 6),
+        "worst": round(max(row["nearer"] for row in rows), 5),
+        "holds": sum(row["nearer"] <= row["risk"] for row in rows),
+        "gain": mean_of((row["gain"] for row in rows), 3),
+        "of_truth": round(float(np.median([row["of_truth"] for row in rows])), 3),
+        "published": mean_of((row["published"] for row in rows), 3),
+        "nearer_than_published": mean_of((row["nearer_than_published"] for row in rows), 5),
+    }
+
+
+def _results(args: argparse.Namespace, measured: list[Measured], seconds: float) -> Row:
+    rows = [row for each in measured for row in each.rows if row["fits"]]
+    every = [row for each in measured for row in each.rows]
+    return {
+        "benchmark": "free-space",
+        **options.header(args, "regularize", "masks", "risks", "frames"),
+        "folders": [str(folder) for folder in args.folders],
+        "fitting": sum(each.rows[0]["fits"] for each in measured),
+        "of": len(measured),
+        "seconds": seconds,
+        "rows": every,
+        "by_kind": [
+            {"risk": risk, "of": kind, **_pooled(group)}
+            for (risk, kind), group in grouped(rows, "risk", "kind").items()
+        ],
+        "by_mask": [
+            {"risk": risk, "of": mask, **_pooled(group)}
+            for (risk, mask), group in grouped(rows, "risk", "mask").items()
+        ],
+        "all": [
+            {"risk": risk, "of": "all", **_pooled(group)}
+            for (risk,), group in grouped(rows, "risk").items()
+        ],
+    }
+
+
+def _text(results: Row) -> str:
+    shown = {
+        "risk": lambda row: f"{100 * row['risk']:g} %",
+        "of": "{of}",
+        "frames": "{frames}",
+        "nearer than the bound": lambda row: f"{100 * row['nearer']:.2f} %",
+        "in the worst frame": lambda row: f"{100 * row['worst']:.1f} %",
+        "held in": "{holds}",
+        "of the range": "{gain:.2f}",
+        "bound / truth": "{of_truth:.2f}",
+        "depth published": lambda row: f"{100 * row['published']:.0f} %",
+        "nearer than 0.9 of it": lambda row: f"{100 * row['nearer_than_published']:.1f} %",
+    }
+    parts = [
+        f"{results['fitting']} of {results['of']} frames fit their bank; only these are counted\n"
+        "of the range: in inverse depth, 0 if the bound is always the nearest level, 1 if "
+        "it is the truth"
+    ]
+    for name in ("by_kind", "by_mask", "all"):
+        rows = sorted(results[name], key=lambda row: (-row["risk"], -row["nearer"]))
+        parts.append(columns(rows, shown))
+    return "\n\n".join(parts)
+
+
+def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
+    for each in measured:
+        if each.cell.number == 0:
+            ends = float(np.nanmin(each.depth_m)), float(np.nanmax(each.depth_m)), "m"
+            maps = {"truth": each.depth_m}
+            maps |= {
+                f"bound, risk {100 * risk:g} %": found for risk, found in each.bounds_m.items()
+            }
+            drawn = {title: [depth_picture(depth_m, *ends)] for title, depth_m in maps.items()}
+            frame = as_rgb(np.clip(each.frame, 0, 1), SRGB)
+            strip = len(drawn["truth"][0]) - len(frame)  # with the legend
+            frame = np.pad(frame, ((0, strip), (0, 0), (0, 0)), constant_values=255)
+            parts = [("frame", [frame]), *drawn.items()]
+            name = f"{each.cell.kind}_{each.cell.mask}.jpg"
+            write_image(folder / name, side_by_side(parts))
+
+
+SUITE = Suite(
+    description="Bounds on free space (depth --free-space-risk) of random frames that were not "
+    "used to set them: furnished rooms, empty ones, and layers of all kinds of things, behind "
+    "three masks and with three noises; or of ray-traced scenes. How many pixels show something "
+    "that is nearer than the bound, and how much of the range is given up for that.",
+    examples="""examples:
+  36 random frames of each kind (some minutes), with pictures:
+    coded_aperture bench free-space --output bounds/
+  a ray-traced scene (see accuracy scenes):
+    coded_aperture bench free-space desk/
+""",
+    options=(
+        options.folders("ray-traced scenes, in place of random ones", "*"),
+        options.number("--frames", 1, 36, "random frames of each kind"),
+        options.option(
+            "--risks", "shares of pixels that may be nearer", list(_RISKS), type=float, metavar="R"
+        ),
+        options.masks(*_MASKS),
+        options.added_noise(0.002),
+        options.option("--regularize", "see the command depth", "learned", metavar="HOW"),
+        *options.RESULTS,
+    ),
+    cells=_cells,
+    measure=measure,
+    results=_results,
+    text=_text,
+    draw=_draw,
+)

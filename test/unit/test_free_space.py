@@ -1,0 +1,142 @@
+"""The bound on free space: nearer than what is seen, and no promise where nothing can be said."""
+
+import dataclasses
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from textures import natural_texture
+
+from coded_aperture_ros.bank import learn_bank_for_camera
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.optics import Camera, FieldCurvature, Mask
+from coded_aperture_ros.simulation import render_coded_frame
+
+SHAPE, NEAR_M, FAR_M, NOISE = (160, 224), 2.0, 3.0, 0.002
+RANGE_M = 1.5, 5.0
+
+
+def camera_of(side):
+    """Return a camera that is focused before the range, beyond it, or in it."""
+    focus_m = {"far": 0.9, "near": 30.0, "both": 2.4}[side]
+    mask = Mask.named("three_wide" if side == "both" else "levin")
+    extent_mm = {"far": 30.0, "near": 40.0, "both": 100.0}[side]
+    return Camera(400.0, focus_m, SHAPE[1], SHAPE[0], mask, extent_mm, side=side)
+
+
+@pytest.fixture(scope="module")
+def truth_m():
+    """Return the depth of a box before a wall."""
+    depth = np.full(SHAPE, FAR_M, np.float32)
+    depth[50:130, 60:140] = NEAR_M
+    return depth
+
+
+@pytest.fixture(scope="module", params=["far", "near", "both"])
+def seen(request, truth_m):
+    """Return a camera, its bank and a frame."""
+    camera = camera_of(request.param)
+    sharp = np.clip(natural_texture(SHAPE, seed=2, contrast=0.02), 0.05, 1)
+    noise = np.random.default_rng(1).normal(0, NOISE, SHAPE)
+    coded = render_coded_frame(sharp, truth_m, camera) + noise
+    return camera, learn_bank_for_camera(camera, *RANGE_M, 30), coded.astype(np.float32)
+
+
+def estimated(seen, frame=None, size=None, **settings):
+    """Return what is found, with a bound at 1 % risk unless said otherwise."""
+    camera, bank, coded = seen
+    estimator = DepthEstimator(bank, DepthConfig(**{"free_space_risk": 0.01, **settings}), camera)
+    estimate = estimator.estimate(coded if frame is None else frame, size)
+    estimator.close()
+    return estimate
+
+
+def test_next_to_nothing_is_nearer_than_the_bound(seen, truth_m):
+    bound = estimated(seen).free_space_m
+    assert bound.shape == SHAPE and np.isfinite(bound).all()
+    assert (truth_m < bound).mean() <= 0.01
+    assert bound.min() >= RANGE_M[0] * (1 - 1e-5)
+    # It tells the wall from the box, and some of the space before both is free.
+    wall, box = np.median(bound[10:40, 20:200]), np.median(bound[70:110, 80:120])
+    if seen[0].side != "both":  # which takes more texture than there is
+        assert RANGE_M[0] < box < NEAR_M and box + 0.1 < wall < FAR_M
+
+
+def test_less_risk_promises_less(seen):
+    bounds = [estimated(seen, free_space_risk=risk).free_space_m for risk in (0.03, 0.01, 0.001)]
+    for more, less in pairwise(bounds):
+        # Where the edge of a surface is drawn depends on both sides.
+        assert (less <= 1.01 * more).mean() > 0.99 and (less < more).mean() > 0.2
+
+
+@pytest.mark.parametrize("unknown", ["nothing", "nearest"])
+def test_the_bound_is_never_beyond_the_depth(seen, unknown):
+    estimate = estimated(seen, unknown=unknown, temporal_frames=3.0)
+    known = np.isfinite(estimate.depth_m)
+    assert known.mean() > 0.5 or seen[0].side == "both"
+    assert (estimate.free_space_m[known] <= estimate.depth_m[known] + 1e-5).all()
+
+
+def test_no_bound_unless_asked_for_and_nothing_else_changes(seen):
+    without, with_it = estimated(seen, free_space_risk=0.0), estimated(seen)
+    assert without.free_space_m is None
+    for name in ("depth_m", "confidence", "std_dev_m"):
+        np.testing.assert_array_equal(getattr(without, name), getattr(with_it, name))
+
+
+def test_smaller_maps_say_the_same(seen):
+    full, half = estimated(seen).free_space_m, estimated(seen, size=(80, 112)).free_space_m
+    assert half.shape == (80, 112)
+    assert np.median(np.abs(half / full[::2, ::2] - 1)) < 0.03
+
+
+def test_a_thing_keeps_the_space_around_it(seen, truth_m):
+    """What a pixel shows may be its neighbour's."""
+    bound = estimated(seen).free_space_m
+    box = np.zeros(SHAPE, bool)
+    box[46:134, 56:144] = True
+    assert (bound[box & (truth_m == FAR_M)] < NEAR_M).mean() > 0.8
+
+
+def test_nothing_is_promised_of_frames_that_do_not_fit(seen):
+    noise = np.random.default_rng(1).normal(0, NOISE, SHAPE)
+    disc = dataclasses.replace(seen[0], mask=Mask.named("disc"))
+    sharp = np.clip(natural_texture(SHAPE, seed=2, contrast=0.02), 0.05, 1)
+    coded = render_coded_frame(sharp, np.full(SHAPE, NEAR_M, np.float32), disc) + noise
+    estimate = estimated(seen, coded.astype(np.float32))
+    assert not estimate.health.fits
+    np.testing.assert_allclose(estimate.free_space_m, RANGE_M[0], rtol=1e-4)
+
+
+def test_nothing_is_promised_where_nothing_is_seen(seen):
+    dark = seen[2].copy()
+    dark[:, :80] = 1.0  # saturated
+    bound = estimated(seen, dark, check_fit=False).free_space_m
+    np.testing.assert_allclose(bound[:, :40], RANGE_M[0], rtol=1e-4)
+    assert np.median(bound[:, 180:]) > RANGE_M[0] * 1.05
+    blank = np.full(SHAPE, 0.4, np.float32)
+    np.testing.assert_allclose(estimated(seen, blank).free_space_m, RANGE_M[0], rtol=1e-4)
+
+
+def test_field_curvature_moves_the_bound_with_the_depth(truth_m):
+    camera = camera_of("far")
+    bank = learn_bank_for_camera(camera, *RANGE_M, 30)
+    sharp = np.clip(natural_texture(SHAPE, seed=2, contrast=0.02), 0.05, 1)
+    coded = render_coded_frame(sharp, truth_m, camera)
+    bent = dataclasses.replace(camera, field_curvature=FieldCurvature(0.5, 0.0))
+    flat, moved = (estimated((lens, bank, coded)) for lens in (camera, bent))
+    known = np.isfinite(flat.depth_m) & np.isfinite(moved.depth_m)
+    assert np.abs(moved.free_space_m / flat.free_space_m - 1).max() > 0.02
+    assert (moved.free_space_m[known] <= moved.depth_m[known] + 1e-4).all()
+
+
+def test_what_gives_no_bound_is_refused():
+    with pytest.raises(InputError, match="free_space_risk: use 0, only regularize: learned gives"):
+        DepthConfig(regularize="semiglobal", free_space_risk=0.01)
+    with pytest.raises(InputError, match="free_space_risk"):
+        DepthConfig(free_space_risk=0.2)
+    camera = camera_of("far")
+    config = DepthConfig(free_space_risk=0.01)
+    with pytest.raises(InputError, match="gives no bound by this bank: its levels are up to"):
+        DepthEstimator(learn_bank_for_camera(camera, *RANGE_M, 5), config, camera)
