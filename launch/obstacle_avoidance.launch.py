@@ -7,6 +7,9 @@ Example::
     ros2 launch coded_aperture_ros obstacle_avoidance.launch.py \
         camera_file:=/path/to/camera.yaml near_m:=0.8 far_m:=3.0 source:=/dev/video0
 
+With free_space.risk:=0.01 the map is cleared up to the bound on free space at that risk, and no
+farther; that takes depth_image_proc too.
+
 Other arguments are those of pipeline.launch.py. Everything has the settings of
 config/obstacle_avoidance.yaml; what `params_file` says of a node by its name wins over them.
 """
@@ -62,9 +65,22 @@ def others(context):
     namespace = LaunchConfiguration("namespace").perform(context)
     root = (make_namespace_absolute(prefix_namespace(around, namespace)) or "").rstrip("/")
     # Relative topics of a layer are searched for beside the map, not beside the camera.
-    topic = {"topic": f"{root}/depth/points"}
-    layer = {"voxel_layer": {"obstacles": topic, "free_space": topic}}
+    bounded = float(context.launch_configurations.get("free_space.risk") or 0) > 0
+    marking, clearing = f"{root}/depth/points", f"{root}/depth/{'free_' * bounded}points"
+    layer = {"voxel_layer": {"obstacles": {"topic": marking}, "free_space": {"topic": clearing}}}
     return [
+        Node(
+            package="depth_image_proc",
+            executable="point_cloud_xyz_node",
+            name="free_points",
+            namespace=namespace,
+            remappings=[
+                ("image_rect", "depth/free_space"),
+                ("camera_info", "depth/camera_info"),
+                ("points", "depth/free_points"),
+            ],
+            condition=IfCondition(str(bounded)),
+        ),
         Node(
             package="depthimage_to_laserscan",
             executable="depthimage_to_laserscan_node",

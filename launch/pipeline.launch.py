@@ -30,6 +30,7 @@ PARAMETERS = (
     ("bank", str, "Filter bank (.npz); empty: learn it from the camera file", MODEL_USERS),
     ("near_m", float, "Nearest depth in metres; needed without a bank", MODEL_USERS),
     ("far_m", float, "Farthest depth in metres; needed without a bank", MODEL_USERS),
+    ("free_space.risk", float, "Of the bound on free space; 0: no bound", ("depth_node",)),
 )
 ARGUMENTS = (
     ("namespace", "", "Of all nodes"),

@@ -220,8 +220,8 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if self.wants("depth/std_dev"):
             self.send("depth/std_dev", image_from_array(std_dev_m, "32FC1", header))
         if estimate.free_space_m is not None and self.wants("depth/free_space"):
-            free = limit_depth(estimate.free_space_m, 0.0, self._range.far_m or math.inf)
-            self.send("depth/free_space", image_from_array(free, "32FC1", header))
+            free_m = np.minimum(estimate.free_space_m, self._range.far_m or math.inf)
+            self.send("depth/free_space", image_from_array(free_m, "32FC1", header))
         if complaint := driver.complaint(self._model.whole, frame_size):
             self.reject("camera_info", complaint)
         info = driver.info(self._model.whole, frame_size, size, header)

@@ -108,6 +108,16 @@ def test_depth_is_right_and_deblurring_helps(processed, scene):
     assert off[1] < 0.9 * off[0]
 
 
+def test_a_bag_gets_the_bound_that_is_asked_for(scene, recorded, tmp_path, capsys):
+    options = ("--free-space-risk", 0.01, "--deblur", "none")
+    assert call(capsys, *command(scene, recorded(1), tmp_path / "out", *options)).status == 0
+    messages = read(tmp_path / "out")
+    ((_, depth),) = decoded(messages, "/eye/depth/image")
+    ((_, bound),) = decoded(messages, "/eye/depth/free_space")
+    assert (bound.header, bound.encoding) == (depth.header, "32FC1")
+    assert (floats(bound) > scene.depth_m).mean() < 0.01
+
+
 def test_the_camera_model_of_the_bag_is_resized(scene, recorded, tmp_path, capsys):
     bag = recorded(1)
     options = ("--output-size", "half", "--deblur", "none")

@@ -53,6 +53,19 @@ def relative_error(depth_m, scene):
     return np.nanmedian(error), np.isfinite(error).mean()
 
 
+@pytest.mark.parametrize("suffix", [".npy", ".png"])
+def test_a_bound_on_free_space_beside_the_depth(scene, tmp_path, capsys, suffix):
+    output = tmp_path / f"depth{suffix}"
+    arguments = ("depth", "--bank", scene.bank, scene.coded_png, "-o", output)
+    assert call(capsys, *arguments, "--free-space-risk", 0.01).status == 0
+    bound_m = read_depth(tmp_path / f"depth.free_space{'.tiff' if suffix == '.png' else suffix}")
+    assert bound_m.shape == scene.depth_m.shape
+    assert (bound_m > scene.depth_m).mean() < 0.01
+    assert np.median(bound_m) > NEAR_M * 0.9
+    result = call(capsys, *arguments, "--free-space-risk", 0.01, "--regularize", "semiglobal")
+    refused(result, "free_space_risk: use 0, only regularize: learned gives a bound")
+
+
 @pytest.mark.parametrize("suffix", [".npy", ".tiff", ".png"])
 def test_depth_of_the_simulated_planes(scene, tmp_path, capsys, suffix):
     output = tmp_path / f"depth{suffix}"

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from coded_aperture_benchmarks.textures import load_textures
 from diagnostic_msgs.msg import DiagnosticArray
-from node_chains import DEPTH_OUTPUTS, Chain, DeblurChain, mono8, stamped, wall
+from node_chains import DEPTH_OUTPUTS, FREE_SPACE, Chain, DeblurChain, mono8, stamped, wall
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
@@ -64,6 +64,36 @@ def test_a_frame_in_gives_depth_out(ros, model, coded):
     assert 0.002 < np.median(std_dev_m[known]) < 0.1 * DEPTH_M
     assert info.k[0] == pytest.approx(CAMERA["focal_length_px"] / 2)
     assert info.k[2] == pytest.approx((WIDTH // 2 - 1) / 2)
+
+
+def test_a_bound_on_free_space_where_one_is_asked_for(ros, model, coded):
+    fine = {"camera_file": model["camera_file"], "near_m": NEAR_M, "far_m": FAR_M}
+    settings = {"learn.level_count": 30, "free_space.risk": 0.01}
+    chain = Chain(ros, fine, ("depth/image", FREE_SPACE), **settings)
+    frame = mono8(coded)
+    chain.send(frame)
+    assert wait_until(lambda: all(chain.received.values()))
+    (depth,), (bound,) = chain.received.values()
+    assert (bound.header, bound.encoding) == (frame.header, "32FC1")
+    depth_m, bound_m = array_from_image(depth), array_from_image(bound)
+    known = np.isfinite(depth_m)
+    assert np.isfinite(bound_m).all() and (bound_m[known] <= depth_m[known] + 1e-5).all()
+    assert (bound_m > DEPTH_M).mean() < 0.01
+    # Only the network gives bounds: both parameters are refused together, and go on as they were.
+    (refused,) = chain.node.set_parameters([Parameter("regularize.method", value="semiglobal")])
+    assert not refused.successful and "only regularize: learned gives a bound" in refused.reason
+    nearer = array_from_image(chain.result(mono8(coded), FREE_SPACE))
+    np.testing.assert_allclose(nearer, bound_m, rtol=0.2)
+    (changed,) = chain.node.set_parameters([Parameter("free_space.risk", value=0.0)])
+    assert changed.successful
+    chain.result(mono8(coded))
+    assert len(chain.received[FREE_SPACE]) == 2
+
+
+def test_a_bound_that_cannot_be_given_is_refused(ros, model):
+    chain = Chain(ros, model, (), **{"regularize.method": "semiglobal"})
+    (refused,) = chain.node.set_parameters([Parameter("free_space.risk", value=0.01)])
+    assert not refused.successful and "use 0" in refused.reason
 
 
 def test_every_encoding_gives_the_same_depth(ros, model, coded):

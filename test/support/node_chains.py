@@ -20,6 +20,8 @@ DEPTH_OUTPUTS = {
     "depth/std_dev": Image,
     "depth/camera_info": CameraInfo,
 }
+# Only with free_space.risk.
+FREE_SPACE = "depth/free_space"
 STAMPS = itertools.count(1000)
 
 
@@ -45,7 +47,7 @@ class Chain:
     def __init__(self, ros, model, subscribe=tuple(DEPTH_OUTPUTS), **parameters):
         self.ros = ros
         self.node = ros.make(DepthNode, {**model, **parameters})
-        self.received = {t: ros.subscribe(t, DEPTH_OUTPUTS[t]) for t in subscribe}
+        self.received = {t: ros.subscribe(t, DEPTH_OUTPUTS.get(t, Image)) for t in subscribe}
         self.images = ros.publisher("image_raw", Image)
         self.infos = ros.publisher("camera_info", CameraInfo)
         if subscribe:
