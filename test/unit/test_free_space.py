@@ -10,6 +10,9 @@ from textures import natural_texture
 from coded_aperture_ros.bank import learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth.decision import Decision
+from coded_aperture_ros.depth.free_space import free_level
+from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.optics import Camera, FieldCurvature, Mask
 from coded_aperture_ros.simulation import render_coded_frame
 
@@ -91,12 +94,22 @@ def test_smaller_maps_say_the_same(seen):
     assert np.median(np.abs(half / full[::2, ::2] - 1)) < 0.03
 
 
-def test_a_thing_keeps_the_space_around_it(seen, truth_m):
-    """What a pixel shows may be its neighbour's."""
-    bound = estimated(seen).free_space_m
-    box = np.zeros(SHAPE, bool)
-    box[46:134, 56:144] = True
-    assert (bound[box & (truth_m == FAR_M)] < NEAR_M).mean() > 0.8
+@pytest.mark.parametrize(("scale", "around"), [(1.0, 4), (0.5, 2)])
+def test_the_near_end_of_the_nearest_level_around_counts(seen, scale, around):
+    camera, bank, _ = seen
+    levels, half = Levels.of(bank, camera), 0.5
+    assert np.abs(np.diff(bank.blur_sizes_px)).mean() < 0.8
+    half = max(half, 0.25 / np.abs(np.diff(bank.blur_sizes_px)).mean())
+    far, near = levels.nearest_first[[20, 5]].astype(np.float32)
+    level = np.full((30, 40), far)
+    plausible = level.copy()
+    plausible[12, 15] = near
+    decided = Decision(level, level, level, None, lambda share: plausible)
+    found = free_level(level, decided, levels, 0.01, scale)
+    nearer = -half if levels.nearest_first[0] == 0 else half
+    expected = np.full((30, 40), far + nearer)
+    expected[12 - around : 13 + around, 15 - around : 16 + around] = near + nearer
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
 def test_nothing_is_promised_of_frames_that_do_not_fit(seen):
