@@ -8,7 +8,7 @@ Example::
         camera_file:=/path/to/camera.yaml near_m:=0.8 far_m:=3.0 source:=/dev/video0
 
 With free_space.risk:=0.01 the map is cleared up to the bound on free space at that risk, and no
-farther; that takes depth_image_proc too.
+farther. Give it here: what clears the map does not go by params_file.
 
 Other arguments are those of pipeline.launch.py. Everything has the settings of
 config/obstacle_avoidance.yaml; what `params_file` says of a node by its name wins over them.
@@ -69,18 +69,6 @@ def others(context):
     marking, clearing = f"{root}/depth/points", f"{root}/depth/{'free_' * bounded}points"
     layer = {"voxel_layer": {"obstacles": {"topic": marking}, "free_space": {"topic": clearing}}}
     return [
-        Node(
-            package="depth_image_proc",
-            executable="point_cloud_xyz_node",
-            name="free_points",
-            namespace=namespace,
-            remappings=[
-                ("image_rect", "depth/free_space"),
-                ("camera_info", "depth/camera_info"),
-                ("points", "depth/free_points"),
-            ],
-            condition=IfCondition(str(bounded)),
-        ),
         Node(
             package="depthimage_to_laserscan",
             executable="depthimage_to_laserscan_node",

@@ -87,8 +87,7 @@ class DepthConfig:
     )
     free_space_risk: float = option(
         0.0,
-        "Give a bound, too, that such a share of the pixels may be nearer than, 0.001 to 0.03, "
-        "for whoever clears space by it; 0: no bound.",
+        "Give a bound that such a share of the pixels may be nearer than: 0.001 to 0.01; 0: none.",
         within=(0.0, 0.1),
         parameter="free_space.risk",
     )

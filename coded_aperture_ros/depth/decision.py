@@ -33,10 +33,12 @@ class Decision:
     deviation: FloatArray  # its standard deviation, in levels
     confidence: FloatArray  # probability, in [0, 1], that the level is right; see `DepthEstimate`
     side_confidence: FloatArray | None  # see `DepthEstimate`
-    # Returns the level that the true one is nearer than by such a share of the probability.
-    nearest_plausible: Callable[[float], FloatArray]
+    # Returns the level that the true one is hardly nearer than.
+    nearest_plausible: Callable[[], FloatArray]
     # What the check of fit goes by, coarser, if that is not `confidence`; see `refine`.
     to_check: FloatArray | None = None
+    # Returns the level that every pixel is nearer than at a risk, where that can be told.
+    free_level: Callable[[float], FloatArray] | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -81,9 +83,8 @@ class Regularized:
         if uninformative.any():
             confidence[at.nearest(uninformative)] = 0
 
-        def nearest_plausible(share: float) -> FloatArray:
-            first = self.levels.nearest_first
-            nearest = nearest_plausible_level(probability, first, share)
+        def nearest_plausible() -> FloatArray:
+            nearest = nearest_plausible_level(probability, self.levels.nearest_first)
             return np.asarray(at.nearest(nearest.astype(np.float32)))
 
         return Decision(level, deviation, confidence, of_side, nearest_plausible)

@@ -9,7 +9,6 @@ import numpy as np
 
 from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
-from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.core.workers import Workers, thread_count
 from coded_aperture_ros.depth.ambiguity import BY_CHANCE, may_be_periodic
@@ -18,10 +17,9 @@ from coded_aperture_ros.depth.decision import Regularized
 from coded_aperture_ros.depth.edges import edge_correction
 from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
 from coded_aperture_ros.depth.fit import FitCheck, can_be_checked
-from coded_aperture_ros.depth.free_space import free_level
 from coded_aperture_ros.depth.levels import Levels, depths_are_measured
 from coded_aperture_ros.depth.observation import Observation
-from coded_aperture_ros.depth.posterior import PLAUSIBLE, is_unsure
+from coded_aperture_ros.depth.posterior import is_unsure
 from coded_aperture_ros.depth.refine import CELL_PX, Refined, small_bank, small_cost, untrained
 from coded_aperture_ros.depth.regularize import LEARNED, Regularizer, regularizer
 from coded_aperture_ros.depth.sides import FocalSides
@@ -67,8 +65,7 @@ class DepthEstimator:
     Raises
     ------
     InputError
-        If the model is not for the camera, or a bound on free space is asked for that the network
-        cannot give.
+        If the model is not for the camera.
     """
 
     def __init__(
@@ -88,9 +85,6 @@ class DepthEstimator:
         bends = camera is not None and camera.field_curvature and not depths_are_measured(model)
         self._bends = camera if bends else None
         self._learned = regularize is None and config.regularize == LEARNED
-        why = untrained(model, config.stride_px or model.stride_px)
-        if config.free_space_risk and why:
-            raise InputError(f"free_space_risk: use 0, learned gives no bound by this bank: {why}")
         # What is not learned, or was not trained for, is regularised by classical means.
         classical = "semiglobal" if self._learned else config.regularize
         self._regularize = regularize or regularizer(classical, config.smoothness)
@@ -249,16 +243,14 @@ class DepthEstimator:
                 doubted |= found
         unknown = is_unsure(confidence, config.confidence_threshold)
         if config.unknown == "nearest":  # so that nothing is run into
-            level = np.where(
-                unknown, levels.nearer(level, decided.nearest_plausible(PLAUSIBLE)), level
-            )
+            level = np.where(unknown, levels.nearer(level, decided.nearest_plausible()), level)
             unknown = np.zeros_like(unknown)
         free_space_m: FloatArray | None = None
-        if config.free_space_risk:
-            scale, known = len(level) / shape[0], np.zeros_like(unknown)
-            free = np.where(doubted, np.float32(levels.nearest_first[0]), level)
-            free = free_level(free, decided, levels, config.free_space_risk, scale)
-            free_space_m = levels.meaning(free, np.zeros_like(free), known)[2]
+        if risk := config.free_space_risk:
+            free = np.full_like(level, levels.nearest_first[0])
+            if decided.free_level is not None:
+                free = np.where(doubted, free, levels.nearer(level, decided.free_level(risk)))
+            free_space_m = levels.meaning(free, np.zeros_like(free), np.zeros_like(unknown))[2]
             if self._bends and free_space_m is not None:
                 free_space_m = self._bends.depth_in_field(free_space_m)
         level, blur_size_px, depth_m, std_dev_m = levels.meaning(level, decided.deviation, unknown)

@@ -14,7 +14,7 @@ _LEAST_DEVIATION = 2.0
 _DEVIATION = 0.18
 # Of ray-traced pixels whose depth is unknown, what is found with this share is farther than the
 # truth by more than 10 % at three in a thousand (47 % without), and by the median at 0.7 of it.
-PLAUSIBLE = 0.05
+_PLAUSIBLE = 0.05
 
 
 def refine_level(cost: FloatArray, level: IndexArray) -> FloatArray:
@@ -46,16 +46,14 @@ def level_probability(volume: FloatArray) -> FloatArray:
     return probability
 
 
-def nearest_plausible_level(
-    probability: FloatArray, nearest_first: IndexArray, share: float
-) -> IndexArray:
+def nearest_plausible_level(probability: FloatArray, nearest_first: IndexArray) -> IndexArray:
     """Return the level [rows, columns] that a patch's true level is hardly nearer than.
 
-    It is the quantile of a `share` from the near end of the probability [rows, columns, L];
+    It is the quantile of 5 % from the near end of the probability [rows, columns, L];
     `nearest_first` are the levels, ordered by depth.
     """
     nearer = np.cumsum(probability[..., nearest_first], axis=-1)
-    rank = (nearer < share).sum(axis=-1)
+    rank = (nearer < _PLAUSIBLE).sum(axis=-1)
     return np.asarray(nearest_first[np.minimum(rank, len(nearest_first) - 1)])
 
 

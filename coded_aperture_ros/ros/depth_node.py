@@ -107,7 +107,8 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         "depth/image_raw/compressedDepth": CompressedImage,
         "depth/confidence": Image,
         "depth/std_dev": Image,
-        "depth/free_space": Image,  # only with free_space.risk
+        "depth/free_space": Image,  # only with free_space.risk, as its points
+        "depth/free_points": PointCloud2,
         "depth/camera_info": CameraInfo,
         "depth/points": PointCloud2,
         "depth/motion": Image,  # only with method: motion
@@ -219,20 +220,23 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         std_dev_m = np.where(np.isinf(depth_m), np.float32(np.inf), estimate.std_dev_m)
         if self.wants("depth/std_dev"):
             self.send("depth/std_dev", image_from_array(std_dev_m, "32FC1", header))
-        if estimate.free_space_m is not None and self.wants("depth/free_space"):
+        clouds = {"depth/points": depth_m}
+        if estimate.free_space_m is not None:
             free_m = np.minimum(estimate.free_space_m, self._range.far_m or math.inf)
-            self.send("depth/free_space", image_from_array(free_m, "32FC1", header))
+            clouds["depth/free_points"] = free_m
+            if self.wants("depth/free_space"):
+                self.send("depth/free_space", image_from_array(free_m, "32FC1", header))
         if complaint := driver.complaint(self._model.whole, frame_size):
             self.reject("camera_info", complaint)
         info = driver.info(self._model.whole, frame_size, size, header)
         self.send("depth/camera_info", info)
-        if self.wants("depth/points"):
+        for topic in filter(self.wants, clouds):
             through = rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
             small = cv2.resize(frame, size[::-1], interpolation=cv2.INTER_AREA)
             colours = pixels_from_frame(small, "rgb8", gamma)
-            maps = depth_m, estimate.confidence, std_dev_m, colours, through
+            maps = clouds[topic], estimate.confidence, std_dev_m, colours, through
             points = points_of_depth(*maps, self._range.near_m, config.points_far_m)
-            self.send("depth/points", cloud_from_points(points, header))
+            self.send(topic, cloud_from_points(points, header))
         if estimate.motion is not None:
             self._searched = estimate.motion.searched
             if self.wants("depth/motion"):

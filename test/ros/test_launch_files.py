@@ -28,7 +28,6 @@ RATE = "diagnostics.warn_rate_hz"
 PROGRAMS = {
     OURS: ("camera_driver_node", "depth_node", "deblur_node", "pipeline", "coded_aperture"),
     "depthimage_to_laserscan": ("depthimage_to_laserscan_node",),
-    "depth_image_proc": ("point_cloud_xyz_node",),
     "nav2_costmap_2d": ("nav2_costmap_2d",),
     "nav2_lifecycle_manager": ("lifecycle_manager",),
     "rviz2": ("rviz2",),
@@ -239,19 +238,15 @@ def test_the_scan_and_the_map_are_where_the_camera_is(launched, root):
 def test_the_map_is_cleared_up_to_the_bound_if_a_risk_is_given(launched, root):
     given = launched("obstacle_avoidance", f"namespace:={root[1:]}", "free_space.risk:=0.01")
     assert values_of("depth_node", given["depth_node"], "free_space.risk") == (0.01,)
-    cloud = names_under(
-        given["point_cloud_xyz_node"], "any", topics=["image_rect", "camera_info", "points"]
-    )
-    topics = "free_space", "camera_info", "free_points"
-    assert cloud == [f"{root}/depth/{name}" for name in topics]
-    assert topic_of(given["nav2_costmap_2d"], "free_space") == cloud[2]
+    (cloud,) = names_under(given["depth_node"], "any", topics=["depth/free_points"])
+    assert topic_of(given["nav2_costmap_2d"], "free_space") == cloud == f"{root}/depth/free_points"
     assert topic_of(given["nav2_costmap_2d"], "obstacles") == f"{root}/depth/points"
 
 
 def test_without_a_risk_there_is_no_bound(launched):
     given = launched("obstacle_avoidance")
-    assert "point_cloud_xyz_node" not in given
     assert values_of("depth_node", given["depth_node"], "free_space.risk") == (0.0,)
+    assert topic_of(given["nav2_costmap_2d"], "free_space") == "/depth/points"
 
 
 def topic_of(arguments, source):

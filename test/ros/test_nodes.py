@@ -31,6 +31,7 @@ from coded_aperture_ros.io.messages import (
     pixels_from_frame,
 )
 from coded_aperture_ros.optics import load_camera, render_psf
+from coded_aperture_ros.optics.intrinsics import rays
 from coded_aperture_ros.ros import frame_node
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
@@ -88,6 +89,36 @@ def test_a_bound_on_free_space_where_one_is_asked_for(ros, model, coded):
     assert changed.successful
     chain.result(mono8(coded))
     assert len(chain.received[FREE_SPACE]) == 2
+
+
+def test_the_bound_comes_as_points_too_as_the_lens_distorts(ros, model, coded):
+    fine = {"camera_file": model["camera_file"], "near_m": NEAR_M, "far_m": FAR_M}
+    settings = {"learn.level_count": 30, "free_space.risk": 0.01}
+    chain = Chain(ros, fine, (FREE_SPACE,), **settings)
+    clouds = ros.subscribe("depth/free_points", PointCloud2)
+    info = camera_info_from_camera(load_camera(model["camera_file"]), stamped())
+    info.d = [-0.3, 0.1, 0.0, 0.0, 0.0]
+    chain.infos.publish(info)
+    bound = array_from_image(chain.result(mono8(coded), FREE_SPACE))
+    assert wait_until(lambda: clouds)
+    points = np.frombuffer(clouds[-1].data, np.float32).reshape(HEIGHT, WIDTH, 6)
+    np.testing.assert_array_equal(points[..., 2], bound)
+    through = rays("plumb_bob", tuple(info.k), tuple(info.d), HEIGHT, WIDTH)
+    np.testing.assert_allclose(points[..., :2], bound[..., None] * through, atol=1e-5)
+
+
+def test_depth_goes_on_where_no_bound_can_be_given(ros, model, coded):
+    """The bank has too few levels for the network."""
+    chain = Chain(ros, model, ("depth/image", FREE_SPACE))
+    before = array_from_image(chain.result(mono8(coded)))
+    (changed,) = chain.node.set_parameters([Parameter("free_space.risk", value=0.01)])
+    assert changed.successful
+    after = array_from_image(chain.result(mono8(coded)))
+    assert np.isfinite(after).mean() > 0.9 * np.isfinite(before).mean() > 0.4
+    assert wait_until(lambda: chain.received[FREE_SPACE])
+    bound = array_from_image(chain.received[FREE_SPACE][-1])
+    np.testing.assert_allclose(bound, NEAR_M, rtol=1e-3)
+    assert not chain.rejected
 
 
 def test_a_bound_that_cannot_be_given_is_refused(ros, model):

@@ -9,10 +9,10 @@ from textures import natural_texture
 
 from coded_aperture_ros.bank import learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.depth.decision import Decision
-from coded_aperture_ros.depth.free_space import free_level
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator, refinement_note
+from coded_aperture_ros.depth.free_space import near_ends
 from coded_aperture_ros.depth.levels import Levels
+from coded_aperture_ros.depth.refine.probabilities import HalfCells
 from coded_aperture_ros.optics import Camera, FieldCurvature, Mask
 from coded_aperture_ros.simulation import render_coded_frame
 
@@ -94,21 +94,27 @@ def test_smaller_maps_say_the_same(seen):
     assert np.median(np.abs(half / full[::2, ::2] - 1)) < 0.03
 
 
-@pytest.mark.parametrize(("scale", "around"), [(1.0, 4), (0.5, 2)])
-def test_the_near_end_of_the_nearest_level_around_counts(seen, scale, around):
-    camera, bank, _ = seen
-    levels = Levels.of(bank, camera)
-    half = max(0.5, 0.25 / np.abs(np.diff(bank.blur_sizes_px)).mean())
+@pytest.mark.parametrize(("pixel_px", "reach"), [(1, 1), (2, 2), (8, 2), (9, 2), (10, 3), (0.5, 1)])
+def test_the_near_end_of_the_nearest_level_around_counts(seen, pixel_px, reach):
+    """Of cells of 4 px: 4 px around each pixel of the map, and all of the pixel."""
+    levels = Levels.of(seen[1], seen[0])
     far, near = levels.nearest_first[[20, 5]].astype(np.float32)
     level = np.full((30, 40), far)
-    plausible = level.copy()
-    plausible[12, 15] = near
-    decided = Decision(level, level, level, None, lambda share: plausible)
-    found = free_level(level, decided, levels, 0.01, scale)
-    nearer = -half if levels.nearest_first[0] == 0 else half
+    level[12, 15] = near
+    found = near_ends(level, levels, 0.7, 4, pixel_px)
+    nearer = -0.7 if levels.nearest_first[0] == 0 else 0.7
     expected = np.full((30, 40), far + nearer)
-    expected[12 - around : 13 + around, 15 - around : 16 + around] = near + nearer
+    expected[12 - reach : 13 + reach, 15 - reach : 16 + reach] = near + nearer
     np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("divisor", [2, 4, 8, 9])
+def test_a_pixel_of_a_small_map_keeps_to_all_that_it_covers(seen, truth_m, divisor):
+    rows, columns = SHAPE[0] // divisor, SHAPE[1] // divisor
+    bound = estimated(seen, size=(rows, columns)).free_space_m
+    covered = truth_m[: rows * divisor, : columns * divisor]
+    nearest = covered.reshape(rows, divisor, columns, divisor).min(axis=(1, 3))
+    assert (nearest < bound).mean() <= 0.01
 
 
 def test_nothing_is_promised_of_frames_that_do_not_fit(seen):
@@ -148,7 +154,45 @@ def test_what_gives_no_bound_is_refused():
         DepthConfig(regularize="semiglobal", free_space_risk=0.01)
     with pytest.raises(InputError, match="free_space_risk"):
         DepthConfig(free_space_risk=0.2)
+
+
+def test_where_the_network_was_not_trained_nothing_is_promised():
     camera = camera_of("far")
+    bank = learn_bank_for_camera(camera, *RANGE_M, 5)
     config = DepthConfig(free_space_risk=0.01)
-    with pytest.raises(InputError, match="gives no bound by this bank: its levels are up to"):
-        DepthEstimator(learn_bank_for_camera(camera, *RANGE_M, 5), config, camera)
+    assert refinement_note(bank, config).endswith("it tells of no free space")
+    assert "free space" not in refinement_note(bank, DepthConfig())
+    frame = natural_texture(SHAPE, seed=2)
+    bound = DepthEstimator(bank, config, camera).estimate(frame).free_space_m
+    np.testing.assert_allclose(bound, RANGE_M[0], rtol=1e-4)
+
+
+def test_nothing_is_promised_where_light_is_lost_in_a_video(seen):
+    camera, bank, coded = seen
+    settings = DepthConfig(free_space_risk=0.01, temporal_frames=4.0, check_fit=False)
+    estimator = DepthEstimator(bank, settings, camera)
+    for _ in range(4):
+        before = estimator.estimate(coded).free_space_m
+    lit = coded.copy()
+    lit[60:100, 150:200] = 1.0
+    after = estimator.estimate(lit).free_space_m
+    estimator.close()
+    inside = np.s_[70:90, 160:190]
+    np.testing.assert_allclose(after[inside], RANGE_M[0], rtol=1e-4)
+    assert np.median(before[inside]) > RANGE_M[0] * 1.02
+
+
+@pytest.mark.parametrize("far", [1.0, 0.99, 0.96, 0.94, 0.5, 0.02, 0.0])
+def test_before_the_bound_lies_no_more_than_its_share(far):
+    """Levels on both sides of the focus share the probability."""
+    sizes_px = np.arange(1.0, 12.0, 0.5, dtype=np.float32)
+    given = np.exp(-np.abs(sizes_px - 5))  # of either side
+    given /= given.sum()
+    signed = np.concatenate([-sizes_px[::-1], sizes_px])
+    shares = np.concatenate([(1 - far) * given[::-1], far * given])
+    nothing = np.zeros((1, 1), np.float32)
+    for share in (0.01, 0.05, 0.2):
+        cells = HalfCells(*(nothing,) * 4, np.log(given)[:, None, None], sizes_px)
+        bound = float(cells.nearest_px(share, np.full((1, 1), far, np.float32))[0, 0])
+        assert shares[signed < bound - 0.25].sum() <= share + 1e-5
+        assert shares[signed < bound + 0.25].sum() >= share - 1e-5

@@ -17,7 +17,7 @@ from coded_aperture_benchmarks.pictures import as_rgb, side_by_side
 from coded_aperture_benchmarks.rows import columns, grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.bank import FilterBank
-from coded_aperture_ros.cli.options import mask_of
+from coded_aperture_ros.cli.options import mask_of, noise_level
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
@@ -30,7 +30,7 @@ from coded_aperture_ros.simulation import SensorModel
 _LEVELS, _SIZE = 30, (288, 384)
 KINDS = ("room", "empty", "layered")
 _MASKS, _NOISES = ("levin", "four_hole", "zhou"), (0.0005, 0.002, 0.005)
-_RISKS = (0.01, 0.003, 0.001)
+_RISKS, _LARGEST_RISK = (0.01, 0.003, 0.001), 0.1
 _FIRST_ROOM, _FIRST_SCENE = 500, 2_500_000
 _FOCAL_LENGTH_PX, _ROOM_M, _ROOM_BLUR_PX = 600.0, (0.8, 7.0), (2.0, 16.0)
 _PUBLISHED = DepthConfig().confidence_threshold
@@ -47,7 +47,6 @@ class Cell:
     number: int
     mask: str
     noise: float
-    regularize: str
     risks: tuple[float, ...]
     folder: Path | None = None
 
@@ -75,17 +74,22 @@ class Measured:
 def _cells(args: argparse.Namespace) -> list[Cell]:
     options.check_masks(args)
     options.check_names(args.folders, "scene")
-    how = args.regularize, tuple(sorted(args.risks, reverse=True))
+    risks = tuple(sorted(args.risks, reverse=True))
+    if not 0 < risks[-1] <= risks[0] <= _LARGEST_RISK:
+        args.usage_error(f"--risks: expected more than 0 and at most {_LARGEST_RISK:g}")
     if args.folders:
-        return [
-            Cell(folder.resolve().name, 0, mask, args.noise, *how, folder)
+        found = [
+            Cell(folder.resolve().name, 0, mask, args.noise, risks, folder)
             for folder in args.folders
             for mask in args.masks
             if (folder / f"coded_{mask}_linear.png").is_file()
         ]
+        if not found:
+            raise InputError(f"{args.folders[0]}: no coded_MASK_linear.png behind such a mask")
+        return found
     count = len(args.masks)
     return [
-        Cell(kind, number, args.masks[number % count], _NOISES[number // count % 3], *how)
+        Cell(kind, number, args.masks[number % count], _NOISES[number // count % 3], risks)
         for kind in KINDS
         for number in range(args.frames)
     ]
@@ -103,8 +107,8 @@ def _seen(cell: Cell) -> Seen:
         room, poses = random_room(seed), walk(seed, 10, 0.5)
         pose = poses[seed % len(poses)]
         return Seen(room.coded(camera, pose), room.seen(camera, pose)[1], camera)
-    # One in six before the focal plane.
-    side = "near" if cell.number % 6 == 5 else "far"
+    # One in six before the focal plane, behind each mask.
+    side = "near" if cell.number // len(_MASKS) % 6 == 5 else "far"
     seed = _FIRST_SCENE + cell.number
     layered = random_scene(seed, mask, side, _SIZE, empty=cell.kind == "empty")
     return Seen(layered.coded(), layered.depth_m(), layered.camera)
@@ -121,7 +125,7 @@ def measure(cell: Cell) -> Measured:
     nearest = 1 / near_m
     before: DepthEstimator | None = None
     for risk in cell.risks:
-        config = DepthConfig(regularize=cell.regularize, free_space_risk=risk)
+        config = DepthConfig(free_space_risk=risk)
         estimator = DepthEstimator(bank, config, seen.camera, like=before)
         estimate = estimator.estimate(frame)
         estimator.close()
@@ -179,7 +183,7 @@ def _results(args: argparse.Namespace, measured: list[Measured], seconds: float)
     every = [row for each in measured for row in each.rows]
     return {
         "benchmark": "free-space",
-        **options.header(args, "regularize", "masks", "risks", "frames"),
+        **options.header(args, "masks", "risks", "frames"),
         "folders": [str(folder) for folder in args.folders],
         "fitting": sum(each.rows[0]["fits"] for each in measured),
         "of": len(measured),
@@ -259,8 +263,7 @@ SUITE = Suite(
             "--risks", "shares of pixels that may be nearer", list(_RISKS), type=float, metavar="R"
         ),
         options.masks(*_MASKS),
-        options.added_noise(0.002),
-        options.option("--regularize", "see the command depth", "learned", metavar="HOW"),
+        options.option("--noise", "of ray-traced scenes", 0.002, type=noise_level, metavar="S"),
         *options.RESULTS,
     ),
     cells=_cells,

@@ -15,7 +15,7 @@ from coded_aperture_ros.depth.refine.network import Logits
 REACH = 2
 # Share of errors within one standard deviation, and the surest that this is taken from.
 _WITHIN_ONE, _SUREST = 0.68, 0.98
-_LOG_WIDTHS = (-4.0, 2.0)
+_LOG_WIDTHS, _NEVER = (-4.0, 2.0), np.float32(1e-6)
 # Half-cells that are interpreted together: no more than a core's cache holds.
 _PLACES = 5376
 
@@ -74,7 +74,15 @@ class HalfCells:
         larger = np.maximum(deviation, self.spread_px)
         return np.where(self.about < _WITHIN_ONE, larger, deviation)
 
-    def quantile_px(self, share: float) -> FloatArray:
+    def nearest_px(self, probability: float, far: FloatArray) -> FloatArray:
+        """Return what size has a probability of nearer ones, signed, if `far` is beyond focus."""
+        share, doubt = np.float32(probability), np.maximum(1 - far, _NEVER)
+        # Before the focal plane the nearer surface is the more blurred one.
+        before = -self.quantile_px(1 - np.minimum(share / doubt, 1))
+        beyond = self.quantile_px((share - doubt) / np.maximum(far, _NEVER))
+        return np.where(doubt < share, beyond, before)
+
+    def quantile_px(self, share: float | NDArray[np.floating]) -> FloatArray:
         """Return the blur size that the true one is below with a probability [rows, columns]."""
         probability = np.exp(self.logits - self.logits.max(axis=0))
         left = share * probability.sum(axis=0)

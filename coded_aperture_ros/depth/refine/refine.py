@@ -9,6 +9,7 @@ from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.decision import Decision
+from coded_aperture_ros.depth.free_space import POWER, SHARE, near_ends
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.refine.cells import CELL_PX, Cells
@@ -40,6 +41,7 @@ _LARGEST_STEP_PX = 0.8
 _LEAST_SPAN_PX = 3.0
 # Neighbouring half-cells whose blur sizes differ by at most this are one surface.
 _ONE_SURFACE_PX = 0.8
+_PLAUSIBLE = 0.05
 # The network knows costs of up to three frames: the sum of all past ones counts by this share.
 _OF_THE_PAST = 0.5
 # Costs that differ by less are those of a frame without any texture.
@@ -91,6 +93,7 @@ def refinement_note(model: LikelihoodModel, config: DepthConfig) -> str | None:
         return None
     return (
         f"regularize: semiglobal in place of learned, which was not trained for this model: {why}"
+        + "; it tells of no free space" * bool(config.free_space_risk)
     )
 
 
@@ -189,14 +192,20 @@ class Refined:
             for values, where in ((confidence, at), (to_check, coarse)):
                 values[where.nearest(~seen.usable)] = 0
 
-        def nearest_plausible(share: float) -> FloatArray:
-            nearest = np.float32(self._levels.nearest_first[0])
+        nearest = np.float32(self._levels.nearest_first[0])
+
+        def free_level(risk: float) -> FloatArray:
+            error = max(0.5, BLUR_STEP_PX / 2 * float(self._per_px))
+            pixel_px = max(grey.shape[0] / size[0], grey.shape[1] / size[1])
+            level = self._level(found.nearest_px(SHARE * risk**POWER, far))
+            level = near_ends(level, self._levels, error, half_px, pixel_px)
+            # Nothing in between: that would be farther than the nearest.
+            return np.where(at.nearest(~seen.usable) | blank, nearest, map_of(level, -1.0))
+
+        def nearest_plausible() -> FloatArray:
             if blank:
                 return np.full(size, nearest)
-            # Before the focal plane the nearer surface is the more blurred one.
-            before = -found.quantile_px(1 - share)
-            beyond = found.quantile_px(share)
-            level = self._level(np.where(far > 1 - share, beyond, before))
+            level = self._level(found.nearest_px(_PLAUSIBLE, far))
             # Where nothing was seen anything may be, whatever is around.
             blind = ~seen.usable & (volume.max(axis=-1) <= _ALIKE)
             return np.where(at.nearest(blind), nearest, map_of(level, one_surface))
@@ -208,6 +217,7 @@ class Refined:
             None if of_side is None else map_of(of_side, 0.1),
             nearest_plausible,
             to_check,
+            free_level,
         )
 
     def _far(self, size_px: FloatArray, volume: FloatArray, cells: Cells) -> FloatArray:
