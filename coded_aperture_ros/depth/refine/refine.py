@@ -199,8 +199,8 @@ class Refined:
             pixel_px = max(grey.shape[0] / size[0], grey.shape[1] / size[1])
             level = self._level(found.nearest_px(SHARE * risk**POWER, far))
             level = near_ends(level, self._levels, error, half_px, pixel_px)
-            # Nothing in between: that would be farther than the nearest.
-            return np.where(at.nearest(~seen.usable) | blank, nearest, map_of(level, -1.0))
+            # Linear everywhere: what lies between two cells is not beyond what either says alone.
+            return np.where(at.nearest(~seen.usable) | blank, nearest, map_of(level, np.inf))
 
         def nearest_plausible() -> FloatArray:
             if blank:
