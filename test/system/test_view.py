@@ -200,6 +200,7 @@ def test_a_client_sees_frames_changes_settings_and_keeps_what_it_sees(viewer):
             known = (depth > 0) & (depth < 2 * FAR_M)
             assert 0.2 < known.mean() < 1 and 0.9 * NEAR_M < np.median(depth[known]) < 1.1 * FAR_M
             assert part("confidence", "u1")[known].min() >= 255 * 0.55 - 1
+            assert "free_space" not in head["parts"]
 
             await socket.send_json({"set": {"depth.confidence_threshold": 0.0}})
             _, part = await shown(
@@ -210,8 +211,15 @@ def test_a_client_sees_frames_changes_settings_and_keeps_what_it_sees(viewer):
                 await socket.send_str(wrong)
                 assert (await told(socket, lambda m: "problem" in m))["problem"]
 
+            await socket.send_json({"set": {"depth.free_space_risk": 0.01}})
+            head, part = await shown(
+                socket, lambda head, _: {"free_space", "picture"} <= head["parts"].keys()
+            )
+            assert part("free_space", "<u2").min() * head["unit_m"] > 0.9 * NEAR_M
+
             await socket.send_json({"do": "snapshot"})
             folder = (await told(socket, lambda m: "said" in m))["said"]
+            await socket.send_json({"set": {"depth.free_space_risk": 0.0}})
             await socket.send_json({"do": "record"})
             await shown(socket, lambda head, _: (head["recorded"] or 0) >= 3)
             await socket.send_json({"do": "record"})
@@ -221,6 +229,7 @@ def test_a_client_sees_frames_changes_settings_and_keeps_what_it_sees(viewer):
     folder, recorded = asyncio.run(use())
     names = {path.name for path in output.joinpath(folder.split("/")[-1]).iterdir()}
     assert {"coded.png", "all_in_focus.png", "depth.npy", "std_dev.npy", "points.ply"} <= names
+    assert "free_space.npy" in names
     assert read_image(f"{folder}/coded.png").shape == (240, 320, 3)
     assert read_depth(f"{folder}/depth.npy").shape == (240, 320)
     path, count = re.fullmatch(r"(.+): (\d+) frames", recorded).groups()
@@ -296,6 +305,25 @@ def test_a_browser_shows_and_changes_what_is_seen(viewer, tmp_path):
         assert near > NEAR_M * 0.8 and far < FAR_M * 1.2
         assert np.abs(await picture(page) - of_near).mean() > 1
         assert "confidence" in await page.value("document.querySelector('#cursor').textContent")
+
+        # How far nothing is, in place of the depth, and under the cursor.
+        assert await page.value("viewer.frame.free === null")
+        surfaces = await page.value("document.querySelector('#depth').toDataURL()")
+        await page.value("map.value = 'free'; map.onchange()")
+        await page.wait(
+            "viewer.frame.free && viewer.frame.settings['depth.free_space_risk'] === 0.01"
+        )
+        assert await page.value("viewer.frame.free.every((step, at) => step > 0)")
+        assert await page.value(
+            "viewer.frame.free.every((step, at) => !viewer.frame.depth[at] ||"
+            " step <= viewer.frame.depth[at] + 1)"
+        )
+        assert await page.value("document.querySelector('#depth').toDataURL()") != surfaces
+        text = await page.value("drawCursor(), document.querySelector('#cursor').textContent")
+        assert "free up to" in text
+        await page.picture(tmp_path / "free.png")
+        await page.value("map.value = 'depth'; map.onchange()")
+        await slide(page, "depth.free_space_risk", 0.0)
 
         await page.value("document.querySelector('#aid').open = true")
         await page.wait("document.querySelector('#numbers').textContent.includes('Sharpness')")

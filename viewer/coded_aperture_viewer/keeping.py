@@ -43,6 +43,8 @@ def write_snapshot(folder: Path, shown: Shown, camera: Camera) -> None:
     if found is None or found.depth_m is None or found.std_dev_m is None:
         return
     maps = {"depth": found.depth_m, "std_dev": found.std_dev_m, "confidence": found.confidence}
+    if found.free_space_m is not None:
+        maps["free_space"] = found.free_space_m
     for name, values in maps.items():
         write_depth(folder / f"{name}.npy", values)
     write_image(folder / "depth.picture.png", depth_picture(found.depth_m))

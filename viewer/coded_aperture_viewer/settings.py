@@ -19,6 +19,7 @@ _CONTROLS: dict[str, dict[str, float | None]] = {
         "unknown": None,
         "temporal_frames": 10.0,
         "check_fit": None,
+        "free_space_risk": 0.01,
     },
     "deblur": {"smoothness": 5.0},
     "look": {"opening_px": None},
