@@ -165,8 +165,8 @@ class FramePipeline:
         """Go on with other settings, from the next frame on; what is not given stays.
 
         With the same model, camera and settings of depth nothing is planned anew, and the memory of
-        the video is kept; so it is of deblurring while the model stays. If settings do not suit the
-        model, or that the camera, there is an `InputError`, and everything stays as it was.
+        the video is kept; so it is of deblurring while the model stays. If the model is not for the
+        camera, there is an `InputError`, and everything stays as it was.
         """
         old = self.estimator
         model, depth, camera = model or old.model, depth or old.config, camera or old.camera

@@ -64,10 +64,11 @@ def others(context):
     around = context.launch_configurations.get("ros_namespace")
     namespace = LaunchConfiguration("namespace").perform(context)
     root = (make_namespace_absolute(prefix_namespace(around, namespace)) or "").rstrip("/")
+    risk = float(context.launch_configurations.get("free_space.risk") or 0)
     # Relative topics of a layer are searched for beside the map, not beside the camera.
-    bounded = float(context.launch_configurations.get("free_space.risk") or 0) > 0
-    marking, clearing = f"{root}/depth/points", f"{root}/depth/{'free_' * bounded}points"
-    layer = {"voxel_layer": {"obstacles": {"topic": marking}, "free_space": {"topic": clearing}}}
+    marking = {"topic": f"{root}/depth/points"}
+    clearing = {"topic": f"{root}/depth/free_points"} if risk > 0 else marking
+    layer = {"voxel_layer": {"obstacles": marking, "free_space": clearing}}
     return [
         Node(
             package="depthimage_to_laserscan",

@@ -109,6 +109,7 @@ def run(args: argparse.Namespace) -> int:
     if args.deblur != "none":
         deblur = DeblurConfig(method=args.deblur, rank=args.deblur_rank, band=args.deblur_band)
 
+    asked = {"motion": args.motion, "free_space": args.free_space_risk}
     conversion = BagConversion(
         topic=args.topic,
         reference_topic=args.reference_depth,
@@ -118,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
         gamma=args.gamma,
         bits=args.bits,
         map_size=args.output_size,
-        more=("motion",) * bool(args.motion) + ("free_space",) * bool(args.free_space_risk),
+        more=tuple(name for name in asked if asked[name]),
         prior=lambda camera: expected_motion_of(args, camera),
     )
     results = conversion.run(source, target, lambda steps, total: progress(steps, total, "frame"))

@@ -77,10 +77,8 @@ def _loop(
 def _plain(
     scene: _Scene, taps: FloatArray, offsets: IndexArray, place: _Place, weights: FloatArray
 ) -> None:
-    (front, _, sizes, steps, edges), (nearest, top, margin) = (
-        scene,
-        place,
-    )  # one saves the loop work
+    # What is least saves the loop work.
+    (front, _, sizes, steps, edges), (nearest, top, margin) = scene, place
     count, rows, columns = weights.shape
     height, width = front.shape
     py, px = np.mgrid[top + margin : top + margin + rows, margin : margin + columns]

@@ -230,13 +230,14 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             self.reject("camera_info", complaint)
         info = driver.info(self._model.whole, frame_size, size, header)
         self.send("depth/camera_info", info)
-        for topic in filter(self.wants, clouds):
+        if wanted := list(filter(self.wants, clouds)):
             through = rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
             small = cv2.resize(frame, size[::-1], interpolation=cv2.INTER_AREA)
-            colours = pixels_from_frame(small, "rgb8", gamma)
-            maps = clouds[topic], estimate.confidence, std_dev_m, colours, through
-            points = points_of_depth(*maps, self._range.near_m, config.points_far_m)
-            self.send(topic, cloud_from_points(points, header))
+            maps = estimate.confidence, std_dev_m, pixels_from_frame(small, "rgb8", gamma), through
+            for topic in wanted:
+                ends = self._range.near_m, config.points_far_m
+                points = points_of_depth(clouds[topic], *maps, *ends)
+                self.send(topic, cloud_from_points(points, header))
         if estimate.motion is not None:
             self._searched = estimate.motion.searched
             if self.wants("depth/motion"):

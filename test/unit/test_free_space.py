@@ -28,6 +28,13 @@ def camera_of(side):
     return Camera(400.0, focus_m, SHAPE[1], SHAPE[0], mask, extent_mm, side=side)
 
 
+def coded_by(camera, depth_m, noise=NOISE):
+    """Return the frame that a camera takes of a textured scene."""
+    sharp = np.clip(natural_texture(SHAPE, seed=2, contrast=0.02), 0.05, 1)
+    coded = render_coded_frame(sharp, depth_m, camera)
+    return (coded + np.random.default_rng(1).normal(0, noise, SHAPE)).astype(np.float32)
+
+
 @pytest.fixture(scope="module")
 def truth_m():
     """Return the depth of a box before a wall."""
@@ -40,10 +47,7 @@ def truth_m():
 def seen(request, truth_m):
     """Return a camera, its bank and a frame."""
     camera = camera_of(request.param)
-    sharp = np.clip(natural_texture(SHAPE, seed=2, contrast=0.02), 0.05, 1)
-    noise = np.random.default_rng(1).normal(0, NOISE, SHAPE)
-    coded = render_coded_frame(sharp, truth_m, camera) + noise
-    return camera, learn_bank_for_camera(camera, *RANGE_M, 30), coded.astype(np.float32)
+    return camera, learn_bank_for_camera(camera, *RANGE_M, 30), coded_by(camera, truth_m)
 
 
 def estimated(seen, frame=None, size=None, **settings):
@@ -118,11 +122,8 @@ def test_a_pixel_of_a_small_map_keeps_to_all_that_it_covers(seen, truth_m, divis
 
 
 def test_nothing_is_promised_of_frames_that_do_not_fit(seen):
-    noise = np.random.default_rng(1).normal(0, NOISE, SHAPE)
     disc = dataclasses.replace(seen[0], mask=Mask.named("disc"))
-    sharp = np.clip(natural_texture(SHAPE, seed=2, contrast=0.02), 0.05, 1)
-    coded = render_coded_frame(sharp, np.full(SHAPE, NEAR_M, np.float32), disc) + noise
-    estimate = estimated(seen, coded.astype(np.float32))
+    estimate = estimated(seen, coded_by(disc, np.full(SHAPE, NEAR_M, np.float32)))
     assert not estimate.health.fits
     np.testing.assert_allclose(estimate.free_space_m, RANGE_M[0], rtol=1e-4)
 
@@ -140,8 +141,7 @@ def test_nothing_is_promised_where_nothing_is_seen(seen):
 def test_field_curvature_moves_the_bound_with_the_depth(truth_m):
     camera = camera_of("far")
     bank = learn_bank_for_camera(camera, *RANGE_M, 30)
-    sharp = np.clip(natural_texture(SHAPE, seed=2, contrast=0.02), 0.05, 1)
-    coded = render_coded_frame(sharp, truth_m, camera)
+    coded = coded_by(camera, truth_m, noise=0)
     bent = dataclasses.replace(camera, field_curvature=FieldCurvature(0.5, 0.0))
     flat, moved = (estimated((lens, bank, coded)) for lens in (camera, bent))
     known = np.isfinite(flat.depth_m) & np.isfinite(moved.depth_m)

@@ -3,7 +3,6 @@
 import argparse
 import dataclasses
 from contextlib import suppress
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -95,7 +94,6 @@ def _cells(args: argparse.Namespace) -> list[Cell]:
     ]
 
 
-@lru_cache(maxsize=1)
 def _seen(cell: Cell) -> Seen:
     mask = mask_of(cell.mask)
     if cell.folder is not None:
@@ -178,6 +176,14 @@ def _pooled(rows: list[Row]) -> Row:
     }
 
 
+def _by(rows: list[Row], *names: str) -> list[Row]:
+    """Return what is measured at each risk, of each kind or mask, or of all."""
+    return [
+        {"risk": risk, "of": of[0] if of else "all", **_pooled(group)}
+        for (risk, *of), group in grouped(rows, "risk", *names).items()
+    ]
+
+
 def _results(args: argparse.Namespace, measured: list[Measured], seconds: float) -> Row:
     rows = [row for each in measured for row in each.rows if row["fits"]]
     every = [row for each in measured for row in each.rows]
@@ -189,18 +195,9 @@ def _results(args: argparse.Namespace, measured: list[Measured], seconds: float)
         "of": len(measured),
         "seconds": seconds,
         "rows": every,
-        "by_kind": [
-            {"risk": risk, "of": kind, **_pooled(group)}
-            for (risk, kind), group in grouped(rows, "risk", "kind").items()
-        ],
-        "by_mask": [
-            {"risk": risk, "of": mask, **_pooled(group)}
-            for (risk, mask), group in grouped(rows, "risk", "mask").items()
-        ],
-        "all": [
-            {"risk": risk, "of": "all", **_pooled(group)}
-            for (risk,), group in grouped(rows, "risk").items()
-        ],
+        "by_kind": _by(rows, "kind"),
+        "by_mask": _by(rows, "mask"),
+        "all": _by(rows),
     }
 
 

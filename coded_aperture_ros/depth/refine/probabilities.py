@@ -75,7 +75,7 @@ class HalfCells:
         return np.where(self.about < _WITHIN_ONE, larger, deviation)
 
     def nearest_px(self, probability: float, far: FloatArray) -> FloatArray:
-        """Return what size has a probability of nearer ones, signed, if `far` is beyond focus."""
+        """Return the signed size with so much probability nearer; `far`: that of lying beyond."""
         share, doubt = np.float32(probability), np.maximum(1 - far, _NEVER)
         # Before the focal plane the nearer surface is the more blurred one.
         before = -self.quantile_px(1 - np.minimum(share / doubt, 1))

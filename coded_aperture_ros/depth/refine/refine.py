@@ -92,8 +92,8 @@ def refinement_note(model: LikelihoodModel, config: DepthConfig) -> str | None:
     if not why:
         return None
     return (
-        f"regularize: semiglobal in place of learned, which was not trained for this model: {why}"
-        + "; it tells of no free space" * bool(config.free_space_risk)
+        "regularize: semiglobal in place of learned, which was not trained for this model: "
+        f"{why}{'; it tells of no free space' if config.free_space_risk else ''}"
     )
 
 
