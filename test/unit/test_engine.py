@@ -132,7 +132,7 @@ def test_any_number_of_threads_gives_the_same(backend):
     assert_close(results[1], results[0])
 
 
-@pytest.mark.parametrize("group_bytes", [0, 2**21])
+@pytest.mark.parametrize("group_bytes", [0, 2**19])
 def test_working_in_groups_of_rows_changes_nothing(backend, group_bytes, monkeypatch):
     if backend == "numpy":
         pytest.skip("always works in groups")
