@@ -100,6 +100,8 @@ train: $(VENV)/finished-train ## Learn the refinement anew: scenes, costs, weigh
 	@$(FIT) --output $(TRAIN)/teacher --large
 	@$(FIT) --output $(TRAIN)/fit --teacher $(TRAIN)/teacher/state.pt
 	@$(VENV)/bin/python training/export.py --state $(TRAIN)/fit/state.pt -o $(TRAIN)/$(WEIGHTS)
+	@PYTHONPATH=benchmarks $(VENV)/bin/python training/quantise.py --scenes $(TRAIN)/scenes \
+		--costs $(TRAIN)/costs --shards 4 8 --network $(TRAIN)/$(WEIGHTS)
 
 # 3,000 frames, 50 of them to look at.
 train-blend: SHARDS = 120
@@ -110,6 +112,8 @@ train-blend: $(VENV)/finished-train ## Learn the blend of deblurring anew: pictu
 		--minutes $(MINUTES) --shards 2 $(SHARDS) --validate 0 2
 	@$(VENV)/bin/python training/blend_export.py --state $(TRAIN)/blend/state.pt \
 		-o $(TRAIN)/blend.npz
+	@$(VENV)/bin/python training/blend_quantise.py --pictures $(TRAIN)/pictures --shards 2 3 \
+		--network $(TRAIN)/blend.npz
 
 train-check: $(VENV)/finished-train ## Learn anew whether frames fit: scenes, misfits, weights
 	@$(call IN_TWO_PROCESSES,scenes.py --output $(TRAIN)/scenes)
@@ -119,7 +123,7 @@ train-check: $(VENV)/finished-train ## Learn anew whether frames fit: scenes, mi
 environment: $(READY) ## Only make the virtual environment (.venv)
 
 $(VENV)/finished-with-%: $(SETUP)
-	@scripts/create_environment.sh $(PYTHON) $(VENV) ros,eval,view,dev
+	@scripts/create_environment.sh $(PYTHON) $(VENV) ros,eval,view,fast,dev
 
 $(VENV)/finished-docs: $(READY)
 	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'

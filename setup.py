@@ -75,9 +75,14 @@ setup(
         ],
         # `coded_aperture view`.
         "view": ["aiohttp>=3.9"],
+        # The small networks in half of the time.
+        "fast": ["onnxruntime>=1.17"],
         "gpu": ["torch>=2.2"],
         # Random scenes, and training of the refinement.
-        "train": ["torch>=2.2", "onnx>=1.15", "scikit-image>=0.22", "scikit-learn>=1.4"],
+        "train": [
+            *("torch>=2.2", "onnx>=1.15", "onnxruntime>=1.17"),
+            *("scikit-image>=0.22", "scikit-learn>=1.4"),
+        ],
         # Completion by the tab key.
         "completion": ["argcomplete>=3"],
         "graphcut": [GRAPH_CUTS],

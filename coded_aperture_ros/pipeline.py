@@ -10,7 +10,7 @@ from functools import cached_property
 from itertools import repeat
 from typing import Any
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.core.stamp_order import StampOrder
@@ -102,7 +102,7 @@ class FramePipeline:
         frame: FloatArray,
         stamp: int | None = None,
         *,
-        size: tuple[int, int] | None = None,
+        size: Shape | None = None,
         prior: ExpectedMotion | None = None,
         coloured: FloatArray | None = None,
         hidden_noise: float = 0.0,
@@ -132,7 +132,7 @@ class FramePipeline:
     def video(
         self,
         frames: Iterable[FloatArray],
-        size: tuple[int, int] | None = None,
+        size: Shape | None = None,
         hidden_noise: Iterable[float] = repeat(0.0),
     ) -> Iterator[FrameResult]:
         """Work on a recorded video, each frame in the light of those before and after it.

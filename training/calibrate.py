@@ -13,6 +13,7 @@ import numpy as np
 from batches import Frame, load, true_blur_px
 from shards import shards_of
 
+from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX
 from coded_aperture_ros.depth.refine.network import Network
 from coded_aperture_ros.depth.refine.probabilities import HalfCells
@@ -24,7 +25,9 @@ _LEAST_PX = 1e-3
 
 def measured(frame: Frame) -> dict[str, np.ndarray]:
     """Return for every half-cell in the frame what was found and how wrong it is."""
-    logits = Network(frame.tried)(*(v.astype(np.float32) for v in (frame.costs, frame.frame)))
+    logits = Network(frame.tried, Workers())(
+        *(v.astype(np.float32) for v in (frame.costs, frame.frame))
+    )
     found = HalfCells.of(logits, BLUR_SIZES_PX[frame.tried].astype(np.float32))
     truth = true_blur_px(frame)[2::4, 2::4]
     tolerance = 0.05 * np.abs(frame.infinity_px - np.sign(truth) * found.size_px)

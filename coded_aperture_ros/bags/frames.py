@@ -6,7 +6,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.depth import Health
@@ -50,8 +50,8 @@ class FrameProcessor:
 
     pipeline: FramePipeline
     type_name: str  # of the messages
-    size: tuple[int, int]  # rows and columns of the frames
-    map_size: tuple[int, int]  # and of the depth images
+    size: Shape  # rows and columns of the frames
+    map_size: Shape  # and of the depth images
     gamma: Gamma = 1.0  # of 8-bit frames
     prior: ExpectedMotion | None = None  # of all frames
     bits: int = 16  # of 16-bit frames

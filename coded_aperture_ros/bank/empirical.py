@@ -8,7 +8,7 @@ from scipy.cluster.vq import kmeans2
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.prior import NaturalImagePrior, power_spectrum
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import channel_mean
 
@@ -98,7 +98,7 @@ class _Spectrum:
     slope: float
     deviation: DoubleArray
 
-    def __call__(self, shape: tuple[int, int]) -> DoubleArray:
+    def __call__(self, shape: Shape) -> DoubleArray:
         frequencies = np.log(_FREQUENCIES)
         return power_spectrum(
             self.slope, shape, lambda scale: np.interp(scale, frequencies, self.deviation)

@@ -12,7 +12,7 @@ from coded_aperture_ros.bank.hypotheses import Hypotheses
 from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.bank.periodic import periodic_levels, periodic_spectra
 from coded_aperture_ros.bank.prior import NaturalImagePrior
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, PerPatch
 from coded_aperture_ros.likelihood import EngineLikelihood, Plan, new_engine
 from coded_aperture_ros.optics import PsfStack
 
@@ -200,7 +200,7 @@ class FilterBank:
             log_determinants=after(self.log_determinants, found.log_determinants),
         )
 
-    def energies(self, grey: FloatArray, stride_px: int, noise: float | FloatArray) -> FloatArray:
+    def energies(self, grey: FloatArray, stride_px: int, noise: PerPatch) -> FloatArray:
         """Return the energies of a single frame [rows, columns, L]; `plan` is for many.
 
         Parameters

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 
 # Photographs in linear light, where one spectrum has to do for all patches: fall-off and contrast
@@ -54,9 +54,7 @@ class NaturalImagePrior:
 
 
 def power_spectrum(
-    slope: float,
-    shape: tuple[int, int],
-    deviation: Callable[[DoubleArray], DoubleArray] | None = None,
+    slope: float, shape: Shape, deviation: Callable[[DoubleArray], DoubleArray] | None = None
 ) -> DoubleArray:
     """Return the prior's power spectrum for unit contrast, laid out as by ``scipy.fft.rfft2``.
 
@@ -75,6 +73,6 @@ def power_spectrum(
     return power / np.mean(np.fft.irfft2(power, shape)[0, 0])
 
 
-def image_prior(shape: tuple[int, int]) -> FloatArray:
+def image_prior(shape: Shape) -> FloatArray:
     """Return the power spectrum of photographs of `shape`, as by ``scipy.fft.rfft2``."""
     return (_CONTRAST * power_spectrum(_SLOPE, shape)).astype(np.float32)

@@ -118,9 +118,9 @@ def _restorer(
     given: Any = None if args.depth == "auto" else _known_depths(args, bank, camera)
     pipeline: Any = None
     if given is None:
-        shared = {"saturation": config.saturation, "threads": args.threads or 0}
+        shared = {"saturation": config.saturation, "network": config.network}
         # A picture from depth that is not sure shows that itself.
-        depth = DepthConfig(**noise, **shared, check_fit=False)
+        depth = DepthConfig(**noise, **shared, threads=args.threads or 0, check_fit=False)
         with naming(args.camera or args.bank):
             pipeline = FramePipeline(bank, camera, depth, config, _iterations)
 

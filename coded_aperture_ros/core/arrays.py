@@ -9,6 +9,8 @@ FloatArray = NDArray[np.float32]
 DoubleArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.intp]
+PerPatch = float | FloatArray  # a number for a whole frame, or one for each patch
+Shape = tuple[int, int]  # rows and columns
 
 
 def as_floats(values: NDArray[Any]) -> FloatArray:

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+from coded_aperture_ros.core.networks import check_runtime
 from coded_aperture_ros.core.options import check_options, option, option_of
 from coded_aperture_ros.core.workers import thread_count
 from coded_aperture_ros.depth.config import DepthConfig
@@ -78,7 +79,9 @@ class DeblurConfig:
         read_only=True,
         parameter="compute.threads",
     )
+    network: str = option_of(DepthConfig, "network")
 
     def __post_init__(self) -> None:
         check_options(self)
         thread_count(self.threads)
+        check_runtime(self.network)

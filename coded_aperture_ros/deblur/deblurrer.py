@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.core.workers import Workers, thread_count
@@ -57,7 +57,7 @@ class Deblurrer:
         self._method = self._new_method()
         self._video = VideoState(self.config.temporal_frames)
 
-    def prepare(self, shape: tuple[int, int]) -> None:
+    def prepare(self, shape: Shape) -> None:
         """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
         if self._blend is not None:
             self._blend.prepare(shape)
@@ -71,14 +71,15 @@ class Deblurrer:
     def reconfigure(self, config: DeblurConfig) -> None:
         """Deblur by other settings from the next frame on. Any option may change.
 
-        Another `rank`, `band` or number of `threads` makes the filters anew, which the next frame
-        waits for unless `prepare` is called. Another `temporal_frames` begins another video.
+        Another `rank`, `band`, `network` or number of `threads` makes the filters anew: the next
+        frame waits unless `prepare` is called. Another `temporal_frames` begins another video.
         """
         old, self.config = self.config, config
         if config.threads != old.threads:
             self._workers.close()
             self._workers = Workers(thread_count(config.threads))
-        if (config.threads, config.rank, config.band) != (old.threads, old.rank, old.band):
+        made = ("threads", "rank", "band", "network")
+        if any(getattr(config, name) != getattr(old, name) for name in made):
             self._closed_form = self._new_closed_form()
             self._blend = None
         if config.temporal_frames != old.temporal_frames:
@@ -166,7 +167,9 @@ class Deblurrer:
     def _new_blend(self) -> Blend | None:
         closed = self.config.method == "inverse" or self.config.band == "half"
         needed = not closed and not untrained(self.stack)
-        return Blend(self.stack, self.config.rank, self._workers) if needed else None
+        if not needed:
+            return None
+        return Blend(self.stack, self.config.rank, self._workers, self.config.network)
 
     def _new_method(self) -> Method:
         if self.config.method in ("fast", "inverse"):

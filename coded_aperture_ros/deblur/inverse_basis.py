@@ -7,7 +7,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import image_prior
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, Shape
 from coded_aperture_ros.imaging import transfer_function
 from coded_aperture_ros.optics import PsfStack
 
@@ -73,7 +73,7 @@ class InverseBasis:
         generators = leading.reshape(len(stack), len(MODEL_ERRORS), -1)
         return cls(stack, generators, noise, leading.T @ filters, weight)
 
-    def transforms(self, shape: tuple[int, int]) -> NDArray[np.complex64]:
+    def transforms(self, shape: Shape) -> NDArray[np.complex64]:
         """Return the transforms [R, rows, columns // 2 + 1] of the basis for images of `shape`."""
         prior = image_prior(shape)
         transfers = np.array([transfer_function(psf, shape) for psf in self.stack.psfs])

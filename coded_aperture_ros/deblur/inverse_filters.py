@@ -8,7 +8,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import FloatArray, IndexArray, Shape
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blur_map import local_variance
 from coded_aperture_ros.deblur.inverse_basis import MODEL_ERRORS, InverseBasis
@@ -58,7 +58,7 @@ class InverseFilters:
         self._transforms = lru_cache(maxsize=len(_NOISES))(self._new_transforms)
         self._lookup_table = lru_cache(maxsize=32)(self._new_lookup_table)
 
-    def prepare(self, shape: tuple[int, int]) -> None:
+    def prepare(self, shape: Shape) -> None:
         """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
         for noise in _NOISES[:-1]:
             self._transforms(noise, periodic_shape(shape, self._extension_px))
@@ -120,7 +120,7 @@ class InverseFilters:
         self._workers.each(add, range(len(weights)), sums=True)
         return np.sum(sums, axis=0) if len(sums) > 1 else sums[0]
 
-    def _new_transforms(self, noise: float, shape: tuple[int, int]) -> NDArray[np.complex64]:
+    def _new_transforms(self, noise: float, shape: Shape) -> NDArray[np.complex64]:
         return self._basis(noise).transforms(shape)
 
     def _new_lookup_table(self, basis_noise: float, tenths: int) -> FloatArray:
@@ -169,7 +169,7 @@ class HalfBandFilters(InverseFilters):
         super().__init__(stack, rank, workers)
         self._extension_px = -(-self._extension_px // 2)
 
-    def prepare(self, shape: tuple[int, int]) -> None:
+    def prepare(self, shape: Shape) -> None:
         """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
         super().prepare((-(-shape[0] // 2), -(-shape[1] // 2)))
 
@@ -183,7 +183,7 @@ class HalfBandFilters(InverseFilters):
         pairs = zip(channels, changes, strict=True)
         return [channel + cv2.pyrUp(change, dstsize=size) for channel, change in pairs]
 
-    def _new_transforms(self, noise: float, shape: tuple[int, int]) -> NDArray[np.complex64]:
+    def _new_transforms(self, noise: float, shape: Shape) -> NDArray[np.complex64]:
         """Return the transforms of the kernels, less the frame itself, at the lower half.
 
         The weights of the kernels keep the brightness of flat areas. So they give the frame back
@@ -215,7 +215,7 @@ class ForOpponents(Generic[Filters]):
         self._of_brightness = make(stack, rank, workers)
         self._of_colour = make(stack, max(rank // 2, 2), workers)
 
-    def prepare(self, shape: tuple[int, int]) -> None:
+    def prepare(self, shape: Shape) -> None:
         """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
         self._of_brightness.prepare(shape)
         self._of_colour.prepare(shape)

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray, Shape
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.imaging import periodic_shape, transfer_function
@@ -29,8 +29,8 @@ class BlurOperator(abc.ABC):
     have one plane, or two with what is `hidden` behind foregrounds [planes, *scene_shape].
     """
 
-    shape: tuple[int, int]
-    scene_shape: tuple[int, int]
+    shape: Shape
+    scene_shape: Shape
     margin_px: int
     hidden: BoolArray | None = None  # where the second plane has something [*scene_shape]
     workers: Workers

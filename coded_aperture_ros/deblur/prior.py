@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, Shape
 from coded_aperture_ros.core.compiled import Compiled
 
 # First and second differences of the sparse prior, and how much each counts.
@@ -27,7 +27,7 @@ def differences_adjoint(parts: list[FloatArray]) -> FloatArray:
     return _adjoint(down, 0) + _adjoint(right, 1)
 
 
-def difference_powers(shape: tuple[int, int]) -> list[FloatArray]:
+def difference_powers(shape: Shape) -> list[FloatArray]:
     """Return the power spectra of the `differences` of periodic images, as by ``rfft2``."""
     down = 2 - 2 * np.cos(2 * np.pi * np.fft.fftfreq(shape[0]))[:, None]
     right = 2 - 2 * np.cos(2 * np.pi * np.fft.rfftfreq(shape[1]))[None, :]
@@ -65,7 +65,7 @@ class SparsePrior:
             gradient[1] *= self._hidden
         return gradient
 
-    def power(self, shape: tuple[int, int]) -> FloatArray:
+    def power(self, shape: Shape) -> FloatArray:
         """Return about the power spectrum of the first plane's prior, as by ``rfft2``."""
         # Typical weights: between the arithmetic mean, of smooth areas, and the harmonic one, of
         # edges.

@@ -8,7 +8,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank import power_spectrum
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray, Shape
 from coded_aperture_ros.imaging import transfer_function
 from coded_aperture_ros.optics import PsfStack
 
@@ -66,7 +66,7 @@ class PsfBasis:
         )
 
     @lru_cache(maxsize=2)  # noqa: B019 - as many sizes of frames as a camera has
-    def transforms(self, shape: tuple[int, int]) -> list[NDArray[np.complex64]]:
+    def transforms(self, shape: Shape) -> list[NDArray[np.complex64]]:
         """Return the transforms of the kernels for images of a shape; see `transfer_function`."""
         return [transfer_function(kernel, shape) for kernel in self.kernels]
 

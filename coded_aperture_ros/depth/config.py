@@ -3,6 +3,7 @@
 import dataclasses
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.networks import RUNTIMES, check_runtime
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.core.workers import thread_count
 from coded_aperture_ros.depth.regularize import LEARNED, REGULARIZERS
@@ -110,6 +111,12 @@ class DepthConfig:
         choices=BACKENDS,
         parameter="compute.backend",
     )
+    network: str = option(
+        "auto",
+        "What runs the networks: auto takes onnxruntime, twice as fast as opencv, if installed.",
+        choices=RUNTIMES,
+        parameter="compute.network",
+    )
     threads: int = option(
         0,
         "Threads of the processor; at most as many as it has cores. 0: so many, but no more than "
@@ -124,3 +131,4 @@ class DepthConfig:
             raise InputError("free_space_risk: use 0, only regularize: learned gives a bound")
         thread_count(self.threads)
         check_backend(self.backend)
+        check_runtime(self.network)

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, Shape
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.edges import EdgeCorrection
@@ -57,12 +57,7 @@ class Regularized:
     workers: Workers
 
     def __call__(
-        self,
-        seen: Observation,
-        volume: FloatArray,
-        own: Cost,
-        size: tuple[int, int],
-        stages: Stages,
+        self, seen: Observation, volume: FloatArray, own: Cost, size: Shape, stages: Stages
     ) -> Decision:
         """Return the maps, at most of `size` (rows, columns).
 

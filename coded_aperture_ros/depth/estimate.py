@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.fit import Health
 from coded_aperture_ros.depth.posterior import is_unsure
@@ -84,7 +84,7 @@ class DepthEstimate:
 
         return self._mapped(known, *_OF_LEVELS)
 
-    def enlarged(self, size: tuple[int, int]) -> "DepthEstimate":
+    def enlarged(self, size: Shape) -> "DepthEstimate":
         """Return the estimate with maps of `size` (rows, columns), by the nearest pixels."""
         if self.level.shape == size:
             return self
@@ -101,13 +101,13 @@ class DepthEstimate:
         return dataclasses.replace(self, **changed)  # type: ignore[arg-type]
 
 
-def check_map_size(size: tuple[int, int] | None) -> None:
+def check_map_size(size: Shape | None) -> None:
     """Refuse a size (rows, columns) that no map can have, by an `InputError`."""
     if size is not None and min(size) < 1:
         raise InputError(f"size of the depth map: expected at least 1x1, got {size}")
 
 
-def map_size(frame_size: tuple[int, int], choice: str) -> tuple[int, int]:
+def map_size(frame_size: Shape, choice: str) -> tuple[int, int]:
     """Return the size (rows, columns) of the depth map of frames of a size.
 
     Sizes are (rows, columns); `choice` is one of `MAP_SIZES`; auto: the largest whole fraction of

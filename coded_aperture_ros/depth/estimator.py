@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from coded_aperture_ros.bank import FilterBank
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, Shape
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.core.workers import Workers, thread_count
 from coded_aperture_ros.depth.ambiguity import BY_CHANCE, may_be_periodic
@@ -94,8 +94,7 @@ class DepthEstimator:
         self._temporal = TemporalFilter(frames) if frames else None
         self._fit: FitCheck | None = None
         if config.check_fit and isinstance(model, FilterBank) and can_be_checked(model.stack):
-            threads = thread_count(config.threads)
-            self._fit = FitCheck(model.stack, frames > 0, model.guard_levels > 0, threads)
+            self._fit = FitCheck(model.stack, frames > 0, model.guard_levels > 0)
         self._planned: _Planned | None = None
         if like is not None and like.model is model and "small_bank" in like.__dict__:
             self.small_bank = like.small_bank
@@ -120,8 +119,6 @@ class DepthEstimator:
 
     def close(self) -> None:
         """End the threads that the work was shared among."""
-        if self._fit is not None:
-            self._fit.close()
         if self._planned is not None:
             self._planned.likelihood.close()
             self._planned.workers.close()
@@ -132,7 +129,7 @@ class DepthEstimator:
     def estimate(
         self,
         frame: FloatArray,
-        size: tuple[int, int] | None = None,
+        size: Shape | None = None,
         prior: ExpectedMotion | None = None,
         hidden_noise: float = 0.0,
     ) -> DepthEstimate:
@@ -212,7 +209,7 @@ class DepthEstimator:
         seen: Observation,
         volume: FloatArray,
         own: Cost,
-        size: tuple[int, int] | None = None,
+        size: Shape | None = None,
         stages: Stages | None = None,
     ) -> DepthEstimate:
         """Decide the level of every pixel and draw the maps; the last step of `estimate`.
@@ -298,7 +295,7 @@ class DepthEstimator:
                         shape, CELL_PX, config.backend, threads, periodic=False
                     )
                     unless_planned.callback(small.close)
-                    decide = Refined(bank, self._levels, small.grid, sides, workers)
+                    decide = Refined(bank, self._levels, small.grid, sides, workers, config.network)
                 else:
                     decide = Regularized(
                         self._levels,

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.bank import FilterBank, LearnConfig, power_spectrum
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.core.workers import thread_count
@@ -46,7 +46,7 @@ class Trial:
 
 def tune(
     learn: Callable[[LearnConfig], FilterBank],
-    shape: tuple[int, int],
+    shape: Shape,
     budget_ms: float,
     config: DepthConfig | None = None,
     progress: Progress = iter,
@@ -145,9 +145,7 @@ def _plane(psf: FloatArray, side: int, random: np.random.Generator) -> FloatArra
     return np.asarray(fftconvolve(sharp, psf, mode="valid") + noise, np.float32)
 
 
-def _milliseconds(
-    bank: FilterBank, shape: tuple[int, int], stride_px: int, config: DepthConfig
-) -> float:
+def _milliseconds(bank: FilterBank, shape: Shape, stride_px: int, config: DepthConfig) -> float:
     """Return the median time of a frame, with maps of its size."""
     random = np.random.default_rng(0)
     side = max(shape)

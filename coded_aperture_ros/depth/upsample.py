@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray, Shape
 from coded_aperture_ros.imaging import PatchGrid
 
 # Where the levels of the four patches around a pixel differ by more, there is a depth edge between
@@ -25,11 +25,11 @@ class MapGrid:
 
     grid: PatchGrid
     frame_shape: tuple[int, ...]
-    size: tuple[int, int]
+    size: Shape
     patches: tuple[IndexArray, IndexArray]
 
     @classmethod
-    def of(cls, grid: PatchGrid, frame_shape: tuple[int, ...], size: tuple[int, int]) -> "MapGrid":
+    def of(cls, grid: PatchGrid, frame_shape: tuple[int, ...], size: Shape) -> "MapGrid":
         """Return the grid of a map of `size`."""
         rows, columns = (
             np.rint(_positions(*axis)).astype(np.intp) for axis in _axes(grid, frame_shape, size)
@@ -37,9 +37,7 @@ class MapGrid:
         return cls(grid, frame_shape, size, (rows, columns))
 
     @classmethod
-    def worthwhile(
-        cls, grid: PatchGrid, frame_shape: tuple[int, ...], size: tuple[int, int]
-    ) -> "MapGrid":
+    def worthwhile(cls, grid: PatchGrid, frame_shape: tuple[int, ...], size: Shape) -> "MapGrid":
         """Return the grid of a map that is at most as large as the patches are worth."""
         finest = -(-np.array(frame_shape) // max(grid.stride_px // _MAP_PX_PER_PATCH, 1))
         drawn = (min(size[0], int(finest[0])), min(size[1], int(finest[1])))
@@ -82,7 +80,7 @@ class MapGrid:
 
 
 def _axes(
-    grid: PatchGrid, frame_shape: tuple[int, ...], size: tuple[int, int]
+    grid: PatchGrid, frame_shape: tuple[int, ...], size: Shape
 ) -> tuple[tuple[IndexArray, int, int], tuple[IndexArray, int, int]]:
     """Return for rows and columns the patches' centres, the frame's length and the map's."""
     return (

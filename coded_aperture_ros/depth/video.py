@@ -5,7 +5,7 @@ from itertools import islice, repeat
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
 from coded_aperture_ros.depth.estimator import DepthEstimator
@@ -23,7 +23,7 @@ _BLOCK = 3
 def estimate_video(
     estimator: DepthEstimator,
     frames: Iterable[FloatArray],
-    size: tuple[int, int] | None = None,
+    size: Shape | None = None,
     hidden_noise: Iterable[float] = repeat(0.0),
 ) -> Iterator[DepthEstimate]:
     """Estimate the depth of a video's frames from the past and the future.

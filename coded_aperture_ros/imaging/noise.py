@@ -9,7 +9,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging.frame import grey_image
 from coded_aperture_ros.imaging.patches import PatchGrid, brightness_at, mean_at
@@ -109,7 +109,7 @@ class GreyNoise:
         return self.sigma if self.highest is None else self.highest
 
     @property
-    def deviation(self) -> float | FloatArray:
+    def deviation(self) -> PerPatch:
         """Standard deviation with shot noise, of the frame or around every patch."""
         if self.shot_variance is None:
             return self.sigma

@@ -4,7 +4,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, Shape
 
 
 def periodic_shape(shape: tuple[int, ...], extension_px: int) -> tuple[int, int]:
@@ -13,7 +13,7 @@ def periodic_shape(shape: tuple[int, ...], extension_px: int) -> tuple[int, int]
     return rows, columns
 
 
-def periodic(image: FloatArray, shape: tuple[int, int]) -> FloatArray:
+def periodic(image: FloatArray, shape: Shape) -> FloatArray:
     """Extend an image below and to the right, so that it goes on smoothly with its first row.
 
     The result, float32, is of a larger `shape` (rows, columns), see `periodic_shape`. A step
@@ -31,7 +31,7 @@ def periodic(image: FloatArray, shape: tuple[int, int]) -> FloatArray:
     return extended
 
 
-def transfer_function(psf: FloatArray, shape: tuple[int, int]) -> NDArray[np.complex64]:
+def transfer_function(psf: FloatArray, shape: Shape) -> NDArray[np.complex64]:
     """Return the transform of a centred PSF for images of `shape`, as by ``scipy.fft.rfft2``."""
     width = len(psf)
     padded = np.zeros(shape, np.float32)

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.imaging import PatchGrid
@@ -29,7 +29,7 @@ class Engine(Protocol):
     def project(self, grey: FloatArray) -> None:
         """Take a frame [rows, columns] of the planned size, linear light, without NaN."""
 
-    def energies(self, noise: float | FloatArray) -> FloatArray:
+    def energies(self, noise: PerPatch) -> FloatArray:
         """Return the energy of every level for every patch [rows, columns, L].
 
         For a standard deviation of the noise, > 0, of the frame or of each patch.
@@ -55,7 +55,7 @@ class EngineLikelihood:
     def cost(
         self,
         grey: FloatArray,
-        noise: float | FloatArray,
+        noise: PerPatch,
         usable: BoolArray | None = None,
         prior: object = None,
     ) -> Cost:

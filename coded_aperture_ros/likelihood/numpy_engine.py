@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, PerPatch
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.likelihood.plan import Plan
 from coded_aperture_ros.likelihood.products import products_of_transforms
@@ -75,7 +75,7 @@ class NumpyEngine:
         functions = self._functions.reshape(len(self._functions), -1)
         np.matmul(self.plan.features, products.T, out=functions)
 
-    def energies(self, noise: float | FloatArray) -> FloatArray:
+    def energies(self, noise: PerPatch) -> FloatArray:
         """Return the energies of the frame taken last [rows, columns, L]."""
         plan = self.plan
         tried = plan.hypotheses_of(plan.tried(noise))

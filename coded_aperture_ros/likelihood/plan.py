@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray, as_floats
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray, PerPatch, as_floats
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE, plausible_ratios
 
@@ -131,7 +131,7 @@ class Plan:
         all_of_them = np.full_like(self.used, len(self.horizontal) // 2)
         return dataclasses.replace(self, used=all_of_them)
 
-    def tried(self, noise: float | FloatArray) -> slice:
+    def tried(self, noise: PerPatch) -> slice:
         """Return which ratios are tried under a noise of this standard deviation."""
         return plausible_ratios(self.ratios, self.contrasts, float(np.median(noise)))
 

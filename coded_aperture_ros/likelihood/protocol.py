@@ -9,7 +9,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.optics import PsfStack
 
@@ -74,11 +74,7 @@ class Likelihood(Protocol):
         """Where the patches lie."""
 
     def cost(
-        self,
-        grey: FloatArray,
-        noise: float | FloatArray,
-        usable: BoolArray | None = None,
-        prior: Any = None,
+        self, grey: FloatArray, noise: PerPatch, usable: BoolArray | None = None, prior: Any = None
     ) -> Cost:
         """Return the cost of every level for every patch.
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import torch
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, PerPatch
 from coded_aperture_ros.core.workers import check_threads
 from coded_aperture_ros.likelihood.plan import Plan
 from coded_aperture_ros.likelihood.scoring import LEAST_EXCESS, OWN_NOISE
@@ -13,10 +13,7 @@ from coded_aperture_ros.likelihood.scoring import LEAST_EXCESS, OWN_NOISE
 # Rows of windows are worked on in groups whose intermediate arrays fit in here.
 _GROUP_BYTES = 256 * 2**20
 
-# Everything is float32. That changes the level of no patch against the definition; with the factors
-# of the products rounded, under noise of 0.001 to 0.005, 0.3 to 1.4 % of the patches change theirs
-# (TF32), 0.3 to 1.5 % (float16, scaled) or 3 to 10 % (bfloat16). Nor is there much to gain: a frame
-# of 640x480 takes 1 GFLOP.
+# float32 changes the level of no patch; less would, for little: docs/experiments.md.
 _PRECISION = "highest"
 
 
@@ -87,7 +84,7 @@ class TorchEngine:
             self._project_rows(frame, rows)
 
     @torch.inference_mode()
-    def energies(self, noise: float | FloatArray) -> FloatArray:
+    def energies(self, noise: PerPatch) -> FloatArray:
         """Return the energies of the frame taken last [rows, columns, L]."""
         tried = self._plan.hypotheses_of(self._plan.tried(noise))
         here, precision = self._buffers.precision

@@ -20,7 +20,3 @@ class Times:
         """Summarise times in seconds, each multiplied by a factor."""
         p50, p99, worst = 1000 * factor * np.quantile(seconds, [0.5, 0.99, 1.0])
         return cls(len(seconds), float(p50), float(p99), float(worst))
-
-    def over(self, other: "Times") -> dict[str, float]:
-        """Return how many times another's times these are."""
-        return {"p50": self.p50_ms / other.p50_ms, "p99": self.p99_ms / other.p99_ms}

@@ -93,14 +93,18 @@ def test_two_surfaces_keep_their_depths_apart(bank, stairs):
     assert between.mean() < 0.08
 
 
-def test_brightness_and_colour_do_not_change_the_level(bank, plane):
+# In whole numbers of 8 bits, a difference in the last digit may change a number by one.
+@pytest.mark.parametrize(("network", "exactly"), [("opencv", 1e-3), ("onnxruntime", 0.1)])
+def test_brightness_and_colour_do_not_change_the_level(bank, plane, network, exactly):
+    if network == "onnxruntime":
+        pytest.importorskip("onnxruntime")
     frame, _ = plane
-    estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0))
+    estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0, network=network))
     level = estimator.estimate(frame).level
     darker = estimator.estimate(0.5 * frame).level
     assert np.mean(np.abs(darker - level) < 0.5) > 0.95
     coloured = estimator.estimate(np.repeat(frame[..., None], 3, axis=2)).level
-    assert coloured == pytest.approx(level, abs=1e-3)
+    assert coloured == pytest.approx(level, abs=exactly)
 
 
 @pytest.mark.parametrize("regularize", ["semiglobal", "tv", "graphcut"])

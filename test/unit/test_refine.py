@@ -8,6 +8,7 @@ from coded_aperture_benchmarks.layered import random_scene
 
 from coded_aperture_ros.bank import LearnConfig, learn_bank, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video
 from coded_aperture_ros.depth.refine import refinement_note, small_bank, untrained
 from coded_aperture_ros.depth.refine.cells import CELL_PX, HALVINGS, Cells
@@ -389,7 +390,7 @@ def _range_of(depth_m):
 
 def test_network_runs_frames_of_any_size():
     tried = tried_sizes(np.linspace(2, 8, 9))
-    network = Network(tried)
+    network = Network(tried, Workers())
     random = np.random.default_rng(0)
     for shape in SHAPES:
         grid = PatchGrid.covering(shape, 48, CELL_PX)

@@ -254,7 +254,9 @@ def assert_the_package_runs_what_was_fitted(blend, monkeypatch, path):
     frame = cv2.GaussianBlur(random.random((93, 122)).astype(np.float32), (0, 0), 2)
     blur = np.linspace(2, 8, 122, dtype=np.float32) * np.ones((93, 1), np.float32)
     known, noise = random.random(blur.shape) < 0.9, 0.003
-    of_package = Blend(render_psf_stack(Mask.named("levin"), np.arange(1, 10, 0.5)), 10, Workers())
+    of_package = Blend(
+        render_psf_stack(Mask.named("levin"), np.arange(1, 10, 0.5)), 10, Workers(), "opencv"
+    )
     (found,) = of_package.restore([frame], blur, known, noise)
 
     hypotheses = of_package._of_brightness

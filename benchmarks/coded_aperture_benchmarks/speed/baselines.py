@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from coded_aperture_benchmarks.reference.subspace import SubspaceBank, SubspaceLikelihood
 from coded_aperture_benchmarks.speed.frames import NOISE, moving_frames
 from coded_aperture_benchmarks.speed.machine import opencv_threads, seconds_in_threads
+from coded_aperture_benchmarks.speed.ratios import ratio
 from coded_aperture_benchmarks.speed.setting import Setting
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.metrics.times import Times
@@ -84,9 +85,9 @@ class ThesisFilters:
         factored = Times.of((basis_s + levels_s).tolist())
 
         def against(times: Times) -> dict[str, Any]:
-            ratio = times.over(engine)
-            per_place = {name: value / density for name, value in ratio.items()}
-            return {"ratio": ratio, "ratio_per_place": per_place}
+            slower = ratio(times, engine)
+            per_place = {name: value / density for name, value in slower.items()}
+            return {"ratio": slower, "ratio_per_place": per_place}
 
         return {
             "engine": dataclasses.asdict(engine),
@@ -139,7 +140,7 @@ class NonLocalMeans:
         for count, seconds in self._seconds.items():
             times = Times.of(seconds)
             rows.append(
-                {"frames": count, "times": dataclasses.asdict(times), "ratio": times.over(own)}
+                {"frames": count, "times": dataclasses.asdict(times), "ratio": ratio(times, own)}
             )
         return {"still_and_temporal": dataclasses.asdict(own), "non_local_means": rows}
 
@@ -156,7 +157,7 @@ def graph_cut_results(times: Mapping[str, Times]) -> dict[str, Any] | None:
     return {
         "semiglobal": dataclasses.asdict(times["semiglobal"]),
         "graphcut": dataclasses.asdict(times["graphcut"]),
-        "ratio": times["graphcut"].over(times["semiglobal"]),
+        "ratio": ratio(times["graphcut"], times["semiglobal"]),
     }
 
 

@@ -18,6 +18,7 @@ from coded_aperture_benchmarks.speed.baselines import (
 from coded_aperture_benchmarks.speed.frames import NOISE, moving_frames
 from coded_aperture_benchmarks.speed.grid import SpeedGrid
 from coded_aperture_benchmarks.speed.machine import Rates, machine_rates, roofline
+from coded_aperture_benchmarks.speed.ratios import ratio
 from coded_aperture_benchmarks.speed.setting import MASK, Extent, Setting
 from coded_aperture_benchmarks.speed.video import VideoRun
 from coded_aperture_benchmarks.speed.work import (
@@ -227,8 +228,8 @@ class SpeedBenchmark:
                 {
                     "threads": count,
                     "total": dataclasses.asdict(run.times()),
-                    "speedup": first.over(run.times()),
-                    "speedup_engine": first_engine.over(run.stage_times(*ENGINE_STAGES)),
+                    "speedup": ratio(first, run.times()),
+                    "speedup_engine": ratio(first_engine, run.stage_times(*ENGINE_STAGES)),
                 }
                 for count, run in zip(self.extent.threads, runs, strict=True)
             ]

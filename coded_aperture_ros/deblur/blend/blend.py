@@ -5,7 +5,7 @@ import numpy as np
 
 from coded_aperture_ros.core.archive import read_shipped
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.networks import network_of
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blend.features import (
     CELL_PX,
@@ -45,9 +45,10 @@ class Blend(ForOpponents[Hypotheses]):
     Not for several threads at once.
     """
 
-    def __init__(self, stack: PsfStack, rank: int, workers: Workers) -> None:
+    def __init__(self, stack: PsfStack, rank: int, workers: Workers, runtime: str) -> None:
         super().__init__(Hypotheses, stack, rank, workers)
-        self._network = _network()
+        arrays = read_shipped(__file__, WEIGHTS, SCHEMA, SCHEMA_VERSION)
+        self._network = network_of(arrays, "blend", runtime, workers.threads)
 
     def restore(
         self,
@@ -74,8 +75,8 @@ class Blend(ForOpponents[Hypotheses]):
         seen = min(allowed, max(noise, _MOST_NOISE))
         maps = maps_in_cells(sizes, known, scale, seen)
         shown = np.concatenate([(cells - mean) / scale, maps])
-        self._network.setInput(shown[None])
-        told = self._network.forward()[0].reshape(HYPOTHESES + 1, _PIXELS, *scale.shape)
+        (told,) = self._network({"shown": shown[None]})
+        told = told.reshape(HYPOTHESES + 1, _PIXELS, *scale.shape)
         weights = told[:-1]
         weights += (1 - weights.sum(axis=0)) / HYPOTHESES
         restored = [out_of_cells(_weighed(cells, weights) + told[-1] * scale, shape)]
@@ -94,14 +95,3 @@ def _without_fringes(channels: list[FloatArray]) -> list[FloatArray]:
 
 def _weighed(cells: FloatArray, weights: FloatArray) -> FloatArray:
     return np.einsum("kprc,kprc->prc", cells.reshape(weights.shape), weights)
-
-
-def _network() -> "cv2.dnn.Net":
-    try:
-        arrays = read_shipped(__file__, WEIGHTS, SCHEMA, SCHEMA_VERSION)
-        return cv2.dnn.readNetFromONNX(arrays["blend_onnx"])
-    except cv2.error as error:
-        raise InputError(
-            f"deblurring: OpenCV {cv2.__version__} cannot run the network of fast: use OpenCV 4.6 "
-            "or newer"
-        ) from error

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, Shape
 
 CELL_PX = 4
 # Frames are extended to whole squares of two by two cells.
@@ -31,7 +31,7 @@ def in_cells(values: FloatArray) -> FloatArray:
     )
 
 
-def out_of_cells(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
+def out_of_cells(values: FloatArray, shape: Shape) -> FloatArray:
     """Undo `in_cells` of one image [16, rows / 4, columns / 4]."""
     _, rows, columns = values.shape
     parts = values.reshape(CELL_PX, CELL_PX, rows, columns).transpose(2, 0, 3, 1)

@@ -2,13 +2,12 @@
 
 import dataclasses
 from collections.abc import Iterator
-from functools import cache, cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from coded_aperture_ros.core.archive import read_shipped
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.fit.evidence import Evidence, Witness
 from coded_aperture_ros.depth.fit.quantiles import quantiles
 from coded_aperture_ros.depth.fit.traces import traces
@@ -124,15 +123,11 @@ class FitCheck:
     """Checks the frames of a video, or single ones, against a bank's PSFs; see `can_be_checked`.
 
     With `remembers`, frames are those of a video, in order: then only some are looked at, and what
-    they say is averaged. With `guarded`, the levels at the ends stand for what is beyond them. Two
-    threads look at a frame together.
+    they say is averaged. With `guarded`, the levels at the ends stand for what is beyond them.
     """
 
-    def __init__(
-        self, stack: PsfStack, remembers: bool = False, guarded: bool = False, threads: int = 1
-    ) -> None:
+    def __init__(self, stack: PsfStack, remembers: bool = False, guarded: bool = False) -> None:
         self._stack, self._remembers, self._guarded = stack, remembers, guarded
-        self._threads = min(threads, 2)
         self.reset()
 
     def reset(self) -> None:
@@ -177,11 +172,10 @@ class FitCheck:
             dither = np.random.default_rng(0).standard_normal(grey.shape, dtype=np.float32)
             grey, noise = grey + np.float32(_DITHER) * dither, float(np.hypot(noise, _DITHER))
         known = seen.noise.sigma if seen.noise.highest is None else 0.0
-        once = cache(partial(traces, grey, noise, known))
+        of_file = traces(grey, noise, known)
         smaller = max(0.0, float(np.log(_USUAL_PIXELS / grey.size)))
         for cells in _CELLS:
-            ask = partial(self._witness.ask, grey, noise, seen.unusable, cells)
-            windows, of_file = self._workers.both(ask, once)
+            windows = self._witness.ask(grey, noise, seen.unusable, cells)
             if windows is not None:
                 of_maps = self._of_maps(windows, seen, misfit, level, confidence)
                 numbers = [*windows.features, *of_file, *of_maps, smaller]
@@ -219,15 +213,6 @@ class FitCheck:
             windows.weight @ np.minimum(apart, _UNSURE_PX),
             (apart > _FAR_PX).mean(),
         ]
-
-    def close(self) -> None:
-        """End the threads; the next frame begins others."""
-        if "_workers" in self.__dict__:
-            self.__dict__.pop("_workers").close()
-
-    @cached_property
-    def _workers(self) -> Workers:
-        return Workers(self._threads)
 
     @cached_property
     def _witness(self) -> Witness:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import FloatArray, IndexArray, Shape
 from coded_aperture_ros.imaging import PatchGrid
 
 # Distance between cells, px; patches at other distances are interpolated.
@@ -25,7 +25,7 @@ class Cells:
     # Number of cells, a multiple of ``2**HALVINGS``.
     rows: int
     columns: int
-    frame_shape: tuple[int, int]  # rows and columns of the frame
+    frame_shape: Shape  # rows and columns of the frame
     grid: PatchGrid  # where the patches lie
 
     @classmethod

@@ -2,13 +2,12 @@
 
 import dataclasses
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.archive import read_shipped
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray, as_floats
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.networks import network_of
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, COST_CHANNELS, KINDS, SCALARS
 from coded_aperture_ros.depth.refine.layout import add_up, at_half_cells, put_in_squares
@@ -37,26 +36,19 @@ class Logits:
 class Network:
     """Costs and frame in, logits out; see `training/network.py` for its layers.
 
-    OpenCV runs all but the first layer of the blur sizes (see `_First`) and the last layer, of
-    which only the rows are computed that are needed.
+    A `runtime`, see `network_of`, runs all but the first layer of the blur sizes (see `_First`) and
+    the last layer, of which only the rows are computed that are needed.
 
     Not for several threads at once; `workers` share its work. `tried` [blur sizes] says which of
-    `BLUR_SIZES_PX`, neighbours of each other, there are costs of. Raises `InputError` if OpenCV
-    cannot run the network.
+    `BLUR_SIZES_PX`, neighbours of each other, there are costs of.
     """
 
-    def __init__(self, tried: BoolArray, workers: Workers | None = None) -> None:
+    def __init__(self, tried: BoolArray, workers: Workers, runtime: str = "auto") -> None:
         arrays = read_shipped(__file__, WEIGHTS, SCHEMA, SCHEMA_VERSION)
-        self._workers = workers or Workers()
-        try:
-            self._of_level, self._of_cells = (
-                cv2.dnn.readNetFromONNX(arrays[f"{name}_onnx"]) for name in ("levels", "cells")
-            )
-        except cv2.error as error:
-            raise InputError(
-                f"regularize: OpenCV {cv2.__version__} cannot run the network of learned: "
-                "use semiglobal, or OpenCV 4.6 or newer"
-            ) from error
+        self._workers = workers
+        self.of_level, self.of_cells = (
+            network_of(arrays, name, runtime, workers.threads) for name in ("levels", "cells")
+        )
         # The last of the blur sizes' rows is the width; each is four, one of every half-cell.
         rows = np.repeat(np.append(tried, True), 4)
         self._weights, self._bias = (
@@ -71,14 +63,11 @@ class Network:
     def __call__(self, costs: FloatArray, frame: FloatArray) -> Logits:
         """Return the logits of half-cells, from `cost_features` and `frame_features`."""
         tried, shape = self._tried, costs.shape[1:]
-        self._of_level.setInput(self._first(costs, self._workers), "levels")
-        # Logits of the half-cells of all squares, and one more channel for the other network.
-        of_level = self._of_level.forward("found")
+        # Logits of the half-cells of all squares, and one more channel for the other part.
+        of_level = self.of_level({"levels": self._first(costs, self._workers)})
         levels = np.zeros((1, len(BLUR_SIZES_PX), *shape), np.float32)
         levels[0, tried] = at_half_cells(of_level[:, -4:].reshape(-1, *of_level.shape[2:]))
-        for values, name in ((costs[None], "costs"), (frame[None], "frame"), (levels, "levels")):
-            self._of_cells.setInput(values, name)
-        cells = self._of_cells.forward("cells")[0]
+        cells = self.of_cells({"costs": costs[None], "frame": frame[None], "levels": levels})[0]
         # What the costs say by themselves, to which the network adds.
         of_kinds = costs[:COST_CHANNELS].reshape(len(self._trust), -1, *shape)[:, tried]
         own = (self._trust @ of_kinds.reshape(len(of_kinds), -1)).reshape(-1, *shape)

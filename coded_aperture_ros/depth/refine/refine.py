@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from coded_aperture_ros.bank import FilterBank
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.config import DepthConfig
@@ -112,6 +112,7 @@ class Refined:
         small: PatchGrid,
         sides: FocalSides | None = None,
         workers: Workers | None = None,
+        runtime: str = "auto",
     ) -> None:
         self._workers = workers or Workers()
         self._sizes = sizes = bank.blur_sizes_px
@@ -120,19 +121,14 @@ class Refined:
         self._folding = Folding.of(sizes)
         tried = tried_sizes(self._folding.sizes_px)
         self._tried_px = BLUR_SIZES_PX[tried].astype(np.float32)
-        self._network = Network(tried, self._workers)
+        self._network = Network(tried, self._workers, runtime)
         self._tolerance = _tolerance_px(levels)
         self._near = 0.5 if sides is not None else float(sizes.mean() < 0)
         self._ends_px = float(sizes.min()), float(sizes.max())
         self._per_px = np.float32((len(sizes) - 1) / np.ptp(sizes))
 
     def __call__(
-        self,
-        seen: Observation,
-        volume: FloatArray,
-        own: Cost,
-        size: tuple[int, int],
-        stages: Stages,
+        self, seen: Observation, volume: FloatArray, own: Cost, size: Shape, stages: Stages
     ) -> Decision:
         """See `Regularized`."""
         if own.small is None:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from coded_aperture_ros.bank import FilterBank, relearned
-from coded_aperture_ros.core.arrays import FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import FloatArray, IndexArray, PerPatch
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.refine.focal import Folding
 from coded_aperture_ros.imaging import PatchGrid
@@ -18,9 +18,7 @@ def small_bank(bank: FilterBank) -> FilterBank:
     return relearned(bank, SMALL_PX, Folding.of(bank.blur_sizes_px).far)
 
 
-def small_cost(
-    small: Likelihood, seen: Observation, grey: FloatArray, noise: float | FloatArray
-) -> Cost:
+def small_cost(small: Likelihood, seen: Observation, grey: FloatArray, noise: PerPatch) -> Cost:
     """Return the cost of every blur size for every small patch of a frame, or of a mean of frames.
 
     `small` is planned by the `small_bank`, with patches every `CELL_PX`. The `noise` of `grey` is

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray, PerPatch
 from coded_aperture_ros.likelihood import NumpyEngine, Plan, take_logarithm
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE
 from coded_aperture_ros.methods.motion.bank import MotionBank
@@ -67,16 +67,16 @@ class MotionEngine(NumpyEngine):
         """How many numbers a patch is known by: the vectors of the basis, and a constant."""
         return int(self.plan.hypotheses.shape[1])
 
-    def energies(self, noise: float | FloatArray) -> FloatArray:
+    def energies(self, noise: PerPatch) -> FloatArray:
         """Return the least energy of every level under any motion [rows, columns, L]."""
         return np.moveaxis(self.of_all(noise).min(axis=0), 0, -1)
 
-    def of_static(self, noise: float | FloatArray) -> FloatArray:
+    def of_static(self, noise: PerPatch) -> FloatArray:
         """Return the energies of all levels if nothing moves [L, rows, columns]; see `of_all`."""
         self._alone.take_products(self._products[:, :-1])
         return np.moveaxis(self._alone.energies(noise), -1, 0)
 
-    def of_all(self, noise: float | FloatArray) -> FloatArray:
+    def of_all(self, noise: PerPatch) -> FloatArray:
         """Return the energies of all motions and levels [M, L, rows, columns].
 
         Of the frame that `project` took last; overwritten by the next. For a standard deviation of
@@ -95,7 +95,7 @@ class MotionEngine(NumpyEngine):
             self._exact.compare_best(self._of_all, index, static, self._finalists)
         return self._of_all.reshape(*self._of_all.shape[:2], *self._precision.shape)
 
-    def of_some(self, noise: float | FloatArray, candidates: IndexArray) -> FloatArray:
+    def of_some(self, noise: PerPatch, candidates: IndexArray) -> FloatArray:
         """Return the energies of some motions for each patch [k, L, rows, columns].
 
         Under one texture each: there are no finalists. The fewer different sets there are among the
@@ -126,7 +126,7 @@ class MotionEngine(NumpyEngine):
         products = self._products[row * columns : (row + 1) * columns, :-1]
         products[:] = self._scratch[thread].power.reshape(-1, columns).T
 
-    def _compete(self, noise: float | FloatArray, energies: FloatArray, tasks: list[_Task]) -> None:
+    def _compete(self, noise: PerPatch, energies: FloatArray, tasks: list[_Task]) -> None:
         """Find the energies of some patches under some motions; see `FilterBank`."""
         measured, tried = self._measured(noise), self.plan.tried(noise)
 
@@ -140,9 +140,7 @@ class MotionEngine(NumpyEngine):
 
         self._workers.each(compete, tasks)
 
-    def _take_textures(
-        self, exact: ExactEnergies, noise: float | FloatArray, tasks: list[_Task]
-    ) -> None:
+    def _take_textures(self, exact: ExactEnergies, noise: PerPatch, tasks: list[_Task]) -> None:
         """Find which texture suits each patch under some motions, and go on with it."""
         measured, tried = self._measured(noise), self.plan.tried(noise)
         texture = np.empty(self._precision.size, np.intp)
@@ -163,11 +161,7 @@ class MotionEngine(NumpyEngine):
         return spectra
 
     def refined(
-        self,
-        noise: float | FloatArray,
-        patches: BoolArray,
-        start_px: DoubleArray,
-        tolerance_px: float,
+        self, noise: PerPatch, patches: BoolArray, start_px: DoubleArray, tolerance_px: float
     ) -> DoubleArray:
         """Return the likeliest motion of some patches [rows, columns]; see `most_likely_motion`.
 
@@ -187,7 +181,7 @@ class MotionEngine(NumpyEngine):
         np.matmul(hypotheses, seen, out=excess)
         return excess.reshape(-1, self._levels, count)
 
-    def _measured(self, noise: float | FloatArray) -> FloatArray:
+    def _measured(self, noise: PerPatch) -> FloatArray:
         """Return what all patches are known by, in units of the noise, and what noise explains.
 
         ndarray, float32 [R + 2, patches]: a constant is the last but one.

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray, PerPatch
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.likelihood import Cost, MotionField, relative_cost
 from coded_aperture_ros.methods.motion.bank import MotionBank
@@ -96,7 +96,7 @@ class MotionLikelihood:
     def cost(
         self,
         grey: FloatArray,
-        noise: float | FloatArray,
+        noise: PerPatch,
         usable: BoolArray | None = None,
         prior: ExpectedMotion | None = None,
     ) -> Cost:
@@ -130,7 +130,7 @@ class MotionLikelihood:
         """End the engine's threads."""
         self._engine.close()
 
-    def _of_all_motions(self, noise: float | FloatArray, usable: BoolArray) -> FloatArray:
+    def _of_all_motions(self, noise: PerPatch, usable: BoolArray) -> FloatArray:
         """Return the cost of every pair of motion and level [M, L, rows, columns]."""
         pairs = self._relative(self._engine.of_all(noise), usable)
         static = np.flatnonzero(np.hypot(*self._motions.vectors_px.T) == 0)
@@ -163,9 +163,7 @@ class MotionLikelihood:
         count = min(self._config.prior_motions, len(motions))
         return _Expectation(np.asarray(self._nearest_motions[:, :count][nearest]), field)
 
-    def _refined(
-        self, separated: Separated, noise: float | FloatArray, usable: BoolArray
-    ) -> Separated:
+    def _refined(self, separated: Separated, noise: PerPatch, usable: BoolArray) -> Separated:
         """Search for what exactly the motions are that occur."""
         vectors = separated.vectors_px.copy()
         for index in np.unique(separated.motion):

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from coded_aperture_ros.bank import DEFAULT_STRIDE_PX
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray, PerPatch
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.likelihood import EngineLikelihood, plausible_ratios, take_logarithm
@@ -155,7 +155,7 @@ class NeighbourEngine:
         self._workers.each(filter_frame, range(self._channels.shape[0] * self._channels.shape[1]))
         self._workers.each(self._measure, range(self.products))
 
-    def energies(self, noise: float | FloatArray) -> FloatArray:
+    def energies(self, noise: PerPatch) -> FloatArray:
         """Return the energies of the frame taken last [rows, columns, L]."""
         grid = self.grid
         model = self._model

@@ -1,0 +1,115 @@
+"""What runs the networks: OpenCV, and ONNX Runtime, which computes in whole numbers."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from coded_aperture_benchmarks.layered import random_scene
+
+from coded_aperture_ros.bank import learn_bank
+from coded_aperture_ros.core import networks
+from coded_aperture_ros.core.archive import read_shipped
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.networks import network_of
+from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth.refine import network as refinement
+from coded_aperture_ros.metrics import psnr_db
+from coded_aperture_ros.optics import Mask, render_psf_stack
+
+NOISE = 0.002
+needs_onnxruntime = pytest.mark.skipif(
+    networks.find_spec("onnxruntime") is None, reason="needs onnxruntime"
+)
+
+
+@pytest.fixture(scope="module")
+def seen():
+    scene = random_scene(1_000_123, Mask.named("levin"), "far", (192, 240))
+    noise = np.random.default_rng(0).standard_normal(scene.shape, np.float32)
+    return scene, scene.coded() + np.float32(NOISE) * noise
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return learn_bank(render_psf_stack(Mask.named("levin"), np.arange(0.9, 20, 0.6)))
+
+
+@needs_onnxruntime
+def test_depth_of_both_is_alike(seen, bank):
+    scene, frame = seen
+    found = {}
+    for network in ("opencv", "onnxruntime"):
+        estimator = DepthEstimator(
+            bank, DepthConfig(network=network, noise=NOISE, confidence_threshold=0)
+        )
+        found[network] = estimator.estimate(frame)
+        estimator.close()
+    exact, rounded = found.values()
+    assert not np.array_equal(exact.level, rounded.level)  # they are two
+    assert np.mean(np.abs(exact.level - rounded.level) < 0.5) > 0.97
+    assert np.mean(np.abs(exact.confidence - rounded.confidence)) < 0.02
+    right = [np.mean(np.abs(e.blur_size_px - scene.blur_size_px()) < 1) for e in found.values()]
+    assert right[1] > right[0] - 0.01
+
+
+@needs_onnxruntime
+def test_pictures_of_both_are_alike(seen, bank):
+    scene, frame = seen
+    sharp, blur_px = scene.all_in_focus(), scene.blur_size_px()
+    gains = []
+    for network in ("opencv", "onnxruntime"):
+        deblurrer = Deblurrer(bank.stack, DeblurConfig(noise=NOISE, network=network))
+        gains.append(psnr_db(deblurrer.deblur(frame, blur_px), sharp))
+    assert gains[0] != gains[1]
+    assert gains[1] > gains[0] - 0.1
+
+
+@needs_onnxruntime
+def test_a_deblurrer_changes_over_while_it_works(seen, bank):
+    scene, frame = seen
+    config = DeblurConfig(noise=NOISE, network="onnxruntime")
+    deblurrer = Deblurrer(bank.stack, config)
+    first = deblurrer.deblur(frame, scene.blur_size_px())
+    deblurrer.reconfigure(dataclasses.replace(config, network="opencv"))
+    assert not np.array_equal(deblurrer.deblur(frame, scene.blur_size_px()), first)
+    deblurrer.reconfigure(config)
+    assert np.array_equal(deblurrer.deblur(frame, scene.blur_size_px()), first)
+
+
+@needs_onnxruntime
+def test_any_number_of_threads_says_the_same(seen, bank):
+    _, frame = seen
+    found = []
+    for threads in (1, 2):
+        config = DepthConfig(network="onnxruntime", noise=NOISE, threads=threads)
+        estimator = DepthEstimator(bank, config)
+        found.append(estimator.estimate(frame).level)
+        estimator.close()
+    assert found[0] == pytest.approx(found[1], abs=0.1, nan_ok=True)
+
+
+def test_what_is_installed_decides_unless_one_is_named(monkeypatch):
+    arrays = read_shipped(
+        refinement.__file__, "refinement.npz", refinement.SCHEMA, refinement.SCHEMA_VERSION
+    )
+    asked = []
+    monkeypatch.setattr(networks, "_in_whole_numbers", lambda model, threads: asked.append(threads))
+    for installed in (None, object()):
+        monkeypatch.setattr(networks, "find_spec", lambda name, found=installed: found)
+        network_of(arrays, "levels", "auto", 3)
+        assert asked == ([] if installed is None else [3])
+        network_of(arrays, "levels", "opencv", 1)
+    assert asked == [3]
+
+
+@pytest.mark.parametrize("config", [DepthConfig, DeblurConfig])
+def test_a_runtime_that_is_not_installed_is_refused_at_the_start(config, monkeypatch):
+    monkeypatch.setattr(networks, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"not installed: .*'\.\[fast\]', or use opencv"):
+        config(network="onnxruntime")
+    assert config(network="auto").network == "auto"
+    with pytest.raises(
+        InputError, match="network: 'abacus' is not allowed, use one of auto, opencv"
+    ):
+        config(network="abacus")
