@@ -10,7 +10,7 @@ from coded_aperture_ros import __version__
 from coded_aperture_ros.core.blas import slow_blas_warning
 from coded_aperture_ros.core.workers import processors
 
-_LIBRARIES = "numpy", "scipy", "cv2", "numba", "rclpy", "torch"
+_LIBRARIES = "numpy", "scipy", "cv2", "numba", "rclpy", "torch", "onnxruntime"
 
 
 class ShowVersion(argparse.Action):

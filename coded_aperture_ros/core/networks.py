@@ -26,10 +26,9 @@ def check_runtime(runtime: str) -> None:
 def network_of(arrays: Mapping[str, Any], name: str, runtime: str, threads: int) -> Network:
     """Return what runs a network of the file that it ships in.
 
-    ONNX Runtime computes in whole numbers of 8 bits; `auto` takes it where it is installed. Raises
-    `InputError` if OpenCV cannot run the network.
+    ONNX Runtime, see `check_runtime`, computes in whole numbers of 8 bits; `auto` takes it where it
+    is installed. Raises `InputError` if OpenCV cannot run the network.
     """
-    check_runtime(runtime)
     if runtime == "onnxruntime" or (runtime == "auto" and find_spec("onnxruntime")):
         return _in_whole_numbers(arrays[f"{name}_int8"].tobytes(), threads)
     try:

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray, Shape
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DEPTH_EDGE_PX
 
@@ -61,7 +61,7 @@ def filled_blur_map(blur_size_px: FloatArray, frame: FloatArray, reduction: int 
     return _enlarged(blur, guide if guide.ndim == 2 else guide.mean(axis=2))
 
 
-def _reduced(blur: FloatArray, size: Shape) -> FloatArray:
+def _reduced(blur: FloatArray, size: tuple[int, int]) -> FloatArray:
     """Return a map at a smaller size (columns, rows): means of what is known, NaN without any."""
     known = np.isfinite(blur)
     if known.all():

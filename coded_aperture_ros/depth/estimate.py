@@ -107,7 +107,7 @@ def check_map_size(size: Shape | None) -> None:
         raise InputError(f"size of the depth map: expected at least 1x1, got {size}")
 
 
-def map_size(frame_size: Shape, choice: str) -> tuple[int, int]:
+def map_size(frame_size: Shape, choice: str) -> Shape:
     """Return the size (rows, columns) of the depth map of frames of a size.
 
     Sizes are (rows, columns); `choice` is one of `MAP_SIZES`; auto: the largest whole fraction of

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import FloatArray, Shape
 
 
-def periodic_shape(shape: tuple[int, ...], extension_px: int) -> tuple[int, int]:
+def periodic_shape(shape: tuple[int, ...], extension_px: int) -> Shape:
     """Return the rows and columns, fast to transform, of an image extended by so much at least."""
     rows, columns = (scipy.fft.next_fast_len(side + extension_px, real=True) for side in shape[:2])
     return rows, columns
