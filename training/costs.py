@@ -123,13 +123,20 @@ def recorded(light: np.ndarray, how: Seen, number: int) -> np.ndarray:
     return frame.astype(np.float32)
 
 
-def shown(number: int, light: np.ndarray, blur_px: np.ndarray, folder: Path) -> dict[str, Any]:
-    """Return what the network is shown of frame `number`."""
+def shown(
+    number: int,
+    light: np.ndarray,
+    blur_px: np.ndarray,
+    folder: Path,
+    near_px: np.ndarray | None = None,
+) -> dict[str, Any]:
+    """Return what the network is shown of frame `number`; `near_px` is that of something before."""
     what = drawn(number)
     how = seen(number, what.side)
     frame = recorded(light, how, number)
     banks = banks_of(what.mask, what.side, how.bank, folder)
-    keep = _levels_kept(banks[0].blur_sizes_px, blur_px, number)
+    all_px = blur_px if near_px is None else np.stack([blur_px, near_px])
+    keep = _levels_kept(banks[0].blur_sizes_px, all_px, number)
     bank, bank_of_small = (with_levels(each, keep) for each in banks)
     noise = max(np.hypot(how.noise, 0.0011 * how.eight_bits), 2e-4) if how.known else 0.0
     estimator = DepthEstimator(bank, DepthConfig(noise=float(noise), regularize="semiglobal"))
@@ -190,7 +197,11 @@ def _whole(values: np.ndarray, side: int) -> np.ndarray:
 
 
 def shown_shard(
-    shard: int, light: np.ndarray, blur: np.ndarray, folder: Path | None
+    shard: int,
+    light: np.ndarray,
+    blur: np.ndarray,
+    folder: Path | None,
+    near: np.ndarray | None = None,
 ) -> dict[str, np.ndarray]:
     """Return what the network is shown of all frames of a shard, stacked."""
     folder = folder or Path(tempfile.gettempdir()) / "coded_aperture_training_banks"
@@ -199,7 +210,8 @@ def shown_shard(
         blur_px = np.abs(sizes * np.float32(BLUR_STEP))
         blur_px[sizes == 0] = np.nan  # seams between two surfaces
         number = shard * FRAMES_PER_SHARD + index
-        each.append(shown(number, frame * np.float32(LIGHT_STEP), blur_px, folder))
+        near_px = None if near is None else np.abs(near[index] * np.float32(BLUR_STEP))
+        each.append(shown(number, frame * np.float32(LIGHT_STEP), blur_px, folder, near_px))
     return {name: np.stack([one[name] for one in each]) for name in each[0]}
 
 
@@ -214,7 +226,7 @@ def main() -> None:
 
     def read(shard: int, source: Path) -> tuple[int, np.ndarray, np.ndarray, Path | None]:
         with np.load(source) as scenes:
-            return shard, scenes["light"], scenes["blur"], folder
+            return shard, scenes["light"], scenes["blur"], folder, scenes.get("near")
 
     tasks = [
         (args.output / f"costs_{shard:04d}.npz", partial(read, shard, source))

@@ -7,7 +7,7 @@ import argparse
 import dataclasses
 
 import numpy as np
-from coded_aperture_benchmarks.layered import random_scene
+from coded_aperture_benchmarks.layered import FENCES, fenced_scene, random_scene
 from shards import add_shard_options, compute
 
 from coded_aperture_ros.optics import Mask
@@ -37,6 +37,9 @@ _ASYMMETRIC = 0.05
 # rooms with nothing in them, such as a wall that fills the frame. Their shares; the rest is wide.
 FIRST_RARE_SHARD = 80
 _SHALLOW_SHARE, _EMPTY_SHARE = 0.2, 0.2
+# From this one on every frame shows a room behind a net, leaves or a pane: how many of each.
+FIRST_FENCED_SHARD = 200
+_FENCE_SHARES, _FENCED_NEAR = (0.5, 0.25, 0.25), 0.15
 # Blur is kept in 16 bits.
 _WIDEST_PX = 21.8
 
@@ -65,6 +68,7 @@ class Drawn:
     side: str
     blur_range_px: tuple[float, float] | None = None
     empty: bool = False
+    fence: str = ""
 
 
 def drawn(number: int) -> Drawn:
@@ -72,6 +76,10 @@ def drawn(number: int) -> Drawn:
     random = np.random.default_rng([5, number])
     weights = np.array([*_MASKS.values(), *[_RANDOM_SHARE / _RANDOM_MASKS] * _RANDOM_MASKS])
     mask = str(random.choice(mask_names(), p=weights / weights.sum()))
+    if number >= FIRST_FENCED_SHARD * FRAMES_PER_SHARD:
+        fence = str(random.choice(FENCES, p=_FENCE_SHARES))
+        side = "near" if random.random() < _FENCED_NEAR else "far"
+        return Drawn(number, mask, side, fence=fence)
     side = str(random.choice(["far", "near", "both"], p=[0.76, 0.1, 0.14]))
     if side == "both" and mask_of(mask).asymmetry < _ASYMMETRIC:
         side = "far"
@@ -103,15 +111,30 @@ def render(number: int) -> dict[str, np.ndarray]:
     random = np.random.default_rng([6, number])
     mask = mask_of(what.mask)
     shape = FRAME_PX, FRAME_PX
-    scene = random_scene(what.seed, mask, what.side, shape, what.blur_range_px, what.empty)
+    fenced = fenced_scene(what.seed, mask, what.fence, what.side, shape) if what.fence else None
+    scene = (
+        fenced.scene
+        if fenced
+        else random_scene(what.seed, mask, what.side, shape, what.blur_range_px, what.empty)
+    )
     # Cut and printed masks differ a little from what the bank believes.
     uneven = 1 + random.uniform(0, 0.08) * random.standard_normal(mask.transmission.shape)
     cells = np.clip(mask.transmission * uneven, 0, 1).astype(np.float32)
     light = scene.coded(Mask(mask.name, cells))
+    two_surfaces = (
+        {}
+        if fenced is None
+        else {
+            "cover": np.rint(255 * fenced.cover).astype(np.uint8),
+            "near": np.rint(fenced.near_px / BLUR_STEP).astype(np.int16),
+            "behind": np.rint(fenced.behind_px / BLUR_STEP).astype(np.int16),
+        }
+    )
     return {
         "light": np.rint(np.clip(light, 0, 1) / LIGHT_STEP).astype(np.uint16),
         "blur": np.rint(scene.blur_size_px() / BLUR_STEP).astype(np.int16),
         "infinity": np.float32(scene.camera.blur_at_infinity_px),
+        **two_surfaces,
     }
 
 

@@ -86,6 +86,7 @@ _MOTION = Group(
         "table": "planes that move, as in the thesis",
         "scenes": "an object that moves in front of a scene that does not",
         "speed": "time of a frame with and without motion",
+        "fragmentation": "how an aperture is best cut up (mask motion)",
     },
 )
 # By name a group, or a benchmark's help. A suite's module has its name, below a group that of the
@@ -97,6 +98,7 @@ BENCHMARKS: dict[str, Group | str] = {
     "simple-speed": "of depth behind masks of a few equal holes",
     "motion": _MOTION,
     "masks": "predicted against measured errors of random masks",
+    "subspaces": "how far apart the subspaces of levels lie, as in the thesis",
     "sign": "the side of the focal plane: in front or behind",
     "trust": "what is made of frames that do not fit their bank",
     "fitting": "frames that fit their bank, and videos whose light changes",
@@ -121,6 +123,8 @@ _EPILOG = """examples:
     coded_aperture bench motion table
   predicted against measured errors of random masks:
     coded_aperture bench masks
+  distances between subspaces, next to those of the thesis:
+    coded_aperture bench subspaces
   both sides of the focal plane:
     coded_aperture bench sign
   frames that do not fit their bank:

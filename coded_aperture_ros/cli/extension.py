@@ -1,4 +1,4 @@
-"""Sub-commands that hand over to packages beside this one: `bench` and `view`."""
+"""Sub-commands that hand over to packages beside this one."""
 
 import argparse
 import dataclasses
@@ -19,6 +19,7 @@ class Extension:
     folder: str
     package: str
     help: str
+    first: tuple[str, ...] = ()  # what the package is told before the arguments
 
     def add_parser(self, subparsers: Any) -> None:
         """Add the sub-command to the program's parser."""
@@ -32,7 +33,7 @@ class Extension:
 
     def run(self, args: argparse.Namespace) -> int:
         """Run the sub-command; return its exit status."""
-        return self.module("__main__", self.command).main(args.arguments)
+        return self.module("__main__", self.command).main([*self.first, *args.arguments])
 
     def module(self, name: str, what: str) -> Any:
         """Return a module of the package; an `InputError` says that `what` needs it."""
@@ -51,11 +52,15 @@ class Extension:
             raise InputError(f"{what}: needs {needed}") from error
 
 
+_BENCHMARKS = "benchmarks", "coded_aperture_benchmarks"
 BENCH = Extension(
-    "bench",
-    "benchmarks",
-    "coded_aperture_benchmarks",
-    "measure accuracy on frames whose truth is known, and speed",
+    "bench", *_BENCHMARKS, "measure accuracy on frames whose truth is known, and speed"
+)
+MASK_MOTION = Extension(
+    "motion",
+    *_BENCHMARKS,
+    "find the placement of holes that preserves most under defocus and motion",
+    ("motion", "fragmentation"),
 )
 VIEW = Extension(
     "view", "viewer", "coded_aperture_viewer", "show a camera, a video or a bag live in the browser"

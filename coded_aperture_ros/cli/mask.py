@@ -4,11 +4,15 @@ import argparse
 from importlib import import_module
 from typing import Any
 
+from coded_aperture_ros.cli.extension import MASK_MOTION
 from coded_aperture_ros.cli.options import add_commands
 
 ACTIONS: dict[str, Any] = {
-    name: import_module(f"coded_aperture_ros.cli.mask_{name}")
-    for name in ("print", "score", "search", "motion")
+    **{
+        name: import_module(f"coded_aperture_ros.cli.mask_{name}")
+        for name in ("print", "score", "search")
+    },
+    "motion": MASK_MOTION,
 }
 _EPILOG = """examples:
   Levin's mask, 26 mm wide, on a page to be printed and cut out:

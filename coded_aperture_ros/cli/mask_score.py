@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output
-from coded_aperture_ros.cli.measuring import pictures_in, tell
+from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import (
     add_options,
     at_least,
@@ -18,8 +17,6 @@ from coded_aperture_ros.cli.options import (
 )
 from coded_aperture_ros.cli.progress import progress
 
-# Subspaces take a millisecond a level, and a figure shows no more.
-_SUBSPACE_LEVELS = 16
 _EPILOG = """examples:
   all masks with names:
     coded_aperture mask score
@@ -37,11 +34,9 @@ def add_parser(subparsers: Any) -> None:
         "score",
         help="predict depth and deblurring error of masks",
         description="Predict the depth error and the deblurring error of masks, from the spectra "
-        "that they make of texture, and the distances of the thesis between the subspaces of "
-        "blurred patches (M. Martinello, Coded Aperture Imaging, PhD thesis, 2012, chapter 9). "
-        "With pictures, their sharp windows are blurred with each mask too, and told apart as "
-        "depth estimation does. Predictions are for comparing masks; bench accuracy stair "
-        "measures.",
+        "that they make of texture. With pictures, their sharp windows are blurred with each mask "
+        "too, and told apart as depth estimation does. Predictions are for comparing masks; bench "
+        "accuracy stair measures.",
         epilog=_EPILOG,
     )
     parser.add_argument(
@@ -55,12 +50,9 @@ def add_parser(subparsers: Any) -> None:
         metavar="S",
         help="noise behind an open aperture, above 0 (default 0.001 0.005)",
     )
-    files = {
-        "--images DIR": "predict the depth error with the sharp pictures of this folder too",
-        "--figure PNG": "draw the distances of all pairs of levels (figure 9.5)",
-    }
+    folder = "predict the depth error with the sharp pictures of this folder too"
     windows = "of the pictures, in all (default 768; a quarter of a second for each mask)"
-    add_options(parser, files)
+    add_options(parser, {"--images DIR": folder})
     add_options(parser, {"--windows N": windows}, type=at_least(1))
     add_options(parser, {"--json": "print the scores as JSON"})
     parser.add_late_options = settings_of(
@@ -70,24 +62,16 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
-    import numpy as np
-
-    from coded_aperture_ros.mask_design import MaskScorer, SceneConfig, subspace_distances
-    from coded_aperture_ros.mask_design.subspaces import LETTER_OF_MASK, THESIS_L1
+    from coded_aperture_ros.mask_design import MaskScorer, SceneConfig
     from coded_aperture_ros.optics import MASK_NAMES
 
     if args.windows is not None and args.images is None:
         args.usage_error("--windows: these are windows of pictures, give --images too")
-    if args.figure is not None:
-        given = [*args.masks, *(pictures_in([args.images]) if args.images else ())]
-        check_output(args.figure, map(Path, given), [".png"])
     names = args.masks or list(MASK_NAMES)
     masks = [mask_of(name) for name in names]
     scene = config_from(args, SceneConfig)
     predicted = MaskScorer(scene, args.sigmas).score(masks)
     with_pictures = _with_pictures(args, scene, masks)
-    sizes = np.linspace(scene.smallest_px, scene.largest_px, min(scene.levels, _SUBSPACE_LEVELS))
-    distances = [subspace_distances(mask, sizes) for mask in masks]
     rows = [
         {
             "mask": name,
@@ -95,18 +79,9 @@ def run(args: argparse.Namespace) -> int:
             "depth_error": _of_noises(args.sigmas, predicted.depth_error[index]),
             "pictures_error": with_pictures[index],
             "deblurring_error": _of_noises(args.sigmas, predicted.deblurring_error[index]),
-            "subspace_l1": round(distances[index].l1_fit, 3),
-            "subspace_l1_relative": round(distances[index].relative_fit, 4),
-            "subspace_rank": distances[index].rank,
-            "thesis_l1": THESIS_L1.get(LETTER_OF_MASK.get(name, "")),
         }
         for index, name in enumerate(names)
     ]
-    if args.figure is not None:
-        from coded_aperture_ros.mask_design.figures import distance_matrices
-
-        shares = [each.matrix / np.sqrt(each.rank) for each in distances]
-        distance_matrices(dict(zip(names, shares, strict=True)), args.figure)
     scores = {"sigmas": args.sigmas, "masks": rows}
     return tell(args, scores, lambda _: _text(rows, args.sigmas))
 
@@ -148,15 +123,12 @@ def _text(rows: Sequence[dict[str, Any]], sigmas: Sequence[float]) -> str:
         if rows[0][key] is not None
         for sigma in sigmas
     ]
-    header = ["mask", "light", *(title for title, *_ in columns), "L1 fit", "share", "[thesis]"]
+    header = ["mask", "light", *(title for title, *_ in columns)]
     lines = [
         [
             row["mask"],
             f"{row['light']:.2f}",
             *(f"{row[key][noise]:.{digits}f}" for _, key, noise, digits in columns),
-            f"{row['subspace_l1']:.2f}",
-            f"{row['subspace_l1_relative']:.2f}",
-            "-" if row["thesis_l1"] is None else f"[{row['thesis_l1']:.2f}]",
         ]
         for row in rows
     ]

@@ -11,12 +11,6 @@ _DOTS_PER_INCH = 100
 PathLike = str | os.PathLike[str] | IO[bytes]
 
 
-def new_panels(down: int, across: int, width: float = 1.1) -> tuple[Any, Any]:
-    """Return a figure, and its axes [down, across]."""
-    figure = new_figure(width * PANEL_INCHES * across, PANEL_INCHES * down)
-    return figure, figure.subplots(down, across, squeeze=False)
-
-
 def new_figure(
     width_inches: float, height_inches: float, layout: str | None = "constrained"
 ) -> Any:

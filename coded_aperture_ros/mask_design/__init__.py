@@ -3,4 +3,3 @@
 from coded_aperture_ros.mask_design.pictures import PictureScorer
 from coded_aperture_ros.mask_design.predict import MaskScorer
 from coded_aperture_ros.mask_design.spectra import SceneConfig
-from coded_aperture_ros.mask_design.subspaces import subspace_distances

@@ -10,6 +10,7 @@ from coded_aperture_benchmarks.frames.stair import (
     noise_behind,
     spread_per_step,
 )
+from coded_aperture_benchmarks.reference.subspace_distances import LETTER_OF_MASK
 from coded_aperture_benchmarks.reference.thesis_tables import LETTERS, METHODS, thesis_error
 from coded_aperture_benchmarks.textures import load_textures, training_textures
 from hypothesis import given
@@ -18,7 +19,6 @@ from scipy import ndimage
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io import write_image
-from coded_aperture_ros.mask_design.subspaces import LETTER_OF_MASK
 from coded_aperture_ros.mask_design.textures import Textures
 from coded_aperture_ros.metrics import Reliability
 from coded_aperture_ros.optics import MASK_NAMES, Mask, render_psf

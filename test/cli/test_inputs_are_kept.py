@@ -49,7 +49,6 @@ PLANES = "calibrate planes planes -o new.npz "
         (PLANES + "--camera camera.yaml --output .", "camera.yaml"),
         (PLANES + "--camera lens.yaml --output .", "mask.npy"),
         ("calibrate blind mask.npy --output .", "mask.npy"),
-        ("mask score levin --images . --figure coded.png", "coded.png"),
         ("calibrate --camera calibrate.json --depth-range 1.4 4 --output .", "calibrate.json"),
     ],
 )

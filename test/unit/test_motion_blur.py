@@ -5,6 +5,12 @@ import json
 import numpy as np
 import pytest
 from cli_scene import CAMERA, HEIGHT, WIDTH, call, camera_file, texture
+from coded_aperture_benchmarks.fragmentation import (
+    analyse_fragmentation,
+    hole_side_mm,
+    most_holes,
+    round_mask,
+)
 from coded_aperture_benchmarks.frames.moving_frame import MovingObject, render_moving_frame
 from deblur_scene import assert_adjoint
 from scipy.signal import fftconvolve
@@ -16,12 +22,6 @@ from coded_aperture_ros.deblur.operator import SpreadingBlur, frame_within, moti
 from coded_aperture_ros.deblur.problem import motion_of_frame
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.io import write_image
-from coded_aperture_ros.mask_design.fragmentation import (
-    analyse_fragmentation,
-    hole_side_mm,
-    most_holes,
-    round_mask,
-)
 from coded_aperture_ros.methods.motion import Motions, blurred_psf, motion_kernel
 from coded_aperture_ros.optics import Camera, Mask, render_psf, render_psf_stack
 from coded_aperture_ros.simulation import render_coded_frame

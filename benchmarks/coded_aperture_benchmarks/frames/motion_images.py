@@ -6,11 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from coded_aperture_benchmarks.frames.stair import crops_generator, with_noise
-from coded_aperture_ros.bank import LearnConfig, learn_bank
-from coded_aperture_ros.depth.upsample import MapGrid
-from coded_aperture_ros.imaging.noise import NOISE_FLOOR
-from coded_aperture_ros.mask_design.fragmentation import (
+from coded_aperture_benchmarks.fragmentation import (
     BLUR_SIZES_PX,
     DIRECTIONS,
     LENGTHS,
@@ -19,6 +15,10 @@ from coded_aperture_ros.mask_design.fragmentation import (
     analyse_fragmentation,
     table_motions,
 )
+from coded_aperture_benchmarks.frames.stair import crops_generator, with_noise
+from coded_aperture_ros.bank import LearnConfig, learn_bank
+from coded_aperture_ros.depth.upsample import MapGrid
+from coded_aperture_ros.imaging.noise import NOISE_FLOOR
 from coded_aperture_ros.mask_design.textures import Textures
 from coded_aperture_ros.methods.motion import MotionConfig, blurred_psf, learn_motion_bank
 from coded_aperture_ros.methods.motion.engine import MotionEngine

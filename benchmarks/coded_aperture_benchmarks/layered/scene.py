@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.layered.shapes import THINGS, leaf
+from coded_aperture_benchmarks.layered.shapes import THINGS, leaf, net
 from coded_aperture_benchmarks.layered.textures import TEXTURE_COUNT, TEXTURE_PX, texture
 from coded_aperture_benchmarks.layered.tracing import (
     FINENESS,
@@ -22,9 +22,12 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera, Mask
 
 SIDES = ("far", "near", "both")
+FENCES = ("net", "leaves", "pane")
 _LARGEST_PX = 19.5
 _FOCAL_LENGTH_PX = 600.0
 _FOCUS_M = 1.0
+# How much nearer a fence is than what is behind it, and the sides of leaves that let light pass.
+_FENCE_APART_PX, _LEAVES_PX = 2.0, (10, 36)
 _AROUND = (1, 1, 1, 1, cv2.BORDER_CONSTANT)
 
 
@@ -138,6 +141,58 @@ def rod_scene(
     return LayeredScene(layers, camera), labels
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fenced:
+    """A scene seen through something that lets part of the view pass.
+
+    Attributes
+    ----------
+    scene : LayeredScene
+    cover : ndarray, float32 [rows, columns]
+        Share of each pixel that the nearer surface takes, 0 to 1.
+    near_px, behind_px : ndarray, float32 [rows, columns]
+        Signed blur sizes of the nearer surface, wherever it may be, and of the room behind.
+    """
+
+    scene: LayeredScene
+    cover: FloatArray
+    near_px: FloatArray
+    behind_px: FloatArray
+
+
+def fenced_scene(
+    seed: int, mask: Mask, kind: str = "net", side: str = "far", shape: tuple[int, int] = (288, 288)
+) -> Fenced:
+    """Return a room behind a net, foliage or a pane that shines; the same for the same arguments.
+
+    Parameters
+    ----------
+    seed, mask, shape
+        As of `random_scene`.
+    kind : {"net", "leaves", "pane"}
+        A net, fence or grating; leaves side by side; or glass that reflects, or a thin curtain.
+    side : {"far", "near"}
+        Of the focal plane.
+    """
+    random = np.random.default_rng([seed, SIDES.index(side), FENCES.index(kind), 3])
+    while True:
+        draw, camera = _drawing(random, mask, side, shape, _apart(random, side))
+        room = draw.room(())
+        behind = seen_from_centre(list(room), shape)
+        # A floor or a wall beside may leave no place before it.
+        if behind.min() >= draw.nearest + _FENCE_APART_PX:
+            break
+    layers, cover, near = draw.fence(kind, room, float(behind.min()) - _FENCE_APART_PX)
+    return Fenced(LayeredScene((*layers, *room), camera), cover, near, behind)
+
+
+def _apart(random: np.random.Generator, side: str) -> tuple[float, float]:
+    """Return a range of blur sizes with room for something before the room."""
+    wide, narrow = random.uniform(7, _LARGEST_PX), random.uniform(0.1, 0.55)
+    near, far = max(narrow * wide, 0.9), wide
+    return (near, far) if side == "far" else (-far, -near)
+
+
 def _drawing(
     random: np.random.Generator,
     mask: Mask,
@@ -238,6 +293,35 @@ class _Drawing:
             found.append((blur, layer))
         return found
 
+    def fence(
+        self, kind: str, room: tuple[Layer, ...], farthest: float
+    ) -> tuple[tuple[Layer, ...], FloatArray, FloatArray]:
+        """Return what part of the room is seen through: its share of pixels, and its blur size."""
+        random = self.random
+        blur = random.uniform(self.nearest, farthest)
+        if kind == "leaves":
+            band = min(0.5, farthest - blur)
+            places = np.sort(random.uniform(blur, blur + band, int(random.integers(60, 200))))
+            grown = [self._leaf(float(place), _LEAVES_PX) for place in places]
+            layers = tuple(layer for layer in grown if layer is not None)
+            near = np.full(self.shape, blur + band / 2, np.float32)
+        else:
+            matte = net(random, max(self.canvas))[: self.canvas[0], : self.canvas[1]]
+            if kind == "pane":
+                matte = np.full(self.canvas, random.uniform(0.25, 0.65), np.float32)
+            slant = random.uniform(-1, 1, 2) * (farthest - blur) / sum(self.shape)
+            slant *= random.random() < 0.4
+            middle = np.array(self.shape) / 2
+            plane = (blur - float(slant @ middle), *slant)
+            layers = (self._drawn(matte, self._light(matte.shape), plane, 0, 0),)
+            y, x = np.mgrid[: self.shape[0], : self.shape[1]].astype(np.float32)
+            near = (plane[0] + slant[0] * y + slant[1] * x).astype(np.float32)
+        # What is in front shines, what is behind does not.
+        shining = [dataclasses.replace(layer, light=layer.cover) for layer in layers]
+        black = [dataclasses.replace(layer, light=0 * layer.light) for layer in room]
+        cover = traced([*shining, *black], self.shape, np.array([[0, 0, 1]], np.float32))
+        return layers, np.clip(cover, 0, 1), near
+
     def room(self, things: tuple[Layer, ...]) -> tuple[Layer, ...]:
         """Return the planes behind all things: the nearest of them is seen at every pixel."""
         random, rows, columns = self.random, *self.canvas
@@ -306,9 +390,9 @@ class _Drawing:
         light = self._light(matte.shape)
         return self._drawn(matte, light, (base, *slant), int(top), int(left), relief)
 
-    def _leaf(self, blur: float) -> Layer | None:
+    def _leaf(self, blur: float, sides_px: tuple[int, int] = (10, 70)) -> Layer | None:
         random = self.random
-        side = FINENESS * int(np.exp(random.uniform(np.log(10), np.log(70))))
+        side = FINENESS * int(np.exp(random.uniform(*np.log(sides_px))))
         matte = leaf(random, side)
         top, left = (int(random.integers(-side // 2, length)) for length in self.canvas)
         slant = random.uniform(-1, 1, 2) * min(1.5, self.farthest - blur) * FINENESS / side

@@ -5,7 +5,7 @@ M. Martinello, *Coded Aperture Imaging*, PhD thesis, Heriot-Watt University, 201
 figure 4.4, the noise is divided by a mask's open fraction.
 """
 
-from coded_aperture_ros.mask_design.subspaces import LETTER_OF_MASK, SAME_PATTERN
+from coded_aperture_benchmarks.reference.subspace_distances import LETTER_OF_MASK, SAME_PATTERN
 
 LETTERS = "abcdefgh"
 OUR_METHOD = "thesis"
