@@ -86,6 +86,8 @@ setup(
         # Completion by the tab key.
         "completion": ["argcomplete>=3"],
         "graphcut": [GRAPH_CUTS],
+        # `mask print -o mask.dxf`.
+        "cut": ["ezdxf>=1.0"],
         "cluster": ["distributed>=2024.1"],
         # `make docs`.
         "docs": ["sphinx>=7", "myst-parser>=2", "numpydoc>=1.6"],
@@ -97,6 +99,7 @@ setup(
             "pytest-xdist>=3.5",
             "hypothesis>=6.100",
             "argcomplete>=3",
+            "ezdxf>=1.0",
             "ruff>=0.6",
             "mypy>=1.11",
             "pre-commit>=3.5",

@@ -98,6 +98,7 @@ BENCHMARKS: dict[str, Group | str] = {
     "simple-speed": "of depth behind masks of a few equal holes",
     "motion": _MOTION,
     "masks": "predicted against measured errors of random masks",
+    "design": "masks for a camera, a range and some light (mask design)",
     "subspaces": "how far apart the subspaces of levels lie, as in the thesis",
     "sign": "the side of the focal plane: in front or behind",
     "trust": "what is made of frames that do not fit their bank",
@@ -123,6 +124,8 @@ _EPILOG = """examples:
     coded_aperture bench motion table
   predicted against measured errors of random masks:
     coded_aperture bench masks
+  which mask for a camera and a range:
+    coded_aperture bench design --camera camera.yaml --depth-range 0.5 4
   distances between subspaces, next to those of the thesis:
     coded_aperture bench subspaces
   both sides of the focal plane:

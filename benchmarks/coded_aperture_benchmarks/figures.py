@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_benchmarks.fragmentation import Fragmentation, transfer
 from coded_aperture_ros.core.figures import PANEL_INCHES, PathLike, new_figure, save_figure
-from coded_aperture_ros.optics import render_psf
+from coded_aperture_ros.optics import Mask, render_psf
 
 # As in thesis figure 6.4.
 _DEVIATIONS = 3.0
@@ -300,4 +300,41 @@ def distance_matrices(matrices: Mapping[str, NDArray[np.floating]], path: PathLi
     for axes, (title, matrix) in zip(panels.flat, matrices.items(), strict=False):
         axes.imshow(matrix, cmap="gray", vmin=0, vmax=1)
         axes.set_title(title, fontsize="small")
+    save_figure(figure, path)
+
+
+def masks_by_light(masks: Sequence[tuple[Mask, float, float]], path: PathLike) -> None:
+    """Draw masks where their light and their depth error put them.
+
+    Parameters
+    ----------
+    masks : sequence of (Mask, float, float)
+        With the light that each lets pass, and its relative depth error.
+    """
+    from matplotlib.offsetbox import AnnotationBbox, OffsetImage
+
+    figure = new_figure(2.6 * PANEL_INCHES, 1.8 * PANEL_INCHES)
+    axes = figure.subplots()
+    lights, errors = (np.array([each[k] for each in masks]) for k in (1, 2))
+    axes.plot(lights, 100 * errors, ".", color="0.7")
+    for mask, light, error in masks:
+        grid = mask.transmission
+        image = OffsetImage(grid, zoom=26 / max(grid.shape), cmap="gray", interpolation="nearest")
+        frame = {"edgecolor": "0.4"}
+        axes.add_artist(AnnotationBbox(image, (light, 100 * error), pad=0.1, bboxprops=frame))
+        axes.annotate(
+            mask.name,
+            (light, 100 * error),
+            (0, -24),
+            textcoords="offset points",
+            ha="center",
+            fontsize=7,
+        )
+    # Those that no other beats in both.
+    order = np.argsort(-lights)
+    best = [index for index in order if errors[index] <= errors[lights >= lights[index]].min()]
+    axes.step(lights[best], 100 * errors[best], where="pre", color="tab:blue", linewidth=1)
+    axes.margins(0.15)
+    axes.set_xlabel("open share of the mask")
+    axes.set_ylabel("median depth error, %")
     save_figure(figure, path)

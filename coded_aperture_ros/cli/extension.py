@@ -56,6 +56,12 @@ _BENCHMARKS = "benchmarks", "coded_aperture_benchmarks"
 BENCH = Extension(
     "bench", *_BENCHMARKS, "measure accuracy on frames whose truth is known, and speed"
 )
+MASK_DESIGN = Extension(
+    "design",
+    *_BENCHMARKS,
+    "compare masks for a camera, a depth range and some light, from end to end",
+    ("design",),
+)
 MASK_MOTION = Extension(
     "motion",
     *_BENCHMARKS,

@@ -4,7 +4,7 @@ import argparse
 from importlib import import_module
 from typing import Any
 
-from coded_aperture_ros.cli.extension import MASK_MOTION
+from coded_aperture_ros.cli.extension import MASK_DESIGN, MASK_MOTION
 from coded_aperture_ros.cli.options import add_commands
 
 ACTIONS: dict[str, Any] = {
@@ -12,6 +12,7 @@ ACTIONS: dict[str, Any] = {
         name: import_module(f"coded_aperture_ros.cli.mask_{name}")
         for name in ("print", "score", "search")
     },
+    "design": MASK_DESIGN,
     "motion": MASK_MOTION,
 }
 _EPILOG = """examples:
@@ -28,7 +29,7 @@ def add_parser(subparsers: Any) -> None:
         "mask",
         help="print a mask at true scale, score masks, search for better ones",
         description="Print the mask of an aperture at true scale, predict how good masks are, "
-        "search for better ones, or find one for what moves.",
+        "search for better ones, or find one for a camera and its range, or for what moves.",
         epilog=_EPILOG,
     )
     add_commands(parser, "action", ACTIONS.values())

@@ -3,6 +3,7 @@
 import argparse
 import logging
 import math
+from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, inputs_of
@@ -15,6 +16,8 @@ _EPILOG = """examples:
     coded_aperture mask print --camera config/demo_camera.yaml --outer-mm 74 -o mask.pdf
   Levin's mask, 26 mm wide, with a line that says what it is for:
     coded_aperture mask print levin --extent-mm 26 --label "50 mm f/1.4" -o mask.svg
+  the same for a laser whose beam takes away 0.1 mm (needs ezdxf):
+    coded_aperture mask print levin --extent-mm 26 --kerf-mm 0.1 -o mask.dxf
 """
 
 
@@ -22,10 +25,11 @@ def add_parser(subparsers: Any) -> None:
     """Add the sub-command to the program's parser."""
     parser = subparsers.add_parser(
         "print",
-        help="draw a mask at true scale, with a ruler and cut lines (PDF or SVG)",
+        help="draw a mask at true scale, with a ruler and cut lines (PDF, SVG or DXF)",
         description="Draw a mask on an A4 page at true scale, with rulers in mm, cut lines and a "
-        "mark for the way it sits in the lens. Masks with names: levin, two_hole, three_hole, "
-        "four_hole, annulus, veeraraghavan, zhou, mura, disc, four_wide, three_wide.",
+        "mark for the way it sits in the lens; DXF has the cut lines alone. Masks with names: "
+        "levin, two_hole, three_hole, four_hole, annulus, veeraraghavan, zhou, mura, disc, "
+        "four_wide, three_wide.",
         epilog=_EPILOG,
     )
     parser.add_argument(
@@ -43,8 +47,12 @@ def add_parser(subparsers: Any) -> None:
         "(default %(default)s)"
     }
     add_options(parser, least, type=float, default=0.3)
+    kerf = {
+        "--kerf-mm MM": "width of the cut: lines lie half of it within the openings (default 0)"
+    }
+    add_options(parser, kerf, type=float, default=0.0)
     add_options(parser, {"--label TEXT": "a line to print on the page"}, default="")
-    add_options(parser, {"-o --output FILE": "page to write (.pdf or .svg)"}, required=True)
+    add_options(parser, {"-o --output FILE": "page to write (.pdf, .svg or .dxf)"}, required=True)
     add_options(parser, {"--json": "print a summary as JSON"})
 
 
@@ -53,19 +61,21 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.core.files import atomic_output
     from coded_aperture_ros.design import openings_of
     from coded_aperture_ros.design.diffraction import airy_width_px, diffraction_warning
-    from coded_aperture_ros.design.openings import narrowest_bar
+    from coded_aperture_ros.design.openings import narrowest_bar, recut
     from coded_aperture_ros.design.sheet import loose_parts_note, mask_sheet
-    from coded_aperture_ros.design.sheet_files import pdf_of, svg_of
+    from coded_aperture_ros.design.sheet_files import dxf_of, pdf_of, svg_of
     from coded_aperture_ros.optics import load_camera
 
     _check_usage(args)
-    check_output(args.output, inputs_of(args, "camera", "mask"), (".pdf", ".svg"))
+    check_output(args.output, inputs_of(args, "camera", "mask"), (".pdf", ".svg", ".dxf"))
     camera = args.camera and load_camera(args.camera)
     mask = camera.mask if camera else mask_of(args.mask)
     extent_mm = args.extent_mm or camera.mask_extent_mm
     with naming(args.camera or f"mask {args.mask}"):
-        sheet = mask_sheet(mask, extent_mm, args.outer_mm, args.label)
-    data = pdf_of(sheet) if args.output.lower().endswith(".pdf") else svg_of(sheet).encode()
+        cut = recut(mask, -args.kerf_mm / extent_mm) if args.kerf_mm else mask
+        sheet = mask_sheet(cut, extent_mm, args.outer_mm, args.label)
+    written = {".pdf": pdf_of, ".dxf": dxf_of, ".svg": lambda sheet: svg_of(sheet).encode()}
+    data = written[Path(args.output).suffix.lower()](sheet)
     with atomic_output(args.output) as path:
         path.write_bytes(data)
     openings = openings_of(mask)
@@ -112,7 +122,9 @@ def _check_usage(args: argparse.Namespace) -> None:
         args.usage_error("give either a mask's name or file, or --camera")
     if args.mask is not None and args.extent_mm is None:
         args.usage_error("--extent-mm is needed: how wide the mask is, in mm")
-    for name in ("extent_mm", "outer_mm", "smallest_cut_mm"):
+    for name in ("extent_mm", "outer_mm", "smallest_cut_mm", "kerf_mm"):
         value = getattr(args, name)
+        if name == "kerf_mm" and value == 0:
+            continue
         if value is not None and not 0 < value < math.inf:
             args.usage_error(f"{written_name(name)}: expected more than 0 mm, got {value:g}")

@@ -13,6 +13,8 @@ from coded_aperture_ros.optics import Mask
 
 # Widths are exact to this part of a cell; for openings made of square cells, exact.
 _POINTS_PER_CELL = 4
+# Cells a side of masks whose openings are made wider or narrower.
+_RECUT_CELLS = 1000
 Point = tuple[float, float]
 Outline = list[Point]
 # Curved masks are stored as coverage of cells; their outline is drawn in steps of this part of a
@@ -93,6 +95,26 @@ def _corners(cells: BoolArray) -> NDArray[np.uint8]:
     """Return which corner points within the grid are of one of some cells."""
     inside = np.asarray(cells, np.uint8)
     return inside[:-1, :-1] | inside[1:, :-1] | inside[:-1, 1:] | inside[1:, 1:]
+
+
+def recut(mask: Mask, change: float) -> Mask:
+    """Return a mask with all openings so much wider, or narrower if less than 0.
+
+    `change` is a share of the extent, half of it at each side of an opening. What would be cut
+    beyond the grid's edge is left out. An `InputError` if nothing remains open.
+    """
+    cells = open_cells(mask)
+    steps = -(-_RECUT_CELLS // max(cells.shape))
+    fine = np.kron(cells, np.ones((steps, steps), bool))
+    # Around the grid all is closed.
+    inside = (np.pad(fine, 1) == (change < 0)).astype(np.uint8)
+    # To the middles of the nearest cells of the other kind, whose edges are half a cell nearer.
+    away = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] - 0.5
+    beyond = away > abs(change) / 2 * max(fine.shape)
+    still_open = beyond if change < 0 else ~beyond
+    if not still_open.any():
+        raise InputError(f"mask {mask.name}: nothing is open once it is {-change:.3g} narrower")
+    return Mask(mask.name, still_open.astype(np.float32))
 
 
 def outlines_of(mask: Mask) -> list[Outline]:

@@ -1,8 +1,10 @@
-"""A sheet as SVG, in millimetres, and as PDF, which asks the printer not to scale its A4 page."""
+"""A sheet as SVG, as PDF, which asks the printer not to scale its A4 page, and as DXF."""
 
+import io
 import re
 from xml.sax.saxutils import escape
 
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design.sheet import HEIGHT_MM, WIDTH_MM, Shape, Sheet, Text
 
 _POINTS_PER_MM = 72 / 25.4
@@ -75,6 +77,27 @@ def pdf_of(sheet: Sheet) -> bytes:
     data += b"".join(b"%010d 00000 n \n" % offset for offset in offsets)
     data += b"trailer\n<< /Size %d /Root 1 0 R /Info %d 0 R >>\n" % (size_of_table, len(objects))
     return data + b"startxref\n%d\n%%%%EOF\n" % start_of_table
+
+
+def dxf_of(sheet: Sheet) -> bytes:
+    """Return the lines to be cut, in mm, as a DXF file: layers `hole` and `rim`.
+
+    An `InputError` where ezdxf is not installed.
+    """
+    try:
+        import ezdxf
+    except ImportError as error:
+        raise InputError("DXF files need ezdxf: pip install ezdxf") from error
+    drawing = ezdxf.new("R2000", units=ezdxf.units.MM)
+    for shape in sheet.shapes:
+        for outline in shape.outlines if shape.kind in ("hole", "rim") else ():
+            points = [(x, HEIGHT_MM - y) for x, y in outline]
+            drawing.modelspace().add_lwpolyline(
+                points, close=True, dxfattribs={"layer": shape.kind}
+            )
+    text = io.StringIO()
+    drawing.write(text)
+    return text.getvalue().encode()
 
 
 def _at(x_mm: float, y_mm: float) -> str:

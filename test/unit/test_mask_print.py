@@ -15,7 +15,7 @@ from cameras import THESIS
 from cli_scene import call, everything, refused, wrong_usage
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.design.openings import outlines_of
+from coded_aperture_ros.design.openings import outlines_of, recut
 from coded_aperture_ros.design.sheet import mask_sheet
 from coded_aperture_ros.design.sheet_files import pdf_of, svg_of
 from coded_aperture_ros.optics import MASK_NAMES, Mask
@@ -64,6 +64,22 @@ def test_grey_masks_cannot_be_cut(tmp_path):
     grey = Mask("soft.png", np.tile(np.linspace(0, 1, 20, dtype=np.float32) ** 3, (20, 1)))
     with pytest.raises(InputError, match=r"mask soft.png: it has grey cells"):
         outlines_of(grey)
+
+
+def test_openings_cut_wider_and_narrower():
+    square = Mask.from_rows(["000", "010", "000"])
+    for change in (-0.1, 0.04):
+        changed = recut(square, change)
+        side = 1 / 3 + change
+        # Corners of a wider opening are round, as those of a cutter's way are.
+        rounded = (4 - np.pi) * (max(change, 0) / 2) ** 2
+        assert changed.open_fraction == pytest.approx(side**2 - rounded, rel=0.01)
+    levin = Mask.named("levin")
+    assert recut(levin, 0.0).open_fraction == pytest.approx(levin.open_fraction)
+    # Whole at the grid's edge: it is the outline of the outermost openings.
+    assert extent_of([np.array(one) for one in outlines_of(recut(levin, 0.02))])[0].max() <= 1
+    with pytest.raises(InputError, match="mask levin: nothing is open once"):
+        recut(levin, -0.3)
 
 
 # ---- true scale, read from the files ----
@@ -218,6 +234,32 @@ def test_the_rendered_pdf_is_the_mask(tmp_path):
 # ---- the command ----
 
 
+def test_lines_for_a_laser(tmp_path, capsys):
+    ezdxf = pytest.importorskip("ezdxf")
+    output = tmp_path / "mask.dxf"
+    cut = ("--kerf-mm", 0.5, "--outer-mm", 60, "-o", output)
+    result = call(capsys, "mask", "print", "levin", "--extent-mm", 33, *cut)
+    assert (result.status, result.err) == (0, "")
+    drawing = ezdxf.readfile(output)
+    assert drawing.units == ezdxf.units.MM
+    lines: dict[str, list] = {}
+    for line in drawing.modelspace().query("LWPOLYLINE"):
+        assert line.closed
+        lines.setdefault(line.dxf.layer, []).append(np.array(line.get_points("xy")))
+    assert extent_of(lines["hole"])[0] == pytest.approx([32.5, 32.5], abs=0.05)
+    assert extent_of(lines["rim"])[0] == pytest.approx([60, 60], abs=1e-3)
+    smallest = min(np.ptp(outline, axis=0).min() for outline in lines["hole"])
+    assert smallest == pytest.approx(2.5, abs=0.05)
+    # As printed: what is up stays up.
+    mask = tmp_path / "corner.npy"
+    np.save(mask, np.array([[1, 0], [0, 0]]))
+    call(capsys, "mask", "print", mask, "--extent-mm", 20, "-o", output)
+    (hole,) = ezdxf.readfile(output).modelspace().query('LWPOLYLINE[layer=="hole"]')
+    (rim,) = ezdxf.readfile(output).modelspace().query('LWPOLYLINE[layer=="rim"]')
+    right, up = (np.mean(hole.get_points("xy"), 0) - np.mean(rim.get_points("xy"), 0)).tolist()
+    assert right < 0 < up
+
+
 @pytest.mark.parametrize("suffix", [".pdf", ".svg"])
 def test_command(tmp_path, capsys, suffix):
     output = tmp_path / "new" / f"mask{suffix}"
@@ -273,7 +315,7 @@ def test_what_cannot_be_printed(tmp_path, capsys, monkeypatch, arguments, phrase
 @pytest.mark.parametrize(
     ("output", "phrase"),
     [
-        ("mask.png", "use a name that ends in .pdf or .svg"),
+        ("mask.png", "use a name that ends in .pdf or .svg or .dxf"),
         ("folder.pdf", "it is a folder"),
         ("file/mask.pdf", "is not a folder"),
         ("/proc/mask.pdf", "cannot write /proc/mask.pdf"),
@@ -291,6 +333,7 @@ def test_outputs_that_cannot_be_written(tmp_path, capsys, output, phrase):
 @pytest.mark.parametrize(
     ("arguments", "phrase"),
     [
+        (("levin", "--extent-mm", 9, "--kerf-mm", -1, "-o", "a.pdf"), "--kerf-mm: expected more"),
         ((), "required: -o"),
         (("-o", "a.pdf"), "give either a mask's name or file, or --camera"),
         (("levin", "--camera", "c.yaml", "-o", "a.pdf"), "give either"),
