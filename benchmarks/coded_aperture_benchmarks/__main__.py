@@ -106,6 +106,8 @@ BENCHMARKS: dict[str, Group | str] = {
     "datasheet": "what the data sheet of a camera would say",
     "lens": "a real lens: before and after its field curvature is measured",
     "free-space": "a bound that what is seen is hardly ever nearer than, and what it costs",
+    "second": "two surfaces in one window: nets, leaves and panes before something",
+    "focus": "two frames at two focus settings, beside one",
     "odometry": "how far a robot drifts that steers by these frames alone",
     "tags": "over what distances tags and QR codes are read",
     "views": "the view through each opening of the mask, and focus after the shot",
@@ -140,6 +142,10 @@ _EPILOG = """examples:
     coded_aperture bench lens desk/ --planes calib/
   how often something is nearer than the bound on free space:
     coded_aperture bench free-space
+  what is seen through nets and leaves:
+    coded_aperture bench second
+  two frames at two focus settings:
+    coded_aperture bench focus
   the way of a camera through a room, found by its frames alone:
     coded_aperture bench odometry --rooms 1 --length 2
   tags and QR codes at random distances, beside an ordinary lens:

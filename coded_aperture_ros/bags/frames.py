@@ -27,6 +27,8 @@ class DepthMaps:
     noise: float
     motion_px: FloatArray | None = None
     free_space_m: FloatArray | None = None
+    second_m: FloatArray | None = None
+    second_share: FloatArray | None = None
     health: Health | None = None
 
 
@@ -101,6 +103,8 @@ class FrameProcessor:
                 depth.noise,
                 motion_px,
                 depth.free_space_m,
+                depth.second_m,
+                depth.second_share,
                 depth.health,
             ),
             seconds=stages.seconds,

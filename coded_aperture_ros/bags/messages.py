@@ -77,7 +77,8 @@ def result_topics(outputs: Outputs, deblurs: bool) -> list[Topic]:
     """Return the topics of the results."""
     kinds = dict.fromkeys((outputs.depth, outputs.confidence, outputs.std_dev), codec.IMAGE)
     kinds[outputs.depth_info] = codec.CAMERA_INFO
-    kinds |= {name: codec.IMAGE for name in (outputs.motion, outputs.free_space) if name}
+    more = outputs.motion, outputs.free_space, outputs.second, outputs.second_share
+    kinds |= {name: codec.IMAGE for name in more if name}
     if deblurs:
         kinds |= {outputs.deblurred: codec.IMAGE, outputs.deblurred_info: codec.CAMERA_INFO}
     return [codec.new_topic(name, kind) for name, kind in kinds.items()]
@@ -96,8 +97,13 @@ def result_messages(
         yield outputs.depth_info, codec.camera_info_data(info, (rows, columns), header)
         if outputs.motion is not None and maps.motion_px is not None:
             yield outputs.motion, codec.image_data(maps.motion_px, "32FC2", header)
-        if outputs.free_space is not None and maps.free_space_m is not None:
-            yield outputs.free_space, codec.image_data(maps.free_space_m, "32FC1", header)
+        for topic, values in (
+            (outputs.free_space, maps.free_space_m),
+            (outputs.second, maps.second_m),
+            (outputs.second_share, maps.second_share),
+        ):
+            if topic is not None and values is not None:
+                yield topic, codec.image_data(values, "32FC1", header)
     if result.sharp is not None:
         rows, columns = result.sharp.shape[:2]
         yield outputs.deblurred, codec.image_data(result.sharp, result.encoding, header)

@@ -110,6 +110,7 @@ def run(args: argparse.Namespace) -> int:
         deblur = DeblurConfig(method=args.deblur, rank=args.deblur_rank, band=args.deblur_band)
 
     asked = {"motion": args.motion, "free_space": args.free_space_risk}
+    asked |= dict.fromkeys(("second", "second_share"), args.second_surface)
     conversion = BagConversion(
         topic=args.topic,
         reference_topic=args.reference_depth,

@@ -33,6 +33,7 @@ from coded_aperture_ros.cli.options import (
     add_gamma_option,
     add_options,
     between,
+    written_name,
 )
 from coded_aperture_ros.core.errors import InputError, naming
 
@@ -47,6 +48,9 @@ _EPILOG = """examples:
   a mask of a few equal holes, without a bank:
     coded_aperture depth --method simple --camera config/example_camera.yaml \\
         --depth-range 3.5 9 coded.png -o simple.npy
+  two frames of one view, the second with the lens focused at 2 m:
+    coded_aperture depth --bank bank.npz --camera camera.yaml coded.png \
+        --second-frame refocused.png --second-focus 2 -o depth.npy
   something moves during the exposure: its motion, px, as [row, column, right and down]:
     coded_aperture depth --bank bank.npz --motion coded.png -o moving.npy
 """
@@ -69,9 +73,9 @@ def add_parser(subparsers: Any) -> None:
         description="Estimate the depth of every pixel of coded frames. Beside each depth "
         "map x.npy its confidence, 0 to 1, is written to x.confidence.npy; where that is low, the "
         "depth is unknown (NaN, or 0 in a 16-bit PNG). In m, its standard deviation goes to "
-        "x.std_dev.npy, and the bound of --free-space-risk to x.free_space.npy (not with "
-        "--as-levels). With levels on both sides of the focal plane (side: both), x.side.npy has "
-        "the probability that the side is right.",
+        "x.std_dev.npy, the bound of --free-space-risk to x.free_space.npy, and --second-surface "
+        "to x.second.npy and x.second_share.npy (not with --as-levels). With levels on both sides "
+        "of the focal plane (side: both), x.side.npy has the probability that the side is right.",
         epilog=_EPILOG,
     )
     add_input_options(
@@ -90,6 +94,10 @@ def add_parser(subparsers: Any) -> None:
     as_levels = {"--as-levels": "write fractional level indices instead of metres"}
     add_options(parser, look_ahead)
     add_deprecated_alias(parser, "--levels", add_options(parser, as_levels))
+    second = {"--second-frame FILE": "a frame of the same view with the lens focused elsewhere"}
+    add_options(parser, second)
+    focus = {"--second-focus M": "with --second-frame and --camera: distance of its focus, m"}
+    add_options(parser, focus, type=between(0.001, 100_000))
     add_options(parser, {"--pictures": "write colour pictures of depth and confidence too"})
     movie = "write a video of the frames beside their depth too, 10 a second"
     add_options(parser, {"--movie FILE.mp4": movie})
@@ -142,7 +150,9 @@ def run(args: argparse.Namespace) -> int:
         for _, grouped in groupby(frames, key=lambda frame: frame.video):
             pipeline.reset()
             video = _told_if_lossy(grouped)
-            if args.look_ahead:
+            if args.second_frame:
+                results = _with_second(pipeline, video, fit, args)
+            elif args.look_ahead:
                 results = _with_look_ahead(pipeline, video, fit)
             else:
                 results = _in_turn(pipeline, video, prior, fit, unusable)
@@ -178,6 +188,16 @@ def _check_usage(args: argparse.Namespace) -> None:
         args.usage_error("--points: needs --camera, and no --as-levels")
     if args.frame_scale != 1 and (args.look_ahead or args.motion):
         args.usage_error("--frame-scale: not with --look-ahead or --motion")
+    if (args.second_frame is None) != (args.second_focus is None):
+        args.usage_error("--second-frame: needs --second-focus too, and the other way round")
+    if args.second_frame is not None:
+        if args.camera is None or len(args.inputs) != 1:
+            args.usage_error("--second-frame: needs --camera, and one frame beside it")
+        for name in ("motion", "temporal_frames", "as_levels"):
+            if getattr(args, name):
+                args.usage_error(f"--second-frame: not with {written_name(name)}")
+        if args.frame_scale != 1 or args.method != "bank":
+            args.usage_error("--second-frame: not with --frame-scale or --method simple")
     if args.movie:
         check_output(args.movie, map(Path, args.inputs), (".mp4",))
 
@@ -211,6 +231,30 @@ def _in_turn(
             unusable.note(error)
             continue
         yield frame, estimate, time.perf_counter() - start
+
+
+def _with_second(
+    pipeline: Any,
+    frames: Iterator[NamedFrame],
+    fit: Callable[[NamedFrame], NamedFrame],
+    args: argparse.Namespace,
+) -> Iterator[tuple[NamedFrame, Any, float]]:
+    """Yield the only frame, and what is estimated of it together with the second one."""
+    from coded_aperture_ros.depth.focus_pair import FocusPair
+    from coded_aperture_ros.io import read_image
+
+    frame, *others = frames
+    if others:
+        raise InputError(f"{args.inputs[0]}: expected one frame beside --second-frame")
+    start = time.perf_counter()
+    with naming(frame.source):
+        fit(frame)
+    second = read_image(args.second_frame, args.gamma)
+    with naming(args.second_frame):
+        pair = FocusPair(pipeline.estimator, args.second_focus)
+        estimate = pair.estimate(frame.image, second, frame.size)
+    pair.close()
+    yield frame, estimate, time.perf_counter() - start
 
 
 def _with_look_ahead(
@@ -332,6 +376,8 @@ def _files(path: Path, args: argparse.Namespace, both_sides: bool) -> dict[str, 
         ends["std_dev"] = f".std_dev{suffix}"
         if args.free_space_risk:
             ends["free_space"] = f".free_space{suffix}"
+        if args.second_surface:
+            ends |= {name: f".{name}{suffix}" for name in ("second", "second_share")}
     if args.pictures:
         ends |= {"picture": ".picture.png", "confidence picture": ".confidence.picture.png"}
     if args.points:
@@ -351,6 +397,7 @@ def _write(
     results = {"depth": values, "confidence": estimate.confidence}
     results |= {"std_dev": estimate.std_dev_m, "side": estimate.side_confidence}
     results["free_space"] = estimate.free_space_m
+    results |= {"second": estimate.second_m, "second_share": estimate.second_share}
     if args.motion:
         results["motion"] = estimate.motion.vectors_px
         results["motion confidence"] = estimate.motion.confidence

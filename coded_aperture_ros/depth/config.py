@@ -92,6 +92,11 @@ class DepthConfig:
         within=(0.0, 0.1),
         parameter="free_space.risk",
     )
+    second_surface: bool = option(
+        False,
+        "Tell of a second surface where windows show two, such as a net and the wall behind it.",
+        parameter="second_surface.enabled",
+    )
     check_fit: bool = option(
         True,
         "Check whether frames fit the bank at all, and lower the confidence where they do not.",
@@ -129,6 +134,8 @@ class DepthConfig:
         check_options(self)
         if self.free_space_risk and self.regularize != LEARNED:
             raise InputError("free_space_risk: use 0, only regularize: learned gives a bound")
+        if self.second_surface and self.regularize != LEARNED:
+            raise InputError("second_surface: use false, only regularize: learned tells of it")
         thread_count(self.threads)
         check_backend(self.backend)
         check_runtime(self.network)

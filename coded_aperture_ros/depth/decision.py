@@ -39,6 +39,8 @@ class Decision:
     to_check: FloatArray | None = None
     # Returns the level that every pixel is nearer than at a risk, where that can be told.
     free_level: Callable[[float], FloatArray] | None = None
+    # Returns level and share of a second surface in the window, NaN without one.
+    second: Callable[[], tuple[FloatArray, FloatArray]] | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ _LARGEST_AUTO = (240, 320)
 _DIVISORS = {"full": 1, "half": 2, "quarter": 4}
 # Maps that are unknown together.
 _OF_LEVELS = ("level", "blur_size_px", "depth_m", "std_dev_m")
-_BESIDE = ("confidence", "side_confidence", "free_space_m")
+_BESIDE = ("confidence", "side_confidence", "free_space_m", "second_m", "second_share")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -49,6 +49,10 @@ class DepthEstimate:
     free_space_m : ndarray or None
         What is seen is nearer than this, in metres, in a share of the pixels that the configuration
         says, if frames fit and nothing is nearer than the levels. None if it asks for no bound.
+    second_m, second_share : ndarray or None
+        Depth of another surface in the window around each pixel, such as what is behind a net, or
+        the net, in metres, and the share of the window that it takes, 0 to 1; NaN where there is
+        only one. None if the configuration does not ask, or there are no depths.
     motion : MotionField or None
         Motion during the exposure, in maps of the same size; from methods that find it.
     health : Health or None
@@ -66,6 +70,8 @@ class DepthEstimate:
     side_confidence: FloatArray | None = None
     std_dev_m: FloatArray | None = None
     free_space_m: FloatArray | None = None
+    second_m: FloatArray | None = None
+    second_share: FloatArray | None = None
     motion: MotionField | None = None
     health: Health | None = None
     seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)

@@ -250,6 +250,18 @@ class DepthEstimator:
             free_space_m = levels.meaning(free, np.zeros_like(free), np.zeros_like(unknown))[2]
             if self._bends and free_space_m is not None:
                 free_space_m = self._bends.depth_in_field(free_space_m)
+        second_m: FloatArray | None = None
+        second_share: FloatArray | None = None
+        if config.second_surface:
+            second = second_share = np.full_like(level, np.nan)
+            if decided.second is not None:
+                second, second_share = (
+                    np.where(doubted, np.float32(np.nan), part) for part in decided.second()
+                )
+            second_m = levels.meaning(second, np.zeros_like(second), np.isnan(second))[2]
+            if self._bends and second_m is not None:
+                second_m = self._bends.depth_in_field(second_m)
+            stages.lap("second surface")
         level, blur_size_px, depth_m, std_dev_m = levels.meaning(level, decided.deviation, unknown)
         if self._bends and depth_m is not None and std_dev_m is not None:
             axial_m, depth_m = depth_m, self._bends.depth_in_field(depth_m)
@@ -263,6 +275,8 @@ class DepthEstimator:
             decided.side_confidence,
             std_dev_m,
             free_space_m,
+            second_m,
+            second_share,
             health=health,
         ).enlarged(size)
         if own.motion is not None:
@@ -295,7 +309,15 @@ class DepthEstimator:
                         shape, CELL_PX, config.backend, threads, periodic=False
                     )
                     unless_planned.callback(small.close)
-                    decide = Refined(bank, self._levels, small.grid, sides, workers, config.network)
+                    decide = Refined(
+                        bank,
+                        self._levels,
+                        small.grid,
+                        sides,
+                        workers,
+                        config.network,
+                        config.second_surface,
+                    )
                 else:
                     decide = Regularized(
                         self._levels,

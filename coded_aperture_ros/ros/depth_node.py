@@ -109,6 +109,8 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         "depth/std_dev": Image,
         "depth/free_space": Image,  # only with free_space.risk, as its points
         "depth/free_points": PointCloud2,
+        "depth/second": Image,  # only with second_surface.enabled, as its share
+        "depth/second_share": Image,
         "depth/camera_info": CameraInfo,
         "depth/points": PointCloud2,
         "depth/motion": Image,  # only with method: motion
@@ -226,6 +228,12 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             clouds["depth/free_points"] = free_m
             if self.wants("depth/free_space"):
                 self.send("depth/free_space", image_from_array(free_m, "32FC1", header))
+        for topic, values in (
+            ("depth/second", estimate.second_m),
+            ("depth/second_share", estimate.second_share),
+        ):
+            if values is not None and self.wants(topic):
+                self.send(topic, image_from_array(values, "32FC1", header))
         if complaint := driver.complaint(self._model.whole, frame_size):
             self.reject("camera_info", complaint)
         info = driver.info(self._model.whole, frame_size, size, header)

@@ -174,7 +174,7 @@ def test_levels_of_both_sides_are_folded():
 def _logits(probability):
     probability = np.asarray(probability, np.float32)
     size = np.log(np.maximum(probability, 1e-9))[:, None, None]
-    return Logits(size, np.full((1, 1), -2.0, np.float32), np.full((4, 1, 1), 4))
+    return Logits(size, np.full((1, 1), -2.0, np.float32), np.full((4, 1, 1), 4), size)
 
 
 def test_blur_size_is_the_mean_around_the_likeliest():

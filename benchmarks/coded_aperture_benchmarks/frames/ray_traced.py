@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from coded_aperture_benchmarks.metrics.edges import edge_distance_px
 from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth.refine import untrained
 from coded_aperture_ros.imaging import SRGB
 from coded_aperture_ros.io import read_depth, read_image
 from coded_aperture_ros.optics import Camera, Mask
@@ -23,6 +25,8 @@ _DEPTH_UNIT_M = 1e-4
 _VALID = 1.0
 # Banks are learned for a little more than what there is to see.
 RANGE_MARGIN = 0.02
+# Of a shallow scene the nearest level is nearer: at such a share of the farthest depth.
+_NEAREST = 0.7, 0.5, 0.3, 0.15
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -109,6 +113,22 @@ def bank_for(
     nearest_m = float(np.nanmin(depth_m)) * (1 - RANGE_MARGIN)
     farthest_m = float(np.nanmax(depth_m)) * (1 + RANGE_MARGIN)
     return learn_bank_for_camera(camera, nearest_m, farthest_m, levels, config)
+
+
+def learned_bank(
+    camera: Camera, ends_m: tuple[float, float], levels: int
+) -> tuple[FilterBank, float]:
+    """Return a bank that depth is refined with, and the depth of its nearest level.
+
+    For the nearest and the farthest depth of a scene, and nearer ones too where it is shallow.
+    """
+    for share in _NEAREST:
+        range_m = np.array([min(ends_m[0], share * ends_m[1]), ends_m[1]], np.float32)
+        with suppress(InputError):
+            bank = bank_for(camera, range_m, levels)
+            if not untrained(bank, bank.stride_px):
+                return bank, float(range_m[0] * (1 - RANGE_MARGIN))
+    raise InputError("there is no bank for this scene that depth is refined with")
 
 
 def load_sharp(folder: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -68,6 +68,19 @@ class LayeredScene:
         """Return the depth of what every pixel shows, float32 [rows, columns]."""
         return np.asarray(self.camera.depth_m(self.blur_size_px()), np.float32)
 
+    def refocused(self, focus_m: float) -> "LayeredScene":
+        """Return the scene before the same lens, focused at another distance without breathing.
+
+        Blur sizes are linear in the inverse of the depth, whatever the focus.
+        """
+        camera = dataclasses.replace(self.camera, focus_distance_m=focus_m, side="both")
+        more = camera.blur_at_infinity_px - self.camera.blur_at_infinity_px
+        layers = (
+            dataclasses.replace(layer, blur_px=(layer.blur_px[0] + more, *layer.blur_px[1:]))
+            for layer in self.layers
+        )
+        return LayeredScene(tuple(layers), camera)
+
     def _widest_px(self) -> float:
         return float(np.nanmax(np.abs(self.blur_size_px())))
 

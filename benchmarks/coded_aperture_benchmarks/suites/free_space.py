@@ -2,25 +2,22 @@
 
 import argparse
 import dataclasses
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.frames.cameras import camera_for_blur
-from coded_aperture_benchmarks.frames.ray_traced import RANGE_MARGIN, RayTracedScene, bank_for
+from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, learned_bank
 from coded_aperture_benchmarks.frames.room import random_room, walk
 from coded_aperture_benchmarks.layered import random_scene
 from coded_aperture_benchmarks.pictures import as_rgb, side_by_side
 from coded_aperture_benchmarks.rows import columns, grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.cli.options import mask_of, noise_level
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.depth.refine import untrained
 from coded_aperture_ros.imaging import SRGB
 from coded_aperture_ros.io import depth_picture, write_image
 from coded_aperture_ros.optics import Camera
@@ -34,8 +31,6 @@ _FIRST_ROOM, _FIRST_SCENE = 500, 2_500_000
 _FOCAL_LENGTH_PX, _ROOM_M, _ROOM_BLUR_PX = 600.0, (0.8, 7.0), (2.0, 16.0)
 _PUBLISHED = DepthConfig().confidence_threshold
 _NEARER = 0.9
-# Of a shallow scene the nearest level is nearer: at such a share of the farthest depth.
-_NEAREST = 0.7, 0.5, 0.3, 0.15
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,7 +111,8 @@ def measure(cell: Cell) -> Measured:
     """Take a frame, and ask for the bound at every risk."""
     seen = _seen(cell)
     frame = SensorModel(cell.noise).expose(seen.coded, np.random.default_rng(cell.number))
-    bank, near_m = _bank(seen)
+    ends_m = float(np.nanmin(seen.depth_m)), float(np.nanmax(seen.depth_m))
+    bank, near_m = learned_bank(seen.camera, ends_m, _LEVELS)
     rows, bounds_m = [], {}
     known = seen.depth_m > 0
     # In inverse depth, as blur goes by that: 0 for the nearest level, 1 for the truth.
@@ -149,18 +145,6 @@ def measure(cell: Cell) -> Measured:
             }
         )
     return Measured(cell, rows, frame, seen.depth_m, bounds_m)
-
-
-def _bank(seen: Seen) -> tuple[FilterBank, float]:
-    """Return the bank of a frame, and the depth of its nearest level."""
-    ends_m = float(np.nanmin(seen.depth_m)), float(np.nanmax(seen.depth_m))
-    for share in _NEAREST:
-        range_m = np.array([min(ends_m[0], share * ends_m[1]), ends_m[1]], np.float32)
-        with suppress(InputError):
-            bank = bank_for(seen.camera, range_m, _LEVELS)
-            if not untrained(bank, bank.stride_px):
-                return bank, float(range_m[0] * (1 - RANGE_MARGIN))
-    raise InputError("there is no bank for this scene that a bound can be given by")
 
 
 def _pooled(rows: list[Row]) -> Row:

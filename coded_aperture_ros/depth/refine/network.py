@@ -31,6 +31,7 @@ class Logits:
     # [4, rows, columns]; for each quarter of a half-cell, which of the nine half-cells around has
     # its blur size; row by row, 4 is itself.
     neighbour: NDArray[np.uint8]
+    cells: FloatArray  # [channels, rows, columns]; what the last layer is given of every cell
 
 
 class Network:
@@ -88,7 +89,7 @@ class Network:
             neighbour[of_rows] = at_half_cells(choice.reshape(-1, *some.shape[1:]))
 
         self._workers.each(last_layer, range(0, shape[0], _ROWS))
-        return Logits(size[:count], size[count], neighbour)
+        return Logits(size[:count], size[count], neighbour, cells)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

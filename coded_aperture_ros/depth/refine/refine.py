@@ -1,5 +1,7 @@
 """Decides levels by a small network that has learned what edges do to cost volumes."""
 
+from functools import partial
+
 import cv2
 import numpy as np
 
@@ -16,6 +18,7 @@ from coded_aperture_ros.depth.refine.cells import CELL_PX, Cells
 from coded_aperture_ros.depth.refine.features import (
     BLUR_SIZES_PX,
     BLUR_STEP_PX,
+    COST_CHANNELS,
     LARGEST_PX,
     Look,
     Surroundings,
@@ -26,6 +29,7 @@ from coded_aperture_ros.depth.refine.features import (
 from coded_aperture_ros.depth.refine.focal import Folding
 from coded_aperture_ros.depth.refine.network import Network
 from coded_aperture_ros.depth.refine.probabilities import HalfCells, chosen_neighbours, drawn
+from coded_aperture_ros.depth.refine.second import SecondSurface
 from coded_aperture_ros.depth.refine.small import SMALL_PX
 from coded_aperture_ros.depth.regularize import LEARNED
 from coded_aperture_ros.depth.sides import FocalSides
@@ -94,6 +98,7 @@ def refinement_note(model: LikelihoodModel, config: DepthConfig) -> str | None:
     return (
         "regularize: semiglobal in place of learned, which was not trained for this model: "
         f"{why}{'; it tells of no free space' if config.free_space_risk else ''}"
+        f"{'; it tells of no second surface' if config.second_surface else ''}"
     )
 
 
@@ -102,7 +107,7 @@ class Refined:
 
     `untrained` has nothing to say of the bank. On the grid `small` lie the small patches, whose
     cost comes with that of the model's; see `small_cost`. There are `sides` if there are levels on
-    both sides of the focal plane.
+    both sides of the focal plane. With `second` it can tell of a second surface.
     """
 
     def __init__(
@@ -113,6 +118,7 @@ class Refined:
         sides: FocalSides | None = None,
         workers: Workers | None = None,
         runtime: str = "auto",
+        second: bool = False,
     ) -> None:
         self._workers = workers or Workers()
         self._sizes = sizes = bank.blur_sizes_px
@@ -122,6 +128,8 @@ class Refined:
         tried = tried_sizes(self._folding.sizes_px)
         self._tried_px = BLUR_SIZES_PX[tried].astype(np.float32)
         self._network = Network(tried, self._workers, runtime)
+        # One that is more blurred may lie before or behind: of two sides nothing is told.
+        self._second = SecondSurface(tried) if second and sides is None else None
         self._tolerance = _tolerance_px(levels)
         self._near = 0.5 if sides is not None else float(sizes.mean() < 0)
         self._ends_px = float(sizes.min()), float(sizes.max())
@@ -171,7 +179,12 @@ class Refined:
         stages.lap("refine")
 
         def map_of(values: FloatArray, one_surface: float) -> FloatArray:
-            whole = drawn(values, quarters, one_surface)
+            return cut(drawn(values, quarters, one_surface))
+
+        def in_squares(values: FloatArray) -> FloatArray:
+            return cut(np.repeat(np.repeat(values, half_px, axis=0), half_px, axis=1))
+
+        def cut(whole: FloatArray) -> FloatArray:
             whole = whole[-cells.top :, -cells.left :][: grey.shape[0], : grey.shape[1]]
             if whole.shape != size:
                 whole = cv2.resize(whole, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
@@ -206,6 +219,15 @@ class Refined:
             blind = ~seen.usable & (volume.max(axis=-1) <= _ALIKE)
             return np.where(at.nearest(blind), nearest, map_of(level, one_surface))
 
+        def second(surface: SecondSurface) -> tuple[FloatArray, FloatArray]:
+            pair = surface(logits, costs[COST_CHANNELS:])
+            size_px, share = pair.beside(found.size_px)
+            level = in_squares(self._level(np.where(far >= 0.5, size_px, -size_px)))
+            share = in_squares(share)
+            blind = at.nearest(~seen.usable) | blank
+            level[blind] = share[blind] = np.nan
+            return level, share
+
         return Decision(
             map_of(level, one_surface),
             map_of(deviation, 0.5),
@@ -214,6 +236,7 @@ class Refined:
             nearest_plausible,
             to_check,
             free_level,
+            None if self._second is None else partial(second, self._second),
         )
 
     def _far(self, size_px: FloatArray, volume: FloatArray, cells: Cells) -> FloatArray:

@@ -23,12 +23,14 @@ class Outputs:
     deblurred_info: str
     motion: str | None = None
     free_space: str | None = None
+    second: str | None = None
+    second_share: str | None = None
 
     @classmethod
     def within(cls, namespace: str, more: Iterable[str] = ()) -> "Outputs":
         """Return the names in a namespace, such as `/camera`; empty for the topmost.
 
-        With `more` of depth, which only some bags get: motion, free_space.
+        With `more` of depth, which only some bags get: motion, free_space, second.
         """
         names = (
             *("depth/image", "depth/confidence", "depth/std_dev", "depth/camera_info"),

@@ -1,0 +1,203 @@
+"""`coded_aperture bench focus`: two frames at two focus settings, beside one of twice the light."""
+
+import argparse
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.layered import LayeredScene, random_scene
+from coded_aperture_benchmarks.pictures import as_rgb, side_by_side
+from coded_aperture_benchmarks.rows import columns, grouped, mean_of
+from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_ros.bank import learn_bank_for_camera
+from coded_aperture_ros.cli.options import mask_of
+from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
+from coded_aperture_ros.depth.focus_pair import FocusPair
+from coded_aperture_ros.imaging import SRGB
+from coded_aperture_ros.io import depth_picture, write_image
+from coded_aperture_ros.simulation import SensorModel
+
+_LEVELS, _SIZE, _MARGIN = 30, (288, 384), 0.02
+_FIRST_SCENE = 4_500_000
+_BLUR_PX = {"beyond": (2.0, 14.0), "within": (-8.0, 8.0), "both within": (-5.0, 9.0)}
+# Where the second focus is, in shares of the range of inverse depths from its far end.
+_SECOND = {"beyond": -0.15, "within": 1.2, "both within": 0.35}
+SETTINGS = tuple(_SECOND)
+_RIGHT = 0.1
+_PUBLISHED = DepthConfig().confidence_threshold
+
+
+@dataclasses.dataclass(frozen=True)
+class Cell:
+    """A scene, and where the two frames are in focus."""
+
+    setting: str
+    mask: str
+    number: int
+    noise: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Measured:
+    """Rows for each way to look, and the maps."""
+
+    cell: Cell
+    rows: list[Row]
+    frames: dict[str, FloatArray]
+    depth_m: dict[str, FloatArray]
+
+
+def _cells(args: argparse.Namespace) -> list[Cell]:
+    options.check_masks(args)
+    return [
+        Cell(setting, mask, number, args.noise)
+        for setting in SETTINGS
+        for mask in args.masks
+        for number in range(args.scenes)
+    ]
+
+
+def measure(cell: Cell) -> Measured:
+    """Look at a scene with one frame, with one of twice the exposure, and with two."""
+    side = "far" if cell.setting == "beyond" else "both"
+    seed, blur_px = _FIRST_SCENE + cell.number, _BLUR_PX[cell.setting]
+    scene = random_scene(seed, mask_of(cell.mask), side, _SIZE, blur_px)
+    true_m, camera = scene.depth_m(), scene.camera
+    near_m, far_m = float(np.nanmin(true_m)), float(np.nanmax(true_m))
+    at_focus = 1 / far_m + _SECOND[cell.setting] * (1 / near_m - 1 / far_m)
+    focus_m = 1 / max(at_focus, 0.1 / far_m)
+    random = np.random.default_rng(cell.number)
+
+    def exposed(seen: LayeredScene, exposures: int = 1) -> FloatArray:
+        return SensorModel(cell.noise / np.sqrt(exposures)).expose(seen.coded(), random)
+
+    first, second, long = exposed(scene), exposed(scene.refocused(focus_m)), exposed(scene, 2)
+    ends_m = near_m * (1 - _MARGIN), far_m * (1 + _MARGIN)
+    bank = learn_bank_for_camera(camera, *ends_m, _LEVELS)
+    estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0.0), camera)
+    pair = FocusPair(estimator, focus_m)
+    found = {
+        "first": estimator.estimate(first),
+        "first, twice the exposure": estimator.estimate(long),
+        "both": pair.estimate(first, second),
+    }
+    pair.close()
+    estimator.close()
+    rows = [
+        {
+            "setting": cell.setting,
+            "mask": cell.mask,
+            "number": cell.number,
+            "given": given,
+            **_scores(estimate, true_m),
+        }
+        for given, estimate in found.items()
+    ]
+    maps = {given: np.asarray(estimate.depth_m) for given, estimate in found.items()}
+    return Measured(cell, rows, {"first": first, "second": second}, {"truth": true_m, **maps})
+
+
+def _scores(estimate: DepthEstimate, true_m: FloatArray) -> Row:
+    known = np.isfinite(true_m)
+    error = np.abs(np.asarray(estimate.depth_m)[known] / true_m[known] - 1)
+    sure = estimate.confidence[known] >= _PUBLISHED
+    return {
+        "median_error": float(np.nanmedian(error)),
+        "right": float((error <= _RIGHT).mean()),
+        "published": float(sure.mean()),
+        "right_of_published": float((error[sure] <= _RIGHT).mean()) if sure.any() else None,
+        "fits": estimate.health is None or estimate.health.fits,
+    }
+
+
+def _results(args: argparse.Namespace, measured: list[Measured], seconds: float) -> Row:
+    rows = [row for each in measured for row in each.rows]
+    return {
+        "benchmark": "focus",
+        **options.header(args, "masks", "scenes", "noise"),
+        "seconds": seconds,
+        "rows": rows,
+        "pooled": [
+            {"setting": setting, "mask": mask, "given": given, **_pooled(group)}
+            for (setting, mask, given), group in grouped(rows, "setting", "mask", "given").items()
+        ],
+    }
+
+
+def _pooled(rows: list[Row]) -> Row:
+    sure = [row for row in rows if row["right_of_published"] is not None]
+    share = sum(row["published"] for row in sure)
+    right = sum(row["published"] * row["right_of_published"] for row in sure)
+    return {
+        **{
+            name: mean_of((row[name] for row in rows), 4) for name in ("right", "published", "fits")
+        },
+        "median_error": round(float(np.median([row["median_error"] for row in rows])), 4),
+        "worst": round(min(row["right"] for row in rows), 3),
+        "right_of_published": round(right / share, 4) if share else None,
+    }
+
+
+def _text(results: Row) -> str:
+    shown = {
+        "focus": "{setting}",
+        "mask": "{mask}",
+        "frames": "{given}",
+        "within 10 %": lambda row: f"{100 * row['right']:.1f} %",
+        "worst scene": lambda row: f"{100 * row['worst']:.0f} %",
+        "median error": lambda row: f"{100 * row['median_error']:.1f} %",
+        "published": lambda row: f"{100 * row['published']:.1f} %",
+        "right of these": lambda row: (
+            "-" if row["right_of_published"] is None else f"{100 * row['right_of_published']:.1f} %"
+        ),
+    }
+    return "\n".join(
+        [
+            f"{results['scenes']} scenes each, noise {results['noise']:g}; beyond: focused before "
+            "the scene, then beyond it; within: in its middle, then before it; both within: twice "
+            "in it",
+            columns(results["pooled"], shown),
+        ]
+    )
+
+
+def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
+    for each in measured:
+        if each.cell.number == 0:
+            true_m = each.depth_m["truth"]
+            ends = float(np.nanmin(true_m)), float(np.nanmax(true_m)), "m"
+            maps = {title: depth_picture(depth_m, *ends) for title, depth_m in each.depth_m.items()}
+            frames = {title: as_rgb(np.clip(one, 0, 1), SRGB) for title, one in each.frames.items()}
+            strip = len(maps["truth"]) - len(frames["first"])  # with the legend
+            parts = [
+                (title, [np.pad(one, ((0, strip), (0, 0), (0, 0)), constant_values=255)])
+                for title, one in frames.items()
+            ]
+            parts += [(title, [one]) for title, one in maps.items()]
+            name = f"{each.cell.setting.replace(' ', '_')}_{each.cell.mask}.jpg"
+            write_image(folder / name, side_by_side(parts))
+
+
+SUITE = Suite(
+    description="Depth from two frames of one view at two focus settings (depth --second-frame), "
+    "of random layered scenes, beside one frame and one of twice the exposure, whose noise has "
+    "half the variance. With scenes beyond the focal plane, and with scenes that go through it.",
+    examples="""examples:
+  12 scenes of each kind (some minutes), with pictures:
+    coded_aperture bench focus --output focus/
+""",
+    options=(
+        options.number("--scenes", 1, 12, "of each kind"),
+        options.masks("levin", "three_wide"),
+        options.added_noise(0.004),
+        *options.RESULTS,
+    ),
+    cells=_cells,
+    measure=measure,
+    results=_results,
+    text=_text,
+    draw=_draw,
+)
