@@ -50,7 +50,7 @@ _EPILOG = """examples:
         --depth-range 3.5 9 coded.png -o simple.npy
   two frames of one view, the second with the lens focused at 2 m:
     coded_aperture depth --bank bank.npz --camera camera.yaml coded.png \
-        --second-frame refocused.png --second-focus 2 -o depth.npy
+        --refocused-frame refocused.png --refocused-to 2 -o depth.npy
   something moves during the exposure: its motion, px, as [row, column, right and down]:
     coded_aperture depth --bank bank.npz --motion coded.png -o moving.npy
 """
@@ -94,9 +94,9 @@ def add_parser(subparsers: Any) -> None:
     as_levels = {"--as-levels": "write fractional level indices instead of metres"}
     add_options(parser, look_ahead)
     add_deprecated_alias(parser, "--levels", add_options(parser, as_levels))
-    second = {"--second-frame FILE": "a frame of the same view with the lens focused elsewhere"}
+    second = {"--refocused-frame FILE": "a frame of the same view with the lens focused elsewhere"}
     add_options(parser, second)
-    focus = {"--second-focus M": "with --second-frame and --camera: distance of its focus, m"}
+    focus = {"--refocused-to M": "with --refocused-frame and --camera: distance of its focus, m"}
     add_options(parser, focus, type=between(0.001, 100_000))
     add_options(parser, {"--pictures": "write colour pictures of depth and confidence too"})
     movie = "write a video of the frames beside their depth too, 10 a second"
@@ -150,7 +150,7 @@ def run(args: argparse.Namespace) -> int:
         for _, grouped in groupby(frames, key=lambda frame: frame.video):
             pipeline.reset()
             video = _told_if_lossy(grouped)
-            if args.second_frame:
+            if args.refocused_frame:
                 results = _with_second(pipeline, video, fit, args)
             elif args.look_ahead:
                 results = _with_look_ahead(pipeline, video, fit)
@@ -188,16 +188,16 @@ def _check_usage(args: argparse.Namespace) -> None:
         args.usage_error("--points: needs --camera, and no --as-levels")
     if args.frame_scale != 1 and (args.look_ahead or args.motion):
         args.usage_error("--frame-scale: not with --look-ahead or --motion")
-    if (args.second_frame is None) != (args.second_focus is None):
-        args.usage_error("--second-frame: needs --second-focus too, and the other way round")
-    if args.second_frame is not None:
+    if (args.refocused_frame is None) != (args.refocused_to is None):
+        args.usage_error("--refocused-frame: needs --refocused-to too, and the other way round")
+    if args.refocused_frame is not None:
         if args.camera is None or len(args.inputs) != 1:
-            args.usage_error("--second-frame: needs --camera, and one frame beside it")
+            args.usage_error("--refocused-frame: needs --camera, and one frame beside it")
         for name in ("motion", "temporal_frames", "as_levels"):
             if getattr(args, name):
-                args.usage_error(f"--second-frame: not with {written_name(name)}")
+                args.usage_error(f"--refocused-frame: not with {written_name(name)}")
         if args.frame_scale != 1 or args.method != "bank":
-            args.usage_error("--second-frame: not with --frame-scale or --method simple")
+            args.usage_error("--refocused-frame: not with --frame-scale or --method simple")
     if args.movie:
         check_output(args.movie, map(Path, args.inputs), (".mp4",))
 
@@ -245,13 +245,13 @@ def _with_second(
 
     frame, *others = frames
     if others:
-        raise InputError(f"{args.inputs[0]}: expected one frame beside --second-frame")
+        raise InputError(f"{args.inputs[0]}: expected one frame beside --refocused-frame")
     start = time.perf_counter()
     with naming(frame.source):
         fit(frame)
-    second = read_image(args.second_frame, args.gamma)
-    with naming(args.second_frame):
-        pair = FocusPair(pipeline.estimator, args.second_focus)
+    second = read_image(args.refocused_frame, args.gamma)
+    with naming(args.refocused_frame):
+        pair = FocusPair(pipeline.estimator, args.refocused_to)
         estimate = pair.estimate(frame.image, second, frame.size)
     pair.close()
     yield frame, estimate, time.perf_counter() - start

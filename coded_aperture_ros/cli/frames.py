@@ -135,7 +135,7 @@ def named_frames(
             )
         unusable.alone = total == 1 or len(pictures) < len(sources)
         files = [file for source in sources for file in source.files]
-        files += inputs_of(args, "bank", "camera", "depth", "motion", "second_frame")
+        files += inputs_of(args, "bank", "camera", "depth", "motion", "refocused_frame")
 
         def target_of(name: str) -> Path:
             return output if to_file else output / f"{name}{suffix}"

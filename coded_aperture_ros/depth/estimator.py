@@ -16,7 +16,7 @@ from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.decision import Regularized
 from coded_aperture_ros.depth.edges import edge_correction
 from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
-from coded_aperture_ros.depth.fit import FitCheck, can_be_checked
+from coded_aperture_ros.depth.fit import FitCheck, Health, can_be_checked
 from coded_aperture_ros.depth.levels import Levels, depths_are_measured
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.posterior import is_unsure
@@ -61,6 +61,8 @@ class DepthEstimator:
         In place of the one that the configuration names.
     like : DepthEstimator, optional
         Another one: what it has learned from the same model need not be learned again.
+    costs_tell_sides : bool, optional
+        The costs that are decided by know the sides of the focal plane: see `FocusPair`.
 
     Raises
     ------
@@ -76,6 +78,7 @@ class DepthEstimator:
         *,
         regularize: Regularizer | None = None,
         like: "DepthEstimator | None" = None,
+        costs_tell_sides: bool = False,
     ) -> None:
         self.config = config = config or DepthConfig()
         self.model, self.camera = model, camera
@@ -92,6 +95,7 @@ class DepthEstimator:
         frames = config.temporal_frames
         self._average = StaticAverage(2 * frames) if frames else None
         self._temporal = TemporalFilter(frames) if frames else None
+        self._costs_tell_sides = costs_tell_sides
         self._fit: FitCheck | None = None
         if config.check_fit and isinstance(model, FilterBank) and can_be_checked(model.stack):
             self._fit = FitCheck(model.stack, frames > 0, model.guard_levels > 0)
@@ -211,10 +215,12 @@ class DepthEstimator:
         own: Cost,
         size: Shape | None = None,
         stages: Stages | None = None,
+        others: Health | None = None,
     ) -> DepthEstimate:
         """Decide the level of every pixel and draw the maps; the last step of `estimate`.
 
-        By the cost of all frames; `own`, of this frame, says the rest: see `Regularized`.
+        By the cost of all frames; `own`, of this frame, says the rest: see `Regularized`. The
+        health of `others` counts where it is less than that of this one.
         """
         stages = stages or Stages()
         levels, shape, config = self._levels, seen.grey.shape, self.config
@@ -226,6 +232,8 @@ class DepthEstimator:
             to_check = confidence if decided.to_check is None else decided.to_check
             health = self._fit(seen, own.misfit, level, to_check)
             stages.lap("fit")
+        if others is not None and (health is None or others.value < health.value):
+            health = others
         if health is not None:
             confidence = health.trusted(confidence)
         doubted = np.full(level.shape, health is not None and not health.fits)
@@ -301,7 +309,9 @@ class DepthEstimator:
                 workers, sides = Workers(threads), None
                 unless_planned.callback(workers.close)
                 if model.stack.has_both_sides:
-                    sides = FocalSides(model.stack, self._levels, shape, self._regularize)
+                    sides = FocalSides(
+                        model.stack, self._levels, shape, self._regularize, self._costs_tell_sides
+                    )
                 small: Likelihood | None = None
                 decide: Regularized | Refined
                 if (bank := self._refined_bank(stride_px)) is not None:

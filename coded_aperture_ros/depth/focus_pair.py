@@ -11,7 +11,6 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.estimate import DepthEstimate
 from coded_aperture_ros.depth.estimator import DepthEstimator
 from coded_aperture_ros.depth.observation import Observation
-from coded_aperture_ros.depth.posterior import is_unsure
 from coded_aperture_ros.depth.refine.focal import Folding
 from coded_aperture_ros.likelihood import Cost
 from coded_aperture_ros.optics import render_psf_stack
@@ -56,7 +55,10 @@ class FocusPair:
         config = LearnConfig(bank.window_px, bank.basis_vectors, 1.0, bank.noise)
         model = learn_bank(stack, config, bank.prior, mask=camera.mask)
         model = dataclasses.replace(model, stride_px=bank.stride_px)
-        self._first, self._second = estimator, DepthEstimator(model, estimator.config, other)
+        self._first, self._second = (
+            DepthEstimator(each, estimator.config, its, like=estimator, costs_tell_sides=True)
+            for each, its in ((bank, camera), (model, other))
+        )
         # Who has one side only need not find out which: it decides.
         self._second_decides = bank.stack.has_both_sides and not model.stack.has_both_sides
 
@@ -77,17 +79,11 @@ class FocusPair:
         seen_by_other, of_other = _looked(*other)
         health = other[0].decide(seen_by_other, of_other.volume, of_other).health
         both = _added(own, of_other, *(_folding(one) for one, _ in (deciding, other)))
-        found = deciding[0].decide(seen, both.volume, both, size)
-        if health is None or found.health is None or health.value >= found.health.value:
-            return found
-        found = dataclasses.replace(
-            found, confidence=health.trusted(found.confidence), health=health
-        )
-        threshold = self._first.config.confidence_threshold
-        return found.without(is_unsure(found.confidence, threshold))
+        return deciding[0].decide(seen, both.volume, both, size, others=health)
 
     def close(self) -> None:
-        """End the threads of the second estimator."""
+        """End the threads that the work was shared among."""
+        self._first.close()
         self._second.close()
 
     def _at_scale(self, frame: FloatArray) -> FloatArray:

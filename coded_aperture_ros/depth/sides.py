@@ -63,12 +63,19 @@ def side_warning(model: LikelihoodModel) -> str | None:
 class FocalSides:
     """Tells the levels of the two sides of the focal plane apart, for frames of one size.
 
-    The regulariser chooses the blur sizes that frames are deconvolved with.
+    The regulariser chooses the blur sizes that frames are deconvolved with. Those of two frames at
+    two focus settings tell the sides by their costs, patch by patch.
     """
 
     def __init__(
-        self, stack: PsfStack, levels: Levels, shape: tuple[int, ...], regularize: Regularizer
+        self,
+        stack: PsfStack,
+        levels: Levels,
+        shape: tuple[int, ...],
+        regularize: Regularizer,
+        by_costs: bool = False,
     ) -> None:
+        self._by_costs = by_costs
         self._finder = SideFinder(stack, shape)
         self._sizes_px = stack.blur_sizes_px
         self._regularize = regularize
@@ -104,6 +111,10 @@ class FocalSides:
 
     def confidence(self, level: FloatArray, volume: FloatArray, grid: PatchGrid) -> FloatArray:
         """Return how likely each patch is on the side of its level; see `side_confidence`."""
+        if self._by_costs:  # each patch knows
+            odds = far_log_odds(volume, self._sizes_px, _MOST_LOG_ODDS)
+            far = np.interp(level, np.arange(len(self._sizes_px)), self._sizes_px) > 0
+            return np.asarray(1 / (1 + np.exp(np.where(far, -odds, odds))), np.float32)
         return side_confidence(level, far_log_odds(volume, self._sizes_px), grid, self._sizes_px)
 
     def deviation(
@@ -145,19 +156,19 @@ def given_side(probability: FloatArray, blur_sizes_px: DoubleArray) -> FloatArra
     return np.where(known[..., None], given, probability)
 
 
-def far_log_odds(volume: FloatArray, blur_sizes_px: DoubleArray) -> FloatArray:
+def far_log_odds(
+    volume: FloatArray, blur_sizes_px: DoubleArray, surest: float = _SHARE * _MOST_LOG_ODDS
+) -> FloatArray:
     """Return the logarithm of the odds that a patch is beyond the focal plane [rows, columns].
 
-    From the cost of all levels [rows, columns, L]: a blur size that only one side has
-    tells it too.
+    From the cost of all levels [rows, columns, L]: a blur size that only one side has tells it too.
+    One mistaken for such a size must not outweigh all that phases tell: none is above `surest`.
     """
     probability = level_probability(volume)
     far, near = (
         probability[..., side].sum(axis=-1) + np.float32(1e-6)
         for side in (blur_sizes_px > 0, blur_sizes_px < 0)
     )
-    # A size mistaken for one that only one side has must not outweigh all that phases tell.
-    surest = np.float32(_SHARE * _MOST_LOG_ODDS)
     return np.asarray(np.clip(np.log(far / near), -surest, surest), np.float32)
 
 

@@ -118,6 +118,17 @@ def test_a_bag_gets_the_bound_that_is_asked_for(scene, recorded, tmp_path, capsy
     assert (floats(bound) > scene.depth_m).mean() < 0.01
 
 
+def test_a_bag_gets_the_second_surface_that_is_asked_for(scene, recorded, tmp_path, capsys):
+    options = ("--second-surface", "true", "--deblur", "none")
+    assert call(capsys, *command(scene, recorded(1), tmp_path / "out", *options)).status == 0
+    messages = read(tmp_path / "out")
+    ((_, depth),) = decoded(messages, "/eye/depth/image")
+    ((_, second),) = decoded(messages, "/eye/depth/second")
+    ((_, share),) = decoded(messages, "/eye/depth/second_share")
+    assert depth.header == second.header == share.header and second.encoding == "32FC1"
+    assert np.array_equal(np.isnan(floats(second)), np.isnan(floats(share)))
+
+
 def test_the_camera_model_of_the_bag_is_resized(scene, recorded, tmp_path, capsys):
     bag = recorded(1)
     options = ("--output-size", "half", "--deblur", "none")

@@ -1,5 +1,6 @@
 """The command `depth`."""
 
+import dataclasses
 import json
 import re
 import shutil
@@ -30,11 +31,12 @@ from scipy import ndimage
 from coded_aperture_ros.bank import load_bank
 from coded_aperture_ros.depth import REGULARIZERS, DepthConfig, DepthEstimator, estimate_video
 from coded_aperture_ros.imaging import SRGB, encode, mosaic_from_colour
-from coded_aperture_ros.io import read_depth, read_image
+from coded_aperture_ros.io import read_depth, read_image, write_image
 from coded_aperture_ros.methods.choose import new_model
 from coded_aperture_ros.methods.motion import MotionConfig
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.pipeline import FramePipeline
+from coded_aperture_ros.simulation import render_coded_frame
 
 # Few motions, so that a test takes no time.
 FEW_MOTIONS = MotionConfig(
@@ -64,6 +66,42 @@ def test_a_bound_on_free_space_beside_the_depth(scene, tmp_path, capsys, suffix)
     assert np.median(bound_m) > NEAR_M * 0.9
     result = call(capsys, *arguments, "--free-space-risk", 0.01, "--regularize", "semiglobal")
     refused(result, "free_space_risk: use 0, only regularize: learned gives a bound")
+
+
+def test_a_second_surface_beside_the_depth(scene, tmp_path, capsys):
+    arguments = ("depth", "--bank", scene.bank, scene.coded_png, "-o", tmp_path / "depth.npy")
+    assert call(capsys, *arguments, "--second-surface", "true").status == 0
+    second_m, share = (
+        read_depth(tmp_path / f"depth.{name}.npy") for name in ("second", "second_share")
+    )
+    assert second_m.shape == share.shape == scene.depth_m.shape
+    assert np.array_equal(np.isnan(second_m), np.isnan(share))
+
+
+def test_two_frames_of_one_view(scene, tmp_path, capsys):
+    other_focus = 5.0
+    other = dataclasses.replace(
+        load_camera(scene.camera), focus_distance_m=other_focus, side="near"
+    )
+    coded = render_coded_frame(scene.sharp, scene.depth_m, other)
+    write_image(tmp_path / "second.tiff", coded.astype(np.float32))
+    output = tmp_path / "depth.npy"
+    one = ("depth", "--bank", scene.bank, "--camera", scene.camera)
+    one = (*one, scene.coded_png, "-o", output)
+    second = ("--refocused-frame", tmp_path / "second.tiff", "--refocused-to", other_focus)
+    result = call(capsys, *one, *second)
+    assert (result.status, result.err) == (0, "")
+    error, known = relative_error(np.load(output), scene)
+    assert error < 0.05 and known > 0.5
+    wrong_usage(call(capsys, *one, *second[:2]), "depth", "needs --refocused-to too")
+    wrong_usage(call(capsys, *one, *second, "--temporal-frames", 2), "depth", "--temporal-frames")
+    wrong_usage(call(capsys, *one, *second, "--frame-scale", 2), "depth", "--frame-scale")
+    before = output.read_bytes()
+    broken = (*one, "--refocused-frame", tmp_path / "none.png", "--refocused-to", 2)
+    refused(call(capsys, *broken), "none.png")
+    kept = (*one[:-1], second[1], *second)
+    refused(call(capsys, *kept), "second.tiff")
+    assert output.read_bytes() == before
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".tiff", ".png"])

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from coded_aperture_benchmarks.textures import load_textures
 from diagnostic_msgs.msg import DiagnosticArray
-from node_chains import DEPTH_OUTPUTS, FREE_SPACE, Chain, DeblurChain, mono8, stamped, wall
+from node_chains import DEPTH_OUTPUTS, FREE_SPACE, SECOND, Chain, DeblurChain, mono8, stamped, wall
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
@@ -119,6 +119,29 @@ def test_depth_goes_on_where_no_bound_can_be_given(ros, model, coded):
     bound = array_from_image(chain.received[FREE_SPACE][-1])
     np.testing.assert_allclose(bound, NEAR_M, rtol=1e-3)
     assert not chain.rejected
+
+
+def test_a_second_surface_where_it_is_asked_for(ros, model, coded):
+    fine = {"camera_file": model["camera_file"], "near_m": NEAR_M, "far_m": FAR_M}
+    settings = {"learn.level_count": 30, "second_surface.enabled": True}
+    chain = Chain(ros, fine, ("depth/image", *SECOND), **settings)
+    frame = mono8(coded)
+    chain.send(frame)
+    assert wait_until(lambda: all(chain.received.values()))
+    (depth,), (second,), (share,) = chain.received.values()
+    assert depth.header == second.header == share.header == frame.header
+    assert second.encoding == share.encoding == "32FC1"
+    second_m, taken = array_from_image(second), array_from_image(share)
+    assert second_m.shape == array_from_image(depth).shape
+    np.testing.assert_array_equal(np.isnan(second_m), np.isnan(taken))
+    # One wall all over.
+    assert np.isnan(second_m).mean() > 0.9
+    (refused,) = chain.node.set_parameters([Parameter("regularize.method", value="semiglobal")])
+    assert not refused.successful and "only regularize: learned tells of it" in refused.reason
+    (changed,) = chain.node.set_parameters([Parameter("second_surface.enabled", value=False)])
+    assert changed.successful
+    chain.result(mono8(coded))
+    assert len(chain.received[SECOND[0]]) == 1 and not chain.rejected
 
 
 def test_a_bound_that_cannot_be_given_is_refused(ros, model):

@@ -22,6 +22,8 @@ DEPTH_OUTPUTS = {
 }
 # Only with free_space.risk.
 FREE_SPACE = "depth/free_space"
+# Only with second_surface.enabled.
+SECOND = ("depth/second", "depth/second_share")
 STAMPS = itertools.count(1000)
 
 

@@ -17,7 +17,8 @@ def training(checkout):
     folder = str(checkout / "training")
     sys.path.insert(0, folder)
     yield {
-        name: importlib.import_module(name) for name in ("shards", "scenes", "costs", "pictures")
+        name: importlib.import_module(name)
+        for name in ("shards", "scenes", "costs", "pictures", "second_shown")
     }
     sys.path.remove(folder)
 
@@ -78,6 +79,28 @@ def test_frames_and_their_costs_are_written_once(
     run(monkeypatch, training["scenes"], "--output", scenes, "--shards", 3, 5)
     assert (scenes / "scenes_0003.npz").stat().st_mtime_ns == before
     assert capsys.readouterr().out == ""
+
+
+def test_what_tells_two_surfaces_is_shown_rooms_behind_nets(
+    training, few_frames, monkeypatch, tmp_path
+):
+    monkeypatch.setattr(training["second_shown"], "FRAMES_PER_SHARD", 2)
+    scenes, costs, shown = (tmp_path / name for name in ("scenes", "costs", "shown"))
+    first = training["scenes"].FIRST_FENCED_SHARD
+    shards = ("--shards", 25 * first, 25 * first + 1)  # of two frames each
+    run(monkeypatch, training["scenes"], "--output", scenes, *shards)
+    given = ("--scenes", scenes)
+    run(monkeypatch, training["costs"], *given, "--output", costs, *shards)
+    run(monkeypatch, training["second_shown"], *given, "--costs", costs, "--output", shown, *shards)
+    scene = np.load(scenes / f"scenes_{25 * first:04d}.npz")
+    assert scene["cover"].shape == scene["near"].shape == scene["behind"].shape == (2, 96, 96)
+    found = np.load(shown / f"second_{25 * first:04d}.npz")
+    cells = training["costs"].CELLS
+    assert found["shown"].shape[0] == 2 and found["shown"].shape[2:] == (cells, cells)
+    assert np.isfinite(found["shown"]).all() and set(np.unique(found["two"])) <= {-1, 0, 1}
+    two = found["two"] == 1
+    assert (found["more"][two] - found["less"][two] >= 2).all()
+    assert ((found["share"][two] >= 0.05) & (found["share"][two] <= 0.95)).all()
 
 
 def test_training_never_sees_the_scenes_of_the_benchmarks(training):

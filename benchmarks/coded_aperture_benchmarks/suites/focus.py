@@ -182,9 +182,10 @@ def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
 
 
 SUITE = Suite(
-    description="Depth from two frames of one view at two focus settings (depth --second-frame), "
-    "of random layered scenes, beside one frame and one of twice the exposure, whose noise has "
-    "half the variance. With scenes beyond the focal plane, and with scenes that go through it.",
+    description="Depth from two frames of one view at two focus settings (depth "
+    "--refocused-frame), of random layered scenes, beside one frame and one of twice the exposure, "
+    "whose noise has half the variance. With scenes beyond the focal plane, and with scenes that "
+    "go through it.",
     examples="""examples:
   12 scenes of each kind (some minutes), with pictures:
     coded_aperture bench focus --output focus/
