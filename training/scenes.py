@@ -37,9 +37,11 @@ _ASYMMETRIC = 0.05
 # rooms with nothing in them, such as a wall that fills the frame. Their shares; the rest is wide.
 FIRST_RARE_SHARD = 80
 _SHALLOW_SHARE, _EMPTY_SHARE = 0.2, 0.2
-# From this one on every frame shows a room behind a net, leaves or a pane: how many of each.
+# From this one on frames show a room behind a net, leaves or a pane, or by itself: how many of
+# each, how many before the focal plane, and how much more often these masks are drawn.
 FIRST_FENCED_SHARD = 200
-_FENCE_SHARES, _FENCED_NEAR = (0.5, 0.25, 0.25), 0.15
+_FENCE_SHARES, _FENCED_NEAR = (0.4, 0.2, 0.15, 0.25), 0.15
+_MORE_OFTEN = {"zhou": 2.0, "four_hole": 2.0}
 # Blur is kept in 16 bits.
 _WIDEST_PX = 21.8
 
@@ -75,11 +77,14 @@ def drawn(number: int) -> Drawn:
     """Return what frame `number` shows; the same for the same number."""
     random = np.random.default_rng([5, number])
     weights = np.array([*_MASKS.values(), *[_RANDOM_SHARE / _RANDOM_MASKS] * _RANDOM_MASKS])
+    fenced = number >= FIRST_FENCED_SHARD * FRAMES_PER_SHARD
+    if fenced:
+        weights *= [_MORE_OFTEN.get(name, 1.0) for name in mask_names()]
     mask = str(random.choice(mask_names(), p=weights / weights.sum()))
-    if number >= FIRST_FENCED_SHARD * FRAMES_PER_SHARD:
-        fence = str(random.choice(FENCES, p=_FENCE_SHARES))
+    if fenced:
+        fence = str(random.choice([*FENCES, ""], p=_FENCE_SHARES))
         side = "near" if random.random() < _FENCED_NEAR else "far"
-        return Drawn(number, mask, side, fence=fence)
+        return Drawn(number, mask, side, empty=not fence, fence=fence)
     side = str(random.choice(["far", "near", "both"], p=[0.76, 0.1, 0.14]))
     if side == "both" and mask_of(mask).asymmetry < _ASYMMETRIC:
         side = "far"
@@ -121,15 +126,14 @@ def render(number: int) -> dict[str, np.ndarray]:
     uneven = 1 + random.uniform(0, 0.08) * random.standard_normal(mask.transmission.shape)
     cells = np.clip(mask.transmission * uneven, 0, 1).astype(np.float32)
     light = scene.coded(Mask(mask.name, cells))
-    two_surfaces = (
-        {}
-        if fenced is None
-        else {
-            "cover": np.rint(255 * fenced.cover).astype(np.uint8),
-            "near": np.rint(fenced.near_px / BLUR_STEP).astype(np.int16),
-            "behind": np.rint(fenced.behind_px / BLUR_STEP).astype(np.int16),
+    two_surfaces = {}
+    if number >= FIRST_FENCED_SHARD * FRAMES_PER_SHARD:
+        room = fenced.behind_px if fenced else scene.blur_size_px()
+        two_surfaces = {
+            "cover": np.rint(255 * (fenced.cover if fenced else 0 * room)).astype(np.uint8),
+            "near": np.rint((fenced.near_px if fenced else room) / BLUR_STEP).astype(np.int16),
+            "behind": np.rint(room / BLUR_STEP).astype(np.int16),
         }
-    )
     return {
         "light": np.rint(np.clip(light, 0, 1) / LIGHT_STEP).astype(np.uint16),
         "blur": np.rint(scene.blur_size_px() / BLUR_STEP).astype(np.int16),

@@ -26,6 +26,7 @@ from coded_aperture_ros.cli.frames import (
     Unusable,
     add_input_options,
     named_frames,
+    single_frame,
     suitable,
 )
 from coded_aperture_ros.cli.options import (
@@ -49,7 +50,7 @@ _EPILOG = """examples:
     coded_aperture depth --method simple --camera config/example_camera.yaml \\
         --depth-range 3.5 9 coded.png -o simple.npy
   two frames of one view, the second with the lens focused at 2 m:
-    coded_aperture depth --bank bank.npz --camera camera.yaml coded.png \
+    coded_aperture depth --bank bank.npz --camera camera.yaml coded.png \\
         --refocused-frame refocused.png --refocused-to 2 -o depth.npy
   something moves during the exposure: its motion, px, as [row, column, right and down]:
     coded_aperture depth --bank bank.npz --motion coded.png -o moving.npy
@@ -241,7 +242,6 @@ def _with_second(
 ) -> Iterator[tuple[NamedFrame, Any, float]]:
     """Yield the only frame, and what is estimated of it together with the second one."""
     from coded_aperture_ros.depth.focus_pair import FocusPair
-    from coded_aperture_ros.io import read_image
 
     frame, *others = frames
     if others:
@@ -249,10 +249,11 @@ def _with_second(
     start = time.perf_counter()
     with naming(frame.source):
         fit(frame)
-    second = read_image(args.refocused_frame, args.gamma)
+    second, hidden = single_frame(args.refocused_frame, args)
     with naming(args.refocused_frame):
         pair = FocusPair(pipeline.estimator, args.refocused_to)
-        estimate = pair.estimate(frame.image, second, frame.size)
+        hidden_noise = frame.hidden_noise, hidden
+        estimate = pair.estimate(frame.image, second, frame.size, hidden_noise)
     pair.close()
     yield frame, estimate, time.perf_counter() - start
 
@@ -402,7 +403,8 @@ def _write(
         results["motion"] = estimate.motion.vectors_px
         results["motion confidence"] = estimate.motion.confidence
     for name in results.keys() & files.keys():
-        write_depth(files[name], results[name])
+        if results[name] is not None:  # as sides are that a second focus has told
+            write_depth(files[name], results[name])
     if args.pictures:
         # Depths of each frame have a scale of their own, which shows more.
         write_image(files["picture"], depth_picture(values, *(scale if args.as_levels else ())))

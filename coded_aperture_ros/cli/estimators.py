@@ -131,7 +131,7 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
     elif config.regularize in ("none", LEARNED) and config.smoothness != DepthConfig.smoothness:
         others = "semiglobal, tv or graphcut"
         args.usage_error(f"--smoothness: --regularize {config.regularize} has none, use {others}")
-    if warning := side_warning(model):
+    if (warning := side_warning(model)) and not getattr(args, "refocused_frame", None):
         logging.warning(warning)
     return pipeline
 

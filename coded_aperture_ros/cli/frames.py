@@ -101,8 +101,6 @@ def named_frames(
     cannot be written or would overwrite an input. Of several pictures, those that cannot be read
     are left to `unusable`.
     """
-    from coded_aperture_ros.imaging import hidden_noise
-    from coded_aperture_ros.io.messages import frame_from_pixels
     from coded_aperture_ros.io.sources import PictureSource, captures, open_files
 
     with ExitStack() as opened:
@@ -157,12 +155,32 @@ def named_frames(
             target = target_of(capture.name)
             if capture.name not in names:
                 check_output(outputs(target), files)
-            mosaic = capture.mosaic or args.bayer
-            how = capture.frame, args.gamma, args.bits, mosaic
             with naming(given):
-                image = coloured = frame_from_pixels(*how)
-                if mosaic:
-                    coloured = frame_from_pixels(*how, coloured=True)
-            hidden = hidden_noise(capture.lost, image, args.gamma)
+                image, coloured, hidden = _light_of(capture, args)
             stamp_ns = capture.stamp_ns
             yield NamedFrame(given, target, image, stamp_ns, video, hidden, coloured=coloured)
+
+
+def single_frame(path: str, args: argparse.Namespace) -> tuple[Any, float]:
+    """Return the light of the only frame of a file, read as inputs are, and its hidden noise."""
+    from coded_aperture_ros.io.sources import captures, open_files
+
+    with closing(open_files(path)) as source, naming(path):
+        found = [_light_of(capture, args) for capture in captures(source)]
+    if len(found) != 1:
+        raise InputError(f"{path}: expected one frame, it has {len(found)}")
+    ((image, _, hidden),) = found
+    return image, hidden
+
+
+def _light_of(capture: Any, args: argparse.Namespace) -> tuple[Any, Any, float]:
+    """Return the light of a capture, in colour too, and what noise compression has hidden."""
+    from coded_aperture_ros.imaging import hidden_noise
+    from coded_aperture_ros.io.messages import frame_from_pixels
+
+    mosaic = capture.mosaic or args.bayer
+    how = capture.frame, args.gamma, args.bits, mosaic
+    image = coloured = frame_from_pixels(*how)
+    if mosaic:
+        coloured = frame_from_pixels(*how, coloured=True)
+    return image, coloured, hidden_noise(capture.lost, image, args.gamma)

@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.core.files import atomic_output
     from coded_aperture_ros.design import openings_of
     from coded_aperture_ros.design.diffraction import airy_width_px, diffraction_warning
-    from coded_aperture_ros.design.openings import narrowest_bar, recut
+    from coded_aperture_ros.design.openings import narrowest_bar
     from coded_aperture_ros.design.sheet import loose_parts_note, mask_sheet
     from coded_aperture_ros.design.sheet_files import dxf_of, pdf_of, svg_of
     from coded_aperture_ros.optics import load_camera
@@ -72,8 +72,7 @@ def run(args: argparse.Namespace) -> int:
     mask = camera.mask if camera else mask_of(args.mask)
     extent_mm = args.extent_mm or camera.mask_extent_mm
     with naming(args.camera or f"mask {args.mask}"):
-        cut = recut(mask, -args.kerf_mm / extent_mm) if args.kerf_mm else mask
-        sheet = mask_sheet(cut, extent_mm, args.outer_mm, args.label)
+        sheet = mask_sheet(mask, extent_mm, args.outer_mm, args.label, args.kerf_mm)
     written = {".pdf": pdf_of, ".dxf": dxf_of, ".svg": lambda sheet: svg_of(sheet).encode()}
     data = written[Path(args.output).suffix.lower()](sheet)
     with atomic_output(args.output) as path:

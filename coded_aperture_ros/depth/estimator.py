@@ -266,7 +266,8 @@ class DepthEstimator:
                 second, second_share = (
                     np.where(doubted, np.float32(np.nan), part) for part in decided.second()
                 )
-            second_m = levels.meaning(second, np.zeros_like(second), np.isnan(second))[2]
+            one = np.isnan(second)
+            second_m = levels.meaning(np.nan_to_num(second), np.zeros_like(second), one)[2]
             if self._bends and second_m is not None:
                 second_m = self._bends.depth_in_field(second_m)
             stages.lap("second surface")

@@ -7,10 +7,11 @@ import numpy as np
 
 from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray, Shape
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.depth.estimate import DepthEstimate
 from coded_aperture_ros.depth.estimator import DepthEstimator
 from coded_aperture_ros.depth.observation import Observation
+from coded_aperture_ros.depth.refine import untrained
 from coded_aperture_ros.depth.refine.focal import Folding
 from coded_aperture_ros.likelihood import Cost
 from coded_aperture_ros.optics import render_psf_stack
@@ -32,8 +33,8 @@ class FocusPair:
     Raises
     ------
     InputError
-        If the bank's PSFs are not those of the camera's mask, or at the second focus all depths
-        look the same.
+        If the bank's PSFs are not those of the camera's mask, or there is too much blur at the
+        second focus.
     """
 
     def __init__(self, estimator: DepthEstimator, focus_m: float) -> None:
@@ -47,38 +48,47 @@ class FocusPair:
             )
         refocused = camera.refocused(focus_m)
         # Focus breathing: the second frame is brought to the scale of the first.
+        self._middle = np.array(camera.intrinsics.camera_matrix)[[2, 5]]
         self._scale = camera.focal_length_px / refocused.focal_length_px
         other = dataclasses.replace(camera, focus_distance_m=focus_m, side="both")
         stack = render_psf_stack(
             camera.mask, other.blur_size_px(depths_m), camera.psf_diffraction_px
         )
         config = LearnConfig(bank.window_px, bank.basis_vectors, 1.0, bank.noise)
-        model = learn_bank(stack, config, bank.prior, mask=camera.mask)
+        with naming(f"in focus at {focus_m:g} m"):
+            model = learn_bank(stack, config, bank.prior, mask=camera.mask)
         model = dataclasses.replace(model, stride_px=bank.stride_px)
         self._first, self._second = (
             DepthEstimator(each, estimator.config, its, like=estimator, costs_tell_sides=True)
             for each, its in ((bank, camera), (model, other))
         )
-        # Who has one side only need not find out which: it decides.
-        self._second_decides = bank.stack.has_both_sides and not model.stack.has_both_sides
+        # Who has one side only need not find out which: it decides, if it can as well.
+        one_sided = bank.stack.has_both_sides and not model.stack.has_both_sides
+        self._second_decides = one_sided and not untrained(model, model.stride_px)
 
     def estimate(
-        self, first: FloatArray, second: FloatArray, size: Shape | None = None
+        self,
+        first: FloatArray,
+        second: FloatArray,
+        size: Shape | None = None,
+        hidden_noise: tuple[float, float] = (0.0, 0.0),
     ) -> DepthEstimate:
         """Estimate the depth of every pixel of the first frame; see `DepthEstimator.estimate`.
 
-        Nothing may move between the two frames. If one does not fit, neither is trusted.
+        Nothing may move between the two frames. If one does not fit, neither is trusted. The levels
+        and blur sizes may be those of the second frame: only the depths are of both.
         """
         if first.shape != second.shape:
             raise InputError(
                 f"two frames: expected two of one size, got {first.shape} and {second.shape}"
             )
-        pairs = [(self._first, first), (self._second, self._at_scale(second))]
+        frames = first, self._at_scale(second)
+        pairs = list(zip((self._first, self._second), frames, hidden_noise, strict=True))
         deciding, other = pairs[::-1] if self._second_decides else pairs
         seen, own = _looked(*deciding)
         seen_by_other, of_other = _looked(*other)
         health = other[0].decide(seen_by_other, of_other.volume, of_other).health
-        both = _added(own, of_other, *(_folding(one) for one, _ in (deciding, other)))
+        both = _added(own, of_other, *(_folding(one) for one, *_ in (deciding, other)))
         return deciding[0].decide(seen, both.volume, both, size, others=health)
 
     def close(self) -> None:
@@ -89,15 +99,16 @@ class FocusPair:
     def _at_scale(self, frame: FloatArray) -> FloatArray:
         if abs(self._scale - 1) * max(frame.shape[:2]) < 0.5:  # less than a pixel at the edges
             return frame
-        middle = (np.array(frame.shape[1::-1]) - 1) / 2
-        moved = np.column_stack([np.eye(2) * self._scale, middle * (1 - self._scale)])
-        return np.asarray(
-            cv2.warpAffine(frame, moved, frame.shape[1::-1], borderMode=cv2.BORDER_REPLICATE)
-        )
+        moved = np.column_stack([np.eye(2) * self._scale, self._middle * (1 - self._scale)])
+        # Linear interpolation would take away half of the noise. What was not seen is left out.
+        how = {"flags": cv2.INTER_LANCZOS4, "borderValue": (np.nan,) * 3}
+        return np.asarray(cv2.warpAffine(frame, moved, frame.shape[1::-1], **how))
 
 
-def _looked(estimator: DepthEstimator, frame: FloatArray) -> tuple[Observation, Cost]:
-    seen = estimator.observe(frame)
+def _looked(
+    estimator: DepthEstimator, frame: FloatArray, hidden_noise: float
+) -> tuple[Observation, Cost]:
+    seen = estimator.observe(frame, hidden_noise)
     return seen, estimator.cost(seen, seen.grey)
 
 

@@ -13,8 +13,8 @@ from coded_aperture_ros.optics import Mask
 
 # Widths are exact to this part of a cell; for openings made of square cells, exact.
 _POINTS_PER_CELL = 4
-# Cells a side of masks whose openings are made wider or narrower.
-_RECUT_CELLS = 1000
+# Cells a side of masks whose openings are made wider or narrower; four times as many for less.
+_RECUT_CELLS, _LARGE_CHANGE = 1000, 0.005
 Point = tuple[float, float]
 Outline = list[Point]
 # Curved masks are stored as coverage of cells; their outline is drawn in steps of this part of a
@@ -101,19 +101,30 @@ def recut(mask: Mask, change: float) -> Mask:
     """Return a mask with all openings so much wider, or narrower if less than 0.
 
     `change` is a share of the extent, half of it at each side of an opening. What would be cut
-    beyond the grid's edge is left out. An `InputError` if nothing remains open.
+    beyond the grid's edge is left out. An `InputError` if an opening is gone, the change is too
+    small to be drawn, or the mask has grey cells.
     """
-    cells = open_cells(mask)
-    steps = -(-_RECUT_CELLS // max(cells.shape))
+    cells = _cells_to_cut(mask)
+    fineness = _RECUT_CELLS * (1 if abs(change) >= _LARGE_CHANGE else 4)
+    steps = -(-fineness // max(cells.shape))
     fine = np.kron(cells, np.ones((steps, steps), bool))
+    reach = abs(change) / 2 * max(fine.shape)
+    if 0 < reach < 1:
+        raise InputError(f"mask {mask.name}: {abs(change):.2g} of its extent is too little to draw")
     # Around the grid all is closed.
     inside = (np.pad(fine, 1) == (change < 0)).astype(np.uint8)
     # To the middles of the nearest cells of the other kind, whose edges are half a cell nearer.
     away = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] - 0.5
-    beyond = away > abs(change) / 2 * max(fine.shape)
-    still_open = beyond if change < 0 else ~beyond
-    if not still_open.any():
-        raise InputError(f"mask {mask.name}: nothing is open once it is {-change:.3g} narrower")
+    still_open = np.asarray((away > reach) == (change < 0))
+    before, after = (
+        cv2.connectedComponents(one.astype(np.uint8), connectivity=4)[0] - 1
+        for one in (fine, still_open)
+    )
+    if change < 0 and after < before:
+        raise InputError(
+            f"mask {mask.name}: {before - after} of {before} openings are narrower than "
+            f"{abs(change):.2g} of its extent"
+        )
     return Mask(mask.name, still_open.astype(np.float32))
 
 
@@ -125,14 +136,19 @@ def outlines_of(mask: Mask) -> list[Outline]:
     of a closed part within an opening. An `InputError` if the mask has grey cells, which cannot be
     cut.
     """
-    black_and_white = np.isin(mask.transmission, (0.0, 1.0)).all()
-    cells = open_cells(mask) if black_and_white else _fine_cells(mask)
+    cells = _cells_to_cut(mask)
     rows, columns = cells.shape
     extent = max(cells.shape)
     return [
         [((x - columns / 2) / extent, (y - rows / 2) / extent) for x, y in corners]
         for corners in _trace(cells)
     ]
+
+
+def _cells_to_cut(mask: Mask) -> BoolArray:
+    """Return which cells are open; finer ones of masks with curved outlines."""
+    black_and_white = np.isin(mask.transmission, (0.0, 1.0)).all()
+    return open_cells(mask) if black_and_white else _fine_cells(mask)
 
 
 def _fine_cells(mask: Mask) -> BoolArray:

@@ -4,7 +4,7 @@ import dataclasses
 import math
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.design.openings import Outline, Point, openings_of, outlines_of
+from coded_aperture_ros.design.openings import Outline, Point, openings_of, outlines_of, recut
 from coded_aperture_ros.optics import Mask
 
 # A4, and what of it every printer reaches.
@@ -55,7 +55,11 @@ class Sheet:
 
 
 def mask_sheet(
-    mask: Mask, extent_mm: float, outer_mm: float | None = None, label: str = ""
+    mask: Mask,
+    extent_mm: float,
+    outer_mm: float | None = None,
+    label: str = "",
+    kerf_mm: float = 0.0,
 ) -> Sheet:
     """Lay out a mask at true scale, with a ruler, cut lines and the way it sits in the lens.
 
@@ -63,12 +67,13 @@ def mask_sheet(
     PSF of a point beyond the focus is the mask as it is stored. `extent_mm` is the outer extent of
     the mask's grid, as in the camera file, and `outer_mm` the diameter of the round piece to cut
     out; by default there are 5 mm around the openings. `label` is a line of text, say the lens that
-    it is for. An `InputError` if the mask does not fit the page, or the openings not into the round
-    piece.
+    it is for. A cut that is `kerf_mm` wide leaves the openings as they should be.
+    An `InputError` if the mask does not fit the page, or the openings not into the round piece.
     """
     if not 0 < extent_mm < math.inf:
         raise InputError(f"mask size: expected more than 0 mm, got {extent_mm:g} mm")
-    outlines = [[(x * extent_mm, y * extent_mm) for x, y in one] for one in outlines_of(mask)]
+    cut = recut(mask, -kerf_mm / extent_mm) if kerf_mm else mask
+    outlines = [[(x * extent_mm, y * extent_mm) for x, y in one] for one in outlines_of(cut)]
     reach_mm = max(math.hypot(x, y) for outline in outlines for x, y in outline)
     if outer_mm is None:
         outer_mm = math.ceil(2 * (reach_mm + _MARGIN_MM))
@@ -92,6 +97,7 @@ def mask_sheet(
         f"{100 * mask.open_fraction:.0f} % of the square is open.",
         "Glue to thin black cardboard, cut out the white openings and the dashed rim.",
         "This side faces the sensor, with the triangle up.",
+        f"Lines lie {kerf_mm / 2:g} mm within the openings: the cut is wider." if kerf_mm else "",
         loose_parts_note(openings.loose_parts) if openings.loose_parts else "",
     ]
     rulers = [_ruler(_ACROSS, down=False), _ruler(_DOWN, down=True)]

@@ -228,12 +228,12 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             clouds["depth/free_points"] = free_m
             if self.wants("depth/free_space"):
                 self.send("depth/free_space", image_from_array(free_m, "32FC1", header))
-        for topic, values in (
-            ("depth/second", estimate.second_m),
-            ("depth/second_share", estimate.second_share),
-        ):
-            if values is not None and self.wants(topic):
-                self.send(topic, image_from_array(values, "32FC1", header))
+        if estimate.second_m is not None and estimate.second_share is not None:
+            ends_m = self._range.near_m, self._range.far_m or math.inf
+            second_m = limit_depth(estimate.second_m, *ends_m)
+            of_second = {"depth/second": second_m, "depth/second_share": estimate.second_share}
+            for topic in filter(self.wants, of_second):
+                self.send(topic, image_from_array(of_second[topic], "32FC1", header))
         if complaint := driver.complaint(self._model.whole, frame_size):
             self.reject("camera_info", complaint)
         info = driver.info(self._model.whole, frame_size, size, header)

@@ -11,6 +11,7 @@ from itertools import product
 import cv2
 import numpy as np
 import pytest
+import yaml
 from bad_frames import names, write_frames
 from bag_scene import recording, write_bag
 from cli_scene import (
@@ -92,6 +93,26 @@ def test_two_frames_of_one_view(scene, tmp_path, capsys):
     result = call(capsys, *one, *second)
     assert (result.status, result.err) == (0, "")
     error, known = relative_error(np.load(output), scene)
+    assert error < 0.05 and known > 0.5
+    # A bank of both sides, and a second focus before all: the maps are whole without the sides.
+    camera = yaml.safe_load(scene.camera.read_text())
+    camera |= {"focus_distance_m": 2.2, "side": "both", "mask_extent_mm": 100.0}
+    (tmp_path / "both.yaml").write_text(yaml.safe_dump(camera))
+    both, random = load_camera(tmp_path / "both.yaml"), np.random.default_rng(0)
+    for name, focus_m in (("first", 2.2), ("before", 1.4)):
+        focused = dataclasses.replace(both, focus_distance_m=focus_m)
+        coded = render_coded_frame(scene.sharp, scene.depth_m, focused)
+        coded += random.normal(0, 0.001, coded.shape)
+        write_image(tmp_path / f"{name}.tiff", coded.astype(np.float32))
+    learn = ("--depth-range", NEAR_M, FAR_M, "--level-count", 30, "-o", tmp_path / "both.npz")
+    assert call(capsys, "learn", "--camera", tmp_path / "both.yaml", *learn).status == 0
+    files = ("--bank", tmp_path / "both.npz", "--camera", tmp_path / "both.yaml")
+    refocused = ("--refocused-frame", tmp_path / "before.tiff", "--refocused-to", 1.4)
+    pair = ("depth", *files, tmp_path / "first.tiff", *refocused, "-o", tmp_path / "of_both.npy")
+    result = call(capsys, *pair)
+    assert (result.status, result.err) == (0, "")
+    assert not (tmp_path / "of_both.side.npy").exists()
+    error, known = relative_error(np.load(tmp_path / "of_both.npy"), scene)
     assert error < 0.05 and known > 0.5
     wrong_usage(call(capsys, *one, *second[:2]), "depth", "needs --refocused-to too")
     wrong_usage(call(capsys, *one, *second, "--temporal-frames", 2), "depth", "--temporal-frames")

@@ -75,18 +75,23 @@ def test_costs_of_the_same_depths_are_added(truth_m):
         pair.close()
 
 
-def test_focus_breathing_is_undone(truth_m):
-    camera = camera_at(BEFORE_M, "far", focal_length_mm=75.0)
+@pytest.mark.parametrize(("first_m", "second_m"), [(BEFORE_M, 6.0), (6.0, BEFORE_M)])
+def test_focus_breathing_is_undone(truth_m, first_m, second_m):
+    """Also where the second frame shows less of the scene: what it did not see is left out."""
+    side = {BEFORE_M: "far", 6.0: "near"}
+    camera = camera_at(first_m, side[first_m], focal_length_mm=75.0)
     bank = learn_bank_for_camera(camera, *RANGE_M, 30)
     estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0.0), camera)
-    pair = FocusPair(estimator, 6.0)
-    scale = camera.refocused(6.0).focal_length_px / camera.focal_length_px
-    assert scale < 0.96
-    as_first = frame_of(Camera(400.0, 6.0, 224, 160, camera.mask, 80.0, side="near"), truth_m)
-    middle = (np.array(SHAPE[::-1]) - 1) / 2
+    pair = FocusPair(estimator, second_m)
+    scale = camera.refocused(second_m).focal_length_px / camera.focal_length_px
+    assert abs(scale - 1) > 0.04
+    as_first = frame_of(camera_at(second_m, side[second_m]), truth_m, 0.0)
+    middle = np.array([camera.image_width, camera.image_height]) / 2 - 0.5
     moved = np.column_stack([np.eye(2) * scale, middle * (1 - scale)])
     second = cv2.warpAffine(as_first, moved, SHAPE[::-1], borderMode=cv2.BORDER_REFLECT)
+    second += np.random.default_rng(4).normal(0, NOISE, SHAPE).astype(np.float32)
     found = pair.estimate(frame_of(camera, truth_m), second)
+    assert found.health is None or found.health.fits
     assert right(found, truth_m) > 0.85
     pair.close()
 

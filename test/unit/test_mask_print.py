@@ -76,10 +76,21 @@ def test_openings_cut_wider_and_narrower():
         assert changed.open_fraction == pytest.approx(side**2 - rounded, rel=0.01)
     levin = Mask.named("levin")
     assert recut(levin, 0.0).open_fraction == pytest.approx(levin.open_fraction)
-    # Whole at the grid's edge: it is the outline of the outermost openings.
-    assert extent_of([np.array(one) for one in outlines_of(recut(levin, 0.02))])[0].max() <= 1
-    with pytest.raises(InputError, match="mask levin: nothing is open once"):
+    # At the grid's edge openings lose as much as elsewhere, and gain nothing.
+    for change, size in ((-0.02, 0.98), (-0.0012, 0.9988), (0.02, 1.0)):
+        cut = [np.array(one) for one in outlines_of(recut(levin, change))]
+        assert extent_of(cut)[0] == pytest.approx([size, size], abs=6e-4)
+    # Curves stay as fine as they are printed.
+    disc = Mask.named("disc")
+    expected = np.pi / 4 * 0.98**2
+    assert recut(disc, -0.02).open_fraction == pytest.approx(expected, rel=5e-3)
+    with pytest.raises(InputError, match="13 of 13 openings are narrower than 0"):
         recut(levin, -0.3)
+    with pytest.raises(InputError, match="too little to draw"):
+        recut(levin, -1e-4)
+    grey = Mask("grey", np.linspace(0, 1, 49).reshape(7, 7))
+    with pytest.raises(InputError, match="grey cells"):
+        recut(grey, -0.01)
 
 
 # ---- true scale, read from the files ----
@@ -250,6 +261,21 @@ def test_lines_for_a_laser(tmp_path, capsys):
     assert extent_of(lines["rim"])[0] == pytest.approx([60, 60], abs=1e-3)
     smallest = min(np.ptp(outline, axis=0).min() for outline in lines["hole"])
     assert smallest == pytest.approx(2.5, abs=0.05)
+    call(
+        capsys,
+        "mask",
+        "print",
+        "levin",
+        "--extent-mm",
+        33,
+        "--kerf-mm",
+        0.5,
+        "-o",
+        tmp_path / "m.svg",
+    )
+    page = (tmp_path / "m.svg").read_text()
+    assert "the narrowest takes a disc of 3.00 mm" in page
+    assert "Lines lie 0.25 mm within the openings" in page
     # As printed: what is up stays up.
     mask = tmp_path / "corner.npy"
     np.save(mask, np.array([[1, 0], [0, 0]]))

@@ -17,6 +17,7 @@ def test_the_one_beside_is_the_one_that_is_not_there():
     less, more, share = (np.full((1, 2), value, np.float32) for value in (3.0, 9.0, 0.2))
     at_net, at_wall = np.float32([[3.4] * 4] * 2), np.float32([[8.0] * 4] * 2)
     pair = Pair(odds, less, more, share)
+    pair = pair.mapped(lambda part: np.repeat(np.repeat(part, 2, 0), 2, 1))
     for size_px, other, taken in ((at_net, 9.0, 0.8), (at_wall, 3.0, 0.2)):
         found, of_window = pair.beside(size_px)
         assert found[:, :2] == pytest.approx(other) and of_window[:, :2] == pytest.approx(taken)
@@ -68,6 +69,8 @@ def test_what_is_behind_leaves_is_told_beside_them(fence):
     assert np.array_equal(two, np.isfinite(share)) and two.mean() > 0.4
     assert share[two].min() >= 0 and share[two].max() <= 1
     near_m, behind_m = camera.depth_m(fenced.near_px), camera.depth_m(fenced.behind_px)
+    # They are two, everywhere.
+    assert np.abs(estimate.depth_m[two] / second_m[two] - 1).min() > 0.02
     pair = np.sort([estimate.depth_m[two], second_m[two]], axis=0)
     right = np.abs(pair / np.stack([near_m[two], behind_m[two]]) - 1) <= 0.1
     assert right.mean() > 0.7
@@ -80,7 +83,8 @@ def test_what_is_behind_leaves_is_told_beside_them(fence):
 @pytest.mark.parametrize("settings", [{"unknown": "nearest"}, {"free_space_risk": 0.01}])
 def test_with_other_settings_and_smaller_maps(fence, settings):
     camera, bank, frame, _ = fence
-    whole = estimated(camera, bank, frame, **settings)
+    plain, whole = estimated(camera, bank, frame), estimated(camera, bank, frame, **settings)
+    np.testing.assert_array_equal(plain.second_m, whole.second_m)
     small = estimated(camera, bank, frame, (144, 192), **settings)
     assert small.second_m.shape == small.second_share.shape == (144, 192)
     same = np.isclose(whole.second_m[::2, ::2], small.second_m, rtol=1e-3, equal_nan=True)
@@ -94,10 +98,11 @@ def test_nothing_is_told_of_what_was_not_seen(fence):
     second_m = estimated(camera, bank, dark).second_m
     assert np.isnan(second_m[:, :96]).all() and np.isfinite(second_m[:, 240:]).any()
     other = learn_bank_for_camera(camera, *camera.depth_m([2.0, 18.0]), 30)
+    # Half as fine as the bank takes it to be.
     misfit = estimated(
         camera, other, np.ascontiguousarray(frame[::2, ::2].repeat(2, 0).repeat(2, 1))
     )
-    assert misfit.health.fits or np.isnan(misfit.second_m).all()
+    assert not misfit.health.fits and np.isnan(misfit.second_m).all()
 
 
 def test_of_both_sides_and_of_coarse_banks_nothing_is_told(fence):
@@ -109,6 +114,8 @@ def test_of_both_sides_and_of_coarse_banks_nothing_is_told(fence):
     both = Camera(400.0, 2.4, 224, 160, Mask.named("three_wide"), 100.0, side="both")
     of_both = learn_bank_for_camera(both, 1.5, 5.0, 30)
     assert np.isnan(estimated(both, of_both, frame[:160, :224]).second_m).all()
+    assert "both sides" in refinement_note(of_both, DepthConfig(second_surface=True))
+    assert refinement_note(of_both, DepthConfig()) is None
     with pytest.raises(InputError, match="second_surface: use false, only regularize: learned"):
         DepthConfig(second_surface=True, regularize="semiglobal")
 

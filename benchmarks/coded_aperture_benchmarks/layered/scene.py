@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from coded_aperture_benchmarks.layered.shapes import THINGS, leaf, net
 from coded_aperture_benchmarks.layered.textures import TEXTURE_COUNT, TEXTURE_PX, texture
 from coded_aperture_benchmarks.layered.tracing import (
+    FEWEST_CELLS,
     FINENESS,
     Layer,
     lens_samples,
@@ -51,9 +52,12 @@ class LayeredScene:
         """Rows and columns of the frame."""
         return self.camera.image_height, self.camera.image_width
 
-    def coded(self, mask: Mask | None = None) -> FloatArray:
-        """Return the frame that the camera records, without noise, float32 [rows, columns]."""
-        samples = lens_samples(mask or self.camera.mask, self._widest_px())
+    def coded(self, mask: Mask | None = None, fewest_cells: int = FEWEST_CELLS) -> FloatArray:
+        """Return the frame that the camera records, without noise, float32 [rows, columns].
+
+        Another `mask` may stand in for the camera's; see `lens_samples` for `fewest_cells`.
+        """
+        samples = lens_samples(mask or self.camera.mask, self._widest_px(), fewest_cells)
         return traced(list(self.layers), self.shape, samples)
 
     def all_in_focus(self) -> FloatArray:

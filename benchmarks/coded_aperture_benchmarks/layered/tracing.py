@@ -18,7 +18,7 @@ FINENESS = 2
 # An opening of the mask is sampled where its image is at most as wide, in pixels of the frame.
 _SAMPLE_PX = 0.9
 # Averaging a mask over coarser cells blurs its image: narrow ones would look wider than they are.
-_FEWEST_CELLS = 13
+FEWEST_CELLS = 13
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -47,16 +47,17 @@ class Layer:
     relief_px: FloatArray | None = None
 
 
-def lens_samples(mask: Mask, widest_px: float) -> FloatArray:
+def lens_samples(mask: Mask, widest_px: float, fewest_cells: int = FEWEST_CELLS) -> FloatArray:
     """Return points of the aperture and their weights [n, 3]: down, right, share of the light.
 
-    In units of the mask's extent, from its middle; so many that blur of a width has no gaps.
+    In units of the mask's extent, from its middle; so many that blur of a width has no gaps. A mask
+    of more cells is averaged over no fewer than `fewest_cells` along a side.
     """
     cells = max(mask.transmission.shape)
     wanted = int(np.ceil(widest_px / _SAMPLE_PX))
     grid: NDArray[np.floating] = mask.transmission.astype(np.float64)
-    if cells > max(wanted, _FEWEST_CELLS):  # finer than the sensor sees
-        wanted = max(wanted, _FEWEST_CELLS)
+    if cells > max(wanted, fewest_cells):  # finer than the sensor sees
+        wanted = max(wanted, fewest_cells)
         down, across = (cell_shares(wanted, length, wanted / cells) for length in grid.shape)
         grid = down @ grid @ across.T
     else:

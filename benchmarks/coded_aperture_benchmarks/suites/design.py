@@ -16,14 +16,14 @@ from coded_aperture_benchmarks.rows import columns, grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.bank import FilterBank, learn_bank_for_camera
 from coded_aperture_ros.bank.learning import guarded_range
-from coded_aperture_ros.cli.options import at_least, mask_of
+from coded_aperture_ros.cli.options import at_least, mask_of, written_name
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.design.diffraction import airy_width_px
-from coded_aperture_ros.design.openings import narrowest_bar, openings_of, recut
+from coded_aperture_ros.design.openings import narrowest_bar, openings_of, outlines_of, recut
 from coded_aperture_ros.design.setting import resolutions_m
 from coded_aperture_ros.design.sheet import mask_sheet
 from coded_aperture_ros.design.sheet_files import svg_of
@@ -50,6 +50,8 @@ _NEAR_EDGES_PX, _RIGHT = 16, 0.1
 # Photons on a square metre in a second, of white light of one lux; what lenses let pass, and what
 # sensors count.
 _PHOTONS_OF_LUX, _LENS, _EFFICIENCY = 1e16, 0.85, 0.6
+# Points of the aperture along a side, or some more.
+_POINTS = 44
 # One pixel in so many, for medians over all scenes.
 _THINNED = 7
 _PUBLISHED = DepthConfig().confidence_threshold
@@ -115,12 +117,24 @@ def _cells(args: argparse.Namespace) -> list[Cell]:
             f"{args.camera}: side: both is not designed for: choose the side of the focal plane"
         )
     blur_px = camera.blur_range_px(near_m, far_m)
-    for name in ("illuminance_lux", "exposure_ms", "full_well"):
-        if not getattr(args, name) > 0:
-            args.usage_error(f"--{name.replace('_', '-')}: expected more than 0")
+    for name in ("illuminance_lux", "exposure_ms", "full_well", "read_noise", "cut_mm"):
+        least = 0 if name in ("read_noise", "cut_mm") else 1e-9
+        if not getattr(args, name) >= least:
+            args.usage_error(
+                f"{written_name(name)}: expected {'0 or ' if not least else ''}more than 0"
+            )
     light = Light(args.illuminance_lux, args.exposure_ms, args.full_well, args.read_noise)
     masks = [mask_of(name) for name in dict.fromkeys(args.masks)]
     masks += _searched(args, sorted(abs(size) for size in blur_px))
+    names = [mask.name for mask in masks]
+    for mask in masks:
+        if names.count(mask.name) > 1:
+            raise InputError(f"mask {mask.name}: another one has this name too")
+        outlines_of(mask)  # refuses what cannot be cut
+    # The frames have the noise of this light, and no other errors of a lens.
+    camera = dataclasses.replace(
+        camera, noise=0.0, noise_gain=0.0, field_curvature=None, diffraction=None
+    )
     cameras = [dataclasses.replace(camera, mask=mask) for mask in masks]
     for one in cameras:
         guarded_range(one, near_m, far_m, args.levels)
@@ -166,9 +180,10 @@ def measure(cell: Cell) -> Measured:
     blur_px = scene.blur_size_px()
     true_m = np.asarray(cell.camera.depth_m(blur_px), np.float32)
     edges = edge_distance_px(blur_px) <= _NEAR_EDGES_PX
-    found = _errors(cell, cell.camera.mask, scene, true_m)
+    mask = cell.camera.mask
+    found = _errors(cell, mask, scene, true_m)
     share = cell.cut_mm / cell.camera.mask_extent_mm
-    wide = _errors(cell, recut(cell.camera.mask, share), scene, true_m)
+    wide = _errors(cell, recut(mask, share) if share else mask, scene, true_m)
     sure = found[1] >= _PUBLISHED
     right = np.abs(found[0][sure]) <= _RIGHT
     return Measured(
@@ -187,7 +202,10 @@ def _errors(
     """Return relative error and confidence of every pixel, through a mask as it was cut."""
     camera = cell.camera
     random = np.random.default_rng([cell.number, len(cell.part)])
-    frame = cell.light.exposed(scene.coded(cut), camera, random)
+    # As it is and cut wide it is averaged over the same points, each within a cell of the mask.
+    cells = max(camera.mask.transmission.shape)
+    fewest = cells * -(-_POINTS // cells) if cells <= _POINTS else _POINTS
+    frame = cell.light.exposed(scene.coded(cut, fewest), camera, random)
     config = DepthConfig(confidence_threshold=0.0)
     estimator = DepthEstimator(_bank(camera, cell.range_m, cell.levels), config, camera)
     estimate = estimator.estimate(frame)
@@ -282,9 +300,7 @@ def _pooled(measured: Sequence[Measured]) -> Row:
 def _against(rows: Sequence[Row], first: str) -> Row:
     """Compare the chosen mask with the first one that was named, on scenes of both parts."""
     by_name = {row["mask"]: row for row in rows}
-    if first not in by_name:  # a file is called by its name
-        first = Path(first).stem
-    other = by_name.get(first, rows[-1])
+    other = by_name[first if first in by_name else Path(first).name]
     return {
         "mask": other["mask"],
         **{
@@ -355,8 +371,8 @@ def _draw(args: options.Args, measured: list[Measured], folder: Path) -> None:
 SUITE = Suite(
     description="Compare masks for a camera, a depth range and some light, end to end: random "
     "scenes of the camera's blur sizes are traced through each mask, exposed with shot and read "
-    "noise, and their depth is estimated with defaults. Named masks, files, and those that a "
-    "search finds. Some scenes choose, others say what the choice is worth.",
+    "noise but without diffraction, and their depth is estimated with defaults. Named masks, "
+    "files, and those that a search finds. Some scenes choose, others say what that is worth.",
     examples="""examples:
   a mask for half a metre to four metres in a room (some minutes), with pictures and cut files:
     coded_aperture mask design --camera camera.yaml --depth-range 0.5 4 --illuminance-lux 200 \\

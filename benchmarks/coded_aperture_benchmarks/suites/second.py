@@ -79,10 +79,15 @@ def _cells(args: argparse.Namespace) -> list[Cell]:
         return found
     count = len(args.masks)
     return [
-        Cell(kind, number, args.masks[number % count], _NOISES[number // count % 3])
+        Cell(kind, number, args.masks[number % count], _noise(number // count))
         for kind in KINDS
         for number in range(args.frames)
     ]
+
+
+def _noise(of_mask: int) -> float:
+    """Return the noise of a mask's frame; those before the focal plane have all of them."""
+    return _NOISES[(of_mask + of_mask // 6) % 3]
 
 
 def _seen(cell: Cell) -> Seen:

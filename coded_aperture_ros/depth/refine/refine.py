@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from coded_aperture_ros.bank import FilterBank
-from coded_aperture_ros.core.arrays import FloatArray, Shape
+from coded_aperture_ros.core.arrays import FloatArray, Shape, as_floats
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.config import DepthConfig
@@ -94,6 +94,8 @@ def refinement_note(model: LikelihoodModel, config: DepthConfig) -> str | None:
         return None
     why = untrained(model, config.stride_px or model.stride_px)
     if not why:
+        if config.second_surface and model.stack.has_both_sides:
+            return "second_surface: nothing is told with levels on both sides of the focal plane"
         return None
     return (
         "regularize: semiglobal in place of learned, which was not trained for this model: "
@@ -182,7 +184,7 @@ class Refined:
             return cut(drawn(values, quarters, one_surface))
 
         def in_squares(values: FloatArray) -> FloatArray:
-            return cut(np.repeat(np.repeat(values, half_px, axis=0), half_px, axis=1))
+            return cut(np.repeat(np.repeat(values, CELL_PX, axis=0), CELL_PX, axis=1))
 
         def cut(whole: FloatArray) -> FloatArray:
             whole = whole[-cells.top :, -cells.left :][: grey.shape[0], : grey.shape[1]]
@@ -191,7 +193,7 @@ class Refined:
             return np.ascontiguousarray(whole)
 
         one_surface = _ONE_SURFACE_PX * float(self._per_px)
-        confidence = map_of(right, 0.1)
+        level_map, confidence = map_of(level, one_surface), map_of(right, 0.1)
         blank = volume.max() <= _ALIKE  # nothing to go by anywhere
         if blank:
             confidence[:] = to_check[:] = 0
@@ -220,16 +222,18 @@ class Refined:
             return np.where(at.nearest(blind), nearest, map_of(level, one_surface))
 
         def second(surface: SecondSurface) -> tuple[FloatArray, FloatArray]:
-            pair = surface(logits, costs[COST_CHANNELS:])
-            size_px, share = pair.beside(found.size_px)
-            level = in_squares(self._level(np.where(far >= 0.5, size_px, -size_px)))
-            share = in_squares(share)
-            blind = at.nearest(~seen.usable) | blank
-            level[blind] = share[blind] = np.nan
-            return level, share
+            pair = surface(logits, costs[COST_CHANNELS:]).mapped(in_squares)
+            sizes_px = np.abs(self._sizes)
+            first_px = np.interp(level_map, np.arange(len(sizes_px)), sizes_px)
+            size_px, share = pair.beside(as_floats(first_px))
+            beyond_px = np.abs(np.clip(size_px, sizes_px.min(), sizes_px.max()) - size_px)
+            of_second = self._level(size_px if self._near < 0.5 else -size_px)
+            unknown = at.nearest(~seen.usable) | blank | (beyond_px > BLUR_STEP_PX)
+            of_second[unknown] = share[unknown] = np.nan
+            return of_second, share
 
         return Decision(
-            map_of(level, one_surface),
+            level_map,
             map_of(deviation, 0.5),
             confidence,
             None if of_side is None else map_of(of_side, 0.1),

@@ -1,6 +1,7 @@
 """Two surfaces in one window: nets, leaves and panes before something farther away."""
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 
@@ -32,27 +33,24 @@ class Pair:
     more_px: FloatArray
     share: FloatArray  # of the window, 0 to 1, that the less blurred one takes
 
-    def beside(self, size_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return blur size and share of the surface beside that of half-cells; NaN without one.
+    def mapped(self, draw: Callable[[FloatArray], FloatArray]) -> "Pair":
+        """Return what a function makes of each map."""
+        return Pair(*(draw(part) for part in (self.odds, self.less_px, self.more_px, self.share)))
 
-        Takes and gives [2 rows, 2 columns].
-        """
-        odds, less, more, share = (
-            np.repeat(np.repeat(part, 2, axis=0), 2, axis=1)
-            for part in (self.odds, self.less_px, self.more_px, self.share)
-        )
-        is_less = np.abs(size_px - less) < np.abs(size_px - more)
-        one = odds < LEAST_ODDS
-        found_px, taken = np.where(is_less, more, less), np.where(is_less, 1 - share, share)
-        found_px[one] = taken[one] = np.nan
-        return found_px, taken
+    def beside(self, size_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return blur size and share of the surface beside one of these sizes; NaN without one."""
+        is_less = np.abs(size_px - self.less_px) < np.abs(size_px - self.more_px)
+        found_px = np.where(is_less, self.more_px, self.less_px)
+        share = np.where(is_less, 1 - self.share, self.share)
+        found_px[self.odds < LEAST_ODDS] = share[self.odds < LEAST_ODDS] = np.nan
+        return found_px, share
 
 
 class SecondSurface:
     """Finds the pairs of surfaces of frames, from what the refinement makes of them.
 
-    A small network of its own; see `training/second.py`. `tried` [blur sizes] as of `Network`. Not
-    for several threads at once.
+    By a small network of its own, which OpenCV runs; see `training/second_fit.py`. `tried` [blur
+    sizes] as of `Network`. Not for several threads at once.
     """
 
     def __init__(self, tried: BoolArray) -> None:

@@ -30,7 +30,7 @@ class Outputs:
     def within(cls, namespace: str, more: Iterable[str] = ()) -> "Outputs":
         """Return the names in a namespace, such as `/camera`; empty for the topmost.
 
-        With `more` of depth, which only some bags get: motion, free_space, second.
+        With `more` of depth, which only some bags get: motion, free_space, second...
         """
         names = (
             *("depth/image", "depth/confidence", "depth/std_dev", "depth/camera_info"),
