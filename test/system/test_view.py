@@ -325,6 +325,18 @@ def test_a_browser_shows_and_changes_what_is_seen(viewer, tmp_path):
         await page.value("map.value = 'depth'; map.onchange()")
         await slide(page, "depth.free_space_risk", 0.0)
 
+        # A second surface, where there is one.
+        assert await page.value("viewer.frame.second === null")
+        await page.value("map.value = 'second'; map.onchange()")
+        await page.wait(
+            "viewer.frame.second && viewer.frame.settings['depth.second_surface'] === true"
+        )
+        assert await page.value("viewer.frame.second.length === viewer.frame.depth.length")
+        assert await page.value("document.querySelector('#depth').toDataURL()") != surfaces
+        await page.picture(tmp_path / "second.png")
+        await page.value("map.value = 'depth'; map.onchange(); set('depth.second_surface', false)")
+        await page.wait("viewer.frame.second === null")
+
         await page.value("document.querySelector('#aid').open = true")
         await page.wait("document.querySelector('#numbers').textContent.includes('Sharpness')")
         numbers = await page.value("document.querySelector('#numbers').textContent")

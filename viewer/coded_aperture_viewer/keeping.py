@@ -45,6 +45,8 @@ def write_snapshot(folder: Path, shown: Shown, camera: Camera) -> None:
     maps = {"depth": found.depth_m, "std_dev": found.std_dev_m, "confidence": found.confidence}
     if found.free_space_m is not None:
         maps["free_space"] = found.free_space_m
+    if found.second_m is not None and found.second_share is not None:
+        maps |= {"second": found.second_m, "second_share": found.second_share}
     for name, values in maps.items():
         write_depth(folder / f"{name}.npy", values)
     write_image(folder / "depth.picture.png", depth_picture(found.depth_m))

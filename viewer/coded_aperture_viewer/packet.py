@@ -29,8 +29,8 @@ def packet(
 
     The first four of eight bytes say how long the header is. Its `parts` say where what follows
     begins, counted from the header's end, and how long it is: `frame` and `picture` are JPEG,
-    `depth`, `std_dev` and, if asked for, `free_space` of 16 bits in units of `unit_m`, row by row,
-    `confidence` of 8 bits.
+    `depth`, `std_dev` and, if asked for, `free_space` and `second` of 16 bits in units of `unit_m`,
+    row by row, `confidence` of 8 bits.
 
     Parameters
     ----------
@@ -50,8 +50,9 @@ def packet(
         parts["depth"] = steps(estimate.depth_m, unit_m).tobytes()
         parts["std_dev"] = steps(estimate.std_dev_m, unit_m).tobytes()
         parts["confidence"] = np.rint(255 * estimate.confidence).astype(np.uint8).tobytes()
-        if estimate.free_space_m is not None:
-            parts["free_space"] = steps(estimate.free_space_m, unit_m).tobytes()
+        for name in ("free_space", "second"):
+            if (metres := getattr(estimate, f"{name}_m")) is not None:
+                parts[name] = steps(metres, unit_m).tobytes()
     places, at = {}, 0
     for name, part in parts.items():
         places[name] = [at, len(part)]

@@ -20,6 +20,7 @@ _CONTROLS: dict[str, dict[str, float | None]] = {
         "temporal_frames": 10.0,
         "check_fit": None,
         "free_space_risk": 0.01,
+        "second_surface": None,
     },
     "deblur": {"smoothness": 5.0},
     "look": {"opening_px": None},
