@@ -3,6 +3,7 @@
 import argparse
 import dataclasses
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from coded_aperture_benchmarks.metrics.surfaces import Windows, at_middles, shar
 from coded_aperture_benchmarks.pictures import as_rgb, side_by_side
 from coded_aperture_benchmarks.rows import columns, grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.cli.options import mask_of, noise_level
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
@@ -27,7 +29,7 @@ _LEVELS, _SIZE = 30, (288, 384)
 PLAIN = "plain"
 KINDS = (*FENCES, PLAIN)
 _MASKS, _NOISES = ("levin", "four_hole", "zhou"), (0.0005, 0.002, 0.005)
-_FIRST_SCENE = 4_000_000
+_FIRST_SCENE, _APART, _ATTEMPTS = 4_000_000, 10_000, 10
 _RIGHT = 0.1
 
 
@@ -90,7 +92,16 @@ def _noise(of_mask: int) -> float:
     return _NOISES[(of_mask + of_mask // 6) % 3]
 
 
-def _seen(cell: Cell) -> Seen:
+def _seen_and_bank(cell: Cell) -> tuple[Seen, FilterBank]:
+    """Return what a frame shows, and a bank; another scene where the first is too shallow."""
+    for attempt in range(_ATTEMPTS):
+        seen = _seen(cell, _FIRST_SCENE + cell.number + attempt * _APART)
+        with suppress(InputError):
+            return seen, learned_bank(seen.camera, seen.ends_m, _LEVELS)[0]
+    raise InputError(f"{cell.kind}: no scene that depth is refined of")
+
+
+def _seen(cell: Cell, seed: int) -> Seen:
     mask = mask_of(cell.mask)
     if cell.folder is not None:
         traced = RayTracedScene.load(cell.folder, cell.mask)
@@ -99,7 +110,6 @@ def _seen(cell: Cell) -> Seen:
         return Seen(traced.coded, traced.camera, seen, ends_m)
     # One in six before the focal plane, behind each mask.
     side = "near" if cell.number // len(_MASKS) % 6 == 5 else "far"
-    seed = _FIRST_SCENE + cell.number
     if cell.kind == PLAIN:
         scene = random_scene(seed, mask, side, _SIZE, empty=True)
         sizes = scene.blur_size_px()
@@ -121,9 +131,8 @@ def _of_map(blur_size_px: np.ndarray) -> FloatArray:
 
 def measure(cell: Cell) -> Measured:
     """Estimate both surfaces, and compare them with what each window shows."""
-    seen = _seen(cell)
+    seen, bank = _seen_and_bank(cell)
     frame = SensorModel(cell.noise).expose(seen.coded, np.random.default_rng(cell.number))
-    bank, _ = learned_bank(seen.camera, seen.ends_m, _LEVELS)
     config = DepthConfig(second_surface=True, confidence_threshold=0.0)
     estimator = DepthEstimator(bank, config, seen.camera)
     estimate = estimator.estimate(frame)
