@@ -116,18 +116,18 @@ train-blend: $(VENV)/finished-train ## Learn the blend of deblurring anew: pictu
 		--network $(TRAIN)/blend.npz
 
 # Scenes of all kinds: ordinary ones, rare ones, and nets, leaves and panes before rooms.
-OF_ALL_KINDS = "4 30" "84 106" "200 248"
+OF_ALL_KINDS = "4 30" "84 106" "200 260"
 IN_TWO_RANGES = for pair in $(OF_ALL_KINDS); do set -- $$pair; \
 	$(TRAINING)/$(1) --shards $$1 $$2 2 & first=$$!; \
 	$(TRAINING)/$(1) --shards $$(($$1 + 1)) $$2 2 && wait $$first || exit 1; done
-train-second: MINUTES = 26
+train-second: MINUTES = 22
 train-second: $(VENV)/finished-train ## Learn anew what tells two surfaces: scenes, costs, weights
 	@$(call IN_TWO_RANGES,scenes.py --output $(TRAIN)/scenes)
 	@$(call IN_TWO_RANGES,costs.py --scenes $(TRAIN)/scenes --output $(TRAIN)/costs)
 	@$(call IN_TWO_RANGES,second_shown.py --scenes $(TRAIN)/scenes --costs $(TRAIN)/costs \
 		--output $(TRAIN)/second)
 	@PYTHONPATH=benchmarks $(VENV)/bin/python training/second_fit.py --shown $(TRAIN)/second \
-		--shards $(subst ",,$(OF_ALL_KINDS)) --validate 28 30 104 106 246 248 \
+		--shards $(subst ",,$(OF_ALL_KINDS)) --validate 28 30 104 106 258 260 \
 		--minutes $(MINUTES) -o $(TRAIN)/second.npz
 
 train-check: $(VENV)/finished-train ## Learn anew whether frames fit: scenes, misfits, weights

@@ -1,7 +1,7 @@
 """Fit the network of second surfaces, and write it in the form that the package runs.
 
-python training/second_fit.py --shown DIR --shards 4 60 84 110 200 248 --validate 0 4 80 84 \
-    --minutes 25 -o second.npz
+python training/second_fit.py --shown DIR --shards 4 30 84 106 200 260 --validate 28 30 104 106 \
+    --minutes 22 -o second.npz
 """
 
 import argparse
