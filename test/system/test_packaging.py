@@ -84,6 +84,7 @@ def test_manifest_names_every_package_that_the_code_imports(checkout, manifest):
         "distributed",
         "argcomplete",
         "onnxruntime",
+        "ezdxf",
     }
     declared = {element.text for element in manifest.iter("exec_depend")}
     assert {"rclpy", "sensor_msgs", "diagnostic_msgs", *apt_names.values()} <= declared
@@ -169,6 +170,7 @@ def test_every_other_file_is_installed(checkout):
     }
     weights = {
         Path("depth/refine/refinement.npz"),
+        Path("depth/refine/second.npz"),
         Path("depth/fit/fit.npz"),
         Path("deblur/blend/blend.npz"),
     }
