@@ -260,3 +260,20 @@ def header(args: Args, *names: str, **others: Any) -> dict[str, Any]:
     """Return options as results say them: `side` and `window` are in px."""
     unit = {"side": "side_px", "window": "window_px"}
     return {unit.get(name, name): getattr(args, name) for name in names} | others
+
+
+def folders_behind_masks(args: Args) -> list[tuple[Path, str]]:
+    """Return the ray-traced scenes that are asked for, each with every mask that it has.
+
+    An `InputError` if folders have one name, or none has a picture behind such a mask.
+    """
+    check_names(args.folders, "scene")
+    found = [
+        (folder, mask)
+        for folder in args.folders
+        for mask in args.masks
+        if (folder / f"coded_{mask}_linear.png").is_file()
+    ]
+    if args.folders and not found:
+        raise InputError(f"{args.folders[0]}: no coded_MASK_linear.png behind such a mask")
+    return found

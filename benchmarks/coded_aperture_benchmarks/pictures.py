@@ -1,13 +1,15 @@
 """Pictures of the benchmarks, side by side, for a person to look at."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.imaging import pixels_from_linear
+from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.imaging import SRGB, pixels_from_linear
+from coded_aperture_ros.io import depth_picture
 
 WHITE = 255
 _TITLE_HEIGHT_PX = 20
@@ -27,6 +29,25 @@ def side_by_side(columns: Sequence[tuple[str, Sequence[NDArray[np.uint8]]]]) -> 
     ndarray, uint8 [rows, columns, 3]
     """
     return np.hstack([_column(title, pictures) for title, pictures in columns])
+
+
+def frames_and_depths(
+    frames: Mapping[str, FloatArray],
+    depths_m: Mapping[str, FloatArray],
+    ends_m: tuple[float, float],
+) -> NDArray[np.uint8]:
+    """Put frames in linear light, and depth maps in one scale with its legend, beside each other.
+
+    All by their titles, and of one size.
+    """
+    drawn = {title: depth_picture(depth_m, *ends_m, "m") for title, depth_m in depths_m.items()}
+    height = max(len(picture) for picture in drawn.values())  # with the legend
+    parts = []
+    for title, frame in frames.items():
+        picture = as_rgb(np.clip(frame, 0, 1), SRGB)
+        gap = ((0, height - len(picture)), (0, 0), (0, 0))
+        parts.append((title, [np.pad(picture, gap, constant_values=WHITE)]))
+    return side_by_side([*parts, *((title, [picture]) for title, picture in drawn.items())])
 
 
 def _column(title: str, pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:

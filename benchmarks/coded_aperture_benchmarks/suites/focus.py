@@ -8,7 +8,7 @@ import numpy as np
 
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.layered import LayeredScene, random_scene
-from coded_aperture_benchmarks.pictures import as_rgb, side_by_side
+from coded_aperture_benchmarks.pictures import frames_and_depths
 from coded_aperture_benchmarks.rows import columns, grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.bank import learn_bank_for_camera
@@ -16,8 +16,7 @@ from coded_aperture_ros.cli.options import mask_of
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
 from coded_aperture_ros.depth.focus_pair import FocusPair
-from coded_aperture_ros.imaging import SRGB
-from coded_aperture_ros.io import depth_picture, write_image
+from coded_aperture_ros.io import write_image
 from coded_aperture_ros.simulation import SensorModel
 
 _LEVELS, _SIZE, _MARGIN = 30, (288, 384), 0.02
@@ -168,17 +167,9 @@ def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
     for each in measured:
         if each.cell.number == 0:
             true_m = each.depth_m["truth"]
-            ends = float(np.nanmin(true_m)), float(np.nanmax(true_m)), "m"
-            maps = {title: depth_picture(depth_m, *ends) for title, depth_m in each.depth_m.items()}
-            frames = {title: as_rgb(np.clip(one, 0, 1), SRGB) for title, one in each.frames.items()}
-            strip = len(maps["truth"]) - len(frames["first"])  # with the legend
-            parts = [
-                (title, [np.pad(one, ((0, strip), (0, 0), (0, 0)), constant_values=255)])
-                for title, one in frames.items()
-            ]
-            parts += [(title, [one]) for title, one in maps.items()]
+            ends_m = float(np.nanmin(true_m)), float(np.nanmax(true_m))
             name = f"{each.cell.setting.replace(' ', '_')}_{each.cell.mask}.jpg"
-            write_image(folder / name, side_by_side(parts))
+            write_image(folder / name, frames_and_depths(each.frames, each.depth_m, ends_m))
 
 
 SUITE = Suite(

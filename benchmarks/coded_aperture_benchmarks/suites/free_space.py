@@ -11,15 +11,13 @@ from coded_aperture_benchmarks.frames.cameras import camera_for_blur
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, learned_bank
 from coded_aperture_benchmarks.frames.room import random_room, walk
 from coded_aperture_benchmarks.layered import random_scene
-from coded_aperture_benchmarks.pictures import as_rgb, side_by_side
+from coded_aperture_benchmarks.pictures import frames_and_depths
 from coded_aperture_benchmarks.rows import columns, grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.cli.options import mask_of, noise_level
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.imaging import SRGB
-from coded_aperture_ros.io import depth_picture, write_image
+from coded_aperture_ros.io import write_image
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.simulation import SensorModel
 
@@ -67,20 +65,15 @@ class Measured:
 
 def _cells(args: argparse.Namespace) -> list[Cell]:
     options.check_masks(args)
-    options.check_names(args.folders, "scene")
+    traced = options.folders_behind_masks(args)
     risks = tuple(sorted(args.risks, reverse=True))
     if not 0 < risks[-1] <= risks[0] <= _LARGEST_RISK:
         args.usage_error(f"--risks: expected more than 0 and at most {_LARGEST_RISK:g}")
-    if args.folders:
-        found = [
+    if traced:
+        return [
             Cell(folder.resolve().name, 0, mask, args.noise, risks, folder)
-            for folder in args.folders
-            for mask in args.masks
-            if (folder / f"coded_{mask}_linear.png").is_file()
+            for folder, mask in traced
         ]
-        if not found:
-            raise InputError(f"{args.folders[0]}: no coded_MASK_linear.png behind such a mask")
-        return found
     count = len(args.masks)
     return [
         Cell(kind, number, args.masks[number % count], _NOISES[number // count % 3], risks)
@@ -212,18 +205,13 @@ def _text(results: Row) -> str:
 def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
     for each in measured:
         if each.cell.number == 0:
-            ends = float(np.nanmin(each.depth_m)), float(np.nanmax(each.depth_m)), "m"
+            ends_m = float(np.nanmin(each.depth_m)), float(np.nanmax(each.depth_m))
             maps = {"truth": each.depth_m}
             maps |= {
                 f"bound, risk {100 * risk:g} %": found for risk, found in each.bounds_m.items()
             }
-            drawn = {title: [depth_picture(depth_m, *ends)] for title, depth_m in maps.items()}
-            frame = as_rgb(np.clip(each.frame, 0, 1), SRGB)
-            strip = len(drawn["truth"][0]) - len(frame)  # with the legend
-            frame = np.pad(frame, ((0, strip), (0, 0), (0, 0)), constant_values=255)
-            parts = [("frame", [frame]), *drawn.items()]
-            name = f"{each.cell.kind}_{each.cell.mask}.jpg"
-            write_image(folder / name, side_by_side(parts))
+            picture = frames_and_depths({"frame": each.frame}, maps, ends_m)
+            write_image(folder / f"{each.cell.kind}_{each.cell.mask}.jpg", picture)
 
 
 SUITE = Suite(

@@ -12,7 +12,7 @@ from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, learned_bank
 from coded_aperture_benchmarks.layered import FENCES, fenced_scene, random_scene
 from coded_aperture_benchmarks.metrics.surfaces import Windows, at_middles, shares, surfaces
-from coded_aperture_benchmarks.pictures import as_rgb, side_by_side
+from coded_aperture_benchmarks.pictures import frames_and_depths
 from coded_aperture_benchmarks.rows import columns, grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.bank import FilterBank
@@ -20,8 +20,7 @@ from coded_aperture_ros.cli.options import mask_of, noise_level
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.imaging import SRGB
-from coded_aperture_ros.io import depth_picture, write_image
+from coded_aperture_ros.io import write_image
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.simulation import SensorModel
 
@@ -68,17 +67,8 @@ class Measured:
 
 def _cells(args: argparse.Namespace) -> list[Cell]:
     options.check_masks(args)
-    options.check_names(args.folders, "scene")
-    if args.folders:
-        found = [
-            Cell(folder.resolve().name, 0, mask, args.noise, folder)
-            for folder in args.folders
-            for mask in args.masks
-            if (folder / f"coded_{mask}_linear.png").is_file()
-        ]
-        if not found:
-            raise InputError(f"{args.folders[0]}: no coded_MASK_linear.png behind such a mask")
-        return found
+    if traced := options.folders_behind_masks(args):
+        return [Cell(folder.resolve().name, 0, mask, args.noise, folder) for folder, mask in traced]
     count = len(args.masks)
     return [
         Cell(kind, number, args.masks[number % count], _noise(number // count))
@@ -252,17 +242,9 @@ def _text(results: Row) -> str:
 def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
     for each in measured:
         if each.cell.number == 0:
-            ends = *each.ends_m, "m"
-            drawn = {
-                "depth": depth_picture(each.depth_m, *ends),
-                "second": depth_picture(each.second_m, *ends),
-            }
-            frame = as_rgb(np.clip(each.frame, 0, 1), SRGB)
-            strip = len(drawn["depth"]) - len(frame)  # with the legend
-            frame = np.pad(frame, ((0, strip), (0, 0), (0, 0)), constant_values=255)
-            parts = [("frame", [frame]), *((title, [part]) for title, part in drawn.items())]
-            name = f"{each.cell.kind}_{each.cell.mask}.jpg"
-            write_image(folder / name, side_by_side(parts))
+            maps = {"depth": each.depth_m, "second": each.second_m}
+            picture = frames_and_depths({"frame": each.frame}, maps, each.ends_m)
+            write_image(folder / f"{each.cell.kind}_{each.cell.mask}.jpg", picture)
 
 
 SUITE = Suite(
