@@ -3,6 +3,7 @@
 import re
 import shutil
 from importlib.util import find_spec
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -47,7 +48,7 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
     assert (tmp_path / "design" / "calibrate.html").is_file()
 
     print_mask = examples(capsys, "mask") + examples(capsys, "mask print")
-    assert len(print_mask) == 4
+    assert len(print_mask) == 5
     for arguments in print_mask:
         type_in(arguments)
     assert (tmp_path / "mask.pdf").is_file()
@@ -78,8 +79,15 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
     for _ in range(3):
         video.write(cv2.imread("coded.png"))
     video.release()
+    camera = Path("config/demo_camera.yaml").read_text()
+    Path("camera.yaml").write_text(camera)
+    Path("config/refocused_camera.yaml").write_text(
+        re.sub(r"^focus_distance_m: .*", "focus_distance_m: 2", camera, flags=re.M)
+    )
+    second = [word.replace("demo_camera", "refocused_camera") for word in simulate]
+    type_in([word.replace("coded.png", "refocused.png") for word in second])
     depth = examples(capsys, "depth")
-    assert len(depth) == 5
+    assert len(depth) == 6
     for arguments in depth:
         type_in(arguments)
     assert np.nanmedian(read_depth("depth.npy")) == pytest.approx(DEPTH_M, rel=0.05)
