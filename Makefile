@@ -130,9 +130,10 @@ train-second: $(VENV)/finished-train ## Learn anew what tells two surfaces: scen
 		--shards $(subst ",,$(OF_ALL_KINDS)) --validate 28 30 104 106 258 260 \
 		--minutes $(MINUTES) -o $(TRAIN)/second.npz
 
+train-check: OF_ALL_KINDS = "0 32" "200 216"
 train-check: $(VENV)/finished-train ## Learn anew whether frames fit: scenes, misfits, weights
-	@$(call IN_TWO_PROCESSES,scenes.py --output $(TRAIN)/scenes)
-	@$(call IN_TWO_PROCESSES,misfits.py --scenes $(TRAIN)/scenes --output $(TRAIN)/misfits)
+	@$(call IN_TWO_RANGES,scenes.py --output $(TRAIN)/scenes)
+	@$(call IN_TWO_RANGES,misfits.py --scenes $(TRAIN)/scenes --output $(TRAIN)/misfits)
 	@$(VENV)/bin/python training/misfits_fit.py --misfits $(TRAIN)/misfits -o $(TRAIN)/fit.npz
 
 environment: $(READY) ## Only make the virtual environment (.venv)

@@ -176,11 +176,13 @@ def _fit(estimate: DepthEstimate) -> Finding:
 
 def _known(estimate: DepthEstimate) -> Finding:
     share = float(np.isfinite(estimate.level).mean())
+    # Where a frame does not fit, that is why there is little depth.
+    fits = estimate.health is None or estimate.health.fits
     few = share < _COVERED
     return Finding(
         "depth",
         WARNING if few else OK,
         f"known at {100 * share:.0f} % of the pixels",
-        "more texture, light, or a shorter exposure is needed" if few else "",
+        "more texture, light, or a shorter exposure is needed" if few and fits else "",
         {"known": share},
     )

@@ -15,9 +15,18 @@ from typing import Any
 import cv2
 import numpy as np
 from coded_aperture_benchmarks.frames.misfits import MISFITS, Fitting, Recorded, recorded
-from coded_aperture_benchmarks.layered import LayeredScene, random_scene
+from coded_aperture_benchmarks.layered import LayeredScene
 from costs import with_levels
-from scenes import BLUR_STEP, FRAME_PX, FRAMES_PER_SHARD, LIGHT_STEP, drawn, mask_of
+from scenes import (
+    BLUR_STEP,
+    FIRST_FENCED_SHARD,
+    FRAME_PX,
+    FRAMES_PER_SHARD,
+    LIGHT_STEP,
+    drawn,
+    mask_of,
+    scene_of,
+)
 from shards import add_shard_options, compute
 
 from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank
@@ -26,13 +35,15 @@ from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.fit import FitCheck
 from coded_aperture_ros.depth.refine import small_bank
 from coded_aperture_ros.depth.refine.small import SMALL_PX
-from coded_aperture_ros.optics import Mask, PsfStack, render_psf_stack
+from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
 
 # Levels of all banks; each frame is shown to some of them.
 _SIZES_PX = np.arange(0.6, 22.01, 0.55)
 _FEWEST = 8
 # Of every kind of misfit, in how many frames it is tried; what changes PSFs needs banks of its own.
 _SHARE, _SHARE_OF_PSFS = 0.3, 0.25
+# Where something stands before a room, in fewer: such frames are shown as what may well fit.
+_OF_FENCED = 0.4
 _OF_PSFS = (
     "other mask",
     "mask inverted",
@@ -47,7 +58,11 @@ _FITTING_FRAMES = 3
 _SMALL_PX, _SHARE_OF_SMALL = (96, 160), 0.5
 _WINDOW_PX, _CONFIDENT, _ENOUGH = 48, 0.55, 200
 _NEAR_INFINITY_PX = 3.0
+# Share of the banks that end where the scene does.
+_EXACT = 0.3
 FITS = "fits"
+# How often the estimator knows the camera, and thus what 5 % of a depth are in px.
+_OF_CAMERAS = 0.6
 # One frame in so many shows a board that fills it, and one comes through a badly cut mask.
 _OF_BOARDS, _OF_BADLY_CUT = 6, 6
 _NARROWEST_PX, _BADLY_CUT = 1.2, (0.08, 0.18)
@@ -112,7 +127,7 @@ def _some_levels(shown: _Shown, low_px: float, high_px: float) -> _Shown:
 @lru_cache(maxsize=1)
 def _scene(number: int) -> LayeredScene:
     what = drawn(number)
-    scene = random_scene(what.seed, mask_of(what.mask), what.side, (FRAME_PX, FRAME_PX))
+    scene, _ = scene_of(what)
     if not _shows_board(number):
         return scene
     # As where a lens is calibrated: no other surface tells the bank's other levels from beyond.
@@ -125,7 +140,7 @@ def _scene(number: int) -> LayeredScene:
 
 
 def _shows_board(number: int) -> bool:
-    return number % _OF_BOARDS == 0
+    return number % _OF_BOARDS == 0 and not drawn(number).fence
 
 
 def _light(number: int, light: np.ndarray, blur_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -152,7 +167,8 @@ def _range(blur_px: np.ndarray, random: np.random.Generator) -> tuple[float, flo
             low = max(low - random.uniform(2, 16), 0)
             high = float(np.nanmax(blur_px)) + random.exponential(1.0)
         return low, max(high, low + 3.5)
-    ends = np.array([low, high]) + random.exponential(1.0, 2) * [-1, 1]
+    beyond = random.exponential(1.0, 2) * (random.random() > _EXACT)
+    ends = np.array([low, high]) + beyond * [-1, 1]
     if random.random() < 0.3:
         ends += [-8, 8]
     low = min(ends[0], low)
@@ -201,8 +217,9 @@ def _frames(
                 one, known_noise=noise * factor * np.exp(random.normal(0, 0.1))
             )
         yield FITS, 0.0, one, levels
+    often = _OF_FENCED if number >= FIRST_FENCED_SHARD * FRAMES_PER_SHARD else 1.0
     for kind, misfit in MISFITS.items():
-        share = _SHARE_OF_PSFS if kind in _OF_PSFS else _SHARE
+        share = often * (_SHARE_OF_PSFS if kind in _OF_PSFS else _SHARE)
         if not misfit.traced or random.random() > share:
             continue
         if kind in _OF_PSFS:
@@ -242,7 +259,7 @@ def _with_small_part(one: Recorded, fits: bool, random: np.random.Generator) -> 
 
 
 def _told(
-    one: Recorded, shown: _Shown, infinity_px: float
+    one: Recorded, shown: _Shown, infinity_px: float, camera: Camera | None
 ) -> tuple[np.ndarray, float, float] | None:
     """Return features, the error of what is sure, and how much of the frame that is."""
     if min(one.frame.shape) < 2 * _WINDOW_PX or len(shown.bank.stack) < _FEWEST:
@@ -250,7 +267,10 @@ def _told(
     config = DepthConfig(
         confidence_threshold=0.0, noise=one.known_noise, threads=1, check_fit=False
     )
-    estimator = DepthEstimator(shown.bank, config)
+    # Of levels beyond infinity a camera knows nothing.
+    if camera is not None and shown.bank.blur_sizes_px[0] > 0.95 * camera.blur_at_infinity_px:
+        camera = None
+    estimator = DepthEstimator(shown.bank, config, camera)
     estimator.__dict__["small_bank"] = shown.small  # known already
     seen = estimator.observe(one.frame)
     own = estimator.cost(seen, seen.grey)
@@ -285,11 +305,14 @@ def shown_shard(
         infinity_px = far * max(abs(float(infinity[index])), 1.2 * float(np.nanmax(blur_px)))
         frame, blur_px = _light(number, frame * np.float32(LIGHT_STEP), blur_px)
         of_parts = np.random.default_rng([24, number])
+        # Banks have sizes of one sign.
+        camera = _scene(number).camera if drawn(number).side == "far" else None
         for kind, strength, whole, shown in _frames(number, frame, blur_px, folder):
             causes = MISFITS[kind].causes if kind != FITS else ()
             cause = list(CAUSES).index(causes[0]) if causes else -1
             for one in _with_small_part(whole, kind == FITS, of_parts):
-                if (told := _told(one, shown, infinity_px)) is None:
+                known = camera if of_parts.random() < _OF_CAMERAS else None
+                if (told := _told(one, shown, infinity_px, known)) is None:
                     continue
                 row = (*told, cause, kind, strength, number)
                 for name, value in zip(_ARRAYS, row, strict=True):

@@ -7,7 +7,13 @@ import argparse
 import dataclasses
 
 import numpy as np
-from coded_aperture_benchmarks.layered import FENCES, fenced_scene, random_scene
+from coded_aperture_benchmarks.layered import (
+    FENCES,
+    Fenced,
+    LayeredScene,
+    fenced_scene,
+    random_scene,
+)
 from shards import add_shard_options, compute
 
 from coded_aperture_ros.optics import Mask
@@ -110,18 +116,21 @@ def _rare(random: np.random.Generator, side: str) -> tuple[tuple[float, float], 
     return ((near, far) if side == "far" else (-far, -near)), empty
 
 
+def scene_of(what: Drawn) -> tuple[LayeredScene, Fenced | None]:
+    """Return a scene, and what it is made of if something stands before a room."""
+    mask, shape = mask_of(what.mask), (FRAME_PX, FRAME_PX)
+    if what.fence:
+        fenced = fenced_scene(what.seed, mask, what.fence, what.side, shape)
+        return fenced.scene, fenced
+    return random_scene(what.seed, mask, what.side, shape, what.blur_range_px, what.empty), None
+
+
 def render(number: int) -> dict[str, np.ndarray]:
     """Return frame `number` without noise, and its truth."""
     what = drawn(number)
     random = np.random.default_rng([6, number])
     mask = mask_of(what.mask)
-    shape = FRAME_PX, FRAME_PX
-    fenced = fenced_scene(what.seed, mask, what.fence, what.side, shape) if what.fence else None
-    scene = (
-        fenced.scene
-        if fenced
-        else random_scene(what.seed, mask, what.side, shape, what.blur_range_px, what.empty)
-    )
+    scene, fenced = scene_of(what)
     # Cut and printed masks differ a little from what the bank believes.
     uneven = 1 + random.uniform(0, 0.08) * random.standard_normal(mask.transmission.shape)
     cells = np.clip(mask.transmission * uneven, 0, 1).astype(np.float32)

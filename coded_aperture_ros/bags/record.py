@@ -85,7 +85,7 @@ class Record:
             "stamp_ns": stamp_ns(result.header) or recorded.time_ns,
             "coverage": depths.size / maps.depth_m.size,
             "median_depth_m": median(depths) if depths.size else None,
-            "median_std_dev_m": median(maps.std_dev_m[known]) if depths.size else None,
+            "median_std_dev_m": _number(median(maps.std_dev_m[known])) if depths.size else None,
             "mean_confidence": float(maps.confidence.mean()),
             "noise": maps.noise,
             "health": None if maps.health is None else maps.health.value,
@@ -119,10 +119,10 @@ class Record:
     def depth(self) -> dict[str, Any]:
         """Sum up what needs no reference, ready for JSON."""
         rows = list(self._rows.values())
-        known = [row for row in rows if row["median_depth_m"] is not None]
 
         def over_frames(name: str) -> float | None:
-            return float(np.median([row[name] for row in known])) if known else None
+            known = [row[name] for row in rows if row[name] is not None]
+            return float(np.median(known)) if known else None
 
         return {
             "coverage": float(np.mean([row["coverage"] for row in rows])),

@@ -27,7 +27,7 @@ def check_frame_size(
     remedy = f"learn a bank for {size} (sizes of the image in the camera file)"
     if given == own:
         remedy = "leave out --frame-scale"
-    elif fits and 0.1 <= scale <= 10:  # which that option takes
+    elif fits and 0.1 <= scale < 1:  # what is enlarged has lost what tells depth
         remedy += f", or, if it is the same view, resample it by depth --frame-scale {scale:.6g}"
     resampled = "" if given == (width, height) else f", resampled to {width}x{height}"
     raise InputError(

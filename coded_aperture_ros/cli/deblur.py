@@ -72,11 +72,15 @@ def run(args: argparse.Namespace) -> int:
     bank = load_bank(args.bank)
     camera = load_camera(args.camera) if args.camera else None
     stereo = StereoOutput(args, bank.stack, camera)
-    restore = _restorer(args, bank, camera)
+    restore, reset = _restorer(args, bank, camera)
     encoding: dict[str, Any] = {} if args.gamma == 1 else {"bits": 8, "gamma": args.gamma}
     summaries = []
     unusable = Unusable()
+    video: int | None = None
     for frame in named_frames(args, ".png", PICTURE_SUFFIXES, stereo.outputs, unusable):
+        if frame.video != video:
+            reset()
+            video = frame.video
         start = time.perf_counter()
         try:
             with naming(frame.source):
@@ -99,8 +103,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _restorer(
     args: argparse.Namespace, bank: Any, camera: Any
-) -> Callable[[NamedFrame], tuple[Any, Any]]:
-    """Return a function from a frame to the all-in-focus frame and its map of blur sizes."""
+) -> tuple[Callable[[NamedFrame], tuple[Any, Any]], Callable[[], None]]:
+    """Return what makes all-in-focus frames and maps of blur sizes, and what begins a video."""
     from coded_aperture_ros.bank import check_setting
     from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, covers_frame
     from coded_aperture_ros.depth import DepthConfig, blur_sizes_px
@@ -141,7 +145,7 @@ def _restorer(
             )
         return deblurrer.deblur(frame.coloured, blur_size_px, motion_px=motion_px), blur_size_px
 
-    return restored
+    return restored, deblurrer.reset if pipeline is None else pipeline.reset
 
 
 def _iterations(steps: Iterable[Any]) -> Iterable[Any]:

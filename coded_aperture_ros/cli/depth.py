@@ -29,6 +29,7 @@ from coded_aperture_ros.cli.frames import (
     single_frame,
     suitable,
 )
+from coded_aperture_ros.cli.measuring import rounded
 from coded_aperture_ros.cli.options import (
     add_deprecated_alias,
     add_gamma_option,
@@ -105,8 +106,8 @@ def add_parser(subparsers: Any) -> None:
     add_options(parser, {"--points": "write coloured points (x.ply) too; needs --camera"})
     add_gamma_option(parser)
     scale = {
-        "--frame-scale S": "resample frames by S to the size that bank and camera file are for; "
-        "maps keep the frames' own size (default %(default)s)"
+        "--frame-scale S": "resample frames by S, best below 1, to the size that bank and camera "
+        "file are for; maps keep the frames' own size (default %(default)s)"
     }
     add_options(parser, scale, type=between(0.1, 10), default=1.0)
     add_options(parser, {"--json": "print a summary as JSON"})
@@ -154,7 +155,7 @@ def run(args: argparse.Namespace) -> int:
             if args.refocused_frame:
                 results = _with_second(pipeline, video, fit, args)
             elif args.look_ahead:
-                results = _with_look_ahead(pipeline, video, fit)
+                results = _with_look_ahead(pipeline, video, fit, unusable)
             else:
                 results = _in_turn(pipeline, video, prior, fit, unusable)
             for frame, estimate, seconds in results:
@@ -163,10 +164,10 @@ def run(args: argparse.Namespace) -> int:
                     values = estimate.level
                 _write(files(frame.output), values, estimate, args, scale)
                 if args.points and camera is not None:
-                    points = points_of_frame(estimate, frame.image, camera, args.gamma)
+                    points = points_of_frame(estimate, frame.coloured, camera, args.gamma)
                     write_points(files(frame.output)["points"], points)
                 if add_to_movie is not None:
-                    add_to_movie(_beside(frame.image, values, scale))
+                    add_to_movie(_beside(frame.coloured, values, scale))
                 summary = _summary(frame, values, estimate, seconds, args)
                 summaries.append(summary)
                 if not args.json:
@@ -259,17 +260,29 @@ def _with_second(
 
 
 def _with_look_ahead(
-    pipeline: Any, frames: Iterator[NamedFrame], fit: Callable[[NamedFrame], NamedFrame]
+    pipeline: Any,
+    frames: Iterator[NamedFrame],
+    fit: Callable[[NamedFrame], NamedFrame],
+    unusable: Unusable,
 ) -> Iterator[tuple[NamedFrame, Any, float]]:
     """Do the same with frames that are estimated several at a time: the first takes the time."""
+    from coded_aperture_ros.depth.video import check_same_size
+
     waiting: deque[NamedFrame] = deque()
     unreadable: list[InputError] = []
 
     def suited() -> Iterator[NamedFrame]:
+        shape: Any = None
         try:
             for frame in frames:
-                with naming(frame.source):
-                    fit(frame)
+                try:
+                    with naming(frame.source):
+                        check_same_size(frame.image.shape, shape or frame.image.shape)
+                        fit(frame)
+                except InputError as error:
+                    unusable.note(error)
+                    continue
+                shape = frame.image.shape
                 waiting.append(frame)
                 yield frame
         except InputError as error:
@@ -304,7 +317,7 @@ def _summary(
         "output": str(frame.output),
         "unit": "level" if args.as_levels else "m",
         "known": round(float(known.mean()), 4),
-        "median": round(float(np.median(values[known])), 4) if known.any() else None,
+        "median": rounded(np.median(values[known]), 4) if known.any() else None,
         "median_std_dev_m": None,
         "noise": round(estimate.noise, 6),
         "health": None if estimate.health is None else round(estimate.health.value, 3),
@@ -312,7 +325,7 @@ def _summary(
         "seconds": round(seconds, 3),
     }
     if not args.as_levels and known.any():
-        summary["median_std_dev_m"] = round(float(np.median(estimate.std_dev_m[known])), 4)
+        summary["median_std_dev_m"] = rounded(np.median(estimate.std_dev_m[known]), 4)
     if args.motion:
         moving = np.linalg.norm(estimate.motion.vectors_px, axis=-1) >= _MOVING_PX
         summary["moving"] = round(float(moving.mean()), 4)

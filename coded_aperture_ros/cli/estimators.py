@@ -1,6 +1,7 @@
 """Options that choose the method and its settings, which `depth` and `bag` share."""
 
 import argparse
+import dataclasses
 import logging
 from typing import Any
 
@@ -105,6 +106,8 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
     from coded_aperture_ros.pipeline import FramePipeline
 
     bank = load_bank(args.bank) if args.bank else None
+    if bank is not None and getattr(args, "frame_scale", 1) != 1:
+        bank = dataclasses.replace(bank, noise=0.0)  # resampling changes it: it is estimated
     as_levels = getattr(args, "as_levels", False)
     if bank is not None and bank.stack.depths_m is None and camera is None and not as_levels:
         raise InputError(
@@ -127,7 +130,7 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
         config = config_from(args, DepthConfig)
         pipeline = FramePipeline(model, camera, config, deblur)
     if note := refinement_note(model, config):
-        logging.info(note)
+        logging.warning(note)
     elif config.regularize in ("none", LEARNED) and config.smoothness != DepthConfig.smoothness:
         others = "semiglobal, tv or graphcut"
         args.usage_error(f"--smoothness: --regularize {config.regularize} has none, use {others}")

@@ -155,8 +155,12 @@ def named_frames(
             target = target_of(capture.name)
             if capture.name not in names:
                 check_output(outputs(target), files)
-            with naming(given):
-                image, coloured, hidden = _light_of(capture, args)
+            try:
+                with naming(given):
+                    image, coloured, hidden = _light_of(capture, args)
+            except InputError as error:
+                unusable.note(error)
+                continue
             stamp_ns = capture.stamp_ns
             yield NamedFrame(given, target, image, stamp_ns, video, hidden, coloured=coloured)
 

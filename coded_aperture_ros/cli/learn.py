@@ -41,7 +41,7 @@ _EPILOG = """examples:
     coded_aperture learn --camera config/demo_camera.yaml --depth-range 2.1 5.1 \\
         --images pictures --gamma srgb -o bank.npz
   the most accurate bank for 20 frames per second on this machine:
-    coded_aperture learn --camera config/demo_camera.yaml --depth-range 2.1 5.1 --budget-ms 100 \
+    coded_aperture learn --camera config/demo_camera.yaml --depth-range 2.1 5.1 --budget-ms 50 \\
         -o bank.npz
   from pictures of planes, without knowing the mask:
     coded_aperture learn --planes planes -o bank.npz

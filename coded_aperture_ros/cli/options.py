@@ -278,7 +278,7 @@ def add_options(
         if places and places[0].startswith("{"):
             choices = tuple(places[0].strip("{}").split(","))
             shape = {"choices": choices, "default": choices[0]}
-        action = parser.add_argument(*names, help=what, **shape, **others)
+        action = parser.add_argument(*names, help=what, **(shape | others))
     return action
 
 

@@ -47,7 +47,9 @@ def add_parser(subparsers: Any) -> None:
     chance = parser.add_argument_group("a random scene instead (needs numba)")
     add_options(chance, {"--random SEED": "which one"}, type=int)
     add_options(chance, {"--mask NAME": "mask, or its file (default levin)"})
-    add_options(chance, {"--side {far,near,both}": "of the focal plane (default far)"})
+    add_options(
+        chance, {"--side {far,near,both}": "of the focal plane (default far)"}, default=None
+    )
     add_options(chance, {"--size W H": "of the frame (default 480 360)"}, type=int)
     add_options(
         parser, {"--noise S": "standard deviation, 1 = full scale"}, type=float, default=0.0
@@ -93,7 +95,7 @@ def _check_which_scene(args: argparse.Namespace) -> None:
             args.usage_error(
                 f"the following arguments are required: {', '.join(missing)}; or --random SEED"
             )
-        for name in ("mask", "size"):
+        for name in ("mask", "side", "size"):
             if getattr(args, name) is not None:
                 args.usage_error(f"--{name}: only with --random")
         return
@@ -125,7 +127,7 @@ def _random(args: argparse.Namespace, sensor: Any) -> int:
     width, height = args.size or _SIZE
     start = time.perf_counter()
     make = BENCH.module("layered", "--random").random_scene
-    scene = make(args.random, mask_of(mask), args.side, (height, width))
+    scene = make(args.random, mask_of(mask), args.side or "far", (height, width))
     coded, depth_m = scene.coded(), scene.depth_m()
     seconds = time.perf_counter() - start
     write_image(output, sensor.expose(coded, np.random.default_rng(args.seed)))

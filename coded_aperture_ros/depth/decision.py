@@ -35,8 +35,6 @@ class Decision:
     side_confidence: FloatArray | None  # see `DepthEstimate`
     # Returns the level that the true one is hardly nearer than.
     nearest_plausible: Callable[[], FloatArray]
-    # What the check of fit goes by, coarser, if that is not `confidence`; see `refine`.
-    to_check: FloatArray | None = None
     # Returns the level that every pixel is nearer than at a risk, where that can be told.
     free_level: Callable[[float], FloatArray] | None = None
     # Returns level and share of a second surface in the window, NaN without one.

@@ -229,8 +229,7 @@ class DepthEstimator:
         level, confidence, health = decided.level, decided.confidence, None
         stages.lap("map")
         if self._fit is not None and own.misfit is not None:
-            to_check = confidence if decided.to_check is None else decided.to_check
-            health = self._fit(seen, own.misfit, level, to_check)
+            health = self._fit(seen, own.misfit, level, confidence)
             stages.lap("fit")
         if others is not None and (health is None or others.value < health.value):
             health = others
@@ -274,7 +273,9 @@ class DepthEstimator:
         level, blur_size_px, depth_m, std_dev_m = levels.meaning(level, decided.deviation, unknown)
         if self._bends and depth_m is not None and std_dev_m is not None:
             axial_m, depth_m = depth_m, self._bends.depth_in_field(depth_m)
-            std_dev_m = std_dev_m * np.square(depth_m / axial_m)
+            # What is at infinity on the axis has no deviation that could be carried over.
+            ratio = np.where(np.isinf(axial_m), 1, depth_m / axial_m)
+            std_dev_m = std_dev_m * np.square(ratio)
         estimate = DepthEstimate(
             level,
             blur_size_px,

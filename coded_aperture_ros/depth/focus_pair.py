@@ -46,6 +46,10 @@ class FocusPair:
                 "two frames need a bank that was learned from the camera file's mask: see learn "
                 "--camera; PSFs that were measured are of one focus"
             )
+        if not np.isfinite(depths_m).all():
+            raise InputError(
+                "two frames need a bank without levels at or beyond infinity: see learn --camera"
+            )
         refocused = camera.refocused(focus_m)
         # Focus breathing: the second frame is brought to the scale of the first.
         self._middle = np.array(camera.intrinsics.camera_matrix)[[2, 5]]

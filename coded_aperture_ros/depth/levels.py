@@ -137,7 +137,13 @@ def _agreement(count: int, depths_m: DoubleArray | None) -> IndexArray:
     return np.array([near.argmax(axis=1), count - 1 - near[:, ::-1].argmax(axis=1)])
 
 
-def _depths_by_camera(model: LikelihoodModel, camera: Camera) -> DoubleArray:
+def check_camera(model: BlurLevels, camera: Camera) -> None:
+    """Refuse a camera that cannot tell the depths of a model's levels, by an `InputError`."""
+    if not depths_are_measured(model):
+        _depths_by_camera(model, camera)
+
+
+def _depths_by_camera(model: BlurLevels, camera: Camera) -> DoubleArray:
     sizes = model.stack.blur_sizes_px
     if not model.stack.in_pixels:
         raise InputError(

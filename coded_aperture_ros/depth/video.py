@@ -65,7 +65,7 @@ def estimate_video(
     while True:
         new = list(islice(remaining, (_BLOCK + 1) * ahead - len(waiting)))
         for seen in new:
-            _check_size(seen, (waiting or new)[0])
+            check_same_size(seen.grey.shape, (waiting or new)[0].grey.shape)
             mean, frames_of_mean = forward_mean.add(seen.grey, seen.noise.least)
             means.append((mean.copy(), frames_of_mean))
         waiting += new
@@ -107,7 +107,8 @@ def _carried_back(waiting: list[Observation], costs: list[Cost], memory: float) 
     return carried[::-1]
 
 
-def _check_size(seen: Observation, first: Observation) -> None:
-    if seen.grey.shape != first.grey.shape:
-        sizes = [f"{shape[1]}x{shape[0]}" for shape in (seen.grey.shape, first.grey.shape)]
+def check_same_size(shape: tuple[int, ...], first: tuple[int, ...]) -> None:
+    """Refuse a frame of a video of another size than the first, by an `InputError`."""
+    if shape[:2] != first[:2]:
+        sizes = [f"{rows}x{columns}" for columns, rows, *_ in (shape, first)]
         raise InputError(f"video: a frame of {sizes[0]} px after frames of {sizes[1]} px")

@@ -269,6 +269,8 @@ class Camera:
         shape = (self.image_height, self.image_width)
         missing = self.field_curvature.dioptres(self.intrinsics, shape) * self.blur_per_dioptre_px
         low, high = smallest - max(missing.max(), 0), largest - min(missing.min(), 0)
+        if high > 0:  # nothing is more blurred, behind the focus, than infinity on the axis
+            high = min(high, max(largest, (largest + self.blur_at_infinity_px) / 2))
         if smallest > 0:
             return max(low, min(smallest, _LEAST_BLUR_PX)), high
         return low, (min(high, max(largest, -_LEAST_BLUR_PX)) if largest < 0 else high)

@@ -47,8 +47,8 @@ class CameraDriverConfig:
 
     source: str = option(
         SIMULATOR,
-        "simulator; a camera's index, device, URL or GStreamer pipeline; a video, picture or "
-        "folder of pictures; rgbd: coded from the topics rgbd/image and rgbd/depth",
+        "simulator; a camera's index, device, URL or GStreamer pipeline; a video, picture, folder "
+        "of pictures or bag:PATH; rgbd: coded from the topics rgbd/image and rgbd/depth",
     )
     camera_file: str = option("", "Camera file (YAML), needed")
     rate_hz: float = option(15.0, "Frames per second", unit="Hz", within=(0.1, 1000.0))

@@ -21,6 +21,7 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.depth import blur_sizes_px, depths_are_measured
+from coded_aperture_ros.depth.levels import check_camera
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.io.messages import MessageError
 from coded_aperture_ros.likelihood import BlurLevels
@@ -131,7 +132,9 @@ class FrameModel(Generic[Model]):
         """Make everything for a new camera file, or raise an `InputError`."""
         file_camera = required_camera(config.camera_file)
         camera = self._seen(file_camera)
-        self._prepared = _State(file_camera, camera, self._made(file_camera, camera, config))
+        model = self._made(file_camera, camera, config)
+        check_camera(model, camera)
+        self._prepared = _State(file_camera, camera, model)
 
     def _take_over(self, config: ModelConfig) -> None:
         assert self._prepared is not None  # by `_prepare`, just before

@@ -262,7 +262,7 @@ def test_what_is_beyond_a_guarded_bank_is_its_own(stack, scene):
 
 def test_health_in_words():
     assert str(Health(0.97)) == "fits (0.97)"
-    assert str(Health(0.12, "none")) == "does not fit (0.12): no mask in the lens"
+    assert str(Health(0.12, "none")) == "does not fit (0.12): no mask in the lens: put it in"
 
 
 def test_only_levels_that_the_network_was_trained_for_are_checked(stack):

@@ -7,12 +7,15 @@ import time
 from collections import deque
 from collections.abc import Callable
 
+from coded_aperture_ros.bank import check_frame_size
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthEstimate
 from coded_aperture_ros.imaging import Gamma, hidden_noise
 from coded_aperture_ros.io.messages import frame_from_pixels
 from coded_aperture_ros.io.sources import Capture, Source
+from coded_aperture_ros.methods.choose import bank_of
+from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.pipeline import FramePipeline
 from coded_aperture_viewer.refocus import refocused
 from coded_aperture_viewer.settings import LookConfig, Settings
@@ -91,6 +94,7 @@ class Live:
     ) -> None:
         self.settings = settings
         self._source, self._pipeline, self._show = source, pipeline, show
+        self._camera = pipeline.estimator.camera  # for frames of the size that it says
         self._stored, self._period_s = stored, period_s
         self._watched, self._stopping = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="frames", daemon=True)
@@ -160,7 +164,8 @@ class Live:
         if again:
             self._pipeline.reset()  # it is not a new frame of the video
         try:
-            self._pipeline.reconfigure(depth=settings.depth, deblur=settings.deblur)
+            camera = self._camera_for(frame)
+            self._pipeline.reconfigure(camera=camera, depth=settings.depth, deblur=settings.deblur)
             hidden = hidden_noise(capture.lost, frame, stored.gamma)
             result = self._pipeline(frame, coloured=coloured, hidden_noise=hidden)
             shown = dataclasses.replace(shown, estimate=result.depth)
@@ -172,6 +177,13 @@ class Live:
         except InputError as error:
             return dataclasses.replace(shown, problem=str(error))
         return dataclasses.replace(shown, sharp=sharp, picture=looked_at)
+
+    def _camera_for(self, frame: FloatArray) -> Camera | None:
+        """Return the camera for frames of this size; an `InputError` if the bank is not."""
+        height, width = frame.shape[:2]
+        if bank := bank_of(self._pipeline.estimator.model):
+            check_frame_size(bank, width, height)
+        return self._camera and self._camera.fitted(width, height)
 
 
 def _looked_at(sharp: FloatArray, estimate: DepthEstimate, look: LookConfig) -> FloatArray:

@@ -7,6 +7,7 @@ import json
 import logging
 import threading
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -80,7 +81,11 @@ class Server:
         with self._lock:
             if shown.frame is not None:
                 self._record_frame(shown)
-                if shown.sharp is not None or shown.settings.look.picture == "none":
+                if (
+                    shown.sharp is not None
+                    or shown.problem
+                    or shown.settings.look.picture == "none"
+                ):
                     self._shown = shown  # with all that a snapshot is wanted to have
             self._latest = shown
         loop = self._loop
@@ -228,7 +233,8 @@ class Server:
             self._recording.add(shown.capture, self._mosaic)
         except (InputError, OSError) as error:
             logging.error("recording ended: %s", error)
-            self._end_recording()
+            with suppress(InputError, OSError):  # what could not be written cannot be finished
+                self._end_recording()
 
     def _snapshot(self) -> str:
         with self._lock:

@@ -15,19 +15,23 @@ from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.optics import PsfStack
 
 SCHEMA, SCHEMA_VERSION = "coded-aperture check of fit", 1
-# What a cause is called, and what to say of it; in the order of the network's outputs.
+# What a cause is called, what to say of it, and to do; in the order of the network's outputs.
 CAUSES = {
-    "mask": "not this mask: another one, inverted, dirty, or a lens that blurs otherwise",
-    "none": "no mask in the lens",
-    "turned": "the mask is turned or mirrored",
+    "mask": "another mask, inverted or dirty, or a lens that blurs otherwise: compare both with "
+    "the camera file",
+    "none": "no mask in the lens: put it in",
+    "turned": "the mask is turned or mirrored: put it in as the camera file has it",
     "compression": "compressed pictures: record them without loss",
     "motion": "motion blur: expose for less time, or use motion",
     "clipped": "clipped light: expose for less time",
-    "noise": "noise unlike the camera file's, or with a pattern",
-    "range": "nearer or farther than the bank's levels, or all in focus",
-    "scale": "not this scale: the pictures were enlarged, binned or cropped",
+    "noise": "noise unlike the camera file's, or with a pattern: measure it with calibrate noise",
+    "range": "nearer or farther than the bank's levels, or all in focus: learn the bank for more "
+    "depths, or focus as the camera file says",
+    "scale": "pictures that were enlarged, binned or cropped: record them as the sensor reads them "
+    "out",
     "tone": "values are not linear light: set the gamma",
-    "processed": "pictures that were sharpened, denoised or demosaiced, or a raw mosaic (bayer)",
+    "processed": "pictures that were sharpened, denoised or demosaiced, or a raw mosaic: switch "
+    "that off in the camera, or say bayer",
 }
 # From here on a frame is said to fit.
 FITS = 0.5
@@ -142,7 +146,7 @@ class FitCheck:
         """Return how well a frame fits; None if there is too little to see.
 
         Takes the misfit of the patches, see `Cost`, the fractional level that was found of every
-        pixel, and how sure that is, of every pixel or coarser.
+        pixel, and how sure that is.
         """
         due = not self._remembers or self._frames % _EVERY == 0
         self._frames += 1
@@ -203,8 +207,7 @@ class FitCheck:
             own_px = np.clip(own_px, np.abs(sizes_px).min(), np.abs(sizes_px).max())
         found_px = np.interp(level[tuple(of_map)], np.arange(len(sizes_px)), sizes_px)
         apart = np.abs(np.abs(found_px) - own_px)
-        step = _SPARSE if confidence.shape == level.shape else 1
-        some = np.ascontiguousarray(confidence[::step, ::step])
+        some = np.ascontiguousarray(confidence[::_SPARSE, ::_SPARSE])
         return [
             *quantiles(telling.ravel(), 0.1, 0.25, 0.5, 0.75, 0.9),
             some.mean(),

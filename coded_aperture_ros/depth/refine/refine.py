@@ -54,9 +54,6 @@ _ALIKE = 1e-3
 # that of what the network says, the blur size in px and the logarithm of the tolerance in px. The
 # network doubts wide blur too much, and too little what may be wrong by many pixels.
 _CALIBRATION = (-0.58, 1.45, 0.071, -0.5)
-# The same as it was when the check of fit learned what to expect of it: offset, slope, and the
-# factor below even odds.
-_AS_CHECKED = (0.39, 0.97, 2.3)
 _DEVIATION = 0.78
 _SURE = 1e-3
 
@@ -173,9 +170,6 @@ class Refined:
         odds = _log_odds(found.right_within(tolerance_px))
         right = possible * _calibrated(odds, found.size_px, tolerance_px)
         half_px = CELL_PX // 2
-        rows, columns = (-(-length // half_px) for length in grey.shape)
-        to_check = (possible * _as_checked(odds))[-cells.top // half_px :, -cells.left // half_px :]
-        to_check = to_check[:rows, :columns]
         deviation = found.deviation_px() * (self._per_px * np.float32(_DEVIATION))
         quarters = chosen_neighbours(logits.neighbour)
         stages.lap("refine")
@@ -196,12 +190,10 @@ class Refined:
         level_map, confidence = map_of(level, one_surface), map_of(right, 0.1)
         blank = volume.max() <= _ALIKE  # nothing to go by anywhere
         if blank:
-            confidence[:] = to_check[:] = 0
+            confidence[:] = 0
         at = MapGrid.of(seen.grid, grey.shape, size)
         if not seen.usable.all():
-            coarse = MapGrid.of(seen.grid, grey.shape, to_check.shape)
-            for values, where in ((confidence, at), (to_check, coarse)):
-                values[where.nearest(~seen.usable)] = 0
+            confidence[at.nearest(~seen.usable)] = 0
 
         nearest = np.float32(self._levels.nearest_first[0])
 
@@ -238,7 +230,6 @@ class Refined:
             confidence,
             None if of_side is None else map_of(of_side, 0.1),
             nearest_plausible,
-            to_check,
             free_level,
             None if self._second is None else partial(second, self._second),
         )
@@ -294,9 +285,3 @@ def _calibrated(odds: FloatArray, size_px: FloatArray, tolerance_px: FloatArray)
     offset, of_odds, of_size, of_tolerance = map(np.float32, _CALIBRATION)
     found = offset + of_odds * odds + of_size * size_px + of_tolerance * np.log(tolerance_px)
     return np.asarray(1 / (1 + np.exp(-found)), np.float32)
-
-
-def _as_checked(odds: FloatArray) -> FloatArray:
-    offset, slope, doubt = map(np.float32, _AS_CHECKED)
-    found = offset + slope * odds
-    return np.asarray(1 / (1 + np.exp(-np.minimum(found, doubt * found))), np.float32)
