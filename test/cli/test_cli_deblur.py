@@ -285,6 +285,21 @@ def test_a_folder_of_frames(scene, tmp_path, capsys):
     assert everything(tmp_path) == before
 
 
+def test_every_folder_is_a_video_of_its_own(scene, tmp_path, capsys):
+    """What a first one has shown is not averaged into a second one."""
+    coded = np.load(scene.coded_npy)
+    for name, noise_seed in (("a", 1), ("b", 2)):
+        (tmp_path / name).mkdir()
+        noise = np.random.default_rng(noise_seed).normal(0, 0.01, coded.shape)
+        np.save(tmp_path / name / f"{name}.npy", (coded + noise).astype(np.float32))
+    memory = ("--bank", scene.bank, "--depth", "auto", "--temporal-frames", 3)
+    both = (tmp_path / "a", tmp_path / "b", "-o", tmp_path / "both")
+    assert call(capsys, "deblur", *memory, *both).status == 0
+    assert call(capsys, "deblur", *memory, tmp_path / "b", "-o", tmp_path / "one/").status == 0
+    one, other = (read_image(tmp_path / folder / "b.png") for folder in ("one", "both"))
+    np.testing.assert_array_equal(one, other)
+
+
 def test_a_bag_of_frames(scene, tmp_path, capsys):
     bag = write_bag(tmp_path / "in", recording(scene, frames=2))
     arguments = ("--bank", scene.bank, "--depth", scene.depth_npy, bag, "-o", tmp_path / "out")

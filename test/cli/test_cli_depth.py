@@ -569,7 +569,8 @@ def test_frames_of_another_size_are_refused_or_resampled(scene, tmp_path, capsys
     np.save(half, cv2.resize(coded, None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA))
     arguments = ("--bank", scene.bank, half, "-o", tmp_path / "d.npy")
     result = call(capsys, "depth", *arguments)
-    refused(result, half, f"the bank is for {WIDTH}x{HEIGHT}", "--frame-scale 1.33333")
+    refused(result, half, f"the bank is for {WIDTH}x{HEIGHT}", "learn a bank for 132x96")
+    assert "--frame-scale" not in result.err  # what is enlarged has lost what tells depth
     result = call(capsys, "depth", *arguments, "--frame-scale", 4 / 3, "--confidence-threshold", 0)
     assert result.status == 0
     assert np.load(tmp_path / "d.npy").shape == (round(0.75 * HEIGHT), round(0.75 * WIDTH))
@@ -607,11 +608,11 @@ def test_a_part_of_a_frame_is_not_said_to_be_resampled(scene, tmp_path, capsys):
 
 
 def test_the_scale_to_resample_by_is_that_of_the_frame_itself(scene, tmp_path, capsys):
-    small = (WIDTH // 3, HEIGHT // 3)
-    np.save(tmp_path / "small.npy", cv2.resize(np.load(scene.coded_npy), small))
-    arguments = ("--bank", scene.bank, tmp_path / "small.npy", "-o", tmp_path / "d.npy")
-    result = call(capsys, "depth", *arguments, "--frame-scale", 2)
-    scale = re.search(r"of 58x42, resampled to 116x84: .* --frame-scale ([.0-9]*)$", result.err)
+    large = (WIDTH * 3, HEIGHT * 3)
+    np.save(tmp_path / "large.npy", cv2.resize(np.load(scene.coded_npy), large))
+    arguments = ("--bank", scene.bank, tmp_path / "large.npy", "-o", tmp_path / "d.npy")
+    result = call(capsys, "depth", *arguments, "--frame-scale", 0.5)
+    scale = re.search(r"of 528x384, resampled to 264x192: .* --frame-scale ([.0-9]*)$", result.err)
     assert scale, result.err
     assert call(capsys, "depth", *arguments, "--frame-scale", scale[1]).status == 0
 
@@ -975,7 +976,7 @@ def test_look_ahead_names_a_bad_frame_and_finishes_those_before_it(scene, tmp_pa
     np.save(folder / "b.npy", np.ones((90, 90), np.float32))
     result = call(capsys, "depth", *arguments, tmp_path / "depth", folder)
     assert result.status == 1
-    assert f"error: {folder}, frame b: frame of 90x90: the bank is for" in result.err
+    assert f"not used: {folder}, frame b: video: a frame of 90x90 px after" in result.err
 
 
 @pytest.mark.parametrize(
@@ -999,6 +1000,37 @@ def test_options_that_do_not_go_together(scene, tmp_path, capsys, options, phras
     arguments = ("--bank", scene.bank, scene.coded_npy, "-o", tmp_path / "depth.npy")
     wrong_usage(call(capsys, "depth", *arguments, *options), "depth", phrase)
     assert everything(tmp_path) == {}
+
+
+@pytest.mark.parametrize("more", [("--look-ahead", "--temporal-frames", 2), ()])
+def test_a_frame_of_another_size_is_left_out_of_a_folder(scene, tmp_path, capsys, more):
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for number, frame in enumerate(video_of(scene, 3)):
+        np.save(folder / f"{number}.npy", frame)
+    np.save(folder / "1b.npy", np.load(folder / "1.npy")[:-32])
+    result = call(capsys, "depth", "--bank", scene.bank, *more, folder, "-o", tmp_path / "out")
+    assert result.status == 1
+    assert "frame 1b" in result.err
+    depths = {name for name in names(tmp_path / "out") if re.fullmatch(r"\d\.npy", name)}
+    assert depths == {"0.npy", "1.npy", "2.npy"}
+
+
+@pytest.mark.parametrize("command", ["depth", "deblur"])
+def test_a_coloured_picture_is_left_out_of_a_folder_of_mosaics(scene, tmp_path, capsys, command):
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    coded = np.load(scene.coded_npy)
+    for name in ("0", "2"):
+        mosaic = np.rint(65535 * mosaic_from_colour(coded, "rggb")).astype(np.uint16)
+        cv2.imwrite(str(folder / f"{name}.png"), mosaic)
+    cv2.imwrite(str(folder / "1.png"), np.rint(65535 * coded).astype(np.uint16))
+    more = ("--depth", "auto", "--method", "inverse") if command == "deblur" else ()
+    options = ("--bank", scene.bank, "--camera", scene.camera, "--bayer", "rggb", *more)
+    result = call(capsys, command, *options, folder, "-o", tmp_path / "out")
+    assert result.status == 1
+    assert "frame 1: mosaic: expected a grey frame" in result.err
+    assert len([name for name in names(tmp_path / "out") if name.partition(".")[0] == "2"]) > 0
 
 
 @pytest.mark.parametrize("command", ["depth", "deblur"])

@@ -7,6 +7,7 @@ import re
 import struct
 import subprocess
 import sys
+import time
 from collections import Counter
 from contextlib import asynccontextmanager
 
@@ -18,6 +19,7 @@ from small_camera import CAMERA, FAR_M, NEAR_M
 
 aiohttp = pytest.importorskip("aiohttp", reason="the viewer needs aiohttp")
 
+from coded_aperture_viewer import command as view_command  # noqa: E402
 from coded_aperture_viewer.aid import aid_of, wall_of  # noqa: E402
 from coded_aperture_viewer.packet import BEYOND, NEARER, steps  # noqa: E402
 from coded_aperture_viewer.refocus import refocused  # noqa: E402
@@ -28,7 +30,7 @@ from coded_aperture_ros.cli.main import main  # noqa: E402
 from coded_aperture_ros.core.errors import InputError  # noqa: E402
 from coded_aperture_ros.deblur import DeblurConfig  # noqa: E402
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate  # noqa: E402
-from coded_aperture_ros.io import read_depth, read_image  # noqa: E402
+from coded_aperture_ros.io import read_depth, read_image, write_image  # noqa: E402
 from coded_aperture_ros.io.bags import Bag  # noqa: E402
 from coded_aperture_ros.optics import Camera, Mask  # noqa: E402
 
@@ -380,3 +382,28 @@ def test_a_browser_shows_and_changes_what_is_seen(viewer, tmp_path):
     (tmp_path / "browser").mkdir()
     asyncio.run(run())
     assert cv2.imread(str(tmp_path / "page.png")).shape == (900, 1280, 3)
+
+
+def test_frames_of_another_size_are_refused_and_kept_in_snapshots(tmp_path):
+    """The same blur in other pixels is another depth."""
+    camera, picture = tmp_path / "camera.yaml", tmp_path / "large.png"
+    camera.write_text(yaml.safe_dump(CAMERA))
+    shape = 2 * CAMERA["image_height"], 2 * CAMERA["image_width"]
+    light = np.random.default_rng(0).uniform(0.2, 0.8, shape).astype(np.float32)
+    write_image(picture, light)
+    parser = view_command._parser()
+    options = ["--camera", str(camera), "--depth-range", str(NEAR_M), str(FAR_M)]
+    arguments = parser.parse_args([str(picture), *options, "--output", str(tmp_path / "kept")])
+    server, _ = view_command._server(arguments, parser)
+    shown = []
+    show = server.live._show
+    server.live._show = lambda each: (show(each), shown.append(each))
+    server.live.start()
+    server.live.watch(True)
+    while not shown:
+        time.sleep(0.05)
+    server.live.stop()
+    assert shown[0].estimate is None
+    assert "the same blur in pixels would be another depth" in shown[0].problem
+    kept = read_image(server._snapshot() + "/coded.png")
+    assert kept.shape[:2] == shape

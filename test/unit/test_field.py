@@ -11,13 +11,20 @@ from cli_scene import call, refused, texture
 from hypothesis import given
 from hypothesis import strategies as st
 
-from coded_aperture_ros.bank import learn_bank_for_camera
+from coded_aperture_ros.bank import learn_bank, learn_bank_for_camera
 from coded_aperture_ros.calibration.planes.field import fit_field
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.io import write_image
-from coded_aperture_ros.optics import Camera, FieldCurvature, Mask, View, camera_from_mapping
+from coded_aperture_ros.optics import (
+    Camera,
+    FieldCurvature,
+    Mask,
+    View,
+    camera_from_mapping,
+    render_psf_stack,
+)
 from coded_aperture_ros.simulation.render import render_coded_frame
 
 SHAPE = (192, 256)
@@ -160,3 +167,23 @@ def test_the_command(planes, tmp_path, capsys, caplog):
     assert camera_from_mapping({**content, **printed}).field_curvature
     camera.write_text(yaml.safe_dump({**content, "focus_distance_m": 3.4, "side": "near"}))
     refused(call(capsys, *arguments, "--depths", "3.1,3.15,3.2,3.25,3.3,3.35"), "3 are needed")
+
+
+def test_the_farthest_of_a_field_that_bends_away_is_still_finite():
+    """Levels that corners would need beyond infinity are not asked for."""
+    away = dataclasses.replace(STRAIGHT, field_curvature=FieldCurvature(-0.5, 0.0))
+    bank = learn_bank_for_camera(away, 1.2, 8.0, 10)
+    assert np.isfinite(bank.stack.depths_m).all()
+    assert bank.stack.depths_m.max() >= 8
+
+
+def test_depth_of_what_is_at_infinity_on_the_axis_has_a_deviation():
+    away = dataclasses.replace(STRAIGHT, field_curvature=FieldCurvature(-2.0, 0.0))
+    infinity_px = away.blur_at_infinity_px
+    sizes_px = np.linspace(infinity_px - 5, infinity_px + 1, 16)
+    bank = learn_bank(render_psf_stack(away.mask, sizes_px))
+    config = DepthConfig(confidence_threshold=0.0, check_fit=False)
+    estimate = DepthEstimator(bank, config, away).estimate(plane(away, 30.0, seed=3))
+    known = np.isfinite(estimate.depth_m)
+    assert known.any()
+    assert not np.isnan(estimate.std_dev_m[known]).any()

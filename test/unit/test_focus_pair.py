@@ -121,3 +121,13 @@ def test_what_is_no_pair():
     measured = learn_bank(render_psf_stack(camera.mask, bank.blur_sizes_px))
     with pytest.raises(InputError, match="learned from the camera file's mask"):
         FocusPair(DepthEstimator(measured, DepthConfig(), camera), 6.0)
+
+
+def test_levels_beyond_infinity_are_refused():
+    camera = camera_at(BEFORE_M, "far")
+    largest = camera.blur_at_infinity_px
+    bank = learn_bank(
+        render_psf_stack(camera.mask, np.linspace(largest - 6, largest + 1, 12)), mask=camera.mask
+    )
+    with pytest.raises(InputError, match="without levels at or beyond infinity"):
+        FocusPair(DepthEstimator(bank, camera=camera), 3.0)
