@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -907,3 +908,17 @@ def test_depth_and_deblurring_together(ros, model, coded):
     assert wait_until(lambda: deblur.received)
     assert deblur.received[0].header == frame.header
     assert depth.statistics.summary().processed == 1
+
+
+def test_a_camera_file_of_the_other_side_is_refused_while_the_node_runs(
+    ros, model, coded, tmp_path
+):
+    values = yaml.safe_load(Path(model["camera_file"]).read_text())
+    near = tmp_path / "near.yaml"
+    near.write_text(yaml.safe_dump(values | {"side": "near", "focus_distance_m": 40.0}))
+    chain = Chain(ros, model)
+    (result,) = chain.node.set_parameters([Parameter("camera_file", value=str(near))])
+    assert not result.successful
+    assert "its side is near" in result.reason
+    depth = array_from_image(chain.result(mono8(coded)))
+    assert abs(np.nanmedian(depth) - DEPTH_M) < 0.06 * DEPTH_M
