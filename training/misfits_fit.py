@@ -135,7 +135,8 @@ def main() -> None:
     mean, scale = features[learned].mean(0), features[learned].std(0) + 1e-3
     values = np.clip((features - mean) / scale, -SCALED_LIMIT, SCALED_LIMIT).astype(np.float32)
     networks = [fitted(values, told, learned, seed) for seed in range(_MEMBERS)]
-    arrays = {"mean": mean, "scale": scale, **together(networks)}
+    each = {"mean": np.tile(mean, (_MEMBERS, 1)), "scale": np.tile(scale, (_MEMBERS, 1))}
+    arrays = each | together(networks)
     halves = {name: array.astype(np.float16) for name, array in arrays.items()}
     write_archive(args.output, SCHEMA, SCHEMA_VERSION, halves)
     with torch.no_grad():

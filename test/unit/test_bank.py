@@ -246,7 +246,9 @@ def test_a_bank_knows_its_frames_and_its_camera(tmp_path):
     bank = load_bank(tmp_path / "bank.npz")
     assert (bank.image_width, bank.image_height) == (640, 480)
     check_frame_size(bank, 640, 480)
-    with pytest.raises(InputError, match=r"frame of 320x240: the bank is for 640x480.*scale 2$"):
+    with pytest.raises(InputError, match=r"of 1280x960: the bank is for 640x480.*scale 0.5$"):
+        check_frame_size(bank, 1280, 960)
+    with pytest.raises(InputError, match=r"frame of 320x240.*learn a bank for 320x240 \(sizes of"):
         check_frame_size(bank, 320, 240)
     with pytest.raises(InputError, match="another setting of the camera"):
         check_setting(bank, dataclasses.replace(camera, focus_distance_m=1.1))

@@ -280,6 +280,7 @@ def _row(measured: Sequence[Measured]) -> Row:
 
 def _pooled(measured: Sequence[Measured]) -> Row:
     """Return errors over all scenes; what is not known counts as wrong."""
+    right = [one.right_of_published for one in measured if np.isfinite(one.right_of_published)]
     every, edges, wide = (
         np.concatenate([getattr(one, name) for one in measured])
         for name in ("errors", "near_edges", "cut_wide")
@@ -290,9 +291,7 @@ def _pooled(measured: Sequence[Measured]) -> Row:
         "right_near_edges": round(float((edges <= _RIGHT).mean()), 3),
         "cut_wide": round(float(np.nanmedian(wide)), 4),
         "published": mean_of((one.published for one in measured), 3),
-        "right_of_published": mean_of(
-            (one.right_of_published for one in measured if np.isfinite(one.right_of_published)), 3
-        ),
+        "right_of_published": mean_of(right or [np.nan], 3),
         "worst": round(max(float(np.nanmedian(one.errors)) for one in measured), 4),
     }
 

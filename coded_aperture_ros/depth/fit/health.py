@@ -91,14 +91,14 @@ class Health:
 class _Weights:
     """Some small networks: features, standardised, through two layers; health, then causes."""
 
-    mean: FloatArray
+    mean: FloatArray  # [members, inputs], as `scale`
     scale: FloatArray
     layers: tuple[tuple[FloatArray, FloatArray], ...]  # weights [members, outputs, inputs], biases
 
     def __call__(self, features: FloatArray) -> FloatArray:
         """Return the mean of what they say."""
         values = (np.clip(features, -LIMIT, LIMIT) - self.mean) / self.scale
-        values = np.clip(values, -SCALED_LIMIT, SCALED_LIMIT)[:, None]
+        values = np.clip(values, -SCALED_LIMIT, SCALED_LIMIT)[..., None]
         for weight, bias in self.layers[:-1]:
             values = np.maximum(weight @ values + bias[..., None], 0)
         weight, bias = self.layers[-1]
