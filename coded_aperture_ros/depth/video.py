@@ -110,5 +110,5 @@ def _carried_back(waiting: list[Observation], costs: list[Cost], memory: float) 
 def check_same_size(shape: tuple[int, ...], first: tuple[int, ...]) -> None:
     """Refuse a frame of a video of another size than the first, by an `InputError`."""
     if shape[:2] != first[:2]:
-        sizes = [f"{rows}x{columns}" for columns, rows, *_ in (shape, first)]
+        sizes = [f"{columns}x{rows}" for rows, columns, *_ in (shape, first)]
         raise InputError(f"video: a frame of {sizes[0]} px after frames of {sizes[1]} px")

@@ -291,9 +291,13 @@ def _pooled(measured: Sequence[Measured]) -> Row:
         "right_near_edges": round(float((edges <= _RIGHT).mean()), 3),
         "cut_wide": round(float(np.nanmedian(wide)), 4),
         "published": mean_of((one.published for one in measured), 3),
-        "right_of_published": mean_of(right or [np.nan], 3),
+        "right_of_published": mean_of(right, 3) if right else None,
         "worst": round(max(float(np.nanmedian(one.errors)) for one in measured), 4),
     }
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:.0f} %"
 
 
 def _against(rows: Sequence[Row], first: str) -> Row:
@@ -322,7 +326,7 @@ def _text(results: Row) -> str:
         "within 10 %": lambda row: f"{100 * row[part]['right']:.0f} %",
         "near edges": lambda row: f"{100 * row[part]['right_near_edges']:.0f} %",
         "published": lambda row: f"{100 * row[part]['published']:.0f} %",
-        "right of these": lambda row: f"{100 * row[part]['right_of_published']:.0f} %",
+        "right of these": lambda row: _share(row[part]["right_of_published"]),
         "cut wide": lambda row: f"{100 * row[part]['cut_wide']:.2f} %",
         "opening, mm": "{opening_mm:.2f}",
         "bar, mm": lambda row: "-" if row["bar_mm"] is None else f"{row['bar_mm']:.2f}",
