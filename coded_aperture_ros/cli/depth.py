@@ -65,6 +65,10 @@ _LOSSY = (
 _FARTHEST = 10
 # What has moved by this much during the exposure counts as moving.
 _MOVING_PX = 0.5
+_Frames = Iterator[NamedFrame]
+_Fit = Callable[[NamedFrame], NamedFrame]
+# Each frame, what is estimated of it, and how long that took, s.
+_Results = Iterator[tuple[NamedFrame, Any, float]]
 
 
 def add_parser(subparsers: Any) -> None:
@@ -204,7 +208,7 @@ def _check_usage(args: argparse.Namespace) -> None:
         check_output(args.movie, map(Path, args.inputs), (".mp4",))
 
 
-def _told_if_lossy(video: Iterator[NamedFrame]) -> Iterator[NamedFrame]:
+def _told_if_lossy(video: _Frames) -> _Frames:
     """Yield the frames of a video; warn of the first one that was compressed with loss."""
     told = False
     for frame in video:
@@ -214,13 +218,7 @@ def _told_if_lossy(video: Iterator[NamedFrame]) -> Iterator[NamedFrame]:
         yield frame
 
 
-def _in_turn(
-    pipeline: Any,
-    frames: Iterator[NamedFrame],
-    prior: Any,
-    fit: Callable[[NamedFrame], NamedFrame],
-    unusable: Unusable,
-) -> Iterator[tuple[NamedFrame, Any, float]]:
+def _in_turn(pipeline: Any, frames: _Frames, prior: Any, fit: _Fit, unusable: Unusable) -> _Results:
     """Yield every frame, what is estimated of it, and how long that took, s."""
     for found in frames:
         start = time.perf_counter()
@@ -235,12 +233,7 @@ def _in_turn(
         yield frame, estimate, time.perf_counter() - start
 
 
-def _with_second(
-    pipeline: Any,
-    frames: Iterator[NamedFrame],
-    fit: Callable[[NamedFrame], NamedFrame],
-    args: argparse.Namespace,
-) -> Iterator[tuple[NamedFrame, Any, float]]:
+def _with_second(pipeline: Any, frames: _Frames, fit: _Fit, args: argparse.Namespace) -> _Results:
     """Yield the only frame, and what is estimated of it together with the second one."""
     from coded_aperture_ros.depth.focus_pair import FocusPair
 
@@ -259,19 +252,14 @@ def _with_second(
     yield frame, estimate, time.perf_counter() - start
 
 
-def _with_look_ahead(
-    pipeline: Any,
-    frames: Iterator[NamedFrame],
-    fit: Callable[[NamedFrame], NamedFrame],
-    unusable: Unusable,
-) -> Iterator[tuple[NamedFrame, Any, float]]:
+def _with_look_ahead(pipeline: Any, frames: _Frames, fit: _Fit, unusable: Unusable) -> _Results:
     """Do the same with frames that are estimated several at a time: the first takes the time."""
     from coded_aperture_ros.depth.video import check_same_size
 
     waiting: deque[NamedFrame] = deque()
     unreadable: list[InputError] = []
 
-    def suited() -> Iterator[NamedFrame]:
+    def suited() -> _Frames:
         shape: Any = None
         try:
             for frame in frames:

@@ -17,7 +17,7 @@ from coded_aperture_ros.depth.decision import Regularized
 from coded_aperture_ros.depth.edges import edge_correction
 from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
 from coded_aperture_ros.depth.fit import FitCheck, Health, can_be_checked
-from coded_aperture_ros.depth.levels import Levels, depths_are_measured
+from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.posterior import is_unsure
 from coded_aperture_ros.depth.refine import CELL_PX, Refined, small_bank, small_cost, untrained
@@ -84,9 +84,6 @@ class DepthEstimator:
         self.model, self.camera = model, camera
         self.known_noise = KnownNoise.of(config, camera, model)
         self._levels = Levels.of(model, camera)
-        # Planes were measured all over the image.
-        bends = camera is not None and camera.field_curvature and not depths_are_measured(model)
-        self._bends = camera if bends else None
         self._learned = regularize is None and config.regularize == LEARNED
         # What is not learned, or was not trained for, is regularised by classical means.
         classical = "semiglobal" if self._learned else config.regularize
@@ -255,8 +252,6 @@ class DepthEstimator:
             if decided.free_level is not None:
                 free = np.where(doubted, free, levels.nearer(level, decided.free_level(risk)))
             free_space_m = levels.meaning(free, np.zeros_like(free), np.zeros_like(unknown))[2]
-            if self._bends and free_space_m is not None:
-                free_space_m = self._bends.depth_in_field(free_space_m)
         second_m: FloatArray | None = None
         second_share: FloatArray | None = None
         if config.second_surface:
@@ -267,15 +262,8 @@ class DepthEstimator:
                 )
             one = np.isnan(second)
             second_m = levels.meaning(np.nan_to_num(second), np.zeros_like(second), one)[2]
-            if self._bends and second_m is not None:
-                second_m = self._bends.depth_in_field(second_m)
             stages.lap("second surface")
         level, blur_size_px, depth_m, std_dev_m = levels.meaning(level, decided.deviation, unknown)
-        if self._bends and depth_m is not None and std_dev_m is not None:
-            axial_m, depth_m = depth_m, self._bends.depth_in_field(depth_m)
-            # What is at infinity on the axis has no deviation that could be carried over.
-            ratio = np.where(np.isinf(axial_m), 1, depth_m / axial_m)
-            std_dev_m = std_dev_m * np.square(ratio)
         estimate = DepthEstimate(
             level,
             blur_size_px,

@@ -35,6 +35,7 @@ class Levels:
     _size_table: FloatArray
     _depth_table: FloatArray | None
     _metres_per_level: FloatArray | None
+    _bends: Camera | None  # whose depths also depend on the place in the image
 
     @classmethod
     def of(cls, model: LikelihoodModel, camera: Camera | None = None) -> "Levels":
@@ -53,6 +54,8 @@ class Levels:
         else:
             depth = by_camera.depth_m(size).astype(np.float32)
         per_level = None if depth is None else _metres_per_level(depth)
+        # Planes were measured all over the image.
+        bends = by_camera is not None and by_camera.field_curvature is not None
         return cls(
             stack.blur_sizes_px,
             depths,
@@ -61,6 +64,7 @@ class Levels:
             size.astype(np.float32),
             depth,
             per_level,
+            by_camera if bends else None,
         )
 
     def __len__(self) -> int:
@@ -86,7 +90,7 @@ class Levels:
 
         NaN where they are unknown. Deviations of depths are made of those of levels, above 0: the
         inverse depth is linear in the blur size, and `std(z) = z^2 std(1 / z)`; +inf where the
-        depth is. None if depths are not known. Takes and gives one shape; levels are without NaN.
+        depth is. None if depths are not known. Takes maps of the whole image, without NaN.
         """
         tables = self._size_table, self._depth_table, self._metres_per_level
         known = tuple(self._size_table if table is None else table for table in tables)
@@ -95,6 +99,10 @@ class Levels:
         found, size_px, depth_m, std_dev_m = (values.reshape(level.shape) for values in flat)
         if self._depth_table is None:
             return found, size_px, None, None
+        if self._bends is not None:
+            axial_m, depth_m = depth_m, self._bends.depth_in_field(depth_m)
+            # What is at infinity on the axis has no deviation that could be carried over.
+            std_dev_m = std_dev_m * np.square(np.where(np.isinf(axial_m), 1, depth_m / axial_m))
         return found, size_px, depth_m, std_dev_m
 
 
