@@ -19,7 +19,8 @@ pytest.importorskip("numba", reason="cards before a random wall need numba")
 if not hasattr(getattr(cv2, "aruco", None), "ArucoDetector"):
     pytest.skip("tags need OpenCV 4.7 or newer", allow_module_level=True)
 
-CAMERA = tags.coded_camera("levin")
+LENS = tags.Lens("levin")
+CAMERA = LENS.coded()
 CARD = Card(TAG, "12", 32.0, (200.0, 100.0), 2.0, 0.2)
 
 
@@ -82,7 +83,7 @@ def test_the_distance_of_a_tag_goes_by_its_size():
     assert distance_error(CARD, Code(TAG, "12", smaller), CAMERA) == pytest.approx(0.1, abs=0.01)
 
 
-@pytest.mark.parametrize("camera", [CAMERA, tags.ordinary_camera("levin", 0.5)])
+@pytest.mark.parametrize("camera", [CAMERA, LENS.ordinary(0.5)])
 def test_cards_and_wall_have_the_blur_of_their_distance(camera):
     scene = card_scene(0, 4.0)
     blur = scene.seen_by(camera).blur_size_px()
@@ -108,9 +109,10 @@ def test_distances_are_spread_evenly_in_dioptres():
 
 @pytest.mark.parametrize("mask", ["levin", "zhou"])
 def test_the_ordinary_lens_lets_as_much_light_pass(mask):
-    coded = tags.coded_camera(mask)
+    lens = tags.Lens(mask)
+    coded = lens.coded()
     for stop in (1.0, 0.1):
-        ordinary = tags.ordinary_camera(mask, stop)
+        ordinary = lens.ordinary(stop)
         light = [
             camera.mask.open_fraction * camera.mask_extent_mm**2 for camera in (ordinary, coded)
         ]
@@ -118,6 +120,8 @@ def test_the_ordinary_lens_lets_as_much_light_pass(mask):
         ends = ordinary.blur_size_px([0.5, 4.0])
         assert ends[0] == pytest.approx(-ends[1])  # in focus in the middle
     assert coded.blur_size_px([0.5, 4.0]) == pytest.approx([2, 16])
+    wide = tags.Lens(mask, tags.MIDDLE, 2.0).coded()
+    assert wide.blur_size_px([0.5, 4.0]) == pytest.approx([-14, 14])
     assert ordinary.mask.open_fraction == Mask.named("disc").open_fraction
 
 
@@ -172,9 +176,19 @@ def test_libraries_that_are_missing_are_one_line(capsys, monkeypatch):
         (("--module", "nan"), "2 to 6 px"),
         (("--electrons", "0"), "at least 1"),
         (("--mask", "magic"), "levin"),
+        (("--focus", "middle", "--mask", "zhou"), "half a turn"),
+        (("--aperture", "3"), "--aperture"),
     ],
 )
 def test_wrong_usage_is_refused_with_a_hint(capsys, arguments, hint):
     result = call(capsys, "bench", "tags", *arguments)
     assert (result.status, result.out) == (2, "")
     assert hint in result.err
+
+
+@pytest.mark.slow
+def test_focused_in_the_middle_all_is_read(capsys, reader):
+    arguments = ("bench", "tags", "--scenes", 1, "--jobs", 1, "--electrons", 9000)
+    results = json_of(capsys, *arguments, "--focus", "middle")
+    assert results["focus"] == "middle"
+    assert results["goal"][0]["ratio"] == 1

@@ -30,18 +30,24 @@ from coded_aperture_benchmarks.frames.tag_cards import (
 from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
 from coded_aperture_benchmarks.rows import columns, grouped, or_dash
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.bank import FilterBank, learn_bank_for_camera
+from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank, learn_bank_for_camera
 from coded_aperture_ros.bank.learning import guarded_range
-from coded_aperture_ros.cli.options import at_least
+from coded_aperture_ros.cli.options import at_least, between
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.imaging import SRGB
 from coded_aperture_ros.io import write_image
-from coded_aperture_ros.optics import MASK_NAMES, Camera, Mask
+from coded_aperture_ros.optics import MASK_NAMES, Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation import SensorModel
 
+BEFORE, MIDDLE = "before", "middle"
 _FOCAL_LENGTH_PX, _BLUR_PX = 1194.0, (2.0, 16.0)
+_MIDDLE_M = 2 / sum(1 / distance for distance in CARDS_M)
+# Masks are alike on both sides of the focal plane up to this `asymmetry`.
+_ALIKE = 0.01
+# Of the bank for a focus in the middle: blur below a pixel is as good as none.
+_LEVELS, _LEAST_PX, _GUARD, _WINDOW_PX = 30, 1.0, 1.08, 48
 _READ_NOISE, _BITS = 2.5, 12
 # Smaller ones are not read even where they are sharp; of larger ones not four fit into a frame.
 _MODULES_PX = 2.0, 6.0
@@ -68,13 +74,44 @@ _OURS, _ORDINARY = (CODED, *_METHODS), tuple(f"ordinary {stop:g}" for stop in _S
 
 
 @dataclasses.dataclass(frozen=True)
+class Lens:
+    """The lens that both cameras have, once with the mask, once with a round aperture.
+
+    The coded camera is in focus `before` all cards, so that every blur size is of one distance, or
+    in the `middle`, as the ordinary one. Then it does not know on which side a card is, and need
+    not: behind a mask that looks the same after half a turn both sides are blurred alike.
+    """
+
+    mask: str
+    focus: str = BEFORE
+    aperture: float = 1.0  # how wide, in units of the one that `_BLUR_PX` are of
+
+    def coded(self) -> Camera:
+        """Return the camera with the mask."""
+        camera = camera_for_blur(Mask.named(self.mask), _FOCAL_LENGTH_PX, SIZE, CARDS_M, _BLUR_PX)
+        camera = dataclasses.replace(camera, mask_extent_mm=self.aperture * camera.mask_extent_mm)
+        if self.focus == BEFORE:
+            return camera
+        return dataclasses.replace(camera, focus_distance_m=_MIDDLE_M, side="both")
+
+    def ordinary(self, stop: float) -> Camera:
+        """Return one with a round aperture, in focus in the middle, by the light that passes."""
+        coded, disc = self.coded(), Mask.named("disc")
+        area = stop * coded.mask.open_fraction / disc.open_fraction
+        extent_mm = coded.mask_extent_mm * np.sqrt(area)
+        return dataclasses.replace(
+            coded, mask=disc, mask_extent_mm=extent_mm, focus_distance_m=_MIDDLE_M, side="both"
+        )
+
+
+@dataclasses.dataclass(frozen=True)
 class Cell:
     """A frame of cards, in some light."""
 
     scene: int
     electrons: int
     module_px: float
-    mask: str
+    lens: Lens
     srgb: bool
 
     @property
@@ -92,45 +129,40 @@ class Measured:
     frames: dict[str, FloatArray]
 
 
-def coded_camera(mask: str) -> Camera:
-    """Return the camera that is in focus before all cards."""
-    return camera_for_blur(Mask.named(mask), _FOCAL_LENGTH_PX, SIZE, CARDS_M, _BLUR_PX)
-
-
-def ordinary_camera(mask: str, stop: float) -> Camera:
-    """Return one with a round aperture, in focus in the middle, by the light that it lets pass."""
-    coded, disc = coded_camera(mask), Mask.named("disc")
-    area = stop * coded.mask.open_fraction / disc.open_fraction
-    return dataclasses.replace(
-        coded,
-        mask=disc,
-        mask_extent_mm=coded.mask_extent_mm * np.sqrt(area),
-        focus_distance_m=2 / sum(1 / distance for distance in CARDS_M),
-        side="both",
-    )
-
-
 def _cells(args: argparse.Namespace) -> list[Cell]:
     least, most = _MODULES_PX
     if not least <= args.module <= most:
         args.usage_error(f"--module: expected {least:g} to {most:g} px")
     options.check_known(args, "mask", [args.mask], MASK_NAMES)
+    lens = _lens(args)
+    if lens.focus != BEFORE and Mask.named(lens.mask).asymmetry > _ALIKE:
+        args.usage_error(
+            f"--focus {lens.focus}: needs a mask that looks the same after half a turn"
+        )
     CodeReader.check()
     return [
-        Cell(scene, electrons, args.module, args.mask, args.srgb)
+        Cell(scene, electrons, args.module, lens, args.srgb)
         for scene in range(args.scenes)
         for electrons in dict.fromkeys(args.electrons)
     ]
 
 
+def _lens(args: argparse.Namespace) -> Lens:
+    return Lens(args.mask, args.focus, args.aperture)
+
+
 def measure(cell: Cell) -> Measured:
     """Take a frame with every camera, deblur, and read."""
-    scene, lights = _seen(cell.scene, cell.module_px, cell.mask)
-    camera, reader = coded_camera(cell.mask), cell.reader
+    scene, lights = _seen(cell.scene, cell.module_px, cell.lens)
+    camera, reader = cell.lens.coded(), cell.reader
     rows, frames = [], {SHARP: lights[SHARP]}
     frames |= dict(_exposed(cell, lights))
-    true_px, found_px = scene.seen_by(camera).blur_size_px(), _found(cell.mask, frames[CODED])
-    frames |= dict(_deblurred(cell.mask, frames[CODED], found_px, true_px))
+    # Of sizes without sign, if the focus is in the middle.
+    true_px, found_px = (
+        np.abs(scene.seen_by(camera).blur_size_px()),
+        _found(cell.lens, frames[CODED]),
+    )
+    frames |= dict(_deblurred(cell.lens, frames[CODED], found_px, true_px))
     blur = [_blur_on(card, np.abs(found_px - true_px)) for card in scene.cards]
     for given, frame in frames.items():
         codes = reader.read(frame)
@@ -155,13 +187,13 @@ def measure(cell: Cell) -> Measured:
 
 
 @lru_cache(maxsize=1)
-def _seen(seed: int, module_px: float, mask: str) -> tuple[CardScene, dict[str, FloatArray]]:
+def _seen(seed: int, module_px: float, lens: Lens) -> tuple[CardScene, dict[str, FloatArray]]:
     """Return the cards, and the light that they send to each sensor."""
     scene = card_scene(seed, module_px)
-    coded = scene.seen_by(coded_camera(mask))
+    coded = scene.seen_by(lens.coded())
     lights = {SHARP: coded.all_in_focus(), CODED: coded.coded()}
     for name, stop in zip(_ORDINARY, _STOPS, strict=True):
-        lights[name] = scene.seen_by(ordinary_camera(mask, stop)).coded()
+        lights[name] = scene.seen_by(lens.ordinary(stop)).coded()
     return scene, lights
 
 
@@ -176,19 +208,20 @@ def _exposed(cell: Cell, lights: dict[str, FloatArray]) -> Iterator[tuple[str, F
         yield name, sensor.expose((counted + noise) / white, random)
 
 
-def _found(mask: str, coded: FloatArray) -> FloatArray:
+def _found(lens: Lens, coded: FloatArray) -> FloatArray:
     """Return the blur size that is estimated of every pixel."""
-    estimator = DepthEstimator(_bank(mask), DepthConfig(), coded_camera(mask))
+    camera = lens.coded() if lens.focus == BEFORE else None
+    estimator = DepthEstimator(_bank(lens), DepthConfig(), camera)
     found_px = np.asarray(estimator.estimate(coded).blur_size_px)
     estimator.close()
     return found_px
 
 
 def _deblurred(
-    mask: str, coded: FloatArray, found_px: FloatArray, true_px: FloatArray
+    lens: Lens, coded: FloatArray, found_px: FloatArray, true_px: FloatArray
 ) -> Iterator[tuple[str, FloatArray]]:
     for method in _METHODS:
-        deblurrer = Deblurrer(_bank(mask).stack, DeblurConfig(method=method))
+        deblurrer = Deblurrer(_bank(lens).stack, DeblurConfig(method=method))
         yield method, deblurrer.deblur(coded, found_px)
         if method == "sparse":
             yield TRUE, deblurrer.deblur(coded, true_px)
@@ -208,9 +241,13 @@ def _blur_on(card: Card, errors_px: FloatArray) -> Row:
 
 
 @lru_cache(maxsize=1)
-def _bank(mask: str) -> FilterBank:
-    camera = coded_camera(mask)
-    return learn_bank_for_camera(camera, *guarded_range(camera, CARDS_M[0], WALL_M[1], 30))
+def _bank(lens: Lens) -> FilterBank:
+    camera = lens.coded()
+    if lens.focus == BEFORE:
+        return learn_bank_for_camera(camera, *guarded_range(camera, CARDS_M[0], WALL_M[1], _LEVELS))
+    largest_px = np.abs(camera.blur_size_px([CARDS_M[0], WALL_M[1]])).max()
+    sizes_px = np.linspace(_LEAST_PX, _GUARD * largest_px, _LEVELS)
+    return learn_bank(render_psf_stack(camera.mask, sizes_px), LearnConfig(_WINDOW_PX))
 
 
 def part_edges_m() -> list[float]:
@@ -247,11 +284,11 @@ def _results(args: argparse.Namespace, measured: list[Measured], seconds: float)
     ]
     return {
         "benchmark": "tags",
-        **options.header(args, "module", "scenes", "mask", "srgb"),
+        **options.header(args, "module", "scenes", "mask", "srgb", "focus", "aperture"),
         "cards": len(rows) // len(grouped(rows, "electrons", "given")),
         "part_edges_m": [round(edge, 3) for edge in part_edges_m()],
         "blur_at_ends_px": {
-            name: round(_blur_at_ends_px(args.mask, stop), 2)
+            name: round(_blur_at_ends_px(_lens(args), stop), 2)
             for name, stop in zip(_ORDINARY, _STOPS, strict=True)
         },
         "same_depth_of_field": _same_depth_of_field(args),
@@ -331,15 +368,15 @@ def _far_and_often(row: Row) -> tuple[float, float]:
     return row["dioptres"], row["read"]
 
 
-def _blur_at_ends_px(mask: str, stop: float) -> float:
+def _blur_at_ends_px(lens: Lens, stop: float) -> float:
     """Return the blur size of the ordinary lens at the nearest and at the farthest distance."""
-    return float(np.abs(ordinary_camera(mask, stop).blur_size_px(CARDS_M)).max())
+    return float(np.abs(lens.ordinary(stop).blur_size_px(CARDS_M)).max())
 
 
 def _same_depth_of_field(args: argparse.Namespace) -> str | None:
     """Return the widest stop that blurs nothing by more than a module."""
     for name, stop in zip(_ORDINARY, _STOPS, strict=True):
-        if _blur_at_ends_px(args.mask, stop) <= args.module:
+        if _blur_at_ends_px(_lens(args), stop) <= args.module:
             return name
     return None
 
@@ -357,6 +394,7 @@ def _text(results: Row) -> str:
     fits = results["same_depth_of_field"]
     parts = [
         f"{results['cards']} cards, modules of {results['module']:g} px, mask {results['mask']}, "
+        f"in focus {'in the middle' if results['focus'] == MIDDLE else 'before them'}, "
         f"{'sRGB' if results['srgb'] else 'linear'} frames; read, %: tags / QR codes by distance\n"
         "range: distances at which at least half of all cards is read",
         "blur of the ordinary lens at both ends: "
@@ -458,6 +496,8 @@ SUITE = Suite(
     coded_aperture bench tags --output tags/
   a single one, in good light:
     coded_aperture bench tags --scenes 1 --electrons 10000
+  the coded camera in focus in the middle too, behind a wider aperture:
+    coded_aperture bench tags --focus middle --aperture 1.5
 """,
     options=(
         options.number("--scenes", 1, 3, "frames of cards"),
@@ -472,6 +512,19 @@ SUITE = Suite(
             metavar="N",
         ),
         options.option("--mask", "of the coded camera", "levin", metavar="MASK"),
+        options.option(
+            "--focus",
+            "of the coded camera: before all cards, or in the middle, as of the ordinary one",
+            BEFORE,
+            choices=(BEFORE, MIDDLE),
+        ),
+        options.option(
+            "--aperture",
+            "how wide both are, 1: blur of 2 to 16 px, focused before",
+            1.0,
+            type=between(0.5, 2),
+            metavar="A",
+        ),
         options.option(
             "--srgb",
             "read frames encoded as pictures are, not as linear light",
