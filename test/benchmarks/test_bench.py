@@ -46,6 +46,17 @@ def test_a_stair_of_three_steps_is_recognised(capsys):
     assert kinds == {("random", "bank"), ("random", "bank-graphcut")}
 
 
+def test_without_the_program_errors_are_one_line_too(checkout, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "coded_aperture_benchmarks", "accuracy", "scenes", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": f"{checkout}{os.pathsep}{checkout / 'benchmarks'}"},
+    )
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+    assert str(tmp_path) in done.stderr
+
+
 def test_the_bank_can_know_the_noise(capsys):
     (known,) = json_of(capsys, *STAIR, "--sigmas", 0.01, "--methods", "bank", "--known-noise")[
         "cells"
