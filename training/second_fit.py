@@ -2,6 +2,8 @@
 
 python training/second_fit.py --shown DIR --shards 4 30 84 106 200 260 --validate 28 30 104 106 \
     --minutes 22 -o second.npz
+
+With --further, a network that was written before is fitted on, at a lower rate.
 """
 
 import argparse
@@ -27,6 +29,7 @@ from coded_aperture_ros.depth.refine.features import BLUR_STEP_PX
 from coded_aperture_ros.depth.refine.second import CHANNELS, SCHEMA, SCHEMA_VERSION
 
 _BATCH, _PART, _REPORT_S = 16, 36, 60
+_FURTHER_RATE = 6e-4
 _RATE, _DECAY, _WARM_UP, _AVERAGE = 2e-3, 1e-3, 100, 0.998
 _CELL, _SQUARE, _DISTANCES = 48, 64, (1, 2, 1)
 # Probabilities are small numbers beside the rest.
@@ -52,6 +55,31 @@ class Second(nn.Module):
         """Return what is told of the four cells of each square, one after the other."""
         told: torch.Tensor = self.out(self.around(self.down(self.stem(shown))))
         return told
+
+
+def written_before(path: Path, shown: int) -> Second:
+    """Return a network from its file: normalisations are in its convolutions already."""
+    import onnx
+
+    graph = onnx.load_from_string(np.load(path)["second_onnx"].tobytes()).graph
+    weights = {each.name: onnx.numpy_helper.to_array(each) for each in graph.initializer}
+    network = Second(shown)
+    for module in (network.stem, network.down):
+        module[0], module[1] = _with_bias(module[0]), nn.Identity()
+    for around in network.around:
+        around.spatial, around.norm = _with_bias(around.spatial), nn.Identity()
+    layers = [module for module in network.modules() if isinstance(module, nn.Conv2d)]
+    nodes = [node for node in graph.node if node.op_type == "Conv"]
+    for layer, node in zip(layers, nodes, strict=True):
+        for parameter, name in zip((layer.weight, layer.bias), node.input[1:], strict=True):
+            parameter.data = torch.from_numpy(weights[name].copy())
+    network.stem[0].weight.data[:, : 2 * BINS] /= _LARGER
+    return network
+
+
+def _with_bias(layer: nn.Conv2d) -> nn.Conv2d:
+    how = layer.kernel_size, layer.stride, layer.padding, layer.dilation
+    return nn.Conv2d(layer.in_channels, layer.out_channels, *how)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -155,6 +183,7 @@ def main() -> None:
     for name in ("--shards", "--validate"):
         parser.add_argument(name, type=int, nargs="+", required=True, help=pairs)
     parser.add_argument("--minutes", type=float, required=True)
+    parser.add_argument("--further", type=Path, metavar="NPZ", help="fit this one on")
     parser.add_argument("-o", "--output", type=Path, required=True)
     args = parser.parse_args()
     held_back = shards_of(args.validate)
@@ -162,11 +191,13 @@ def main() -> None:
     frames, others = load(args.shown, learned), load(args.shown, held_back)
     print(f"{len(frames)} frames, {len(others)} held back", flush=True)
     torch.manual_seed(0)
-    network = Second(frames[0].shown.shape[0])
+    shown = frames[0].shown.shape[0]
+    network = written_before(args.further, shown) if args.further else Second(shown)
+    rate = _FURTHER_RATE if args.further else _RATE
     average = torch.optim.swa_utils.AveragedModel(
         network, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(_AVERAGE), use_buffers=True
     )
-    optimizer = torch.optim.AdamW(network.parameters(), _RATE, weight_decay=_DECAY)
+    optimizer = torch.optim.AdamW(network.parameters(), rate, weight_decay=_DECAY)
     start = reported = time.perf_counter()
     for step, batch in enumerate(ahead(batches(frames, np.random.default_rng(0)))):
         now = time.perf_counter()
@@ -175,7 +206,7 @@ def main() -> None:
             break
         for group in optimizer.param_groups:
             cooled = 0.5 + 0.5 * math.cos(math.pi * done)
-            group["lr"] = _RATE * min(1, (step + 1) / _WARM_UP) * cooled
+            group["lr"] = rate * min(1, (step + 1) / _WARM_UP) * cooled
         told = functional.pixel_shuffle(network(batch[:, :-4]), 2)
         two, less, more, share = losses(told, batch[:, -4:])
         optimizer.zero_grad()
@@ -192,14 +223,18 @@ def main() -> None:
     _write(average.module.eval(), args.output)
 
 
+def _fused(layer: nn.Conv2d, norm: nn.Module) -> nn.Conv2d:
+    if isinstance(norm, nn.Identity):
+        return layer
+    return nn.utils.fusion.fuse_conv_bn_eval(layer, norm)
+
+
 def _write(network: Second, path: Path) -> None:
     """Write the network, which takes probabilities as they are, without normalisations."""
     for module in (network.stem, network.down):
-        module[0] = nn.utils.fusion.fuse_conv_bn_eval(module[0], module[1])
-        module[1] = nn.Identity()
+        module[0], module[1] = _fused(module[0], module[1]), nn.Identity()
     for around in network.around:
-        around.spatial = nn.utils.fusion.fuse_conv_bn_eval(around.spatial, around.norm)
-        around.norm = nn.Identity()
+        around.spatial, around.norm = _fused(around.spatial, around.norm), nn.Identity()
     network.stem[0].weight.data[:, : 2 * BINS] *= _LARGER
     for parameter in network.parameters():
         parameter.data = rounded(parameter.data)

@@ -19,7 +19,7 @@ SCHEMA, SCHEMA_VERSION = "coded-aperture second surface network", 1
 CHANNELS = 2 * len(BLUR_SIZES_PX) + 2
 # The logarithm of the odds above which there are two: at this 1.8 % of the windows on plain walls,
 # floors and slanted planes of 108 random rooms pass for two.
-LEAST_ODDS = 0.5
+LEAST_ODDS = 0.6
 # A blur size is the mean over so many bins on either side of the likeliest, as those of pixels.
 _REACH = 2
 
