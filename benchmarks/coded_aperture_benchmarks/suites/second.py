@@ -253,14 +253,14 @@ SUITE = Suite(
     "masks and with three noises. Or ray-traced scenes. In how many windows both are told, and how "
     "often there is only one.",
     examples="""examples:
-  36 random frames of each kind (some minutes), with pictures:
+  108 random frames of each kind (eight minutes on two processors), with pictures:
     coded_aperture bench second --output second/
   ray-traced scenes (see accuracy scenes):
     coded_aperture bench second cables/ leaves/
 """,
     options=(
         options.folders("ray-traced scenes, in place of random ones", "*"),
-        options.number("--frames", 1, 36, "random frames of each kind"),
+        options.number("--frames", 1, 108, "random frames of each kind"),
         options.masks(*_MASKS),
         options.option("--noise", "of ray-traced scenes", 0.002, type=noise_level, metavar="S"),
         *options.RESULTS,

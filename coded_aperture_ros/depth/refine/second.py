@@ -17,7 +17,7 @@ SCHEMA, SCHEMA_VERSION = "coded-aperture second surface network", 1
 # Of every cell: logits of the blur sizes of the less and of the more blurred surface, of there
 # being two, and of the share of the former.
 CHANNELS = 2 * len(BLUR_SIZES_PX) + 2
-# The logarithm of the odds above which there are two: at this 1.8 % of the windows on plain walls,
+# The logarithm of the odds above which there are two: at this 1.9 % of the windows on plain walls,
 # floors and slanted planes of 108 random rooms pass for two.
 LEAST_ODDS = 0.6
 # A blur size is the mean over so many bins on either side of the likeliest, as those of pixels.
