@@ -24,6 +24,8 @@ _ROUNDS = 20
 _LEAST_SPREAD = 0.05
 # Variance where the picture is steep over that where it is even, from which something has moved.
 _MOVED = 1.5
+# How far the noise may be off the line of a sensor's.
+_MOST_OFF = 0.25
 # Noise in the dark below this share of the shot noise at the darkest place is lost in it.
 _HIDDEN = 0.2
 
@@ -94,6 +96,11 @@ def noise_from_frames(frames: Sequence[NDArray[np.floating]]) -> SensorNoise:
         raise InputError("the frames are equal: take each one anew")
     light, variance = _binned(light, squares, steep)
     dark, gain, fit_error = _robust_line(light, variance)
+    if fit_error > _MOST_OFF:
+        raise InputError(
+            f"the noise does not go by the light as a sensor's does ({100 * fit_error:.0f} % off): "
+            "something moved between the frames, or they are not linear light (gamma)"
+        )
     darkest, brightest = float(light[0]), float(light[-1])
     known = brightest - darkest >= _LEAST_SPREAD
     if not known:

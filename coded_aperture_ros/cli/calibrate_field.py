@@ -3,6 +3,7 @@
 import argparse
 from typing import Any
 
+from coded_aperture_ros.cli.calibrate_planes import check_size
 from coded_aperture_ros.cli.measuring import add_planes_arguments, tell
 from coded_aperture_ros.cli.options import add_gamma_option, add_options
 from coded_aperture_ros.cli.progress import progress
@@ -42,6 +43,7 @@ def run(args: argparse.Namespace) -> int:
 
     planes = load_planes(args.inputs, args.depths, args.gamma)
     camera = load_camera(args.camera)
+    check_size(args.camera, camera, planes)
     found = fit_field(camera, planes, progress)
     columns = found.depths_m, found.found_m, found.errors_without, found.errors
     corner = float(found.curvature.dioptres(camera.intrinsics, planes.images[0].shape)[0, 0])

@@ -173,7 +173,7 @@ def _calibrate(args: argparse.Namespace) -> int:
     inputs = [*map(Path, planes.names), *inputs_of(args, "camera")]
     check_output([Path(args.bank), *beside], inputs)
     if camera is not None:
-        _check_size(args.camera, camera, planes)
+        check_size(args.camera, camera, planes)
     found = calibrate_planes(
         planes,
         args.level_count,
@@ -187,7 +187,8 @@ def _calibrate(args: argparse.Namespace) -> int:
     return tell(args, summary, _text)
 
 
-def _check_size(path: str, camera: Any, planes: Any) -> None:
+def check_size(path: str, camera: Any, planes: Any) -> None:
+    """Refuse pictures of another size than the camera file's."""
     height, width = planes.images[0].shape[:2]
     if (camera.image_width, camera.image_height) != (width, height):
         raise InputError(

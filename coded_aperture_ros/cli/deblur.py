@@ -161,7 +161,7 @@ def _motion(args: argparse.Namespace) -> Any:
     if args.method in ("fast", "inverse"):
         args.usage_error(f"--motion: --method {args.method} removes no motion, use cg or sparse")
     try:
-        return np.load(args.motion, allow_pickle=False)
+        return np.lib.format.open_memmap(args.motion, mode="r")
     except (OSError, ValueError, EOFError) as error:
         what = "expected a .npy as depth --motion writes it"
         raise InputError(f"cannot read motion {args.motion}: {what}") from error

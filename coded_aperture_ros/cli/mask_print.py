@@ -1,6 +1,7 @@
 """`coded_aperture mask print`: a page with the mask at true scale, to be cut out."""
 
 import argparse
+import dataclasses
 import logging
 import math
 from pathlib import Path
@@ -71,6 +72,7 @@ def run(args: argparse.Namespace) -> int:
     camera = args.camera and load_camera(args.camera)
     mask = camera.mask if camera else mask_of(args.mask)
     extent_mm = args.extent_mm or camera.mask_extent_mm
+    camera = camera and dataclasses.replace(camera, mask_extent_mm=extent_mm)
     with naming(args.camera or f"mask {args.mask}"):
         sheet = mask_sheet(mask, extent_mm, args.outer_mm, args.label, args.kerf_mm)
     written = {".pdf": pdf_of, ".dxf": dxf_of, ".svg": lambda sheet: svg_of(sheet).encode()}

@@ -101,6 +101,8 @@ def _check_which_scene(args: argparse.Namespace) -> None:
         return
     if len(missing) < len(_OF_A_SCENE):
         args.usage_error(f"--random makes a scene of its own: without --{', --'.join(_OF_A_SCENE)}")
+    if args.depth_scale is not None:
+        args.usage_error("--depth-scale: not with --random, which knows its depths")
     if args.random < 0:
         args.usage_error(f"--random: expected 0 or more, got {args.random}")
     if args.size is not None and min(args.size) < _SMALLEST_PX:
@@ -191,7 +193,7 @@ def _given(args: argparse.Namespace, sensor: Any) -> int:
             *(args.image, width, height, *whole, part),
         )
     write_image(args.output, sensor.expose(coded, np.random.default_rng(args.seed)))
-    blur = camera.blur_map_px(depth_m)[np.isfinite(depth_m)]
+    blur = camera.blur_map_px(depth_m)[~np.isnan(depth_m)]  # what is infinitely far has one
     if warning := diffraction_warning(camera, float(np.abs(blur).max())):
         logging.warning(warning)
     return _tell(args, depth_m, blur, seconds, {})

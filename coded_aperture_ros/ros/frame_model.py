@@ -205,12 +205,15 @@ class FrameModel(Generic[Model]):
                     depths_m = own.depth_m(bank.blur_sizes_px)
                 near_m, far_m = float(depths_m.min()), float(depths_m.max())
             bank = remap_bank(bank, camera, near_m, far_m)
-        elif bank.pattern and file_camera.setting_digest != self._first_camera.setting_digest:
-            bank = remap_bank(bank, camera, near_m, far_m)
         elif bank.mask_digest and bank.mask_digest != camera.mask.digest:
             raise InputError(
                 f"{config.camera_file}: the bank is for another mask than {camera.mask.name}"
             )
+        elif file_camera.setting_digest != self._first_camera.setting_digest:
+            if bank.pattern:
+                bank = remap_bank(bank, camera, near_m, far_m)
+            elif bank.mask_digest:  # the same filters, if their levels have depths still
+                bank = remap_bank(bank, camera)
         return self._make(camera=camera, bank=bank)
 
     def _warn_of_ends(self, bank: FilterBank, camera: Camera) -> None:
@@ -218,6 +221,11 @@ class FrameModel(Generic[Model]):
         if depths_m is None or not depths_are_measured(bank):
             depths_m = camera.depth_m(bank.blur_sizes_px)
         near_m, far_m = self._config.near_m, self._config.far_m
+        if depths_m.max() <= near_m or 0 < far_m <= depths_m.min():
+            raise InputError(
+                f"near_m, far_m: {near_m:g} to {far_m:g} m, but the bank's levels are at "
+                f"{depths_m.min():.4g} to {depths_m.max():.4g} m: set a range that they reach into"
+            )
         ends = (
             (near_m and depths_m.min() >= near_m, depths_m.min(), "nearer"),
             (far_m and depths_m.max() <= far_m, depths_m.max(), "farther"),

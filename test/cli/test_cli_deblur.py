@@ -487,6 +487,11 @@ def test_unusable_frames(scene, tmp_path, capsys, name):
     assert everything(tmp_path) == before
 
 
+def test_a_map_of_motion_of_another_kind_is_refused(scene, tmp_path, capsys):
+    options = ("--method", "cg", "--motion", scene.bank)
+    refused(deblur(capsys, scene, tmp_path / "out.png", *options), "expected a .npy as depth")
+
+
 @pytest.mark.parametrize(
     ("output", "phrase"),
     [
@@ -569,6 +574,14 @@ def test_simulate_tells_the_blur_of_the_whole_field(scene, tmp_path, capsys):
     assert summary["blur_size_min_px"] == pytest.approx(blur_size_px.min(), abs=1e-3)
     assert summary["blur_size_max_px"] == pytest.approx(blur_size_px.max(), abs=1e-3)
     assert np.ptp(blur_size_px) > 0.5
+
+
+def test_a_scene_at_infinity_is_simulated(scene, tmp_path, capsys):
+    away = tmp_path / "away.npy"
+    np.save(away, np.full((HEIGHT, WIDTH), np.inf, np.float32))
+    summary = json.loads(simulate(capsys, scene, tmp_path / "a.npy", "--json", depth=away).out)
+    infinity_px = load_camera(scene.camera).blur_at_infinity_px
+    assert summary["blur_size_max_px"] == pytest.approx(infinity_px, abs=1e-3)
 
 
 def test_a_picture_that_is_cut_has_the_middle_of_the_field(scene, tmp_path, capsys):
@@ -698,6 +711,7 @@ def test_a_random_scene_is_simulated_with_its_truth_beside_it(tmp_path, capsys):
         (("--image", "x.png", "--mask", "zhou"), "required: --camera, --depth"),
         (("--random", 3, "--image", "x.png"), "--random makes a scene of its own"),
         (("--random", -1), "--random: expected 0 or more"),
+        (("--random", 1, "--depth-scale", 2), "--depth-scale: not with --random"),
         (("--random", "x"), "argument --random: invalid int value"),
         (("--random", 3, "--size", 5, 5), "--size: expected at least 16"),
         (("--random", 3, "--side", "left"), "--side: invalid choice"),

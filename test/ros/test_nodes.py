@@ -423,6 +423,12 @@ def test_a_bank_for_another_setting_is_refused_at_start(ros, model, tmp_path):
         Chain(ros, {**model, "bank": str(tmp_path / "bank.npz")})
 
 
+def test_a_range_that_the_bank_does_not_reach_into_is_refused_at_start(ros, model):
+    for range_m in ({"near_m": 60.0, "far_m": 90.0}, {"near_m": 0.1, "far_m": 0.2}):
+        with pytest.raises(InputError, match=r"near_m, far_m: .*the bank's levels are at"):
+            Chain(ros, {**model, **range_m})
+
+
 def test_frames_that_do_not_fit_are_told(ros, model, coded):
     chain = Chain(ros, {**model, "temporal.frames": 0.0}, subscribe=("depth/image",))
     chain.result(mono8(coded))
@@ -920,5 +926,19 @@ def test_a_camera_file_of_the_other_side_is_refused_while_the_node_runs(
     (result,) = chain.node.set_parameters([Parameter("camera_file", value=str(near))])
     assert not result.successful
     assert "its side is near" in result.reason
+    depth = array_from_image(chain.result(mono8(coded)))
+    assert abs(np.nanmedian(depth) - DEPTH_M) < 0.06 * DEPTH_M
+
+
+def test_a_camera_file_that_leaves_the_levels_without_depths_is_refused_while_the_node_runs(
+    ros, model, coded, tmp_path
+):
+    values = yaml.safe_load(Path(model["camera_file"]).read_text())
+    small = tmp_path / "small.yaml"
+    small.write_text(yaml.safe_dump(values | {"mask_extent_mm": values["mask_extent_mm"] / 9}))
+    chain = Chain(ros, model)
+    (result,) = chain.node.set_parameters([Parameter("camera_file", value=str(small))])
+    assert not result.successful
+    assert "infinity" in result.reason
     depth = array_from_image(chain.result(mono8(coded)))
     assert abs(np.nanmedian(depth) - DEPTH_M) < 0.06 * DEPTH_M

@@ -86,6 +86,7 @@ def test_shot_noise_that_hides_the_dark_is_told():
         ([scene(), scene()[:-1]], r"frame 2 has the shape \[299, 400\]"),
         (frames_of(1 + 0 * scene(), 0.0, 0.0), "neither black nor saturated"),
         ([frames_of(scene(), 0.002, 0)[0], np.roll(scene(), 1, axis=1)], "something moved"),
+        (frames_of(scene(), 0.002, 0)[:1] + frames_of(scene()[::-1], 0.002, 0)[1:], "% off"),
     ],
 )
 def test_frames_that_cannot_be_used(frames, phrase):

@@ -165,6 +165,8 @@ def test_the_command(planes, tmp_path, capsys, caplog):
     printed = yaml.safe_load(call(capsys, *arguments).out)
     assert printed == {key: told[key] for key in ("mask_extent_mm", "field_curvature")}
     assert camera_from_mapping({**content, **printed}).field_curvature
+    camera.write_text(yaml.safe_dump({**content, "image_width": 512, "image_height": 384}))
+    refused(call(capsys, *arguments), "the pictures have 256x192")
     camera.write_text(yaml.safe_dump({**content, "focus_distance_m": 3.4, "side": "near"}))
     refused(call(capsys, *arguments, "--depths", "3.1,3.15,3.2,3.25,3.3,3.35"), "3 are needed")
 

@@ -309,6 +309,10 @@ def test_command_with_a_camera_file_and_json(tmp_path, capsys):
     found, _ = paths_of_svg(output.read_text())
     assert extent_of(found["hole"])[0] == pytest.approx([11, 11], abs=1e-3)
     assert extent_of(found["rim"])[0] == pytest.approx([40, 40], abs=1e-3)
+    half = call(capsys, *arguments, "--extent-mm", 5.5, "-o", output, "--json")
+    half = json.loads(half.out)
+    airy_px, of_half_px = (each["airy_widths_px"][0] for each in (summary, half))
+    assert of_half_px == pytest.approx(2 * airy_px, abs=2e-3)
 
 
 def test_a_mask_from_a_file(tmp_path, capsys, caplog):
