@@ -97,7 +97,7 @@ class FrameModel(Generic[Model]):
         self._bank = load_bank(config.bank) if config.bank else None
         if self._bank is not None:
             camera = check_setting(self._bank, camera)
-            self._warn_of_ends(self._bank, camera)
+            self._check_ends(self._bank, camera)
         model = self._made(self._first_camera, camera, config)
         self._state = _State(self._first_camera, camera, model)
         self._prepared: _State[Model] | None = None
@@ -216,7 +216,7 @@ class FrameModel(Generic[Model]):
                 bank = remap_bank(bank, camera)
         return self._make(camera=camera, bank=bank)
 
-    def _warn_of_ends(self, bank: FilterBank, camera: Camera) -> None:
+    def _check_ends(self, bank: FilterBank, camera: Camera) -> None:
         depths_m = bank.stack.depths_m
         if depths_m is None or not depths_are_measured(bank):
             depths_m = camera.depth_m(bank.blur_sizes_px)
