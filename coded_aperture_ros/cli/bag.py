@@ -95,6 +95,9 @@ def run(args: argparse.Namespace) -> int:
     check_estimator_options(args)
     if args.camera is None:
         args.usage_error("the following arguments are required: --camera")
+    deblurring = {"rank": args.deblur_rank, "band": args.deblur_band}
+    if args.deblur == "none" and deblurring != {"rank": _DEBLUR_RANK, "band": "full"}:
+        args.usage_error("--deblur none takes neither --deblur-rank nor --deblur-band")
     if processors() > 1:
         load_in_fork_server("coded_aperture_ros.bags.workers")
     from coded_aperture_ros.bags.conversion import BagConversion
@@ -105,10 +108,7 @@ def run(args: argparse.Namespace) -> int:
     source, target = Path(args.input), Path(args.output)
     check_bag_output(target, [source, *inputs_of(args, "bank", "camera")], args.overwrite)
     camera = load_camera(args.camera)
-    deblur = None
-    if args.deblur != "none":
-        deblur = DeblurConfig(method=args.deblur, rank=args.deblur_rank, band=args.deblur_band)
-
+    deblur = None if args.deblur == "none" else DeblurConfig(args.deblur, **deblurring)
     asked = {"motion": args.motion, "free_space": args.free_space_risk}
     asked |= dict.fromkeys(("second", "second_share"), args.second_surface)
     conversion = BagConversion(

@@ -191,6 +191,7 @@ def _check_usage(args: argparse.Namespace) -> None:
         (args.camera and not remap and not ranged, "--camera needs --depth-range NEAR FAR"),
         (args.planes and args.images, "--images does not go with --planes: they have textures"),
         (tuned and not args.camera, "--budget-ms needs --camera, which says how large frames are"),
+        (args.gamma != 1 and not (args.images or args.planes), "--gamma is that of pictures: none"),
         (args.budget_threads and not tuned, "--budget-threads only goes with --budget-ms"),
         *((True, f"{name} does not go with {other}, see --help") for name in chosen),
     ):

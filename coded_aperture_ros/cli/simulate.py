@@ -101,8 +101,8 @@ def _check_which_scene(args: argparse.Namespace) -> None:
         return
     if len(missing) < len(_OF_A_SCENE):
         args.usage_error(f"--random makes a scene of its own: without --{', --'.join(_OF_A_SCENE)}")
-    if args.depth_scale is not None:
-        args.usage_error("--depth-scale: not with --random, which knows its depths")
+    if args.depth_scale is not None or args.gamma != 1:
+        args.usage_error("--depth-scale and --gamma: not with --random, which makes what they read")
     if args.random < 0:
         args.usage_error(f"--random: expected 0 or more, got {args.random}")
     if args.size is not None and min(args.size) < _SMALLEST_PX:

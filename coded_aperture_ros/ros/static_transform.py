@@ -6,9 +6,7 @@ from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-# From a body frame (x forward, y left, z up) to an optical one (x right, y down, z forward):
-# yaw and roll of -90 degrees (REP 103).
-_OPTICAL_YAW_ROLL = (-math.pi / 2, -math.pi / 2)
+from coded_aperture_ros.core.errors import InputError
 
 
 def optical_transform(
@@ -19,16 +17,19 @@ def optical_transform(
 ) -> TransformStamped:
     """Return the transform of a camera that looks forward from `base_frame`.
 
-    The base frame has x forward, y left, z up; the optical one x right, y down, z forward. The
-    camera is at `position_m` in the base frame, and looks down by `pitch_rad`.
+    Their axes: x forward, y left, z up, and x right, y down, z forward. The camera is at
+    `position_m` in the base frame, and looks down by `pitch_rad`. `InputError` if both are one.
     """
     from scipy.spatial.transform import Rotation
 
+    if base_frame == optical_frame:
+        raise InputError(f"base.frame: is {base_frame}, as frame_id: give the robot's frame, or ''")
     transform = TransformStamped(child_frame_id=optical_frame)
     transform.header.frame_id = base_frame
     translation, rotation = transform.transform.translation, transform.transform.rotation
     translation.x, translation.y, translation.z = (float(value) for value in position_m)
-    turned = Rotation.from_euler("YZX", (pitch_rad, *_OPTICAL_YAW_ROLL))
+    # From a body's axes to optical ones: yaw and roll of -90 degrees (REP 103).
+    turned = Rotation.from_euler("YZX", (pitch_rad, -math.pi / 2, -math.pi / 2))
     rotation.x, rotation.y, rotation.z, rotation.w = map(float, turned.as_quat())
     return transform
 

@@ -506,6 +506,12 @@ def test_options_of_motion_that_do_not_fit_are_refused(scene, tmp_path, capsys):
     assert call(capsys, *command(scene, "in", tmp_path / "out", *turning)).status == 2
 
 
+@pytest.mark.parametrize("options", [("--deblur-rank", 6), ("--deblur-band", "half")])
+def test_without_deblurring_its_settings_are_refused(scene, tmp_path, capsys, options):
+    refused = call(capsys, *command(scene, "in", tmp_path / "out", "--deblur", "none", *options))
+    assert refused.status == 2 and "neither --deblur-rank nor --deblur-band" in refused.err
+
+
 @pytest.mark.parametrize("options", [("--bank", "x.npz"), ("--camera", "x.yaml"), ()])
 def test_bank_and_camera_are_required(capsys, options):
     assert call(capsys, "bag", "in", "-o", "out", *options).status == 2

@@ -127,6 +127,7 @@ REMAP = ("--remap", "bank.npz", "--camera", "camera.yaml")
         (("--planes", "folder", "--psfs", "a.npz"), "not allowed with"),
         (("--planes", "folder", "--depths", "1,2"), "--depths only goes with --psfs"),
         (("--planes", "folder", "--images", "other"), "--images does not go with --planes"),
+        ((*CAMERA_RANGE, "--gamma", "srgb"), "--gamma is that of pictures: none"),
         ((*CAMERA_RANGE, "--budget-threads", 2), "--budget-threads only goes with --budget-ms"),
         ((*CAMERA_RANGE, "--budget-ms", 50, "--rank", 32), "--rank does not go with --budget-ms,"),
         ((*REMAP, "--window-px", 64), "--window-px does not go with --remap"),

@@ -142,4 +142,5 @@ def test_command_names_the_file(tmp_path, capsys):
     refused(call(capsys, "calibrate", "noise", *paths), paths[1], paths[0], "[291, 400]")
     (tmp_path / "same.png").write_bytes(paths[0].read_bytes())
     refused(call(capsys, "calibrate", "noise", paths[0], tmp_path / "same.png"), "are equal")
+    refused(call(capsys, "calibrate", "noise", tmp_path / "nowhere"), "nowhere", "no such")
     wrong_usage(call(capsys, "calibrate", "noise", paths[0]), "calibrate noise", "two or more")
