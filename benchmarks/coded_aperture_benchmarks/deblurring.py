@@ -25,7 +25,7 @@ from coded_aperture_benchmarks.rows import place
 from coded_aperture_benchmarks.run import Row
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import options_of
-from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
+from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, Uncertainty
 from coded_aperture_ros.imaging.noise import NOISE_FLOOR
 from coded_aperture_ros.optics import PsfStack
 
@@ -58,10 +58,14 @@ class Practice:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Deblurred:
-    """What a method made of a frame, and how long that took without preparations."""
+    """What a method made of a frame, and how long that took without preparations.
+
+    Our own say how far it can be relied on; that is not in the time.
+    """
 
     sharp: Picture
     seconds: float
+    uncertainty: Uncertainty | None = None
 
 
 def own_methods() -> tuple[str, ...]:
@@ -178,7 +182,8 @@ def deblur(
         blur = np.asarray(blur_size_px, np.float32)
         start = time.perf_counter()
         sharp = deblurrer.deblur(coded, blur)
-        return Deblurred(sharp, time.perf_counter() - start)
+        seconds = time.perf_counter() - start
+        return Deblurred(sharp, seconds, deblurrer.uncertainty(coded, sharp, blur))
     if strength is None:
         raise ValueError(f"{method} needs a strength")
     level = nearest_level(blur_size_px, stack)

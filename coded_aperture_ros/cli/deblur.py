@@ -5,6 +5,7 @@ import dataclasses
 import json
 import time
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.estimators import CAMERA_OPTION, fit_camera
@@ -33,6 +34,8 @@ _EPILOG = """examples:
     coded_aperture deblur --bank bank.npz --depth moving.npy --motion moving.motion.npy \\
         --method cg coded.png -o sharp.png
 """
+# What --std-dev writes beside a picture, and the steps of grey of the second.
+_BESIDE, _GREY = (".std_dev.npy", ".kind.png"), 127
 
 
 def add_parser(subparsers: Any) -> None:
@@ -57,6 +60,9 @@ def add_parser(subparsers: Any) -> None:
     }
     add_options(parser, needed, required=True)
     add_options(parser, CAMERA_OPTION | motion)
+    beside = "write OUT.std_dev.npy, standard deviations in linear light, and OUT.kind.png: which "
+    beside += "pixels are made up (black), uncertain (grey) and seen (white)"
+    add_options(parser, {"--std-dev": beside})
     add_stereo_options(parser)
     add_gamma_option(parser)
     add_options(parser, {"--json": "print a summary as JSON"})
@@ -72,12 +78,16 @@ def run(args: argparse.Namespace) -> int:
     bank = load_bank(args.bank)
     camera = load_camera(args.camera) if args.camera else None
     stereo = StereoOutput(args, bank.stack, camera)
-    restore, reset = _restorer(args, bank, camera)
+    restore, reset, uncertainty = _restorer(args, bank, camera)
+
+    def outputs(output: Path) -> list[Path]:
+        return stereo.outputs(output) + [output.with_suffix(end) for end in _BESIDE * args.std_dev]
+
     encoding: dict[str, Any] = {} if args.gamma == 1 else {"bits": 8, "gamma": args.gamma}
     summaries = []
     unusable = Unusable()
     video: int | None = None
-    for frame in named_frames(args, ".png", PICTURE_SUFFIXES, stereo.outputs, unusable):
+    for frame in named_frames(args, ".png", PICTURE_SUFFIXES, outputs, unusable):
         if frame.video != video:
             reset()
             video = frame.video
@@ -87,11 +97,17 @@ def run(args: argparse.Namespace) -> int:
                 suitable(frame, bank)
                 stereo.check(frame.image)
                 sharp, blur_size_px = restore(frame)
+                if args.std_dev:
+                    found = uncertainty(frame.coloured, sharp, blur_size_px)
         except InputError as error:
             unusable.note(error)
             continue
         seconds = time.perf_counter() - start
         write_image(frame.output, sharp, **encoding)
+        if args.std_dev:
+            std_dev, kinds = (frame.output.with_suffix(end) for end in _BESIDE)
+            write_image(std_dev, found.std_dev)
+            write_image(kinds, (_GREY * found.kind).astype("uint8"))
         written = stereo.write(frame.output, sharp, blur_size_px)
         summaries.append({"output": str(frame.output), "seconds": round(seconds, 3), **written})
         if not args.json:
@@ -103,8 +119,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _restorer(
     args: argparse.Namespace, bank: Any, camera: Any
-) -> tuple[Callable[[NamedFrame], tuple[Any, Any]], Callable[[], None]]:
-    """Return what makes all-in-focus frames and maps of blur sizes, and what begins a video."""
+) -> tuple[Callable[[NamedFrame], tuple[Any, Any]], Callable[[], None], Callable[..., Any]]:
+    """Return what makes pictures and maps of blur sizes, what begins a video, what tells errors."""
     from coded_aperture_ros.bank import check_setting
     from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, covers_frame
     from coded_aperture_ros.depth import DepthConfig, blur_sizes_px
@@ -145,7 +161,8 @@ def _restorer(
             )
         return deblurrer.deblur(frame.coloured, blur_size_px, motion_px=motion_px), blur_size_px
 
-    return restored, deblurrer.reset if pipeline is None else pipeline.reset
+    reset = deblurrer.reset if pipeline is None else pipeline.reset
+    return restored, reset, deblurrer.uncertainty
 
 
 def _iterations(steps: Iterable[Any]) -> Iterable[Any]:

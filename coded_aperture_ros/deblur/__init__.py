@@ -11,4 +11,5 @@ from coded_aperture_ros.deblur.stereo import (
     side_by_side,
     stereo_pair,
 )
+from coded_aperture_ros.deblur.uncertainty import FILLED, SEEN, UNCERTAIN, Uncertainty
 from coded_aperture_ros.deblur.views import openings, view_through

@@ -17,8 +17,9 @@ from coded_aperture_ros.deblur.blur_map import (
 )
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fast import ClosedForm, Fast, Inverse
-from coded_aperture_ros.deblur.iterative import Iterative
+from coded_aperture_ros.deblur.iterative import Iterative, blur_operator
 from coded_aperture_ros.deblur.least_squares import in_few_steps, until_little_changes
+from coded_aperture_ros.deblur.operator import frame_within
 from coded_aperture_ros.deblur.problem import (
     Method,
     Problem,
@@ -28,6 +29,7 @@ from coded_aperture_ros.deblur.problem import (
     opponents,
 )
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
+from coded_aperture_ros.deblur.uncertainty import Uncertainty, uncertainty_of
 from coded_aperture_ros.imaging import KnownNoise, channel_noise, check_frame
 from coded_aperture_ros.optics import PsfStack
 
@@ -151,6 +153,40 @@ class Deblurrer:
             as_recorded[shines] = False
             sharp = np.where(as_recorded, recorded, sharp)
         return np.clip(sharp, 0, 1)
+
+    def uncertainty(
+        self,
+        frame: FloatArray,
+        sharp: FloatArray,
+        blur_size_px: FloatArray,
+        noise: float | None = None,
+    ) -> Uncertainty:
+        """Return how far each pixel of an all-in-focus frame can be relied on.
+
+        It takes a few tenths of a second at 640x480, as occlusion is reckoned with. Of frames that
+        a video averages the noise is that of one.
+
+        Parameters
+        ----------
+        frame, blur_size_px, noise
+            What `deblur` was given.
+        sharp : ndarray, float32, like `frame`
+            What it has made of them.
+
+        Raises
+        ------
+        InputError
+            As from `deblur`, or if `sharp` has another shape than `frame`.
+        """
+        check_frame(frame)
+        frame, measured, _ = measured_pixels(frame, self.config.saturation)
+        noise = noise or channel_noise(frame, KnownNoise.of(self.config))
+        blur = filled_blur_map(blur_size_px, frame)
+        how = self.config.occlusion, None, self._workers
+        operator = blur_operator(self._basis(), blur, *how)
+        seen = frame_within(operator.adjoint(measured.astype(np.float32))[0], operator)
+        known = known_pixels(blur_size_px, frame.shape)
+        return uncertainty_of(frame, sharp, blur, known, seen, noise)
 
     def _blur_map(self, blur_size_px: FloatArray, frame: FloatArray, moves: bool) -> FloatArray:
         """Return the blur sizes to deblur by, as much smaller as the method wants them."""

@@ -72,7 +72,8 @@ class Iterative:
         count = problem.frame_count
         most = float(np.max(count))
         noise = problem.noise / float(np.sqrt(most))
-        operator = self._operator(problem)
+        how = self._config.occlusion, problem.motion_px, self._workers
+        operator = blur_operator(self._basis(), problem.blur_size_px, *how)
         weight = problem.measured * (count / np.float32(most))
         if operator.hidden is None:
             weight = weight * model_weight(problem.blur_size_px, noise)
@@ -102,16 +103,23 @@ class Iterative:
         small = filled_blur_map(blur, channels[0], self._closed_form.reduction)
         return self._closed_form.restore(channels, small, noise / 3)
 
-    def _operator(self, problem: Problem) -> BlurOperator:
-        basis, blur, workers = self._basis(), problem.blur_size_px, self._workers
-        if problem.motion_px is not None:
-            return SpreadingBlur(basis, blur, workers, motion_parts(problem.motion_px))
-        # It needs to know what is in front, and memory.
-        fits = basis.in_pixels and basis.kernels[0].size * blur.size <= _OCCLUSION_BYTES
-        reckons = {"yes": True, "no": False, "auto": fits}
-        if reckons[self._config.occlusion]:
-            return OccludedBlur(basis, blur, workers)
-        return SpreadingBlur(basis, blur, workers)
+
+def blur_operator(
+    basis: PsfBasis,
+    blur_size_px: FloatArray,
+    occlusion: str,
+    motion_px: FloatArray | None,
+    workers: Workers,
+) -> BlurOperator:
+    """Return the blur of a scene with these blur sizes; see `DeblurConfig` for `occlusion`."""
+    if motion_px is not None:
+        return SpreadingBlur(basis, blur_size_px, workers, motion_parts(motion_px))
+    # It needs to know what is in front, and memory.
+    fits = basis.in_pixels and basis.kernels[0].size * blur_size_px.size <= _OCCLUSION_BYTES
+    reckons = {"yes": True, "no": False, "auto": fits}
+    if reckons[occlusion]:
+        return OccludedBlur(basis, blur_size_px, workers)
+    return SpreadingBlur(basis, blur_size_px, workers)
 
 
 def preconditioner(

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from cli_scene import CAMERA, call, json_of, texture
 from coded_aperture_benchmarks.deblurring import ahead, ahead_text, own_methods
+from coded_aperture_benchmarks.frames.random_scenes import RandomScene
+from coded_aperture_benchmarks.frames.ray_traced import bank_for
 from coded_aperture_benchmarks.frames.stair import make_stair
 from coded_aperture_benchmarks.reference.deblurring import (
     PLANE_METHODS,
@@ -26,6 +28,8 @@ from coded_aperture_benchmarks.textures import load_textures
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
+from coded_aperture_ros.depth import DepthEstimator
 from coded_aperture_ros.io import read_image, write_image
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation import render_coded_frame
@@ -431,3 +435,24 @@ def test_speed_tells_time_of_grey_and_colour(capsys):
     wrong = call(capsys, *small, "--methods", "best")
     assert wrong.status == 2
     assert "unknown method 'best', use some of fast, inverse, cg, sparse" in wrong.err
+
+
+@pytest.mark.parametrize("method", ["fast", "cg"])
+def test_about_two_thirds_of_the_errors_are_within_a_standard_deviation(method):
+    """Of scenes that did not set its numbers; with estimated depth."""
+    within, ratios = [], []
+    for seed in (2_000_101, 2_000_103, 2_000_107):
+        (scene,) = RandomScene(seed, "far", (240, 320)).views("levin")
+        bank = bank_for(scene.camera, scene.depth_m, 30)
+        noise = np.random.default_rng(seed).normal(0, 0.002, (240, 320))
+        frame = (scene.coded[..., 0] + noise).astype(np.float32)
+        blur = DepthEstimator(bank).estimate(frame).blur_size_px
+        of = Deblurrer(bank.stack, DeblurConfig(method=method))
+        sharp = of.deblur(frame, blur)
+        std_dev = of.uncertainty(frame, sharp, blur).std_dev
+        error = np.abs(sharp - scene.sharp[..., 0])
+        within.append((error <= std_dev).mean())
+        less = std_dev > np.median(std_dev)
+        ratios.append(error[less].mean() / error[~less].mean())
+    assert 0.55 < np.mean(within) < 0.8
+    assert min(ratios) > 1.5 and np.mean(ratios) > 2

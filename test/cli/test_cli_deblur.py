@@ -332,6 +332,16 @@ def test_3d_pictures_beside_the_sharp_one(scene, tmp_path, capsys):
     assert np.quantile(difference, 0.99) < 0.02
 
 
+def test_how_far_it_can_be_relied_on_beside_the_sharp_one(scene, tmp_path, capsys):
+    result = deblur(capsys, scene, tmp_path / "a.npy", "--std-dev", depth=scene.depth_npy)
+    assert (result.status, result.err) == (0, "")
+    assert names(tmp_path) == ["a.kind.png", "a.npy", "a.std_dev.npy"]
+    kind = cv2.imread(str(tmp_path / "a.kind.png"), cv2.IMREAD_UNCHANGED)
+    std_dev, size = np.load(tmp_path / "a.std_dev.npy"), np.load(tmp_path / "a.npy").shape[:2]
+    assert kind.shape == std_dev.shape == size and set(np.unique(kind)) <= {0, 127, 254}
+    assert kind.mean() > 127 and 0 < np.median(std_dev) < 0.1
+
+
 def test_default_parallax_is_a_share_of_the_width(scene, tmp_path, capsys):
     options = ("--stereo", tmp_path / "both.npy")
     assert deblur(capsys, scene, tmp_path / "a.npy", *options, depth=scene.depth_npy).status == 0

@@ -29,6 +29,8 @@ _PARTS = {
     "near": f"within {_NEAR_EDGE_PX} px of a depth edge",
     "away": "farther from depth edges",
 }
+# By their numbers in an `Uncertainty`.
+_KINDS = ("filled", "uncertain", "seen")
 # The practice frame is a patchwork of photographs, none of which is smaller.
 _PATCH_PX = 240
 # Three blocks a side differ by less than the noise, and take twice the time.
@@ -134,9 +136,30 @@ def measure(cell: Cell) -> Measured:
         }
         best = done[strengths["all"]]
         ringing = _ringing(best.sharp, seen)
-        rows.append(_row(cell, depth, scores, ringing, round(best.seconds, 3)))
+        row = _row(cell, depth, scores, ringing, round(best.seconds, 3))
+        rows.append({**row, "uncertainty": _relied_on(best, seen.scene.sharp)})
         sharp[depth] = best.sharp
     return Measured(cell.view, rows, sharp)
+
+
+def _relied_on(done: deblurring.Deblurred, truth: deblurring.Picture) -> Row:
+    """Return how many of all values are within the stated standard deviation; and by kind."""
+    if done.uncertainty is None:
+        return {}
+    error = np.abs(np.atleast_3d(done.sharp - truth))
+    within = (error <= done.uncertainty.std_dev[..., None]).mean(axis=2)
+    kinds = {kind: done.uncertainty.kind == number for number, kind in enumerate(_KINDS)}
+    return {
+        "within_std_dev": float(within.mean()),
+        **{
+            kind: {
+                "share": float(where.mean()),
+                "rms_error": float(np.sqrt((error[where] ** 2).mean())) if where.any() else None,
+                "within_std_dev": float(within[where].mean()) if where.any() else None,
+            }
+            for kind, where in kinds.items()
+        },
+    }
 
 
 def _row(
@@ -255,6 +278,8 @@ def _text(results: Row) -> str:
         "depth": lambda row: row["depth"] or "-",
         **{title: partial(_score_text, part=part) for part, title in _PARTS.items()},
         "overshoot": lambda row: f"{100 * row['overshoot']:.1f} %",
+        "within std dev": lambda row: or_dash(_within(row), "{:.0%}"),
+        "rms error filled / uncertain / seen": _by_kind,
         "time": lambda row: or_dash(row["seconds"], "{:.1f} s"),
     }
     parts = [
@@ -274,6 +299,17 @@ def _text(results: Row) -> str:
             for part, title in _PARTS.items()
         ]
     return "\n\n".join(parts)
+
+
+def _within(row: Row) -> float | None:
+    within: float | None = row.get("uncertainty", {}).get("within_std_dev")
+    return within
+
+
+def _by_kind(row: Row) -> str:
+    kinds = [row["uncertainty"][kind] for kind in _KINDS] if _within(row) is not None else []
+    texts = [f"{or_dash(kind['rms_error'], '{:.4f}')} ({kind['share']:.0%})" for kind in kinds]
+    return " / ".join(texts) or "-"
 
 
 def _score_text(row: Row, part: str) -> str:

@@ -1,0 +1,60 @@
+"""How far every pixel of an all-in-focus frame can be relied on."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
+from coded_aperture_ros.core.errors import InputError
+
+# What became of a pixel: no light of it was measured, or next to none, and it was made up from
+# what is beside it; its depth is not known, or another surface is near; neither.
+FILLED, UNCERTAIN, SEEN = range(3)
+# Of the aperture, what has to see a pixel at least.
+_LEAST_SEEN = 0.5
+# How far the light of another surface reaches, px, and by how much its blur differs, px.
+_NEAR_PX, _OTHER_PX = 9, 1.5
+# The error of a pixel is about so many times what deblurring has changed around it, to a power: of
+# 71 random scenes behind three masks, noise 0.001 to 0.005, all methods but `inverse`. Half of the
+# scenes set these numbers; of the others' pixels 70 % are within, of their worst scene's 44 %.
+_OF_CHANGE = np.array([0.36, 0.29, 0.27], np.float32)  # by `FILLED` and so on
+_POWER = 0.7
+_AROUND_PX = 5
+# What is left of the noise in any case: in standard deviations, and as a change.
+_OF_NOISE, _LEAST_CHANGE = 1.5, 0.7
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """Of the pixels of an all-in-focus frame; both [rows, columns]."""
+
+    std_dev: FloatArray  # float32; of a channel's error, linear light
+    kind: IndexArray  # `FILLED`, `UNCERTAIN` or `SEEN`
+
+
+def uncertainty_of(
+    frame: FloatArray,
+    sharp: FloatArray,
+    blur_size_px: FloatArray,
+    known: BoolArray,
+    seen: FloatArray,
+    noise: float,
+) -> Uncertainty:
+    """Return it for a frame and what deblurring has made of it, with `noise` in a channel.
+
+    Maps [rows, columns] say how large the blur is, where that was measured, and how much of the
+    aperture sees a pixel: 0 where the frame has no light of it, 1 where all does.
+    """
+    if sharp.shape != frame.shape:
+        shapes = f"expected {list(frame.shape)}, got {list(sharp.shape)}"
+        raise InputError(f"all-in-focus frame: {shapes}")
+    change = np.atleast_3d(sharp - frame)
+    around = cv2.blur((change * change).mean(axis=2), (_AROUND_PX, _AROUND_PX))
+    beside = np.ones((2 * _NEAR_PX + 1,) * 2, np.uint8)
+    relief = cv2.dilate(blur_size_px, beside) - cv2.erode(blur_size_px, beside)
+    kind = np.where(known & (relief <= _OTHER_PX), SEEN, UNCERTAIN)
+    kind[seen < _LEAST_SEEN] = FILLED
+    power = around + np.float32((_LEAST_CHANGE * noise) ** 2)
+    variance = (_OF_CHANGE[kind] ** 2) * power**_POWER + np.float32((_OF_NOISE * noise) ** 2)
+    return Uncertainty(np.sqrt(variance), kind)
