@@ -42,7 +42,6 @@ class DemoMonitor(Node):
         self._reported: dict[str, dict[str, str]] = {}
         self._before: dict[str, dict[str, str]] = {}
         self._begun_s = time.monotonic()
-        self._truth_wanted = False
         for topic in (CODED, DEPTH, CONFIDENCE, DEBLURRED, TRUE_DEPTH):
             self._subscribe(topic)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
@@ -82,9 +81,7 @@ class DemoMonitor(Node):
 
     def want_true_image(self) -> None:
         """Subscribe to the true image as well, for a snapshot."""
-        if not self._truth_wanted:
-            self._truth_wanted = True
-            self._subscribe(TRUE_IMAGE)
+        self._subscribe(TRUE_IMAGE)
 
     def snapshot(self) -> dict[str, FloatArray] | None:
         """Return the newest frame of which everything has been received: arrays by their topics."""
