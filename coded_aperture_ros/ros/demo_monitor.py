@@ -26,6 +26,8 @@ _PICTURES = (CODED, DEBLURRED, TRUE_IMAGE)
 _MAPS = (DEPTH, CONFIDENCE, TRUE_DEPTH)
 # Frames to keep until the last of their results has come.
 _KEPT_FRAMES = 60
+# The first frames find nodes that are not ready yet.
+_FIRST_FRAMES = 3
 
 
 class DemoMonitor(Node):
@@ -55,10 +57,10 @@ class DemoMonitor(Node):
             self._errors.clear()
             self._before = {node: dict(values) for node, values in self._reported.items()}
 
-    def received(self, topic: str) -> int:
-        """Return how many messages came on a measured topic since `begin`."""
+    def has_results(self) -> bool:
+        """Return whether all nodes work: some results of each have come since `begin`."""
         with self._lock:
-            return len(self._arrivals[topic])
+            return all(len(self._arrivals[topic]) >= _FIRST_FRAMES for topic in (DEPTH, DEBLURRED))
 
     def arrivals(self, topic: str) -> list[tuple[float, float]]:
         """Return when each message of a measured topic came, s from `begin`, and its latency, s.
