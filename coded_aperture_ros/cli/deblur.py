@@ -4,7 +4,8 @@ import argparse
 import dataclasses
 import json
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from coded_aperture_ros.cli.estimators import CAMERA_OPTION, fit_camera
@@ -115,7 +116,8 @@ def _restorer(
     config = config_from(args, DeblurConfig)
     noise = dataclasses.asdict(KnownNoise.of(config, camera, bank))
     config = dataclasses.replace(config, **noise)
-    deblurrer = Deblurrer(bank.stack, config, _iterations)
+    iterations = partial(progress, unit="iteration")
+    deblurrer = Deblurrer(bank.stack, config, iterations)
     if camera is not None:
         with naming(args.camera):
             camera = check_setting(bank, camera)
@@ -126,7 +128,7 @@ def _restorer(
         # A picture from depth that is not sure shows that itself.
         depth = DepthConfig(**noise, **shared, threads=args.threads or 0, check_fit=False)
         with naming(args.camera or args.bank):
-            pipeline = FramePipeline(bank, camera, depth, config, _iterations)
+            pipeline = FramePipeline(bank, camera, depth, config, iterations)
 
     def restored(frame: NamedFrame) -> tuple[Any, Any]:
         fitted = fit_camera(args, pipeline, camera, frame.image)
@@ -146,10 +148,6 @@ def _restorer(
         return deblurrer.deblur(frame.coloured, blur_size_px, motion_px=motion_px), blur_size_px
 
     return restored, deblurrer.reset if pipeline is None else pipeline.reset
-
-
-def _iterations(steps: Iterable[Any]) -> Iterable[Any]:
-    return progress(steps, unit="iteration")
 
 
 def _motion(args: argparse.Namespace) -> Any:
