@@ -281,7 +281,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         motion = self.configs[MotionConfig]
         self._model.change(lambda model: with_settings(model, motion))
         model, camera = self._model.model, self._model.camera
-        # OpenCV runs the network, which is too much for the one thread of `limit_threads`.
+        # OpenCV runs the network, which is too much for the one thread of `limit_libraries`.
         depth = self.configs[DepthConfig]
         if cv2.getNumThreads() != (threads := thread_count(depth.threads)):
             cv2.setNumThreads(threads)
