@@ -58,11 +58,6 @@ class FrameProcessor:
     prior: ExpectedMotion | None = None  # of all frames
     bits: int = 16  # of 16-bit frames
 
-    @property
-    def remembers(self) -> bool:
-        """Whether what is made of a frame depends on those before it."""
-        return self.pipeline.remembers
-
     def prepare(self, data: bytes) -> None:
         """Do with a message of a frame what the first one would wait for."""
         self(data)

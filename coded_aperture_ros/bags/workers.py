@@ -52,7 +52,7 @@ def in_order(
 def frame_workers(processor: FrameProcessor, first: bytes) -> Iterator[Submit]:
     """Yield what has a message of a frame processed, and returns what waits for the result.
 
-    There are as many processes as processors, which take turns. If the processor remembers frames,
+    There are as many processes as processors, which take turns. If the pipeline remembers frames,
     there is one process, which takes them in their order; with one processor, it is this one.
 
     They prepare with the message `first`. An `InputError` if a process ended by itself.
@@ -63,7 +63,7 @@ def frame_workers(processor: FrameProcessor, first: bytes) -> Iterator[Submit]:
         return
     load_in_fork_server(__name__)
     workers: list[_Worker] = []
-    count = 1 if processor.remembers else processors()
+    count = 1 if processor.pipeline.remembers else processors()
     config = processor.pipeline.estimator.config
     if count > 1 and not config.threads:  # every processor has its process
         processor.pipeline.reconfigure(depth=dataclasses.replace(config, threads=1))
@@ -124,7 +124,7 @@ def _serve(connection: Connection, processor: FrameProcessor, first: bytes) -> N
     # A terminal sends Ctrl-C to all processes: the program answers it for them.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Beside others one thread is enough; who works alone shares the work on each frame.
-    threads = processor.pipeline.estimator.config.threads if processor.remembers else 1
+    threads = processor.pipeline.estimator.config.threads if processor.pipeline.remembers else 1
     cv2.setNumThreads(thread_count(threads))
     messages: SimpleQueue[bytes] = SimpleQueue()
     threading.Thread(target=_take, args=(connection, messages), daemon=True).start()

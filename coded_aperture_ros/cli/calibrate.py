@@ -73,10 +73,6 @@ def run(args: argparse.Namespace) -> int:
     """Run the sub-command, or one of its actions; return its exit status."""
     if args.action is not None:
         return ACTIONS[args.action].run(args)
-    return _design(args)
-
-
-def _design(args: argparse.Namespace) -> int:
     from coded_aperture_ros import design
     from coded_aperture_ros.design.page import finite
     from coded_aperture_ros.optics import load_camera

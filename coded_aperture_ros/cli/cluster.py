@@ -1,7 +1,7 @@
 """The workers of a Dask scheduler, for what takes long."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any
 
 from coded_aperture_ros.core.errors import InputError
@@ -26,7 +26,5 @@ def dask_client(address: str) -> Iterator[Any]:
             f"--scheduler {address}: no Dask scheduler answers there: start one with "
             "'dask scheduler', and workers with 'dask worker ADDRESS'"
         ) from error
-    try:
+    with closing(client):
         yield client
-    finally:
-        client.close()

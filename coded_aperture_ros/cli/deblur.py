@@ -4,7 +4,8 @@ import argparse
 import dataclasses
 import json
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -131,7 +132,8 @@ def _restorer(
     config = config_from(args, DeblurConfig)
     noise = dataclasses.asdict(KnownNoise.of(config, camera, bank))
     config = dataclasses.replace(config, **noise)
-    deblurrer = Deblurrer(bank.stack, config, _iterations)
+    iterations = partial(progress, unit="iteration")
+    deblurrer = Deblurrer(bank.stack, config, iterations)
     if camera is not None:
         with naming(args.camera):
             camera = check_setting(bank, camera)
@@ -142,7 +144,7 @@ def _restorer(
         # A picture from depth that is not sure shows that itself.
         depth = DepthConfig(**noise, **shared, threads=args.threads or 0, check_fit=False)
         with naming(args.camera or args.bank):
-            pipeline = FramePipeline(bank, camera, depth, config, _iterations)
+            pipeline = FramePipeline(bank, camera, depth, config, iterations)
 
     def restored(frame: NamedFrame) -> tuple[Any, Any]:
         fitted = fit_camera(args, pipeline, camera, frame.image)
@@ -163,10 +165,6 @@ def _restorer(
 
     reset = deblurrer.reset if pipeline is None else pipeline.reset
     return restored, reset, deblurrer.uncertainty
-
-
-def _iterations(steps: Iterable[Any]) -> Iterable[Any]:
-    return progress(steps, unit="iteration")
 
 
 def _motion(args: argparse.Namespace) -> Any:

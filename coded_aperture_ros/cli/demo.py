@@ -36,8 +36,6 @@ DEBLUR = {"frames.max_rate_hz": 3.0}
 NODES = ("camera_driver_node", "depth_node", "deblur_node")
 
 _START_TIMEOUT_S = 60.0
-# The first frames find nodes that are not ready yet.
-_FRAMES_TO_START = 3
 _SNAPSHOT_TIMEOUT_S = 15.0
 _NO_RESULTS = "no depth and all-in-focus frames"
 _NO_SNAPSHOT = (
@@ -97,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
         children.start("deblur_node", {**model, **DEBLUR})
         say.line(f"starting {', '.join(NODES)} (ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']})")
         with running_monitor(reliable=not shared_memory) as monitor:
-            _wait(lambda: _begun(monitor), children, _START_TIMEOUT_S, _NO_RESULTS)
+            _wait(monitor.has_results, children, _START_TIMEOUT_S, _NO_RESULTS)
             _measure(monitor, children, say, options.seconds)
             summary = summarise(monitor, options.seconds)
             monitor.want_true_image()
@@ -136,12 +134,6 @@ def _wait(found: Callable[[], Any], children: Children, timeout_s: float, missin
             raise InputError(f"{missing} in {timeout_s:g} s{said}")
         time.sleep(0.1)
     return result
-
-
-def _begun(monitor: "DemoMonitor") -> bool:
-    from coded_aperture_ros.ros.demo_monitor import DEBLURRED, DEPTH
-
-    return min(monitor.received(topic) for topic in (DEPTH, DEBLURRED)) >= _FRAMES_TO_START
 
 
 def _measure(monitor: "DemoMonitor", children: Children, say: Speaker, seconds: float) -> None:

@@ -6,8 +6,9 @@ import json
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from itertools import groupby, tee
 from pathlib import Path
 from typing import Any
@@ -134,13 +135,7 @@ def run(args: argparse.Namespace) -> int:
     pipeline = pipeline_of(args, camera)
     prior = expected_motion_of(args, camera)
     both_sides = pipeline.estimator.model.stack.has_both_sides
-
-    def files(path: Path) -> dict[str, Path]:
-        return _files(path, args, both_sides)
-
-    def outputs(path: Path) -> Iterable[Path]:
-        return files(path).values()
-
+    files = partial(_files, args=args, both_sides=both_sides)
     unusable, bank = Unusable(), bank_of(pipeline.estimator.model)
 
     def fit(found: NamedFrame) -> NamedFrame:
@@ -150,7 +145,7 @@ def run(args: argparse.Namespace) -> int:
 
     shown: AbstractContextManager[Any] = movie(args.movie) if args.movie else nullcontext()
     scale = _scale(args, pipeline.estimator)
-    frames = named_frames(args, ".npy", _SUFFIXES, outputs, unusable)
+    frames = named_frames(args, ".npy", _SUFFIXES, lambda path: files(path).values(), unusable)
     summaries: list[dict[str, Any]] = []
     with shown as add_to_movie:
         for _, grouped in groupby(frames, key=lambda frame: frame.video):

@@ -7,8 +7,8 @@ from typing import Any
 
 from coded_aperture_ros.cli.options import (
     add_config_options,
-    add_numbers,
     add_options,
+    at_least,
     changed,
     config_from,
 )
@@ -55,7 +55,8 @@ def add_estimator_settings(parser: argparse.ArgumentParser, **defaults: Any) -> 
 
     add_config_options(parser, DepthConfig, "estimation", **defaults)
     simple = add_config_options(parser, SimpleConfig, "with --method simple")
-    add_numbers(simple, ("level-count", 2, DEFAULT_LEVEL_COUNT, "blur levels in the depth range"))
+    count = {"--level-count N": f"blur levels in the depth range (default {DEFAULT_LEVEL_COUNT})"}
+    add_options(simple, count, type=at_least(2), default=DEFAULT_LEVEL_COUNT)
     motion = add_config_options(parser, MotionConfig, "with --motion")
     parser.set_defaults(of_simple=simple, of_motion=motion)  # for what has a use for them
 

@@ -282,13 +282,6 @@ def add_options(
     return action
 
 
-def add_numbers(parser: argparse._ActionsContainer, *numbers: tuple[str, int, int, str]) -> None:
-    """Add options that are whole numbers: name, least, default, and what each is."""
-    for name, least, default, what in numbers:
-        written = {f"--{name} N": f"{what} (default {default})"}
-        add_options(parser, written, type=at_least(least), default=default)
-
-
 def add_jobs_option(parser: argparse.ArgumentParser) -> None:
     """Add how many processes share the work."""
     what = {"--jobs N": "processes (default: one for each processor)"}

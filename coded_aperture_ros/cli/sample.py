@@ -113,9 +113,8 @@ def _record(path: Path, camera: Any, views: list[Any]) -> list[str]:
             bag.add_topic(codec.new_topic(topic, kind))
         for index, view in enumerate(views):
             time_ns = 10**9 + index * 10**9 // _RATE_HZ
-            stamp = dataclasses.replace(
-                info.header.stamp, sec=time_ns // 10**9, nanosec=time_ns % 10**9
-            )
+            sec, nanosec = divmod(time_ns, 10**9)
+            stamp = dataclasses.replace(info.header.stamp, sec=sec, nanosec=nanosec)
             header = dataclasses.replace(info.header, stamp=stamp, frame_id="camera_optical_frame")
             pixels = pixels_from_frame(view.coded, "mono16")
             size = view.depth_m.shape

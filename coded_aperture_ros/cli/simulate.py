@@ -118,12 +118,9 @@ def _random(args: argparse.Namespace, sensor: Any) -> int:
 
     output, mask = Path(args.output), args.mask or "levin"
     beside = {
-        name: output.with_suffix(end)
-        for name, end in (
-            ("depth", ".depth.npy"),
-            ("all_in_focus", f".all_in_focus{output.suffix}"),
-            ("camera", ".camera.yaml"),
-        )
+        "depth": output.with_suffix(".depth.npy"),
+        "all_in_focus": output.with_suffix(f".all_in_focus{output.suffix}"),
+        "camera": output.with_suffix(".camera.yaml"),
     }
     check_output([output, *beside.values()], inputs_of(args, "mask"))
     width, height = args.size or _SIZE
@@ -137,17 +134,10 @@ def _random(args: argparse.Namespace, sensor: Any) -> int:
     write_depth(beside["depth"], depth_m)
     with atomic_output(beside["camera"]) as path:
         path.write_text(_camera_text(scene.camera, mask))
-    return _tell(
-        args,
-        depth_m,
-        scene.blur_size_px(),
-        seconds,
-        {name: str(path) for name, path in beside.items()}
-        | {
-            "depth_near_m": round(float(depth_m.min()), 3),
-            "depth_far_m": round(float(depth_m.max()), 3),
-        },
-    )
+    more: dict[str, Any] = {name: str(path) for name, path in beside.items()}
+    more["depth_near_m"] = round(float(depth_m.min()), 3)
+    more["depth_far_m"] = round(float(depth_m.max()), 3)
+    return _tell(args, depth_m, scene.blur_size_px(), seconds, more)
 
 
 def _camera_text(camera: Any, mask: str) -> str:

@@ -32,7 +32,7 @@ class Option:
     choices: tuple[str, ...] | None = None  # the only values allowed
     read_only: bool = False  # whether a running node cannot change it
     formerly: tuple[str, ...] = ()  # names that the field had in earlier releases
-    # Name of the ROS parameter, such as ``regularize.method``; empty if it is the field's.
+    # Name of the ROS parameter, such as ``regularize.method``; empty: see `parameter_names`.
     parameter: str = ""
 
     @property
@@ -88,9 +88,15 @@ def options_of(config: Any) -> dict[str, tuple[dataclasses.Field[Any], Option]]:
 
 
 def parameter_names(config: Any) -> dict[str, str]:
-    """Return `{field name: name of the ROS parameter}` of a configuration dataclass."""
+    """Return `{field name: name of the ROS parameter}` of a configuration dataclass.
+
+    With a `parameter_group` of ``motion.`` those of its fields `motion_rank` and `finalists` are
+    ``motion.rank`` and ``motion.finalists``, unless their options say another name.
+    """
+    group = getattr(config, "parameter_group", "")
     return {
-        name: described.parameter or name for name, (_, described) in options_of(config).items()
+        name: described.parameter or group + name.removeprefix(group.replace(".", "_"))
+        for name, (_, described) in options_of(config).items()
     }
 
 

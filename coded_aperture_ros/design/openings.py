@@ -147,11 +147,8 @@ def outlines_of(mask: Mask) -> list[Outline]:
 
 def _cells_to_cut(mask: Mask) -> BoolArray:
     """Return which cells are open; finer ones of masks with curved outlines."""
-    black_and_white = np.isin(mask.transmission, (0.0, 1.0)).all()
-    return open_cells(mask) if black_and_white else _fine_cells(mask)
-
-
-def _fine_cells(mask: Mask) -> BoolArray:
+    if np.isin(mask.transmission, (0.0, 1.0)).all():
+        return open_cells(mask)
     steps = _STEPS_PER_CELL
     light = cv2.resize(
         np.pad(mask.transmission, 1), None, fx=steps, fy=steps, interpolation=cv2.INTER_LINEAR

@@ -35,15 +35,11 @@ _NEVER_SATURATED = 1e9
 NOISE_FLOOR = 2e-4
 
 
-def high_power(grey: FloatArray, grid: PatchGrid) -> FloatArray:
+def high_power(grey: FloatArray, grid: PatchGrid, kernel: FloatArray = ALTERNATING) -> FloatArray:
     """Return the mean power of the highest frequencies around every patch [rows, columns].
 
-    It is the variance of the noise, and what little there is of texture.
+    It is the variance of the noise, and what little there is of texture. The `kernel` passes them.
     """
-    return _passed_power(grey, grid, ALTERNATING)
-
-
-def _passed_power(grey: FloatArray, grid: PatchGrid, kernel: FloatArray) -> FloatArray:
     passed = cv2.sepFilter2D(grey, -1, kernel, kernel)
     cv2.multiply(passed, passed, passed)
     return mean_at(passed, grid, grid.window_px * 3 // 4)
@@ -149,7 +145,7 @@ def grey_noise(
     shot = None if shot_variance is None else shot_variance[telling]
     highest = estimate_noise(high_power(grey, grid)[telling], shot)
     # Noise that a sensor's colour filters have smoothed is missing from the highest frequencies.
-    lower = estimate_noise(_passed_power(grey, grid, HALF_AS_FAST)[telling], shot)
+    lower = estimate_noise(high_power(grey, grid, HALF_AS_FAST)[telling], shot)
     return GreyNoise(max(highest, _OF_HALF_AS_FAST * lower), shot_variance, highest)
 
 

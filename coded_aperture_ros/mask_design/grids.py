@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from coded_aperture_ros.core.arrays import BoolArray
 
@@ -28,14 +29,7 @@ def smallest_openings(grids: NDArray[np.floating]) -> NDArray[np.int64]:
 
 def squares_only(opened: BoolArray, side: int) -> BoolArray:
     """Keep of each mask [B, n, n] the cells that lie in open squares of a side (an opening)."""
-    count = opened.shape[-1] - side + 1
-    corners = np.ndindex(side, side)
-    places = [np.s_[:, row : row + count, left : left + count] for row, left in corners]
-    fits = np.logical_and.reduce([opened[place] for place in places])
-    kept = np.zeros_like(opened)
-    for place in places:
-        kept[place] |= fits
-    return kept
+    return np.asarray(ndimage.binary_opening(opened, np.ones((1, side, side), bool)))
 
 
 def is_connected(grid: BoolArray) -> bool:

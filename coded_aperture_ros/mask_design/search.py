@@ -23,7 +23,7 @@ from coded_aperture_ros.mask_design.grids import (
     changed,
     random_grids,
 )
-from coded_aperture_ros.mask_design.predict import SIGMAS, MaskScorer
+from coded_aperture_ros.mask_design.predict import MaskScorer
 from coded_aperture_ros.mask_design.spectra import SceneConfig
 
 _MASKS = 64
@@ -31,6 +31,7 @@ _FRONT = 60
 # Temperatures in the scale of the logarithm of the objective.
 _HOT, _COLD = 0.1, 0.002
 _TRIES = 30
+_scorer = lru_cache(maxsize=2)(MaskScorer)  # by the scene
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -261,8 +262,3 @@ def _objective(
 
 def _value(scores: DoubleArray, config: SearchConfig) -> DoubleArray:
     return np.log(scores[:, 0]) + config.deblurring * np.log(scores[:, 1])
-
-
-@lru_cache(maxsize=2)
-def _scorer(scene: SceneConfig) -> MaskScorer:
-    return MaskScorer(scene, SIGMAS)

@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import BoolArray
 from coded_aperture_ros.core.errors import InputError
 
 _RIGHT_WITHIN = 0.10
@@ -90,12 +89,6 @@ class RelativeError:
     within_10_percent: float  # share of those pixels
     coverage: float  # share of the pixels with a true depth that have a depth
     pixels: int  # number of pixels with a true depth
-
-    @staticmethod
-    def of(relative: NDArray[np.floating], part: BoolArray) -> "RelativeError":
-        """Summarise signed relative errors, NaN where unknown, of a part of the pixels."""
-        errors = np.abs(relative[part])
-        return RelativeError.of_known(errors[np.isfinite(errors)], int(np.count_nonzero(part)))
 
     @staticmethod
     def of_known(errors: NDArray[np.floating], pixels: int) -> "RelativeError":

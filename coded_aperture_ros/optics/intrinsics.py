@@ -112,27 +112,20 @@ class Intrinsics:
 
     def scaled(self, width: int, height: int) -> "Intrinsics":
         """Return the model of the same view resized; distortion acts on normalised coordinates."""
-        x, y = width / self.image_width, height / self.image_height
+        return self._placed(width, height, width / self.image_width, height / self.image_height)
+
+    def cut(self, view: View) -> "Intrinsics":
+        """Return the model of a part of the view, of which this is the whole."""
+        return self._placed(view.width, view.height, 1.0, 1.0, view.left, view.top)
+
+    def _placed(self, width: int, height: int, *place: float) -> "Intrinsics":
+        """Return the model of a picture of this size; for its place see `scaled_matrix`."""
         return dataclasses.replace(
             self,
             image_width=width,
             image_height=height,
-            camera_matrix=scaled_matrix(self.camera_matrix, x, y),
-            projection_matrix=scaled_matrix(self.projection_matrix, x, y),
-        )
-
-    def cut(self, view: View) -> "Intrinsics":
-        """Return the model of a part of the view, of which this is the whole."""
-        k, p = (
-            scaled_matrix(matrix, 1.0, 1.0, view.left, view.top)
-            for matrix in (self.camera_matrix, self.projection_matrix)
-        )
-        return dataclasses.replace(
-            self,
-            image_width=view.width,
-            image_height=view.height,
-            camera_matrix=k,
-            projection_matrix=p,
+            camera_matrix=scaled_matrix(self.camera_matrix, *place),
+            projection_matrix=scaled_matrix(self.projection_matrix, *place),
         )
 
     def save(self, path: str | os.PathLike[str]) -> None:

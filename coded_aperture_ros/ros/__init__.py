@@ -3,12 +3,7 @@
 Importing any of the modules here needs rclpy, so its environment is prepared first.
 """
 
-from coded_aperture_ros.ros.environment import (
-    limit_pictures,
-    limit_threads,
-    prepare_ros_environment,
-)
+from coded_aperture_ros.ros.environment import limit_libraries, prepare_ros_environment
 
-limit_threads()
-limit_pictures()
+limit_libraries()
 prepare_ros_environment()

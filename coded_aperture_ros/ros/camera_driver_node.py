@@ -141,7 +141,17 @@ class CameraDriverNode(ManagedNode):
         """Load the camera file and open the source."""
         config = self._config
         self._camera = required_camera(config.camera_file)
-        self._source = self._opened(config)
+        if config.source == RGBD:
+            self._source = RgbdSource(self, self._camera, config.noise)
+        else:
+            self._source = open_source(
+                config.source,
+                self._camera,
+                config.rate_hz,
+                loop=config.loop,
+                noise=config.noise,
+                device=self.configs[DeviceConfig],
+            )
         self._store = CameraInfoStore(self, config.camera_info_url, self._name)
         self._outputs.open()
         if config.base_frame:
@@ -183,18 +193,6 @@ class CameraDriverNode(ManagedNode):
     def end(self) -> None:
         """End the thread, and let go of the camera."""
         self.stop_work()
-
-    def _opened(self, config: CameraDriverConfig) -> Source:
-        if config.source == RGBD:
-            return RgbdSource(self, self._camera, config.noise)
-        return open_source(
-            config.source,
-            self._camera,
-            config.rate_hz,
-            loop=config.loop,
-            noise=config.noise,
-            device=self.configs[DeviceConfig],
-        )
 
     def _run(self) -> None:
         source = self._source

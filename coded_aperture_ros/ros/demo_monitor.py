@@ -26,6 +26,8 @@ _PICTURES = (CODED, DEBLURRED, TRUE_IMAGE)
 _MAPS = (DEPTH, CONFIDENCE, TRUE_DEPTH)
 # Frames to keep until the last of their results has come.
 _KEPT_FRAMES = 60
+# The first frames find nodes that are not ready yet.
+_FIRST_FRAMES = 3
 
 
 class DemoMonitor(Node):
@@ -42,7 +44,6 @@ class DemoMonitor(Node):
         self._reported: dict[str, dict[str, str]] = {}
         self._before: dict[str, dict[str, str]] = {}
         self._begun_s = time.monotonic()
-        self._truth_wanted = False
         for topic in (CODED, DEPTH, CONFIDENCE, DEBLURRED, TRUE_DEPTH):
             self._subscribe(topic)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
@@ -56,10 +57,10 @@ class DemoMonitor(Node):
             self._errors.clear()
             self._before = {node: dict(values) for node, values in self._reported.items()}
 
-    def received(self, topic: str) -> int:
-        """Return how many messages came on a measured topic since `begin`."""
+    def has_results(self) -> bool:
+        """Return whether all nodes work: some results of each have come since `begin`."""
         with self._lock:
-            return len(self._arrivals[topic])
+            return all(len(self._arrivals[topic]) >= _FIRST_FRAMES for topic in (DEPTH, DEBLURRED))
 
     def arrivals(self, topic: str) -> list[tuple[float, float]]:
         """Return when each message of a measured topic came, s from `begin`, and its latency, s.
@@ -82,9 +83,7 @@ class DemoMonitor(Node):
 
     def want_true_image(self) -> None:
         """Subscribe to the true image as well, for a snapshot."""
-        if not self._truth_wanted:
-            self._truth_wanted = True
-            self._subscribe(TRUE_IMAGE)
+        self._subscribe(TRUE_IMAGE)
 
     def snapshot(self) -> dict[str, FloatArray] | None:
         """Return the newest frame of which everything has been received: arrays by their topics."""

@@ -211,29 +211,23 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         estimate = result.depth
         if estimate.depth_m is None or estimate.std_dev_m is None:
             raise InputError("the bank and the camera file give no depth")
-        depth_m = limit_depth(estimate.depth_m, self._range.near_m, self._range.far_m or math.inf)
+        ends_m = self._range.near_m, self._range.far_m or math.inf
+        depth_m = limit_depth(estimate.depth_m, *ends_m)
         self._send_depth("depth/image", lambda: depth_m, "32FC1", header)
         self._send_depth(
             "depth/image_raw", lambda: millimetres_from_depth(depth_m), "16UC1", header
         )
-        if self.wants("depth/confidence"):
-            confidence = image_from_array(estimate.confidence, "32FC1", header)
-            self.send("depth/confidence", confidence)
         std_dev_m = np.where(np.isinf(depth_m), np.float32(np.inf), estimate.std_dev_m)
-        if self.wants("depth/std_dev"):
-            self.send("depth/std_dev", image_from_array(std_dev_m, "32FC1", header))
+        images = {"depth/confidence": estimate.confidence, "depth/std_dev": std_dev_m}
         clouds = {"depth/points": depth_m}
         if estimate.free_space_m is not None:
-            free_m = np.minimum(estimate.free_space_m, self._range.far_m or math.inf)
-            clouds["depth/free_points"] = free_m
-            if self.wants("depth/free_space"):
-                self.send("depth/free_space", image_from_array(free_m, "32FC1", header))
+            free_m = np.minimum(estimate.free_space_m, ends_m[1])
+            images["depth/free_space"] = clouds["depth/free_points"] = free_m
         if estimate.second_m is not None and estimate.second_share is not None:
-            ends_m = self._range.near_m, self._range.far_m or math.inf
-            second_m = limit_depth(estimate.second_m, *ends_m)
-            of_second = {"depth/second": second_m, "depth/second_share": estimate.second_share}
-            for topic in filter(self.wants, of_second):
-                self.send(topic, image_from_array(of_second[topic], "32FC1", header))
+            images["depth/second"] = limit_depth(estimate.second_m, *ends_m)
+            images["depth/second_share"] = estimate.second_share
+        for topic in filter(self.wants, images):
+            self.send(topic, image_from_array(images[topic], "32FC1", header))
         if complaint := driver.complaint(self._model.whole, frame_size):
             self.reject("camera_info", complaint)
         info = driver.info(self._model.whole, frame_size, size, header)
@@ -287,7 +281,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         motion = self.configs[MotionConfig]
         self._model.change(lambda model: with_settings(model, motion))
         model, camera = self._model.model, self._model.camera
-        # OpenCV runs the network, which is too much for the one thread of `limit_threads`.
+        # OpenCV runs the network, which is too much for the one thread of `limit_libraries`.
         depth = self.configs[DepthConfig]
         if cv2.getNumThreads() != (threads := thread_count(depth.threads)):
             cv2.setNumThreads(threads)

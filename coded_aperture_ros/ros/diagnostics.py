@@ -25,25 +25,23 @@ _PLAUSIBLE_LATENCY_S = 3600.0
 class DiagnosticsConfig:
     """From when on /diagnostics warns."""
 
+    parameter_group = "diagnostics."
     warn_latency_ms: float = option(
         0.0,
         "Warn if the 99th percentile of the latency exceeds this; 0: never",
         unit="ms",
         within=(0.0, 1e6),
-        parameter="diagnostics.warn_latency_ms",
     )
     warn_rate_hz: float = option(
         0.0,
         "Warn if fewer frames than this are worked on per second; 0: never",
         unit="Hz",
         within=(0.0, 10_000.0),
-        parameter="diagnostics.warn_rate_hz",
     )
     warn_dropped_share: float = option(
         1.0,
         "Warn if more than this share of the last second's frames was dropped; 1: never",
         within=(0.0, 1.0),
-        parameter="diagnostics.warn_dropped_share",
     )
 
 

@@ -26,21 +26,15 @@ _THREAD_VARIABLES = (
 )
 
 
-def limit_threads() -> None:
-    """Let the numerical libraries work in one thread, unless the user has said otherwise.
+def limit_libraries() -> None:
+    """Let numerical libraries work in one thread, and OpenCV refuse enormous compressed pictures.
 
-    Call it before NumPy and OpenCV are imported: they read the variables then.
+    A message of some bytes could otherwise take gigabytes. What the user has said counts. Call it
+    before NumPy and OpenCV are imported: they read the variables then.
     """
     for variable in _THREAD_VARIABLES:
         os.environ.setdefault(variable, "1")
-
-
-def limit_pictures() -> None:
-    """Let OpenCV refuse compressed pictures of more than 64 million pixels.
-
-    A message of some bytes could otherwise take gigabytes. Call it before OpenCV is imported.
-    """
-    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**26))
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**26))  # 64 million
 
 
 def share_large_messages() -> None:

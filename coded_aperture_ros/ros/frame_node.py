@@ -42,31 +42,23 @@ _PATIENCE_S = 2.0
 class FrameNodeConfig:
     """What every such node can be told about the frames that come."""
 
-    gamma: float = option(
-        1.0,
-        "Gamma of 8-bit images; 1 for a linear sensor",
-        within=(0.2, 5.0),
-        parameter="frames.gamma",
-    )
+    parameter_group = "frames."
+    gamma: float = option(1.0, "Gamma of 8-bit images; 1 for a linear sensor", within=(0.2, 5.0))
     bits: int = option(
         16,
         "Bits that 16-bit images have, where a sensor's 10 or 12 are not scaled to 16",
         within=(8, 16),
-        parameter="frames.bits",
     )
     max_rate_hz: float = option(
-        0.0,
-        "Most frames to process per second; 0: no limit",
-        unit="Hz",
-        within=(0, 10_000),
-        parameter="frames.max_rate_hz",
+        0.0, "Most frames to process per second; 0: no limit", unit="Hz", within=(0, 10_000)
     )
-    lazy: bool = option(True, "Work only while someone subscribes to an output")
+    lazy: bool = option(True, "Work only while someone subscribes to an output", parameter="lazy")
     image_transport: str = option(
         "raw",
         "compressed: take frames from image_raw/compressed instead of image_raw",
         choices=("raw", "compressed"),
         read_only=True,
+        parameter="image_transport",
     )
 
 

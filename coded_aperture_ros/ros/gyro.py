@@ -20,18 +20,14 @@ _KEPT = 1000
 class GyroConfig:
     """How messages on `imu` are used to know the motion of a frame."""
 
+    parameter_group = "motion."
     exposure_s: float = option(
-        0.0,
-        "Exposure time of the frames; 0: not known",
-        unit="s",
-        within=(0.0, 10.0),
-        parameter="motion.exposure_s",
+        0.0, "Exposure time of the frames; 0: not known", unit="s", within=(0.0, 10.0)
     )
     imu_axes: str = option(
         "-y -z x",
         "The camera's axes right, down and forward as axes of the gyroscope; the default is for "
         "one with x forward, y left and z up that looks where the camera looks",
-        parameter="motion.imu_axes",
     )
 
     def __post_init__(self) -> None:

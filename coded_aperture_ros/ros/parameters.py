@@ -73,11 +73,6 @@ class NodeParameters:
         """Return the present configuration of this type."""
         return self._configs[config_type]
 
-    @property
-    def former(self) -> Mapping[str, str]:
-        """Former names of parameters, and their present ones."""
-        return self._former
-
     def on_change(
         self,
         config_type: type[Config],

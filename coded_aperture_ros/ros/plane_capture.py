@@ -2,7 +2,6 @@
 
 import contextlib
 import threading
-import time
 from typing import Any
 
 import numpy as np
@@ -50,13 +49,9 @@ class FrameGrabber:
         Raises `InputError` if they do not come in time, cannot be used, or change their size
         meanwhile.
         """
-        deadline_s = time.monotonic() + timeout_s
         with self._changed:
             self._frames, self._refused, self._wanted = [], "", count
-            self._changed.wait_for(
-                lambda: len(self._frames) >= count or self._refused,
-                max(0.0, deadline_s - time.monotonic()),
-            )
+            self._changed.wait_for(lambda: len(self._frames) >= count or self._refused, timeout_s)
             frames, self._frames, self._wanted = self._frames, [], 0
             refused = self._refused
         if refused:

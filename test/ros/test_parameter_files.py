@@ -77,7 +77,7 @@ def test_the_documentation_names_all_present_and_former_parameters(checkout, sta
         if len(cells) == 3 and NODES.keys() & set(cells[2].split(", ")):
             rows.update({(cells[0], of): cells[1] for of in cells[2].split(", ")})
     named = {former: present for (former, of), present in rows.items() if of == node}
-    assert named == dict(started(node).configs.former)
+    assert named == dict(started(node).configs._former)
 
 
 def test_obstacle_avoidance_settings_agree_with_each_other(checkout):

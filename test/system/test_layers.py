@@ -158,7 +158,7 @@ def test_a_broken_order_is_seen(path, source):
 @pytest.mark.parametrize(
     ("path", "source"),
     [
-        ("cli/demo.py", "from coded_aperture_ros.ros.environment import limit_threads"),
+        ("cli/demo.py", "from coded_aperture_ros.ros.environment import limit_libraries"),
         ("ros/depth_node.py", "import rclpy\nfrom sensor_msgs.msg import Image"),
         ("depth/estimate.py", "from coded_aperture_ros.bank import load_bank\nimport numpy"),
         ("optics/psf.py", "from .mask import Mask\nfrom ..core.errors import InputError"),

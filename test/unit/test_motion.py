@@ -86,13 +86,9 @@ def test_a_kernel_does_not_tell_the_way_round_but_the_direction():
     assert kernel[2, 0] > 0  # up to the left: the line falls to the right
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [(((float("nan"), 0.0),), "finite"), (((4.0, 0.0), 4), "odd"), (((4.0, 0.0), 3), "at least 5")],
-)
-def test_kernels_that_cannot_be(arguments, message):
-    with pytest.raises(InputError, match=message):
-        motion_kernel(*arguments)
+def test_a_kernel_that_cannot_be():
+    with pytest.raises(InputError, match="finite"):
+        motion_kernel((float("nan"), 0.0))
 
 
 def test_motions_that_cannot_be():

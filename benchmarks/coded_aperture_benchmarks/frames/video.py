@@ -324,14 +324,18 @@ def score_video(
     changes = _smooth_changes(relative, truth)
     static = video.static_points()
 
+    def error_of(part: NDArray[np.bool_]) -> RelativeError:
+        errors = np.abs(relative[part])
+        return RelativeError.of_known(errors[np.isfinite(errors)], int(np.count_nonzero(part)))
+
     def error_in(part: NDArray[np.bool_] | None) -> RelativeError | None:
-        return None if part is None else RelativeError.of(relative, part[warm_up:] & known)
+        return None if part is None else error_of(part[warm_up:] & known)
 
     unrest = _deviation(changes, about_zero=True)
     if static is not None:
         unrest = np.where(static, _deviation(relative), np.float32(np.nan))
     return VideoScore(
-        everywhere=RelativeError.of(relative, known),
+        everywhere=error_of(known),
         moving=error_in(video.moving),
         around_moving=error_in(video.around_moving()),
         flicker=None if static is None else _flicker(unrest),

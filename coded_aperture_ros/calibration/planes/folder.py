@@ -4,7 +4,8 @@ import contextlib
 import csv
 import json
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,7 @@ def load_planes(
             f"{folder or paths[0]}: {len(pictures)} pictures but {len(depths_m)} depths: give one "
             "for each, in the order of the names"
         )
-    return _planes(_nearest_first(zip(pictures, depths_m, strict=True)), gamma)
+    return _planes(sorted(zip(pictures, depths_m, strict=True), key=itemgetter(1)), gamma)
 
 
 def load_folder(folder: str | os.PathLike[str], gamma: Gamma = 1.0) -> Planes:
@@ -70,7 +71,7 @@ def load_folder(folder: str | os.PathLike[str], gamma: Gamma = 1.0) -> Planes:
     """
     json_file, csv_file = Path(folder) / PLANES_JSON, Path(folder) / PLANES_CSV
     if csv_file.exists() and not json_file.exists():
-        return _planes(_nearest_first(_read_csv(csv_file)), gamma)
+        return _planes(sorted(_read_csv(csv_file), key=itemgetter(1)), gamma)
     return _planes(_read_json(json_file), gamma)
 
 
@@ -80,10 +81,6 @@ def _planes(listed: Sequence[tuple[Path, float]], gamma: Gamma) -> Planes:
         depths_m=np.array([depth for _, depth in listed]),
         names=tuple(str(path) for path, _ in listed),
     )
-
-
-def _nearest_first(listed: Iterable[tuple[Path, float]]) -> list[tuple[Path, float]]:
-    return sorted(listed, key=lambda one: one[1])
 
 
 def _read_json(path: Path) -> list[tuple[Path, float]]:

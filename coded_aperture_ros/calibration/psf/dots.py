@@ -1,6 +1,7 @@
 """The PSF of one depth from a photograph of a grid of dots (thesis section 6.3.2)."""
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,8 +101,8 @@ def psf_from_dots(
             f"{lattice.missing} dots of the grid are missing, {len(lattice.positions)} were found: "
             "cover none, and light all of them"
         )
-    room = _odd(lattice.spacing_px - 1)
-    cut = _Cutter(grey, clipped)
+    room = 2 * int((lattice.spacing_px - 2) // 2) + 1  # the largest odd width without neighbours
+    cut = partial(_cut, grey, clipped)
     mean = cut(lattice.positions, room)[0].mean(axis=0)
     _check_gaps(mean, lattice.spacing_px)
     width = min(_extent(mean) + 2 + 2 * _RIM_PX, room)
@@ -141,37 +142,27 @@ def psf_from_dots(
     )
 
 
-def _odd(length: float) -> int:
-    """Return the largest odd number that is not larger."""
-    return 2 * int((length - 1) // 2) + 1
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Cutter:
-    """Cuts windows out of a picture."""
-
-    grey: DoubleArray
-    clipped: BoolArray
-
-    def __call__(self, places: NDArray, width: int) -> tuple[NDArray, NDArray, int]:
-        """Return windows of whole dots without saturation, their places, and how many have it."""
-        half = width // 2
-        centres = np.rint(places).astype(int)
-        inside = ((centres >= half) & (centres < np.array(self.grey.shape) - half)).all(axis=1)
-        if inside.sum() < _FEWEST_DOTS:
-            raise InputError(
-                f"only {inside.sum()} whole dots in the picture, at least {_FEWEST_DOTS} are "
-                "needed: use a finer grid, or fill the picture with it"
-            )
-        steps = np.arange(-half, half + 1)
-        rows = centres[inside, 0, None, None] + steps[None, :, None]
-        columns = centres[inside, 1, None, None] + steps[None, None, :]
-        full = self.clipped[rows, columns].any(axis=(1, 2))
-        if full.sum() > inside.sum() / 2 or (~full).sum() < _FEWEST_DOTS:
-            raise InputError(
-                f"{full.sum()} of {inside.sum()} dots are saturated: expose for a shorter time"
-            )
-        return self.grey[rows, columns][~full], places[inside][~full], int(full.sum())
+def _cut(
+    grey: NDArray, clipped: BoolArray, places: NDArray, width: int
+) -> tuple[NDArray, NDArray, int]:
+    """Return windows of whole dots without saturation, their places, and how many have it."""
+    half = width // 2
+    centres = np.rint(places).astype(int)
+    inside = ((centres >= half) & (centres < np.array(grey.shape) - half)).all(axis=1)
+    if inside.sum() < _FEWEST_DOTS:
+        raise InputError(
+            f"only {inside.sum()} whole dots in the picture, at least {_FEWEST_DOTS} are needed: "
+            "use a finer grid, or fill the picture with it"
+        )
+    steps = np.arange(-half, half + 1)
+    rows = centres[inside, 0, None, None] + steps[None, :, None]
+    columns = centres[inside, 1, None, None] + steps[None, None, :]
+    full = clipped[rows, columns].any(axis=(1, 2))
+    if full.sum() > inside.sum() / 2 or (~full).sum() < _FEWEST_DOTS:
+        raise InputError(
+            f"{full.sum()} of {inside.sum()} dots are saturated: expose for a shorter time"
+        )
+    return grey[rows, columns][~full], places[inside][~full], int(full.sum())
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -188,13 +179,9 @@ class _Fit:
 
     def of(self, numbers: NDArray[np.int64] | BoolArray) -> FinePsf:
         """Fit the PSF of some of the dots."""
-        return fit_fine(
-            self.light[numbers],
-            self.offsets[numbers],
-            self.strengths[numbers],
-            self.variance,
-            self.fine,
-        )
+        of_all = self.light, self.offsets, self.strengths
+        light, offsets, strengths = (values[numbers] for values in of_all)
+        return fit_fine(light, offsets, strengths, self.variance, self.fine)
 
     def noise(self, width: int) -> float:
         """Return the norm of the PSF's noise, as its two halves differ."""

@@ -74,18 +74,16 @@ def image_data(pixels: NDArray, encoding: str, header: Any) -> memoryview:
     """Make an image message of pixels as `check_pixels` wants them."""
     check_pixels(pixels, encoding)
     height, width = pixels.shape[:2]
-    return _sent(
-        _types()[IMAGE](
-            header=header,
-            height=height,
-            width=width,
-            encoding=encoding,
-            is_bigendian=int(sys.byteorder == "big"),
-            step=pixels.nbytes // height,
-            data=np.ascontiguousarray(pixels).view(np.uint8).reshape(-1),
-        ),
-        IMAGE,
+    message = _store().types[IMAGE](
+        header=header,
+        height=height,
+        width=width,
+        encoding=encoding,
+        is_bigendian=int(sys.byteorder == "big"),
+        step=pixels.nbytes // height,
+        data=np.ascontiguousarray(pixels).view(np.uint8).reshape(-1),
     )
+    return _store().serialize_cdr(message, IMAGE)
 
 
 def camera_info_data(info: Any, size: tuple[int, int], header: Any) -> memoryview:
@@ -102,12 +100,12 @@ def camera_info_data(info: Any, size: tuple[int, int], header: Any) -> memoryvie
         binning_y=0,
         roi=_whole_view(),
     )
-    return _sent(resized, CAMERA_INFO)
+    return _store().serialize_cdr(resized, CAMERA_INFO)
 
 
 def info_of(model: Intrinsics) -> Any:
     """Return a camera model as the message that describes it, with an empty header."""
-    kinds = _types()
+    kinds = _store().types
     stamp = kinds["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
     return kinds[CAMERA_INFO](
         header=kinds["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
@@ -138,17 +136,9 @@ def _store() -> Any:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-def _types() -> Any:
-    return _store().types
-
-
 def _whole_view() -> Any:
-    kind = _types()["sensor_msgs/msg/RegionOfInterest"]
+    kind = _store().types["sensor_msgs/msg/RegionOfInterest"]
     return kind(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
-
-
-def _sent(message: Any, type_name: str) -> memoryview:
-    return _store().serialize_cdr(message, type_name)
 
 
 def _read(data: bytes | memoryview, type_name: str) -> Any:

@@ -16,38 +16,24 @@ _MANUAL_EXPOSURE, _AUTO_EXPOSURE = 1, 3
 class DeviceConfig:
     """What a camera device can be told, where it has these settings."""
 
+    parameter_group = "device."
     width: int = option(
-        0,
-        "Width of the frames; 0: the camera file's",
-        unit="px",
-        within=(0, 65536),
-        parameter="device.width",
+        0, "Width of the frames; 0: the camera file's", unit="px", within=(0, 65536)
     )
     height: int = option(
-        0,
-        "Height of the frames; 0: the camera file's",
-        unit="px",
-        within=(0, 65536),
-        parameter="device.height",
+        0, "Height of the frames; 0: the camera file's", unit="px", within=(0, 65536)
     )
     exposure: float = option(
         -1.0,
         "Exposure time in the device's own unit (V4L2: 0.1 ms); 0: automatic, -1: as it is",
         within=(-1.0, 1e6),
-        parameter="device.exposure",
     )
-    gain: float = option(
-        -1.0,
-        "Gain in the device's own unit; -1: as it is",
-        within=(-1.0, 1e6),
-        parameter="device.gain",
-    )
+    gain: float = option(-1.0, "Gain in the device's own unit; -1: as it is", within=(-1.0, 1e6))
     white_balance_k: float = option(
         -1.0,
         "Colour temperature of the light; 0: automatic, -1: as it is",
         unit="K",
         within=(-1.0, 1e5),
-        parameter="device.white_balance_k",
     )
 
     def __post_init__(self) -> None:

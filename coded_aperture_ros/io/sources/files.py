@@ -40,23 +40,20 @@ class FileSource(ABC, Generic[Stored]):
         """Return the next frame, None after the last."""
         stored = self._next()
         if stored is None and self._loop:
-            self._rewind()
+            self._row = None
             stored = self._next()
         return None if stored is None else self._capture(stored)
 
     def close(self) -> None:
         """Close the files; the next `read` opens them again and begins with the first frame."""
-        self._rewind()
+        if self._row is not None:
+            self._row.close()
+        self._row = None
 
     def _next(self) -> Stored | None:
         if self._row is None:
             self._row = self._stored()
         return next(self._row, None)
-
-    def _rewind(self) -> None:
-        if self._row is not None:
-            self._row.close()
-        self._row = None
 
     @abstractmethod
     def _stored(self) -> Generator[Stored, None, None]:

@@ -12,19 +12,18 @@ from coded_aperture_ros.methods.motion.kernels import Motions
 class MotionConfig:
     """Which motions during an exposure are told apart, and how they are chosen."""
 
+    parameter_group = "motion."
     motion_directions: int = option(
         8,
         "Directions of motion that are told apart, from 0 to 180 degrees.",
         within=(1, 64),
         read_only=True,
-        parameter="motion.directions",
     )
     motion_lengths: int = option(
         8,
         "Lengths of motion that are told apart in each direction.",
         within=(1, 64),
         read_only=True,
-        parameter="motion.lengths",
     )
     longest_motion_px: float = option(
         12.0,
@@ -39,7 +38,6 @@ class MotionConfig:
         "Vectors in the common basis of the filters of all motions.",
         within=(1, 4096),
         read_only=True,
-        parameter="motion.rank",
     )
     finalists: int = option(
         5,
@@ -47,13 +45,11 @@ class MotionConfig:
         "the common basis; 0: it decides.",
         within=(0, 4096),
         read_only=True,
-        parameter="motion.finalists",
     )
     motion_smoothness: float = option(
         1.0,
         "Strength of the spatial regularisation of motion, relative to its default.",
         within=(0.0, 100.0),
-        parameter="motion.smoothness",
     )
     refinement_px: float = option(
         0.0,
@@ -61,21 +57,18 @@ class MotionConfig:
         "they lie where a parabola through the costs of those that are told apart is least.",
         unit="px",
         within=(0.0, 1.0),
-        parameter="motion.refinement_px",
     )
     motion_threshold: float = option(
         0.5,
         "How much less (natural logarithm) any motion must cost than none, for a patch to count as "
         "moving.",
         within=(0.0, 100.0),
-        parameter="motion.threshold",
         formerly="stillness",
     )
     prior_motions: int = option(
         3,
         "With a known angular velocity: motions nearest to the expected one that are tried.",
         within=(1, 64),
-        parameter="motion.prior_motions",
     )
 
     def __post_init__(self) -> None:

@@ -11,7 +11,7 @@ from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 
 
-def motion_kernel(motion_px: tuple[float, float], width_px: int | None = None) -> FloatArray:
+def motion_kernel(motion_px: tuple[float, float]) -> FloatArray:
     """Render the trace of a point that moves during the exposure: ``h_m`` of thesis eq. 7.2.
 
     A pixel's value is the share of the exposure that the point spends near it, counted by linear
@@ -20,21 +20,15 @@ def motion_kernel(motion_px: tuple[float, float], width_px: int | None = None) -
     and its mean and direction are those of the line, however short that is.
 
     The motion is the way during the exposure in px, to the right and down; the kernel of the
-    opposite way is the same. Returns float32 [k, k] of unit sum; `width_px` is its odd width, by
-    default the smallest that holds the trace. Raises `InputError` if the motion is not finite, or
-    the width is even or does not hold the trace.
+    opposite way is the same. Returns float32 [k, k] of unit sum, whose odd width is the smallest
+    that holds the trace. Raises `InputError` if the motion is not finite.
     """
     right, down = (float(part) for part in motion_px)
     if not (math.isfinite(right) and math.isfinite(down)):
         raise InputError(f"motion: expected finite numbers of pixels, got {motion_px!r}")
     longest = max(abs(right), abs(down))
     reach = math.ceil(longest / 2 - 1e-9)
-    width = 2 * reach + 1 if width_px is None else width_px
-    if width % 2 == 0 or width // 2 < reach:
-        raise InputError(
-            f"width of a motion kernel: expected an odd number, at least {2 * reach + 1}, "
-            f"got {width}"
-        )
+    width = 2 * reach + 1
     # When, in shares of the exposure, the point passes a row or a column of pixels.
     lines = np.arange(-reach, reach + 1)
     crossings = [lines / way + 0.5 for way in (right, down) if abs(way) > 1e-9]
@@ -47,7 +41,7 @@ def motion_kernel(motion_px: tuple[float, float], width_px: int | None = None) -
         x, y = ((at - 0.5) * way - first for way, first in ((right, left), (down, top)))
         for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
             weight = (y if row else 1 - y) * (x if column else 1 - x) * (end - begin) * share
-            np.add.at(kernel, (top + row + width // 2 + 1, left + column + width // 2 + 1), weight)
+            np.add.at(kernel, (top + row + reach + 1, left + column + reach + 1), weight)
     kernel = np.maximum(kernel[1:-1, 1:-1], 0)
     return (kernel / kernel.sum()).astype(np.float32)
 

@@ -134,11 +134,6 @@ class NeighbourEngine:
         self._columns = np.empty((threads, self._blocks[0], columns), np.float32)
         self._excess = np.empty((threads, tried * _PATCHES), np.float32)
 
-    @property
-    def products(self) -> int:
-        """How many products of a frame with itself are taken: lags times channels."""
-        return len(self._covariances) - 1
-
     def project(self, grey: FloatArray) -> None:
         """Take a frame: measure its local covariances."""
         grid, margin, (rows, columns) = self.grid, self._margin, self._seen
@@ -153,7 +148,8 @@ class NeighbourEngine:
             padded[margin : margin + rows, margin : margin + columns] = seen
 
         self._workers.each(filter_frame, range(self._channels.shape[0] * self._channels.shape[1]))
-        self._workers.each(self._measure, range(self.products))
+        # One product of the frame with itself for each lag and channel; the last row is constant.
+        self._workers.each(self._measure, range(len(self._covariances) - 1))
 
     def energies(self, noise: PerPatch) -> FloatArray:
         """Return the energies of the frame taken last [rows, columns, L]."""
