@@ -2,13 +2,14 @@
 
 import dataclasses
 from collections.abc import Callable, Iterable
+from functools import partial
 
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.prior import NaturalImagePrior, power_spectrum
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, Shape
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import channel_mean
 
@@ -86,23 +87,14 @@ class EmpiricalPrior(NaturalImagePrior):
     def spectra(self) -> tuple[Callable[[tuple[int, int]], DoubleArray], ...]:
         """For each kind, a function like `power_spectrum` of an image's shape."""
         return tuple(
-            _Spectrum(slope, np.array(deviation))
+            partial(power_spectrum, slope, deviation=partial(_departure, deviation))
             for slope, deviation in zip(self.slopes, self.deviations, strict=True)
         )
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Spectrum:
-    """Power law times what departs from it; a power law beyond the measured frequencies."""
-
-    slope: float
-    deviation: DoubleArray
-
-    def __call__(self, shape: Shape) -> DoubleArray:
-        frequencies = np.log(_FREQUENCIES)
-        return power_spectrum(
-            self.slope, shape, lambda scale: np.interp(scale, frequencies, self.deviation)
-        )
+def _departure(deviation: tuple[float, ...], logarithm: DoubleArray) -> DoubleArray:
+    """Return how far a kind departs from its power law; as at their ends beyond the frequencies."""
+    return np.interp(logarithm, np.log(_FREQUENCIES), deviation)
 
 
 def _log_spectra(fourier: WindowedFourierBasis, image: FloatArray) -> DoubleArray:

@@ -48,9 +48,7 @@ def add_parser(subparsers: Any) -> None:
     add_gamma_option(parser)
     results = f"folder for {MASK_FILE}, {_PICTURE_OF_MASK}, {_PICTURE} and {_REPORT}"
     add_options(parser, {"--output DIR": results})
-    parser.add_argument(
-        "-o", metavar="FILE", dest="bank", help="bank (.npz) from the least to the largest blur"
-    )
+    add_options(parser, {"-o FILE": "bank (.npz) from the least to the largest blur"}, dest="bank")
     add_level_count_option(parser, _LEVEL_COUNT, f"levels of the bank (default {_LEVEL_COUNT})")
     add_options(parser, {"--json": "print the numbers as JSON"})
     settings = {"calibration.blind.config.BlindConfig": "search"}

@@ -56,8 +56,8 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "inputs", nargs="+", metavar="FOLDER|PICTURE", help="coded pictures, or a folder of them"
     )
-    parser.add_argument(
-        "--sharp", nargs="+", metavar="PICTURE", help="sharp picture for each coded one, of pages"
+    add_options(
+        parser, {"--sharp PICTURE": "sharp picture for each coded one, of pages"}, nargs="+"
     )
     add_depths_option(
         parser,

@@ -54,11 +54,9 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "demo",
         help="run camera driver, depth and deblurring on a simulated camera",
-        description=(
-            "Run camera driver (simulating a camera that pans over a real scene), depth node and "
-            "deblurring node as three processes over DDS; show rate, latency and accuracy; leave "
-            "pictures, summary.json and a page with both beside the truth, index.html."
-        ),
+        description="Run camera driver (simulating a camera that pans over a real scene), depth "
+        "node and deblurring node as three processes over DDS; show rate, latency and accuracy; "
+        "leave pictures, summary.json and a page with both beside the truth, index.html.",
         epilog="example: coded_aperture demo --output results --seconds 10",
     )
     output = {"--output DIR": "where to put the results (default: %(default)s)"}

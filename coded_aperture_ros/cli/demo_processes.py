@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +20,12 @@ _LAST_LINES = 15
 _NICENESS = {"deblur_node": 5}
 
 
-class Children:
+class Children(AbstractContextManager["Children"]):
     """The nodes' processes; none of them outlives the `with` block."""
 
     def __init__(self, log_folder: Path) -> None:
         self._log_folder = log_folder
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
-
-    def __enter__(self) -> "Children":
-        return self
 
     def __exit__(self, *_: object) -> None:
         for process in self._processes.values():

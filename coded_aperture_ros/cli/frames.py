@@ -39,12 +39,8 @@ class NamedFrame:
 
 def add_input_options(parser: argparse.ArgumentParser, output_help: str) -> None:
     """Add the inputs, the output and what they have in common."""
-    parser.add_argument(
-        "inputs",
-        nargs="+",
-        metavar="INPUT",
-        help="picture, .npy, folder of pictures, video, or bag (with #TOPIC: bag:PATH#TOPIC)",
-    )
+    what = "picture, .npy, folder of pictures, video, or bag (with #TOPIC: bag:PATH#TOPIC)"
+    parser.add_argument("inputs", nargs="+", metavar="INPUT", help=what)
     add_mosaic_option(parser)
     add_bits_option(parser)
     parser.add_argument("-o", "--output", required=True, metavar="OUT", help=output_help)

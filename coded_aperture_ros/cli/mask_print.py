@@ -48,10 +48,8 @@ def add_parser(subparsers: Any) -> None:
         "(default %(default)s)"
     }
     add_options(parser, least, type=float, default=0.3)
-    kerf = {
-        "--kerf-mm MM": "width of the cut: lines lie half of it within the openings (default 0)"
-    }
-    add_options(parser, kerf, type=float, default=0.0)
+    kerf = "width of the cut: lines lie half of it within the openings (default 0)"
+    add_options(parser, {"--kerf-mm MM": kerf}, type=float, default=0.0)
     add_options(parser, {"--label TEXT": "a line to print on the page"}, default="")
     add_options(parser, {"-o --output FILE": "page to write (.pdf, .svg or .dxf)"}, required=True)
     add_options(parser, {"--json": "print a summary as JSON"})

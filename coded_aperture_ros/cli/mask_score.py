@@ -42,22 +42,15 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "masks", nargs="*", metavar="NAME|FILE", help="masks (default: all with names)"
     )
-    parser.add_argument(
-        "--sigmas",
-        nargs="+",
-        type=noise_level,
-        default=[0.001, 0.005],
-        metavar="S",
-        help="noise behind an open aperture, above 0 (default 0.001 0.005)",
-    )
+    sigmas = {"--sigmas S": "noise behind an open aperture, above 0 (default 0.001 0.005)"}
+    add_options(parser, sigmas, nargs="+", type=noise_level, default=[0.001, 0.005])
     folder = "predict the depth error with the sharp pictures of this folder too"
     windows = "of the pictures, in all (default 768; a quarter of a second for each mask)"
     add_options(parser, {"--images DIR": folder})
     add_options(parser, {"--windows N": windows}, type=at_least(1))
     add_options(parser, {"--json": "print the scores as JSON"})
-    parser.add_late_options = settings_of(
-        {"mask_design.SceneConfig": "what the mask has to tell apart"}
-    )
+    settings = {"mask_design.SceneConfig": "what the mask has to tell apart"}
+    parser.add_late_options = settings_of(settings)
 
 
 def run(args: argparse.Namespace) -> int:

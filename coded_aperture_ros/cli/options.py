@@ -196,9 +196,7 @@ def add_gamma_option(parser: argparse.ArgumentParser) -> None:
 def add_bits_option(parser: argparse.ArgumentParser) -> None:
     """Add `--bits`, for sensors whose numbers were not scaled."""
     what = "of 16-bit input, where a sensor's 10 or 12 are not scaled to 16 (default %(default)s)"
-    parser.add_argument(
-        "--bits", type=int, choices=range(8, 17), default=16, metavar="N", help=what
-    )
+    add_options(parser, {"--bits N": what}, type=int, choices=range(8, 17), default=16)
 
 
 def add_mosaic_option(parser: argparse.ArgumentParser) -> None:

@@ -47,20 +47,13 @@ def add_parser(subparsers: Any) -> None:
     chance = parser.add_argument_group("a random scene instead (needs numba)")
     add_options(chance, {"--random SEED": "which one"}, type=int)
     add_options(chance, {"--mask NAME": "mask, or its file (default levin)"})
-    add_options(
-        chance, {"--side {far,near,both}": "of the focal plane (default far)"}, default=None
-    )
+    side = {"--side {far,near,both}": "of the focal plane (default far)"}
+    add_options(chance, side, default=None)
     add_options(chance, {"--size W H": "of the frame (default 480 360)"}, type=int)
-    add_options(
-        parser, {"--noise S": "standard deviation, 1 = full scale"}, type=float, default=0.0
-    )
-    parser.add_argument(
-        "--bits",
-        type=int,
-        default=0,
-        choices=(0, 8, 12, 16),
-        help="quantise to that many bits (default 0: do not)",
-    )
+    noise = {"--noise S": "standard deviation, 1 = full scale"}
+    add_options(parser, noise, type=float, default=0.0)
+    bits = "quantise to that many bits (default 0: do not)"
+    parser.add_argument("--bits", type=int, default=0, choices=(0, 8, 12, 16), help=bits)
     add_options(parser, {"--seed N": "of the noise"}, type=int, default=0)
     add_gamma_option(parser)
     add_options(parser, {"--depth-scale M": "metres per unit of the depth map"}, type=float)

@@ -8,11 +8,7 @@ from collections.abc import Iterator
 @contextlib.contextmanager
 def sigterm_like_ctrl_c() -> Iterator[None]:
     """Let SIGTERM end the block as Ctrl-C does, so that it cleans up."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
     finally:

@@ -67,12 +67,9 @@ class Front:
 
 def not_beaten(scores: DoubleArray) -> BoolArray:
     """Which rows [N, objectives] no other row is at least as good as in all, and better in one."""
-    keep = np.ones(len(scores), bool)
-    for index, score in enumerate(scores):
-        if keep[index]:
-            worse = (scores >= score).all(axis=1) & (scores > score).any(axis=1)
-            keep &= ~worse
-    return keep
+    as_good = (scores[:, None] <= scores).all(axis=2)
+    better = (scores[:, None] < scores).any(axis=2)
+    return np.asarray(~(as_good & better).any(axis=0))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -230,8 +230,4 @@ def render_psf_stack(mask: Mask, blur_sizes_px: ArrayLike, diffraction_px: float
         raise InputError("blur sizes: at least one is needed")
     rendered = [render_psf(mask, size, diffraction_px=diffraction_px) for size in sizes]
     width = max(len(psf) for psf in rendered)
-    psfs = np.zeros((len(sizes), width, width), dtype=np.float32)
-    for padded, psf in zip(psfs, rendered, strict=True):
-        margin = (width - len(psf)) // 2
-        padded[margin : margin + len(psf), margin : margin + len(psf)] = psf
-    return PsfStack(sizes, psfs)
+    return PsfStack(sizes, np.stack([np.pad(psf, (width - len(psf)) // 2) for psf in rendered]))

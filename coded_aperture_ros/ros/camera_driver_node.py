@@ -190,10 +190,6 @@ class CameraDriverNode(ManagedNode):
         if self._thread is not None:
             self._thread.join(LONGEST_FRAME_S)
 
-    def end(self) -> None:
-        """End the thread, and let go of the camera."""
-        self.stop_work()
-
     def _run(self) -> None:
         source = self._source
         assert source is not None  # it was set up

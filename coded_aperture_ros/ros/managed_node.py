@@ -75,13 +75,13 @@ class ManagedNode(ABC, LifecycleNode):
     def clean_up(self) -> None:
         """Let go of everything that `set_up` made."""
 
-    @abstractmethod
     def end(self) -> None:
         """End the node's own threads, and let go of files and devices.
 
         An executor may be waiting for the node's timers and subscriptions meanwhile, so nothing of
-        ROS may be destroyed.
+        ROS may be destroyed. Where `stop_work` does no more than that, that is all.
         """
+        self.stop_work()
 
     def close(self) -> None:
         """End all work; the node can then be destroyed. May be called again."""

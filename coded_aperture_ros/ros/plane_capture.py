@@ -17,7 +17,7 @@ from coded_aperture_ros.io.messages import MessageError, frame_from_image
 from coded_aperture_ros.ros.running import running_apart
 
 
-class FrameGrabber:
+class FrameGrabber(contextlib.AbstractContextManager["FrameGrabber"]):
     """Subscribes to a topic of images, and takes means of frames; a context manager.
 
     Frames are dropped between two pictures: what was seen while the plane was moved does not
@@ -36,9 +36,6 @@ class FrameGrabber:
             self._running.enter_context(running_apart(self._subscribed, "frames"))
         except Exception as error:  # rclpy's own errors are of many kinds
             raise InputError(f"topic {topic}: {str(error).splitlines()[0]}") from error
-
-    def __enter__(self) -> "FrameGrabber":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._running.close()

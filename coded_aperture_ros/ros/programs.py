@@ -9,7 +9,6 @@ import signal
 import sys
 from functools import partial
 from importlib import import_module
-from types import FrameType
 
 NODES = {
     "camera_driver_node": "CameraDriverNode",
@@ -53,7 +52,9 @@ def _run(*names: str) -> int:
         sys.stdout.write(_help(names))
         return 0
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _end_at_once)
+        # Nothing has been started that would have to be ended, and an exception may be swallowed by
+        # whatever is being imported.
+        signal.signal(number, lambda *_: os._exit(0))
     from coded_aperture_ros.ros.environment import share_large_messages
 
     share_large_messages()
@@ -63,12 +64,6 @@ def _run(*names: str) -> int:
     modules = {name: import_module(f"coded_aperture_ros.ros.{name}") for name in names}
     local = LocalTopics() if len(names) > 1 else None
     return run_nodes([partial(getattr(modules[name], NODES[name]), local=local) for name in names])
-
-
-def _end_at_once(number: int, frame: FrameType | None) -> None:
-    # Nothing has been started that would have to be ended, and an exception may be swallowed by
-    # whatever is being imported.
-    os._exit(0)
 
 
 camera_driver_node = partial(_run, "camera_driver_node")

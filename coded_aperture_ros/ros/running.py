@@ -36,7 +36,10 @@ def run_nodes(factories: Sequence[Callable[[], Any]]) -> int:
         signal.signal(number, stop.on_signal)
     nodes: list[Any] = []
     try:
-        _init()
+        try:
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        except RuntimeError as error:  # the base of rclpy's own errors, which are private
+            raise InputError(f"cannot start ROS: {str(error).splitlines()[0]}") from error
         executor = SingleThreadedExecutor()
         for factory in factories:
             nodes.append(factory())
@@ -64,13 +67,6 @@ def run_nodes(factories: Sequence[Callable[[], Any]]) -> int:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
     return stop.status
-
-
-def _init() -> None:
-    try:
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # the base of rclpy's own errors, which are private
-        raise InputError(f"cannot start ROS: {str(error).splitlines()[0]}") from error
 
 
 @contextlib.contextmanager

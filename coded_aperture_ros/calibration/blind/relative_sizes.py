@@ -6,6 +6,7 @@ direction by direction, after what is smooth (texture) has been taken away.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -55,10 +56,8 @@ def relative_blur_sizes(
     count = len(shapes)
     gains = np.zeros((count, count, 2 * _REACH + 1))
     strongest = np.zeros((count, count))
-    for i in range(count):
-        for j in range(count):
-            if i != j:
-                gains[i, j], strongest[i, j] = _likelihood_of_shifts(shapes[i], shapes[j])
+    for i, j in itertools.permutations(range(count), 2):
+        gains[i, j], strongest[i, j] = _likelihood_of_shifts(shapes[i], shapes[j])
     for name, correlation in zip(names, strongest.max(axis=1), strict=True):
         if correlation < _LEAST_CORRELATION:
             raise InputError(

@@ -6,6 +6,7 @@ rosbags, which the modules beside need, is imported when a bag is opened, and no
 import dataclasses
 import os
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from coded_aperture_ros.core.errors import InputError
@@ -18,7 +19,7 @@ def is_bag(path: str | os.PathLike[str]) -> bool:
     return bool(_storage_files(path)) or (path / METADATA).is_file()
 
 
-class Bag:
+class Bag(AbstractContextManager["Bag"]):
     """A bag that is read from beginning to end, as far as it can be read.
 
     A folder with `metadata.yaml`, one that was left without it, or a `.mcap` or `.db3` file. Raises
@@ -74,9 +75,6 @@ class Bag:
         """Close the files."""
         for part in self._parts:
             part.close()
-
-    def __enter__(self) -> "Bag":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -59,7 +59,8 @@ def separate(cost: FloatArray, motions: Motions, config: MotionConfig, overlap: 
     handicap = np.where(static, 0, config.motion_threshold).astype(np.float32)[some, None, None]
     known = of_motion[some] + handicap
     known = np.minimum(known - known.min(axis=0), np.float32(_MOST_COST))
-    neighbours = _neighbours(motions)
+    apart_px = motions.distances_px(motions.vectors_px)
+    neighbours = np.argsort(apart_px, axis=1)[:, 1 : _NEIGHBOURS + 1]  # the nearest is itself
     total = _semi_global(known, _within(neighbours, some), config.motion_smoothness)
     motion = some[total.argmin(axis=0)]
     vectors = motions.vectors_px.copy()
@@ -99,12 +100,6 @@ def separate_expected(cost: FloatArray, candidates: IndexArray, motions: Motions
     motion = np.take_along_axis(tried, probability.argmax(axis=0)[None], axis=0)[0]
     level = np.moveaxis(level, 0, -1)
     return Separated(motion, tried, probability, level, motions.vectors_px)
-
-
-def _neighbours(motions: Motions) -> IndexArray:
-    """Return the nearest of each motion [M, n]."""
-    order = np.argsort(motions.distances_px(motions.vectors_px), axis=1)
-    return np.asarray(order[:, 1 : 1 + min(_NEIGHBOURS, len(motions) - 1)])
 
 
 def _within(neighbours: IndexArray, some: IndexArray) -> IndexArray:

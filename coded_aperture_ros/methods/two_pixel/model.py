@@ -84,13 +84,13 @@ def neighbour_model(
             at_lags = (line.lags[:, 0] % period, line.lags[:, 1] % period)
             passed = passed_power(kernel, period)
             of_noise = scipy.fft.irfft2(passed, torus)[at_lags]
-            whitener = _Whitener(of_noise[line.lag_of_pair])
-            none = whitener.precision_of_noise()
+            whitener = _whitener(of_noise[line.lag_of_pair])
+            none = whitener.T @ whitener  # the inverse of the noise's covariance
             noise_weights[channel, part] = _sums_of_lags(none, line) / numbers
             for slope, texture in enumerate(textures):
                 for level, transfer in enumerate(transfers):
                     of_texture = scipy.fft.irfft2(texture * transfer * passed, torus)[at_lags]
-                    precisions, logs = whitener.precisions(of_texture[line.lag_of_pair])
+                    precisions, logs = _precisions(whitener, of_texture[line.lag_of_pair])
                     determinants[:, slope, level] += logs / numbers
                     for ratio, precision in enumerate(precisions):
                         weights[ratio, slope, level, channel, part] = (
@@ -114,25 +114,23 @@ def neighbour_model(
     )
 
 
-class _Whitener:
-    """Inverts ``r S + N`` for a noise covariance N and all ratios r at once."""
+def _whitener(noise: DoubleArray) -> DoubleArray:
+    """Return the matrix W [n, n] of noise with the covariance N: ``W N W^T = 1``."""
+    count = len(noise)
+    factor = np.linalg.cholesky(noise + _JITTER * np.trace(noise) / count * np.eye(count))
+    return np.linalg.inv(factor)
 
-    def __init__(self, noise: DoubleArray) -> None:
-        count = len(noise)
-        factor = np.linalg.cholesky(noise + _JITTER * np.trace(noise) / count * np.eye(count))
-        self._inverse = np.linalg.inv(factor)
 
-    def precision_of_noise(self) -> DoubleArray:
-        """Return the inverse of N."""
-        return np.asarray(self._inverse.T @ self._inverse)
+def _precisions(whitener: DoubleArray, texture: DoubleArray) -> tuple[DoubleArray, DoubleArray]:
+    """Invert ``r S + N`` for all ratios r; return also the logarithms of ``det(r S N^-1 + 1)``.
 
-    def precisions(self, texture: DoubleArray) -> tuple[DoubleArray, DoubleArray]:
-        """Return the inverses [S, n, n], and the logarithms of ``det(r S N^-1 + 1)`` [S]."""
-        white = self._inverse @ texture @ self._inverse.T
-        values, vectors = np.linalg.eigh((white + white.T) / 2)
-        spread = RATIOS[:, None] * (np.maximum(values, 0) + _MODEL_ERROR**2) + 1
-        back = self._inverse.T @ vectors
-        return (back / spread[:, None, :]) @ back.T, np.log(spread).sum(axis=1)
+    They are [S, n, n] and [S].
+    """
+    white = whitener @ texture @ whitener.T
+    values, vectors = np.linalg.eigh((white + white.T) / 2)
+    spread = RATIOS[:, None] * (np.maximum(values, 0) + _MODEL_ERROR**2) + 1
+    back = whitener.T @ vectors
+    return (back / spread[:, None, :]) @ back.T, np.log(spread).sum(axis=1)
 
 
 def _sums_of_lags(precision: DoubleArray, line: NeighbourLine) -> DoubleArray:
