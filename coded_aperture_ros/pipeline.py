@@ -7,7 +7,7 @@ through `FramePipeline`; `docs/architecture.md` walks on from here.
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property
-from itertools import repeat, tee
+from itertools import repeat
 from typing import Any
 
 from coded_aperture_ros.core.arrays import FloatArray, Shape
@@ -139,10 +139,15 @@ class FramePipeline:
 
         Needs `DepthConfig.temporal_frames` above 0. Takes and raises what `estimate_video` does.
         """
-        ahead, frames = tee(frames)
-        estimates = estimate_video(self.estimator, ahead, size, hidden_noise)
-        for estimate, frame in zip(estimates, frames, strict=False):
-            yield self._result(frame, estimate, None)
+        waiting: list[FloatArray] = []
+
+        def kept() -> Iterator[FloatArray]:
+            for frame in frames:
+                waiting.append(frame)
+                yield frame
+
+        for estimate in estimate_video(self.estimator, kept(), size, hidden_noise):
+            yield self._result(waiting.pop(0), estimate, None)
 
     def reset(self) -> None:
         """Forget the frames so far: the next one begins another video."""

@@ -42,9 +42,8 @@ def add_parser(subparsers: Any) -> None:
         "up to a rotation by 180 degrees.",
         epilog=_EPILOG,
     )
-    parser.add_argument(
-        "inputs", nargs="+", metavar="FOLDER|PICTURE", help="pictures, or a folder of them"
-    )
+    what = "pictures, or a folder of them"
+    parser.add_argument("inputs", nargs="+", metavar="FOLDER|PICTURE", help=what)
     add_gamma_option(parser)
     results = f"folder for {MASK_FILE}, {_PICTURE_OF_MASK}, {_PICTURE} and {_REPORT}"
     add_options(parser, {"--output DIR": results})

@@ -53,9 +53,8 @@ def add_parser(subparsers: Any) -> None:
         "that of the PSF; the mask is that of --camera or --mask.",
         epilog=_EPILOG,
     )
-    parser.add_argument(
-        "inputs", nargs="+", metavar="FOLDER|PICTURE", help="coded pictures, or a folder of them"
-    )
+    what = "coded pictures, or a folder of them"
+    parser.add_argument("inputs", nargs="+", metavar="FOLDER|PICTURE", help=what)
     add_options(
         parser, {"--sharp PICTURE": "sharp picture for each coded one, of pages"}, nargs="+"
     )

@@ -106,9 +106,8 @@ def make_parser() -> argparse.ArgumentParser:
         "camera file, learn its filter bank once, then use depth and deblur on its frames. "
         f"'{PROGRAM} COMMAND --help' shows a command's options and examples.",
     )
-    parser.add_argument(
-        "--version", action=ShowVersion, nargs=0, help="of the program and of what it runs on"
-    )
+    what = "of the program and of what it runs on"
+    parser.add_argument("--version", action=ShowVersion, nargs=0, help=what)
     add_commands(parser, "command", COMMANDS.values())
     return parser
 

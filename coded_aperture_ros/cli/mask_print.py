@@ -33,9 +33,8 @@ def add_parser(subparsers: Any) -> None:
         "four_wide, three_wide.",
         epilog=_EPILOG,
     )
-    parser.add_argument(
-        "mask", nargs="?", metavar="NAME|FILE", help="name or file (PNG, .npy) of the mask"
-    )
+    what = "name or file (PNG, .npy) of the mask"
+    parser.add_argument("mask", nargs="?", metavar="NAME|FILE", help=what)
     add_options(parser, {"--camera YAML": "camera file whose mask and mask size are taken"})
     lengths = {
         "--extent-mm M": "outer width of the mask's grid; needed without --camera",

@@ -39,9 +39,8 @@ def add_parser(subparsers: Any) -> None:
         "accuracy stair measures.",
         epilog=_EPILOG,
     )
-    parser.add_argument(
-        "masks", nargs="*", metavar="NAME|FILE", help="masks (default: all with names)"
-    )
+    what = "masks (default: all with names)"
+    parser.add_argument("masks", nargs="*", metavar="NAME|FILE", help=what)
     sigmas = {"--sigmas S": "noise behind an open aperture, above 0 (default 0.001 0.005)"}
     add_options(parser, sigmas, nargs="+", type=noise_level, default=[0.001, 0.005])
     folder = "predict the depth error with the sharp pictures of this folder too"

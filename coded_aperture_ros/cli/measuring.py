@@ -72,7 +72,7 @@ def pictures_in(inputs: list[str]) -> list[str]:
     """Return the pictures, or those of the one folder."""
     from coded_aperture_ros.io.sources import open_files
 
-    if len(inputs) > 1 or Path(inputs[0]).is_file():
+    if len(inputs) > 1 or not Path(inputs[0]).is_dir():
         return inputs
     return [str(path) for path in open_files(inputs[0]).files]
 
