@@ -28,7 +28,7 @@ _SEEN_OF_HIDDEN = 0.02
 # How much of the blend there is in the result, where the depth is known and where it is not, and
 # how far around that is looked at, px. They are wrong in other places: the mean gains up to
 # 0.4 dB with estimated depth, and loses nothing with the true one.
-_OF_BLEND, _OF_BLEND_IN_GAPS, _GAP_PX = 0.15, 0.65, 9
+_OF_BLEND, _OF_BLEND_IN_GAPS, _GAP_PX = 0.1, 0.6, 9
 # Ranges of blur sizes that the preconditioners tell apart.
 RANGES = 4
 # From an array to one of its shape.
