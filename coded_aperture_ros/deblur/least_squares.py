@@ -40,6 +40,9 @@ _OF_ONE_SET = 0.01
 # Residual, in units of the noise, from which a pixel's depth is taken for wrong, and how far around
 # a pixel it is looked at, px.
 _MISFIT, _MISFIT_REACH_PX = 2.5, 1.2
+# So many times as much may be left by where it begins: what a few steps explain by ringing, such as
+# rods that the depth misses, has to be known before.
+_AT_FIRST = 4.0
 # Of a frame none of whose pixels counts, so that nothing is divided by 0.
 _LEAST_WEIGHT = 1e-3
 # How strongly a scene is held near what is expected where its pixels are not explained, relative
@@ -80,7 +83,7 @@ def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
     weight = trusted = fit.weight
     steps = iter(fit.progress(range(iterations * len(channels))))
     for done in range(0, iterations, between):
-        if done or fit.shines is not None:
+        if done or not exact or fit.shines is not None:
             pairs = zip(channels, scenes, strict=True)
             left = [coded - operator.forward(scene) for coded, scene in pairs]
             if fit.shines is not None:
@@ -89,9 +92,10 @@ def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
                 weight = np.where(too_dark, np.float32(1), fit.weight)
                 left = [np.where(fit.shines & ~too_dark, 0, part) for part in left]
             trusted = weight
-        if done:
-            explained = _explained(left, noise, allowed)
+        if done or not exact:
+            explained = _explained(left, noise, allowed if done else _AT_FIRST * allowed)
             trusted = weight * (explained if exact else explained**2)
+        if done:
             found = _MEDIAN_TO_STD * float(np.median(np.abs(left[0])))
             if not exact:  # the model may be better than it usually is
                 unexplained = max(least, min(unexplained, found))
