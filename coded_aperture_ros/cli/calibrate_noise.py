@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
 
     names, frames = pictures_in(args.frames), list[Any]()
     if len(names) < 2:
-        args.usage_error(f"give two or more frames of one scene: {names[0]} is no folder of them")
+        args.usage_error(f"give two or more frames of one scene: {args.frames[0]} has not so many")
     for name in progress(names, len(names), "frame"):
         frames.append(read_image(name, args.gamma))
         if frames[-1].shape != frames[0].shape:

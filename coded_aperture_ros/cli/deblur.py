@@ -36,7 +36,7 @@ _EPILOG = """examples:
         --method cg coded.png -o sharp.png
 """
 # What --std-dev writes beside a picture, and the steps of grey of the second.
-_BESIDE, _GREY = (".std_dev.npy", ".kind.png"), 127
+_BESIDE, _GREY = {"std_dev": ".uncertainty.npy", "kind": ".kind.png"}, 127
 
 
 def add_parser(subparsers: Any) -> None:
@@ -61,8 +61,8 @@ def add_parser(subparsers: Any) -> None:
     }
     add_options(parser, needed, required=True)
     add_options(parser, CAMERA_OPTION | motion)
-    beside = "write OUT.std_dev.npy, standard deviations in linear light, and OUT.kind.png: which "
-    beside += "pixels are made up (black), uncertain (grey) and seen (white)"
+    beside = "write OUT.uncertainty.npy, standard deviations in linear light, and OUT.kind.png, in "
+    beside += "which pixels are black that were made up, uncertain ones grey, and seen ones white"
     add_options(parser, {"--std-dev": beside})
     add_stereo_options(parser)
     add_gamma_option(parser)
@@ -81,8 +81,11 @@ def run(args: argparse.Namespace) -> int:
     stereo = StereoOutput(args, bank.stack, camera)
     restore, reset, uncertainty = _restorer(args, bank, camera)
 
+    def beside(output: Path) -> dict[str, Path]:
+        return {name: output.with_suffix(_BESIDE[name]) for name in _BESIDE if args.std_dev}
+
     def outputs(output: Path) -> list[Path]:
-        return stereo.outputs(output) + [output.with_suffix(end) for end in _BESIDE * args.std_dev]
+        return [*stereo.outputs(output), *beside(output).values()]
 
     encoding: dict[str, Any] = {} if args.gamma == 1 else {"bits": 8, "gamma": args.gamma}
     summaries = []
@@ -98,18 +101,18 @@ def run(args: argparse.Namespace) -> int:
                 suitable(frame, bank)
                 stereo.check(frame.image)
                 sharp, blur_size_px = restore(frame)
+                seconds = time.perf_counter() - start
                 if args.std_dev:
                     found = uncertainty(frame.coloured, sharp, blur_size_px)
         except InputError as error:
             unusable.note(error)
             continue
-        seconds = time.perf_counter() - start
         write_image(frame.output, sharp, **encoding)
-        if args.std_dev:
-            std_dev, kinds = (frame.output.with_suffix(end) for end in _BESIDE)
-            write_image(std_dev, found.std_dev)
-            write_image(kinds, (_GREY * found.kind).astype("uint8"))
-        written = stereo.write(frame.output, sharp, blur_size_px)
+        written = {name: str(path) for name, path in beside(frame.output).items()}
+        if written:
+            write_image(written["std_dev"], found.std_dev)
+            write_image(written["kind"], (_GREY * found.kind).astype("uint8"))
+        written |= stereo.write(frame.output, sharp, blur_size_px)
         summaries.append({"output": str(frame.output), "seconds": round(seconds, 3), **written})
         if not args.json:
             print(f"{frame.output}: deblurred in {seconds:.2f} s")

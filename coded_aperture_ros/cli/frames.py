@@ -134,7 +134,8 @@ def named_frames(
         def target_of(name: str) -> Path:
             return output if to_file else output / f"{name}{suffix}"
 
-        check_output([path for name in names for path in outputs(target_of(name))], files)
+        of_pictures = [path for name in names for path in outputs(target_of(name))]
+        check_output(of_pictures, files)
 
         def frames() -> Iterator[tuple[str, Any, int]]:
             video, alone = 0, False
@@ -150,7 +151,7 @@ def named_frames(
         for given, capture, video in progress(frames(), total, "frame"):
             target = target_of(capture.name)
             if capture.name not in names:
-                check_output(outputs(target), files)
+                check_output([*of_pictures, *outputs(target)], files)
             try:
                 with naming(given):
                     image, coloured, hidden = _light_of(capture, args)

@@ -29,7 +29,7 @@ from coded_aperture_ros.deblur.problem import (
     opponents,
 )
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
-from coded_aperture_ros.deblur.uncertainty import Uncertainty, uncertainty_of
+from coded_aperture_ros.deblur.uncertainty import Uncertainty, kinds_of, uncertainty_of
 from coded_aperture_ros.imaging import KnownNoise, channel_noise, check_frame
 from coded_aperture_ros.optics import PsfStack
 
@@ -163,7 +163,7 @@ class Deblurrer:
     ) -> Uncertainty:
         """Return how far each pixel of an all-in-focus frame can be relied on.
 
-        It takes a few tenths of a second at 640x480, as occlusion is reckoned with. Of frames that
+        It takes a second of one processor at 640x480, as occlusion is reckoned with. Of frames that
         a video averages the noise is that of one.
 
         Parameters
@@ -178,7 +178,8 @@ class Deblurrer:
         InputError
             As from `deblur`, or if `sharp` has another shape than `frame`.
         """
-        check_frame(frame)
+        for each in (frame, sharp):
+            check_frame(each)
         frame, measured, _ = measured_pixels(frame, self.config.saturation)
         noise = noise or channel_noise(frame, KnownNoise.of(self.config))
         blur = filled_blur_map(blur_size_px, frame)
@@ -186,7 +187,8 @@ class Deblurrer:
         operator = blur_operator(self._basis(), blur, *how)
         seen = frame_within(operator.adjoint(measured.astype(np.float32))[0], operator)
         known = known_pixels(blur_size_px, frame.shape)
-        return uncertainty_of(frame, sharp, blur, known, seen, noise)
+        kind = kinds_of(blur, known, seen, self.stack.in_pixels)
+        return uncertainty_of(frame, np.asarray(sharp, np.float32), measured, kind, noise)
 
     def _blur_map(self, blur_size_px: FloatArray, frame: FloatArray, moves: bool) -> FloatArray:
         """Return the blur sizes to deblur by, as much smaller as the method wants them."""
@@ -201,9 +203,9 @@ class Deblurrer:
         return ClosedForm(self.stack, self.config.rank, self.config.band, self._workers)
 
     def _new_blend(self) -> Blend | None:
-        closed = self.config.method == "inverse" or self.config.band == "half"
-        needed = not closed and not untrained(self.stack)
-        if not needed:
+        method, band = self.config.method, self.config.band
+        closed = method == "inverse" or (method == "fast" and band == "half")
+        if closed or untrained(self.stack):
             return None
         return Blend(self.stack, self.config.rank, self._workers, self.config.network)
 

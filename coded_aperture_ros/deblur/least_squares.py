@@ -40,8 +40,8 @@ _OF_ONE_SET = 0.01
 # Residual, in units of the noise, from which a pixel's depth is taken for wrong, and how far around
 # a pixel it is looked at, px.
 _MISFIT, _MISFIT_REACH_PX = 2.5, 1.2
-# So many times as much may be left by where it begins: what a few steps explain by ringing, such as
-# rods that the depth misses, has to be known before.
+# So many times as much may be left by where `cg` begins: what a few steps would explain by ringing,
+# such as rods that the depth misses, has to be known before. `sparse` finds out by itself.
 _AT_FIRST = 4.0
 # Of a frame none of whose pixels counts, so that nothing is divided by 0.
 _LEAST_WEIGHT = 1e-3
@@ -52,7 +52,8 @@ _HELD, _HELD_PX = np.float32(0.003), 9
 
 def in_few_steps(fit: Fit) -> list[FloatArray]:
     """Restore a frame in a few steps from the closed forms."""
-    return restore_sparse(fit, fit.config.iterations or _FEW[1], _FEW[0])
+    wary = fit.operator.hidden is not None
+    return restore_sparse(fit, fit.config.iterations or _FEW[1], _FEW[0], wary)
 
 
 def until_little_changes(fit: Fit) -> list[FloatArray]:
@@ -61,12 +62,13 @@ def until_little_changes(fit: Fit) -> list[FloatArray]:
     return restore_sparse(fit, fit.config.iterations or iterations, between)
 
 
-def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
+def restore_sparse(fit: Fit, iterations: int, between: int, wary: bool = False) -> list[FloatArray]:
     """Minimise ``||g - H_d f||^2 + alpha sum |D f|^0.7`` by reweighted least squares.
 
     After each `between` iterations the prior's weights follow the solution (see `SparsePrior`), and
     pixels that no sharp scene can explain, because their depth is wrong, lose their weight: what is
-    there is held near `Fit.expected`. The channels share their edges.
+    there is held near `Fit.expected`; if `wary`, before the first iteration too. The channels share
+    their edges.
     """
     operator, channels, noise, config = fit.operator, fit.channels, fit.noise, fit.config
     # What is seen of brightness in all channels together has less noise than each of them.
@@ -83,7 +85,7 @@ def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
     weight = trusted = fit.weight
     steps = iter(fit.progress(range(iterations * len(channels))))
     for done in range(0, iterations, between):
-        if done or not exact or fit.shines is not None:
+        if done or wary or fit.shines is not None:
             pairs = zip(channels, scenes, strict=True)
             left = [coded - operator.forward(scene) for coded, scene in pairs]
             if fit.shines is not None:
@@ -92,7 +94,7 @@ def restore_sparse(fit: Fit, iterations: int, between: int) -> list[FloatArray]:
                 weight = np.where(too_dark, np.float32(1), fit.weight)
                 left = [np.where(fit.shines & ~too_dark, 0, part) for part in left]
             trusted = weight
-        if done or not exact:
+        if done or wary:
             explained = _explained(left, noise, allowed if done else _AT_FIRST * allowed)
             trusted = weight * (explained if exact else explained**2)
         if done:

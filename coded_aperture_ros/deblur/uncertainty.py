@@ -14,7 +14,8 @@ FILLED, UNCERTAIN, SEEN = range(3)
 # Of the aperture, what has to see a pixel at least.
 _LEAST_SEEN = 0.5
 # How far the light of another surface reaches, px, and by how much its blur differs, px.
-_NEAR_PX, _OTHER_PX = 9, 1.5
+# Levels without sizes are other surfaces in any case.
+_NEAR_PX, _OTHER_PX, _OTHER_LEVEL = 9, 1.5, 0.5
 # The error of a pixel is about so many times what deblurring has changed around it, to a power: of
 # 71 random scenes behind three masks, noise 0.001 to 0.005, all methods but `inverse`. Half of the
 # scenes set these numbers; of the others' pixels 70 % are within, of their worst scene's 44 %.
@@ -33,28 +34,34 @@ class Uncertainty:
     kind: IndexArray  # `FILLED`, `UNCERTAIN` or `SEEN`
 
 
-def uncertainty_of(
-    frame: FloatArray,
-    sharp: FloatArray,
-    blur_size_px: FloatArray,
-    known: BoolArray,
-    seen: FloatArray,
-    noise: float,
-) -> Uncertainty:
-    """Return it for a frame and what deblurring has made of it, with `noise` in a channel.
+def kinds_of(
+    blur_size_px: FloatArray, known: BoolArray, seen: FloatArray, in_pixels: bool
+) -> IndexArray:
+    """Return what became of every pixel: `FILLED`, `UNCERTAIN` or `SEEN`.
 
-    Maps [rows, columns] say how large the blur is, where that was measured, and how much of the
-    aperture sees a pixel: 0 where the frame has no light of it, 1 where all does.
+    Maps [rows, columns] say how large the blur is, or which level it has, where that was measured,
+    and how much of the aperture sees a pixel: 0 where the frame has no light of it, 1 where all
+    does.
     """
+    beside = np.ones((2 * _NEAR_PX + 1,) * 2, np.uint8)
+    relief = cv2.dilate(blur_size_px, beside) - cv2.erode(blur_size_px, beside)
+    kind = np.where(known & (relief <= (_OTHER_PX if in_pixels else _OTHER_LEVEL)), SEEN, UNCERTAIN)
+    kind[seen < _LEAST_SEEN] = FILLED
+    return kind
+
+
+def uncertainty_of(
+    frame: FloatArray, sharp: FloatArray, measured: BoolArray, kind: IndexArray, noise: float
+) -> Uncertainty:
+    """Return it for a frame and what deblurring has made of it, with `noise` in a channel."""
     if sharp.shape != frame.shape:
         shapes = f"expected {list(frame.shape)}, got {list(sharp.shape)}"
         raise InputError(f"all-in-focus frame: {shapes}")
     change = np.atleast_3d(sharp - frame)
     around = cv2.blur((change * change).mean(axis=2), (_AROUND_PX, _AROUND_PX))
-    beside = np.ones((2 * _NEAR_PX + 1,) * 2, np.uint8)
-    relief = cv2.dilate(blur_size_px, beside) - cv2.erode(blur_size_px, beside)
-    kind = np.where(known & (relief <= _OTHER_PX), SEEN, UNCERTAIN)
-    kind[seen < _LEAST_SEEN] = FILLED
     power = around + np.float32((_LEAST_CHANGE * noise) ** 2)
     variance = (_OF_CHANGE[kind] ** 2) * power**_POWER + np.float32((_OF_NOISE * noise) ** 2)
+    # What was not measured was guessed from what is around: it may be anything that there is.
+    contrast = np.var(frame[measured]) if measured.any() else np.inf
+    variance[~measured] = np.maximum(variance[~measured], contrast)
     return Uncertainty(np.sqrt(variance), kind)

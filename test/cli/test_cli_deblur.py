@@ -335,11 +335,17 @@ def test_3d_pictures_beside_the_sharp_one(scene, tmp_path, capsys):
 def test_how_far_it_can_be_relied_on_beside_the_sharp_one(scene, tmp_path, capsys):
     result = deblur(capsys, scene, tmp_path / "a.npy", "--std-dev", depth=scene.depth_npy)
     assert (result.status, result.err) == (0, "")
-    assert names(tmp_path) == ["a.kind.png", "a.npy", "a.std_dev.npy"]
+    assert names(tmp_path) == ["a.kind.png", "a.npy", "a.uncertainty.npy"]
     kind = cv2.imread(str(tmp_path / "a.kind.png"), cv2.IMREAD_UNCHANGED)
-    std_dev, size = np.load(tmp_path / "a.std_dev.npy"), np.load(tmp_path / "a.npy").shape[:2]
+    std_dev, size = np.load(tmp_path / "a.uncertainty.npy"), np.load(tmp_path / "a.npy").shape[:2]
     assert kind.shape == std_dev.shape == size and set(np.unique(kind)) <= {0, 127, 254}
     assert kind.mean() > 127 and 0 < np.median(std_dev) < 0.1
+    # The standard deviations of its depth have another name.
+    written = json.loads(
+        deblur(capsys, scene, tmp_path / "b.png", "--std-dev", "--json", depth=scene.depth_npy).out
+    )
+    assert written[0]["std_dev"] == str(tmp_path / "b.uncertainty.npy")
+    assert written[0]["kind"] == str(tmp_path / "b.kind.png")
 
 
 def test_default_parallax_is_a_share_of_the_width(scene, tmp_path, capsys):

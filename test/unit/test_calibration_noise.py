@@ -143,5 +143,5 @@ def test_command_names_the_file(tmp_path, capsys):
     (tmp_path / "same.png").write_bytes(paths[0].read_bytes())
     refused(call(capsys, "calibrate", "noise", paths[0], tmp_path / "same.png"), "are equal")
     nowhere = call(capsys, "calibrate", "noise", tmp_path / "nowhere")
-    wrong_usage(nowhere, "calibrate noise", "two or more", "nowhere is no folder of them")
+    wrong_usage(nowhere, "calibrate noise", "two or more", "nowhere has not so many")
     wrong_usage(call(capsys, "calibrate", "noise", paths[0]), "calibrate noise", "two or more")

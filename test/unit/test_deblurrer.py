@@ -117,3 +117,9 @@ def test_shot_noise_counts_at_the_brightness_of_the_frame(frames):
     gain = 0.03**2 / float(frames[0].mean())
     with_shot = deblurrer(noise=0.04, noise_gain=gain).deblur(frames[0], BLUR)
     assert np.array_equal(with_shot, deblurrer().deblur(frames[0], BLUR, 0.05))
+
+
+def test_the_band_is_that_of_closed_forms(frames):
+    """What the other methods begin with stays as it is."""
+    half, full = (deblurrer(**CG, band=band).deblur(frames[0], BLUR) for band in ("half", "full"))
+    assert np.array_equal(half, full)

@@ -9,6 +9,7 @@ from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur import FILLED, SEEN, UNCERTAIN
 from coded_aperture_ros.deblur.iterative import blur_operator
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
+from coded_aperture_ros.deblur.uncertainty import kinds_of
 
 SHAPE = (96, 128)
 
@@ -39,8 +40,11 @@ def test_it_says_what_was_not_seen(scene):
     frame[60:90, 95:125] = 1.0
     blur[5:20, 100:120] = np.nan
     of = deblurrer()
-    kind = of.uncertainty(frame, of.deblur(frame, blur, NOISE), blur, NOISE).kind
+    found = of.uncertainty(frame, of.deblur(frame, blur, NOISE), blur, NOISE)
+    kind = found.kind
     assert (kind[70:80, 105:115] == FILLED).all()
+    # It may be anything that there is in the frame.
+    assert (found.std_dev[60:90, 95:125] >= 0.9 * frame[:60].std()).all()
     assert (kind[8:17, 103:117] == UNCERTAIN).all() and (kind[32:68, 40:44] == UNCERTAIN).all()
     assert (kind[70:90, 3:20] == SEEN).all()
     assert (kind == FILLED).mean() < 0.15
@@ -59,3 +63,17 @@ def test_a_picture_of_another_frame_is_refused(scene):
     frame, blur, sharp = scene
     with pytest.raises(InputError, match=r"all-in-focus frame: expected \[96, 128\]"):
         deblurrer().uncertainty(frame, sharp[:-1], blur, NOISE)
+
+
+def test_levels_without_sizes_are_different_surfaces():
+    blur, everywhere = np.zeros(SHAPE, np.float32), np.ones(SHAPE, bool)
+    blur[:, 64:] = 1
+    kinds = [kinds_of(blur, everywhere, everywhere.astype(np.float32), px) for px in (True, False)]
+    assert (kinds[0] == SEEN).all()
+    assert (kinds[1][:, 56:72] == UNCERTAIN).all() and (kinds[1][:, :50] == SEEN).all()
+
+
+def test_of_a_frame_without_light_nothing_is_certain():
+    frame, blur = np.full(SHAPE, np.nan, np.float32), np.full(SHAPE, 5, np.float32)
+    found = deblurrer().uncertainty(frame, np.zeros_like(frame), blur, NOISE)
+    assert np.isinf(found.std_dev).all() and (found.kind == FILLED).all()
