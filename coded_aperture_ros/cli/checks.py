@@ -28,13 +28,15 @@ def check_output(
     paths: str | os.PathLike[str] | Iterable[Path],
     inputs: Iterable[Path] = (),
     suffixes: Sequence[str] = (),
+    others: Iterable[Path] = (),
 ) -> None:
     """Check that a file, or several, can be written, without writing them.
 
     An `InputError` says why one cannot, and what to do instead; where it is one of the existing
-    files `inputs`, that it must not be overwritten. `suffixes` are those of `check_suffix`, if any.
+    files `inputs`, that it must not be overwritten. `suffixes` are those of
+    `check_suffix`, if any. `others` are outputs that were checked before.
     """
-    taken, written = {*map(_identity, inputs)} - {None}, set()
+    taken, written = {*map(_identity, inputs)} - {None}, {path.resolve() for path in others}
     for path in [Path(paths)] if isinstance(paths, (str, os.PathLike)) else paths:
         if suffixes:
             check_suffix(path, suffixes)

@@ -151,7 +151,7 @@ def named_frames(
         for given, capture, video in progress(frames(), total, "frame"):
             target = target_of(capture.name)
             if capture.name not in names:
-                check_output([*of_pictures, *outputs(target)], files)
+                check_output(outputs(target), files, others=of_pictures)
             try:
                 with naming(given):
                     image, coloured, hidden = _light_of(capture, args)

@@ -183,8 +183,7 @@ class Deblurrer:
         frame, measured, _ = measured_pixels(frame, self.config.saturation)
         noise = noise or channel_noise(frame, KnownNoise.of(self.config))
         blur = filled_blur_map(blur_size_px, frame)
-        how = self.config.occlusion, None, self._workers
-        operator = blur_operator(self._basis(), blur, *how)
+        operator = blur_operator(self._basis(), blur, self._workers, self.config.occlusion)
         seen = frame_within(operator.adjoint(measured.astype(np.float32))[0], operator)
         known = known_pixels(blur_size_px, frame.shape)
         kind = kinds_of(blur, known, seen, self.stack.in_pixels)

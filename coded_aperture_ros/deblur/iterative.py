@@ -77,8 +77,8 @@ class Iterative:
         count = problem.frame_count
         most = float(np.max(count))
         noise = problem.noise / float(np.sqrt(most))
-        how = self._config.occlusion, problem.motion_px, self._workers
-        operator = blur_operator(self._basis(), problem.blur_size_px, *how)
+        blur, motion = problem.blur_size_px, problem.motion_px
+        operator = blur_operator(self._basis(), blur, self._workers, self._config.occlusion, motion)
         weight = problem.measured * (count / np.float32(most))
         if operator.hidden is None:
             weight = weight * model_weight(problem.blur_size_px, noise)
@@ -97,7 +97,7 @@ class Iterative:
             )
         )
         video.keep(restored)
-        if self._blend is not None and problem.motion_px is None:
+        if self._blend_for(problem) is not None:
             known = cv2.blur(problem.known.astype(np.float32), (_GAP_PX, _GAP_PX))
             share = _OF_BLEND_IN_GAPS + np.float32(_OF_BLEND - _OF_BLEND_IN_GAPS) * known
             pairs = zip(restored, closed_forms, strict=True)
@@ -107,19 +107,22 @@ class Iterative:
     def _closed_forms(self, problem: Problem, noise: float) -> list[FloatArray]:
         """Return about what the scene is."""
         blur, channels = problem.blur_size_px, problem.channels
-        if self._blend is not None and problem.motion_px is None:
-            return self._blend.restore(channels, blur, problem.known, noise)
+        if (blend := self._blend_for(problem)) is not None:
+            return blend.restore(channels, blur, problem.known, noise)
         # Edges that are too sharp are found and lost again more easily than blurred ones.
         small = filled_blur_map(blur, channels[0], self._closed_form.reduction)
         return self._closed_form.restore(channels, small, noise / 3)
+
+    def _blend_for(self, problem: Problem) -> Blend | None:
+        return self._blend if problem.motion_px is None else None
 
 
 def blur_operator(
     basis: PsfBasis,
     blur_size_px: FloatArray,
-    occlusion: str,
-    motion_px: FloatArray | None,
     workers: Workers,
+    occlusion: str = "auto",
+    motion_px: FloatArray | None = None,
 ) -> BlurOperator:
     """Return the blur of a scene with these blur sizes; see `DeblurConfig` for `occlusion`."""
     if motion_px is not None:

@@ -7,15 +7,16 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.deblur.blend.hypotheses import FARTHER, NEARER, sizes_of
 
 # What became of a pixel: no light of it was measured, or next to none, and it was made up from
 # what is beside it; its depth is not known, or another surface is near; neither.
 FILLED, UNCERTAIN, SEEN = range(3)
 # Of the aperture, what has to see a pixel at least.
 _LEAST_SEEN = 0.5
-# How far the light of another surface reaches, px, and by how much its blur differs, px.
-# Levels without sizes are other surfaces in any case.
-_NEAR_PX, _OTHER_PX, _OTHER_LEVEL = 9, 1.5, 0.5
+# By how much the blur of another surface beside differs, px. Levels without sizes are other
+# surfaces in any case.
+_OTHER_PX, _OTHER_LEVEL = 1.5, 0.5
 # The error of a pixel is about so many times what deblurring has changed around it, to a power: of
 # 71 random scenes behind three masks, noise 0.001 to 0.005, all methods but `inverse`. Half of the
 # scenes set these numbers; of the others' pixels 70 % are within, of their worst scene's 44 %.
@@ -43,8 +44,8 @@ def kinds_of(
     and how much of the aperture sees a pixel: 0 where the frame has no light of it, 1 where all
     does.
     """
-    beside = np.ones((2 * _NEAR_PX + 1,) * 2, np.uint8)
-    relief = cv2.dilate(blur_size_px, beside) - cv2.erode(blur_size_px, beside)
+    around = sizes_of(blur_size_px)
+    relief = around[FARTHER] - around[NEARER]
     kind = np.where(known & (relief <= (_OTHER_PX if in_pixels else _OTHER_LEVEL)), SEEN, UNCERTAIN)
     kind[seen < _LEAST_SEEN] = FILLED
     return kind

@@ -348,6 +348,16 @@ def test_how_far_it_can_be_relied_on_beside_the_sharp_one(scene, tmp_path, capsy
     assert written[0]["kind"] == str(tmp_path / "b.kind.png")
 
 
+def test_no_frame_of_a_video_overwrites_what_came_of_a_picture(scene, tmp_path, capsys):
+    """Its map of kinds would have the name of the picture that is called so."""
+    bag = write_bag(tmp_path / "in", recording(scene, frames=1))
+    picture = tmp_path / "in_000000.kind.png"
+    picture.write_bytes(scene.coded_png.read_bytes())
+    given = ("--bank", scene.bank, "--depth", scene.depth_npy, picture, bag)
+    result = call(capsys, "deblur", *given, "-o", tmp_path / "out", "--std-dev")
+    assert result.status == 1 and "two results cannot go to one file" in result.err
+
+
 def test_default_parallax_is_a_share_of_the_width(scene, tmp_path, capsys):
     options = ("--stereo", tmp_path / "both.npy")
     assert deblur(capsys, scene, tmp_path / "a.npy", *options, depth=scene.depth_npy).status == 0
