@@ -8,7 +8,7 @@ from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 
 
 def factor_weights(
-    weights: DoubleArray, scales: DoubleArray, rank: int
+    weights: DoubleArray, scales: DoubleArray, rank: int, others: DoubleArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Factor ``weights ~ basis @ coefficients`` at a given rank.
 
@@ -19,10 +19,11 @@ def factor_weights(
     of contrast to noise; `scales`, float64 [S, K], the typical power of every frequency under each
     ratio. The approximation is best in the least-squares sense for spectra of this shape; without
     it the strongest low frequencies, whose weights are smallest, would be approximated worst. The
-    rank is limited to what the filters need. Returns the basis [K, rank] and the coefficients
-    [rank, S, M], float32.
+    rank is limited to what the filters need. The basis is made for `others` [S, N, K], too. Returns
+    the basis [K, rank] and the coefficients [rank, S, M], float32.
     """
-    basis = common_basis(weights, scales, rank)
+    of = weights if others is None else np.concatenate([weights, others], axis=1)
+    basis = common_basis(of, scales, rank)
     # One basis serves all ratios, but each fits its coefficients to its own spectra: without
     # noise the power of the frequencies spans many decades more than with it.
     coefficients = [

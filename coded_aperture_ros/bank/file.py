@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bank.empirical import EmpiricalPrior
+from coded_aperture_ros.bank.field import FieldFilters, FieldPsfs
 from coded_aperture_ros.bank.learning import check_levels
 from coded_aperture_ros.bank.model import DEFAULT_STRIDE_PX, FilterBank
 from coded_aperture_ros.bank.pattern import LearnedPattern
 from coded_aperture_ros.bank.prior import NaturalImagePrior
 from coded_aperture_ros.core.archive import read_archive, write_archive
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics import Mask, PsfStack
+from coded_aperture_ros.optics import Intrinsics, Mask, PsfStack
 
 SCHEMA = "coded-aperture filter bank"
 # Version 2 may leave out high frequencies, and knows its stride.
@@ -40,6 +41,8 @@ _OF_PATTERN: dict[str, Callable[[Any], Any]] = {
     **dict.fromkeys(("parts_extent", "slope_px_m", "inverse_focus"), float),
     "image_width": int,
 }
+_OF_FIELD = ("coefficients", "log_determinants")
+_OF_FRAMES = ("image_width", "image_height", "camera_matrix")
 _OF_PRIOR = ("slopes", "contrasts", "model_error")
 
 
@@ -64,6 +67,11 @@ def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
         arrays |= {f"pattern_{name}": getattr(bank.pattern, name) for name in _OF_PATTERN}
         arrays["pattern_mask"] = bank.pattern.mask.transmission
         arrays["pattern_mask_name"] = bank.pattern.mask.name
+    if bank.field is not None:
+        own, of = bank.field, bank.field.field
+        arrays |= {"field_psfs": of.psfs, "field_tangents": of.tangents}
+        arrays |= {f"field_{name}": getattr(own, name) for name in _OF_FIELD}
+        arrays |= {f"field_{name}": getattr(of.intrinsics, name) for name in _OF_FRAMES}
     write_archive(path, SCHEMA, VERSION, arrays)
 
 
@@ -87,6 +95,7 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
             ),
             prior=_prior(arrays),
             pattern=_pattern(arrays),
+            field=_field(arrays),
             **{name: read(arrays[name]) for name, read in _KEPT.items()},
             **{name: read(arrays.get(name, old)) for name, (read, old) in _NEWER.items()},
         )
@@ -104,6 +113,17 @@ def _pattern(arrays: dict[str, NDArray[Any]]) -> LearnedPattern | None:
     return LearnedPattern(
         mask=Mask(str(arrays["pattern_mask_name"]), arrays["pattern_mask"]),
         **{name: read(arrays[f"pattern_{name}"]) for name, read in _OF_PATTERN.items()},
+    )
+
+
+def _field(arrays: dict[str, NDArray[Any]]) -> FieldFilters | None:
+    if "field_psfs" not in arrays:
+        return None
+    width, height, matrix = (arrays[f"field_{name}"] for name in _OF_FRAMES)
+    frames = Intrinsics(int(width), int(height), tuple(matrix.tolist()))
+    return FieldFilters(
+        FieldPsfs(arrays["field_psfs"], arrays["field_tangents"], frames),
+        **{name: arrays[f"field_{name}"] for name in _OF_FIELD},
     )
 
 
@@ -128,7 +148,13 @@ def _check_shapes(bank: FilterBank) -> None:
         "coefficients": (rank, *hypotheses),
         "log_determinants": hypotheses,
     }
+    arrays = {name: getattr(bank, name) for name in expected}
+    if bank.field is not None:
+        parts = len(bank.field.field.tangents)
+        for name in _OF_FIELD:
+            expected[f"field_{name}"] = (parts, *expected[name])
+            arrays[f"field_{name}"] = getattr(bank.field, name)
     for name, shape in expected.items():
-        array = getattr(bank, name)
+        array = arrays[name]
         if array.shape != shape or not np.isfinite(array).all():
             raise InputError(f"{name}: expected finite values of shape {shape}, got {array.shape}")

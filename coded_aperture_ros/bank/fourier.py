@@ -104,7 +104,10 @@ class WindowedFourierBasis:
         return power, grid
 
     def expected_power(
-        self, psf: FloatArray, spectrum: float | Callable[[tuple[int, int]], DoubleArray]
+        self,
+        psf: FloatArray,
+        spectrum: float | Callable[[tuple[int, int]], DoubleArray],
+        windows: int = 4,
     ) -> DoubleArray:
         """Return the expected power of a window on a naturally textured, blurred plane.
 
@@ -113,12 +116,13 @@ class WindowedFourierBasis:
         blurred spectrum itself would ignore the leakage between frequencies.
 
         The `spectrum` is the fall-off of the texture's power spectrum, see `NaturalImagePrior`, or
-        a function of the shape of an image with the layout and scale of `power_spectrum`. Returns
-        float64 [K], for texture of unit variance before the blur.
+        a function of the shape of an image with the layout and scale of `power_spectrum`. The
+        texture repeats every so many `windows`, 2 or more. Returns float64 [K], for texture of unit
+        variance before the blur.
         """
         n = self.window_px
-        # Four windows wide: no wrap-around, and texture with room for lower frequencies.
-        period = 4 * max(n, *psf.shape)
+        # Wide enough: no wrap-around, and texture with room for lower frequencies.
+        period = windows * max(n, *psf.shape)
         period += -period % n
         torus = (period, period)
         transfer = scipy.fft.rfft2(psf.astype(np.float64), torus)
@@ -126,6 +130,7 @@ class WindowedFourierBasis:
         blurred = texture * np.abs(transfer) ** 2
         autocovariance = scipy.fft.irfft2(blurred, torus)
         overlap = scipy.fft.irfft(np.abs(scipy.fft.rfft(self.window, period)) ** 2, period)
-        expected = scipy.fft.rfft2(autocovariance * overlap[:, None] * overlap).real
-        sampled = expected[:: period // n, :: period // n]
-        return np.maximum(sampled, 0).ravel()
+        seen = autocovariance * overlap[:, None] * overlap
+        # Every so many frequencies of the period are all those of what is folded to a window.
+        folded = seen.reshape(period // n, n, period // n, n).sum(axis=(0, 2))
+        return np.maximum(scipy.fft.rfft2(folded).real, 0).ravel()

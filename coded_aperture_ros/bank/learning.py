@@ -6,6 +6,7 @@ import numpy as np
 
 from coded_aperture_ros.bank.empirical import EmpiricalPrior
 from coded_aperture_ros.bank.factoring import factor_weights
+from coded_aperture_ros.bank.field import FieldFilters, FieldPsfs
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.hypotheses import RATIOS, Hypotheses
 from coded_aperture_ros.bank.model import DEFAULT_STRIDE_PX, FilterBank
@@ -28,6 +29,8 @@ _SMALLEST_WINDOW_PX, _LARGEST_WINDOW_PX = 16, 256
 # A difference of blur that is told apart.
 _LEAST_SPAN_PX = 1.0
 _MOST_LEVELS = 500
+# Every so many filters of the parts of an image choose the basis; it serves them all.
+_BASIS_OF_PARTS = 7
 # The rank that all frequencies need.
 RANK_OF_ALL = 128
 # A window chosen by the blur has so many patches a side, no farther apart than this.
@@ -123,7 +126,8 @@ def learn_bank_for_camera(
     """
     stack = psf_stack_for_camera(camera, near_m, far_m, level_count)
     learned_from = f"mask {camera.mask.name}, {near_m:g} to {far_m:g} m, {textures_of(prior)}"
-    bank = learn_bank(stack, config, prior, learned_from, camera.mask, progress)
+    field = FieldPsfs.of(camera, stack.blur_sizes_px)
+    bank = learn_bank(stack, config, prior, learned_from, camera.mask, progress, field=field)
     return for_camera(bank, camera)
 
 
@@ -223,6 +227,7 @@ def learn_bank(
     mask: Mask | None = None,
     progress: Progress = iter,
     components: FloatArray | None = None,
+    field: FieldPsfs | None = None,
 ) -> FilterBank:
     """Learn the bank that identifies the blur levels of a PSF stack.
 
@@ -241,6 +246,8 @@ def learn_bank(
     components : ndarray, float32 [R, L, k, k], optional
         Instead of the PSFs: their autocorrelation is the sum of those of R components. The bank
         needs no more than that; see `learn_bank_from_planes`.
+    field : FieldPsfs, optional
+        PSFs of the same levels elsewhere in the image.
 
     Raises
     ------
@@ -261,7 +268,14 @@ def learn_bank(
     of_levels = stack.psfs[:, None] if components is None else components.swapaxes(0, 1)
     found = Hypotheses.of(fourier, of_levels, prior.spectra, prior.model_error, progress)
     multiplicity, weights, scales = fourier.multiplicity, found.weights, found.scales
-    basis, coefficients = factor_weights(weights, scales, config.rank)
+    parts = [
+        Hypotheses.of(fourier, psfs[:, None], prior.spectra, prior.model_error)
+        for psfs in (progress(field.psfs) if field is not None else ())
+    ]
+    others = [part.weights[:, ::_BASIS_OF_PARTS] for part in parts]
+    basis, coefficients = factor_weights(
+        weights, scales, config.rank, np.concatenate(others, axis=1) if others else None
+    )
     # Rounding leaves next to nothing there, and numbers next to nothing are slow to multiply.
     basis[multiplicity == 0] = 0
     scaled = weights * scales[:, None]
@@ -280,6 +294,7 @@ def learn_bank(
         learned_from=learned_from,
         highest_frequency=config.highest_frequency,
         stride_px=stride_px,
+        field=None if field is None else FieldFilters.of(field, parts, basis),
     )
 
 
@@ -315,7 +330,8 @@ def relearned(bank: FilterBank, window_px: int, levels: IndexArray) -> FilterBan
         np.abs(stack.blur_sizes_px[levels]), stack.psfs[levels], in_pixels=stack.in_pixels
     )
     config = LearnConfig(window_px, bank.basis_vectors, bank.highest_frequency, bank.noise)
-    return _learned_like(bank, some, config)
+    field = None if bank.field is None else bank.field.field.of_levels(levels)
+    return _learned_like(bank, some, config, field)
 
 
 def with_all_frequencies(bank: FilterBank) -> FilterBank:
@@ -327,10 +343,14 @@ def with_all_frequencies(bank: FilterBank) -> FilterBank:
     return dataclasses.replace(other, stride_px=bank.stride_px, level_error=bank.level_error)
 
 
-def _learned_like(bank: FilterBank, stack: PsfStack, config: LearnConfig) -> FilterBank:
+def _learned_like(
+    bank: FilterBank, stack: PsfStack, config: LearnConfig, field: FieldPsfs | None = None
+) -> FilterBank:
     """Learn another bank of a bank's mask, textures and pattern."""
     components = None if bank.pattern is None else bank.pattern.components(stack.blur_sizes_px)
-    other = learn_bank(stack, config, bank.prior, bank.learned_from, components=components)
+    other = learn_bank(
+        stack, config, bank.prior, bank.learned_from, components=components, field=field
+    )
     return dataclasses.replace(
         other,
         mask_digest=bank.mask_digest,

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from coded_aperture_ros.bank.factoring import fitted_coefficients
+from coded_aperture_ros.bank.field import FieldFilters
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.hypotheses import Hypotheses
 from coded_aperture_ros.bank.pattern import LearnedPattern
@@ -14,7 +15,7 @@ from coded_aperture_ros.bank.periodic import periodic_levels, periodic_spectra
 from coded_aperture_ros.bank.prior import NaturalImagePrior
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, PerPatch
 from coded_aperture_ros.likelihood import EngineLikelihood, Plan, new_engine
-from coded_aperture_ros.optics import PsfStack
+from coded_aperture_ros.optics import Camera, PsfStack
 
 # Distance between the patches of a frame, unless something else is asked for.
 DEFAULT_STRIDE_PX = 8
@@ -86,6 +87,8 @@ class FilterBank:
         Levels at either end that stand for what is beyond the depth range.
     pattern : LearnedPattern or None
         Mask and thin lens as found from planes: what a bank for another focus is made of.
+    field : FieldFilters or None
+        Filters of the parts of the image, for lenses whose PSF changes over it.
     """
 
     stack: PsfStack
@@ -107,6 +110,7 @@ class FilterBank:
     setting_digest: str = ""
     guard_levels: int = 0
     pattern: LearnedPattern | None = None
+    field: FieldFilters | None = None
 
     @property
     def blur_sizes_px(self) -> DoubleArray:
@@ -189,16 +193,31 @@ class FilterBank:
             for filters, scale in zip(found.weights, found.scales, strict=True)
         ]
 
-        def after(own: FloatArray, more: DoubleArray) -> FloatArray:
-            more = more.reshape(*own.shape[:-2], -1, kinds, len(some)).swapaxes(-3, -2)
-            more = more.reshape(*own.shape[:-1], -1)
-            return np.concatenate([own, more.astype(own.dtype)], axis=-1)
+        def after(own: FloatArray, more: DoubleArray, first: int = 0) -> FloatArray:
+            more = more.reshape(*own.shape[first:-2], -1, kinds, len(some)).swapaxes(-3, -2)
+            more = more.reshape(*own.shape[first:-1], -1).astype(own.dtype)
+            more = np.broadcast_to(more, (*own.shape[:first], *more.shape))
+            return np.concatenate([own, more], axis=-1)
 
+        coefficients = np.stack(weights, axis=1)
+        field = self.field and dataclasses.replace(
+            self.field,
+            coefficients=after(self.field.coefficients, coefficients, 1),
+            log_determinants=after(self.field.log_determinants, found.log_determinants, 1),
+        )
         return dataclasses.replace(
             self,
-            coefficients=after(self.coefficients, np.stack(weights, axis=1)),
+            coefficients=after(self.coefficients, coefficients),
             log_determinants=after(self.log_determinants, found.log_determinants),
+            field=field,
         )
+
+    def seen_by(self, camera: Camera | None) -> "FilterBank":
+        """Return the bank for frames of a camera, which may show a part of its view only."""
+        if self.field is None or camera is None:
+            return self
+        psfs = dataclasses.replace(self.field.field, intrinsics=camera.intrinsics)
+        return dataclasses.replace(self, field=dataclasses.replace(self.field, field=psfs))
 
     def energies(self, grey: FloatArray, stride_px: int, noise: PerPatch) -> FloatArray:
         """Return the energies of a single frame [rows, columns, L]; `plan` is for many.

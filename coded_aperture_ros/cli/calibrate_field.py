@@ -1,19 +1,28 @@
 """`coded_aperture calibrate field`: how the focus of a lens moves away from the image's middle."""
 
 import argparse
-from typing import Any
+import dataclasses
+import json
+from typing import TYPE_CHECKING, Any
 
 from coded_aperture_ros.cli.calibrate_planes import check_size
+from coded_aperture_ros.cli.checks import check_output, inputs_of
 from coded_aperture_ros.cli.measuring import add_planes_arguments, tell
 from coded_aperture_ros.cli.options import add_gamma_option, add_options
 from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.core.errors import InputError
 
-_EPILOG = """example:
+if TYPE_CHECKING:
+    from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+    from coded_aperture_ros.optics import Camera
+
+_EPILOG = """examples:
     coded_aperture calibrate field planes --camera camera.yaml
+    coded_aperture calibrate field planes --camera camera.yaml --psfs --picture psfs.png
 
-Then: put mask_extent_mm and field_curvature into the camera file, and learn the bank again. Take 6
-or more planes parallel to the sensor, with fine texture up to the corners, over the range of depth
-that matters; distances are from the entrance pupil of the lens.
+Then: put what it prints into the camera file, and learn the bank again. Take 6 or more planes
+parallel to the sensor, with fine texture up to the corners, over the range of depth that matters;
+distances are from the entrance pupil of the lens.
 """
 _FIGURES = ("depth_m", "found_m", "error_without", "error")
 
@@ -30,7 +39,15 @@ def add_parser(subparsers: Any) -> None:
     add_planes_arguments(parser)
     add_options(parser, {"--camera YAML": "camera file, with mask and focus"}, required=True)
     add_gamma_option(parser)
-    add_options(parser, {"--json": "print the numbers as JSON"})
+    add_options(
+        parser,
+        {
+            "--psfs": "find how the PSF changes over the image, too: astigmatism, coma, spherical "
+            "aberration, and what the lens cuts off; a minute or two",
+            "--picture PNG": "with --psfs: draw the PSFs of the parts of the image",
+            "--json": "print the numbers as JSON",
+        },
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -39,19 +56,35 @@ def run(args: argparse.Namespace) -> int:
 
     from coded_aperture_ros.calibration.planes.field import fit_field
     from coded_aperture_ros.calibration.planes.folder import load_planes
+    from coded_aperture_ros.calibration.planes.wavefront import fit_wavefront
+    from coded_aperture_ros.io import write_image
     from coded_aperture_ros.optics import load_camera
 
+    if args.picture is not None and not args.psfs:
+        raise InputError("--picture: draws what --psfs finds, give both")
+    if args.picture is not None:
+        check_output(args.picture, inputs_of(args, "camera", "inputs"))
     planes = load_planes(args.inputs, args.depths, args.gamma)
     camera = load_camera(args.camera)
     check_size(args.camera, camera, planes)
     found = fit_field(camera, planes, progress)
+    bent = dataclasses.replace(
+        camera.fitted(*planes.images[0].shape[1::-1]),
+        field_curvature=found.curvature,
+        mask_extent_mm=found.mask_extent_mm,
+    )
+    if args.psfs:
+        right = [n for i, n in enumerate(found.names) if i not in found.misplaced]
+        bent = fit_wavefront(bent, planes, [planes.names.index(n) for n in right], progress)
+    curvature = bent.field_curvature or found.curvature
     columns = found.depths_m, found.found_m, found.errors_without, found.errors
-    corner = float(found.curvature.dioptres(camera.intrinsics, planes.images[0].shape)[0, 0])
+    corner = float(curvature.dioptres(bent.intrinsics, planes.images[0].shape)[0, 0])
     summary = {
-        "mask_extent_mm": found.mask_extent_mm,
-        "field_curvature": [found.curvature.second, found.curvature.fourth],
+        "mask_extent_mm": bent.mask_extent_mm,
+        "field_curvature": [curvature.second, curvature.fourth],
+        **({"wavefront": bent.wavefront.entry} if bent.wavefront is not None else {}),
         "corner_dioptres": round(corner, 4),
-        "corner_px": round(corner * found.mask_extent_mm * 1e-3 * camera.focal_length_px, 2),
+        "corner_px": round(corner * bent.blur_per_dioptre_px, 2),
         "planes": [
             {"name": name, **dict(zip(_FIGURES, np.round(row, 4).tolist(), strict=True))}
             for name, *row in zip(found.names, *columns, strict=True)
@@ -62,7 +95,25 @@ def run(args: argparse.Namespace) -> int:
         f"{found.found_m[index]:.3g} m by the other planes: check the distance"
         for index in found.misplaced
     ]
+    if args.picture is not None:
+        largest_px = np.abs(bent.blur_size_px(found.depths_m)).max(keepdims=True)
+        sign = 1 if found.depths_m[-1] > camera.focus_distance_m else -1
+        write_image(args.picture, _picture(bent, sign * largest_px))
     return tell(args, summary, _text, warnings)
+
+
+def _picture(camera: "Camera", blur_size_px: "DoubleArray") -> "FloatArray":
+    """Return the PSFs of the parts of the image, side by side as they lie."""
+    import cv2
+    import numpy as np
+
+    from coded_aperture_ros.bank.field import COLUMNS, FieldPsfs
+
+    field = FieldPsfs.of(camera, blur_size_px)
+    assert field is not None
+    tiles = np.pad(field.psfs[:, 0] / field.psfs.max(), ((0, 0), (1, 1), (1, 1)))
+    drawn = np.vstack([np.hstack(row) for row in tiles.reshape(-1, COLUMNS, *tiles.shape[1:])])
+    return cv2.resize(drawn, None, fx=4, fy=4, interpolation=cv2.INTER_NEAREST)
 
 
 def _text(summary: dict[str, Any]) -> str:
@@ -70,6 +121,7 @@ def _text(summary: dict[str, Any]) -> str:
     lines = [
         f"mask_extent_mm: {summary['mask_extent_mm']:g}",
         f"field_curvature: {summary['field_curvature']}  # dioptres",
+        *([f"wavefront: {json.dumps(summary['wavefront'])}"] if "wavefront" in summary else []),
         f"# in the corner the blur is {summary['corner_px']:g} px less, by "
         f"{summary['corner_dioptres']:g} dioptres; median errors of the planes:",
         "#    at, m   without   with the fit to the others",

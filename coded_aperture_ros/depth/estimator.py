@@ -81,7 +81,8 @@ class DepthEstimator:
         costs_tell_sides: bool = False,
     ) -> None:
         self.config = config = config or DepthConfig()
-        self.model, self.camera = model, camera
+        self._given, self.camera = model, camera
+        self.model = model.seen_by(camera) if isinstance(model, FilterBank) else model
         self.known_noise = KnownNoise.of(config, camera, model)
         self._levels = Levels.of(model, camera)
         self._learned = regularize is None and config.regularize == LEARNED
@@ -97,8 +98,8 @@ class DepthEstimator:
         if config.check_fit and isinstance(model, FilterBank) and can_be_checked(model.stack):
             self._fit = FitCheck(model.stack, frames > 0, model.guard_levels > 0)
         self._planned: _Planned | None = None
-        if like is not None and like.model is model and "small_bank" in like.__dict__:
-            self.small_bank = like.small_bank
+        if like is not None and like._given is model and "small_bank" in like.__dict__:
+            self.small_bank = like.small_bank.seen_by(camera)
 
     @property
     def depths_m(self) -> DoubleArray | None:

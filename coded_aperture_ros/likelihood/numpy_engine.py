@@ -1,11 +1,12 @@
 """The engine on NumPy: every array is allocated when a frame size is planned, none per frame."""
 
 import dataclasses
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray, PerPatch
+from coded_aperture_ros.core.arrays import FloatArray, IndexArray, PerPatch
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.likelihood.plan import Plan
 from coded_aperture_ros.likelihood.products import products_of_transforms
@@ -27,6 +28,7 @@ class _Scratch:
     functions: FloatArray
     patches: FloatArray
     hypotheses: FloatArray
+    energies: FloatArray
 
 
 class NumpyEngine:
@@ -47,6 +49,7 @@ class NumpyEngine:
         looked_at = np.arange(len(plan.horizontal) // 2) < plan.used[:, None]
         self._features = np.ascontiguousarray(plan.features[:, looked_at.ravel()])
         self._used = plan.used * grid.columns
+        self._shares = list(_shares(plan))
         tried = len(plan.hypotheses) // len(plan.ratios) * len(plan.contrasts)
         rank = plan.hypotheses.shape[1]
         self._scratch = [
@@ -57,6 +60,7 @@ class NumpyEngine:
                 functions=np.empty((len(plan.features), grid.columns), np.float32),
                 patches=np.empty(rank * _PATCHES, np.float32),
                 hypotheses=np.empty(tried * _PATCHES, np.float32),
+                energies=np.empty(plan.levels * _PATCHES, np.float32),
             )
             for _ in range(threads)
         ]
@@ -81,8 +85,7 @@ class NumpyEngine:
         tried = plan.hypotheses_of(plan.tried(noise))
         self._precision[:] = 1 / (plan.count * np.square(noise))
         functions = self._functions.reshape(len(self._functions), -1)
-        starts = range(0, functions.shape[1], _PATCHES)
-        self._workers.each(partial(self._try_hypotheses, functions, tried), starts)
+        self._workers.each(partial(self._try_hypotheses, functions, tried), self._shares)
         return np.moveaxis(self._energies.reshape(plan.levels, *self._precision.shape), 0, -1)
 
     def close(self) -> None:
@@ -114,18 +117,35 @@ class NumpyEngine:
         np.matmul(self._features, power, out=scratch.functions)
         self._functions[:, row] = scratch.functions
 
-    def _try_hypotheses(self, functions: FloatArray, tried: slice, start: int, thread: int) -> None:
+    def _try_hypotheses(
+        self,
+        functions: FloatArray,
+        tried: slice,
+        share: tuple[FloatArray, slice | IndexArray],
+        thread: int,
+    ) -> None:
         """Find the energies of some patches; see `FilterBank` for what they are."""
-        plan, scratch = self.plan, self._scratch[thread]
-        some = slice(start, min(start + _PATCHES, functions.shape[1]))
-        count = some.stop - some.start
+        plan, scratch, (hypotheses, some) = self.plan, self._scratch[thread], share
         precision = self._precision.reshape(-1)[some]
-        coefficients = plan.hypotheses[tried]
+        coefficients, count = hypotheses[tried], len(precision)
         patches = scratch.patches[: coefficients.shape[1] * count].reshape(-1, count)
         np.multiply(functions[:-1, some], precision, out=patches[:-1])
         patches[-1] = 1
         excess = scratch.hypotheses[: len(coefficients) * count].reshape(-1, count)
         np.matmul(coefficients, patches, out=excess)
-        energies = self._energies[:, some]
-        np.minimum.reduce(excess.reshape(-1, len(energies), count), axis=0, out=energies)
+        energies = scratch.energies[: plan.levels * count].reshape(-1, count)
+        np.minimum.reduce(excess.reshape(-1, *energies.shape), axis=0, out=energies)
         take_logarithm(energies, functions[-1, some] * precision + OWN_NOISE, plan.count)
+        self._energies[:, some] = energies
+
+
+def _shares(plan: Plan) -> Iterator[tuple[FloatArray, slice | IndexArray]]:
+    """Yield the hypotheses of some patches, and which these are."""
+    index = np.arange(plan.grid.rows * plan.grid.columns).reshape(plan.grid.rows, -1)
+    for area in plan.areas:
+        patches = index[area.rows, area.columns].ravel()
+        for start in range(0, len(patches), _PATCHES):
+            some = patches[start : start + _PATCHES]
+            # A slice is not copied.
+            whole = len(plan.areas) == 1
+            yield area.hypotheses, slice(some[0], some[-1] + 1) if whole else some

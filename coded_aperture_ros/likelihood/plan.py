@@ -18,7 +18,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray, PerPatch, as_floats
+from coded_aperture_ros.core.arrays import (
+    BoolArray,
+    DoubleArray,
+    FloatArray,
+    IndexArray,
+    PerPatch,
+    as_floats,
+)
 from coded_aperture_ros.imaging import PatchGrid
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE, plausible_ratios
 
@@ -57,6 +64,34 @@ class Filters(Protocol):
     def contrasts(self) -> Sequence[float]:
         """The variances of texture that are tried."""
 
+    @property
+    def field(self) -> "PartFilters | None":
+        """Of the parts of an image, where they differ."""
+
+
+class PartFilters(Protocol):
+    """What a plan needs of filters that differ from part to part of an image."""
+
+    @property
+    def coefficients(self) -> FloatArray:
+        """As those of `Filters`, of every part [G, R, S, slopes, L]."""
+
+    @property
+    def log_determinants(self) -> FloatArray:
+        """As those of `Filters`, of every part [G, S, slopes, L]."""
+
+    def part_of(self, grid: PatchGrid, shape: tuple[int, ...]) -> IndexArray:
+        """Return which part every patch is in [rows, columns]; the parts are rectangles."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Area:
+    """Patches that share their hypotheses."""
+
+    hypotheses: FloatArray  # as those of `Plan`
+    rows: slice
+    columns: slice
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Plan:
@@ -82,6 +117,7 @@ class Plan:
     levels: int  # L
     ratios: DoubleArray  # [S]; contrast over noise variance of the hypotheses
     contrasts: Sequence[float]  # the variances of texture that are tried under any noise
+    areas: tuple[Area, ...]  # all patches; one area unless filters differ over the image
 
     @classmethod
     def of(cls, bank: Filters, shape: tuple[int, ...], stride_px: int) -> "Plan":
@@ -109,9 +145,15 @@ class Plan:
         used = (looked_at * np.arange(1, columns + 1)).max(axis=1)
 
         count = float(functions[:, -1].sum())
-        gains = np.exp(bank.log_determinants.astype(np.float64).reshape(-1, 1) / count)
-        weights = bank.coefficients.reshape(len(bank.coefficients), -1).T
-        own_noise = np.full_like(gains, OWN_NOISE)
+        hypotheses = _hypotheses(bank.coefficients, bank.log_determinants, count)
+        areas = [Area(hypotheses, slice(0, grid.rows), slice(0, grid.columns))]
+        if bank.field is not None:
+            of_parts = zip(bank.field.coefficients, bank.field.log_determinants, strict=True)
+            areas = [
+                Area(_hypotheses(*of_part, count), *_bounds(place))
+                for part, of_part in enumerate(of_parts)
+                if (place := bank.field.part_of(grid, shape) == part).any()
+            ]
         return cls(
             grid=grid,
             horizontal=as_floats(np.concatenate([cosines[:columns], sines[:columns]])),
@@ -119,11 +161,12 @@ class Plan:
             paired=paired,
             features=as_floats(features.T),
             used=used,
-            hypotheses=as_floats(np.hstack([weights, own_noise]) * gains),
+            hypotheses=hypotheses,
             count=count,
             levels=int(bank.log_determinants.shape[-1]),
             ratios=bank.ratios,
             contrasts=bank.contrasts,
+            areas=tuple(areas),
         )
 
     def with_all_products(self) -> "Plan":
@@ -159,6 +202,17 @@ class Plan:
         grid = self.grid
         width = (grid.columns - 1) * grid.stride_px + grid.window_px
         return grey[grid.top : grid.top + self.pixel_rows, grid.left : grid.left + width]
+
+
+def _hypotheses(coefficients: FloatArray, determinants: FloatArray, count: float) -> FloatArray:
+    gains = np.exp(determinants.astype(np.float64).reshape(-1, 1) / count)
+    weights = coefficients.reshape(len(coefficients), -1).T
+    return as_floats(np.hstack([weights, np.full_like(gains, OWN_NOISE)]) * gains)
+
+
+def _bounds(place: BoolArray) -> tuple[slice, slice]:
+    rows, columns = np.flatnonzero(place.any(axis=1)), np.flatnonzero(place.any(axis=0))
+    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
 def _of_products(

@@ -59,7 +59,7 @@ class TorchEngine:
             horizontal=constant(plan.horizontal),
             vertical=constant(plan.vertical),
             features=constant(plan.features),
-            hypotheses=constant(plan.hypotheses),
+            areas=[(constant(area.hypotheses), area.rows, area.columns) for area in plan.areas],
             # Of the frame.
             frame=both(plan.pixel_rows, (columns - 1) * grid.stride_px + n),
             precision=both(grid.rows, 1, columns),
@@ -91,8 +91,14 @@ class TorchEngine:
         here.numpy()[:, 0] = 1 / (self._plan.count * np.square(noise))
         precision.copy_(here)
         here, energies = self._buffers.energies
-        for rows in self._groups:
-            self._try_hypotheses(tried, precision[rows], rows, energies[rows])
+        for hypotheses, area, columns in self._buffers.areas:
+            for group in self._groups:
+                rows = slice(max(group.start, area.start), min(group.stop, area.stop))
+                if rows.start < rows.stop:
+                    part = energies[rows, :, columns]
+                    self._try_hypotheses(
+                        hypotheses[tried], precision[rows, :, columns], rows, columns, part
+                    )
         here.copy_(energies)
         return here.mT.numpy()
 
@@ -126,15 +132,20 @@ class TorchEngine:
         )
 
     def _try_hypotheses(
-        self, tried: slice, precision: torch.Tensor, rows: slice, energies: torch.Tensor
+        self,
+        hypotheses: torch.Tensor,
+        precision: torch.Tensor,
+        rows: slice,
+        columns: slice,
+        energies: torch.Tensor,
     ) -> None:
-        """Find the energies of some rows of patches; see `FilterBank` for what they are."""
-        buffers, count = self._buffers, len(energies)
-        functions, patches = buffers.functions[rows], buffers.patches[:count]
-        excess = buffers.excess[:count]
+        """Find the energies of some patches; see `FilterBank` for what they are."""
+        buffers, (count, _, width) = self._buffers, energies.shape
+        functions, patches = buffers.functions[rows, :, columns], buffers.patches[:count, :, :width]
+        excess = buffers.excess[:count, :, :width]
         torch.mul(functions[:, :-1], precision, out=patches[:, :-1])
-        _multiply(buffers.hypotheses[tried], patches, out=excess)
-        torch.amin(excess.view(count, -1, *energies.shape[1:]), dim=1, out=energies)
+        _multiply(hypotheses, patches, out=excess)
+        torch.amin(excess.unflatten(1, (-1, energies.shape[1])), dim=1, out=energies)
         textureless = (functions[:, -1:] * precision).add_(float(OWN_NOISE))
         torch.minimum(energies, textureless, out=energies)
         energies.clamp_(min=float(LEAST_EXCESS)).log_().mul_(self._plan.count)

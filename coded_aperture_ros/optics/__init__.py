@@ -11,3 +11,4 @@ from coded_aperture_ros.optics.intrinsics import Intrinsics, load_intrinsics
 from coded_aperture_ros.optics.mask import MASK_NAMES, Mask
 from coded_aperture_ros.optics.psf import PsfStack, psf_width, render_psf, render_psf_stack
 from coded_aperture_ros.optics.view import View
+from coded_aperture_ros.optics.wavefront import Wavefront

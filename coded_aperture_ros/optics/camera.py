@@ -19,7 +19,9 @@ from coded_aperture_ros.optics.diffraction import scattering_px
 from coded_aperture_ros.optics.field import FieldCurvature
 from coded_aperture_ros.optics.intrinsics import Intrinsics, load_intrinsics, read_yaml
 from coded_aperture_ros.optics.mask import Mask
+from coded_aperture_ros.optics.psf import psf_width
 from coded_aperture_ros.optics.view import View, is_same_view
+from coded_aperture_ros.optics.wavefront import Wavefront
 
 # Every number of a camera file, with the values that a camera can have.
 _NUMBERS: dict[str, tuple[type, Option]] = {
@@ -44,12 +46,14 @@ _PHYSICAL = ("focal_length_mm", "pixel_pitch_um")
 _F_NUMBERS = (0.4, 200.0)
 _OPTIONAL = (
     *("lens_mask_distance_mm", "side", "camera_info", "noise", "noise_gain"),
-    *("wavelength_nm", "diffraction", "field_curvature"),
+    *("wavelength_nm", "diffraction", "field_curvature", "wavefront"),
 )
-_KEYS = (*_NUMBERS, "side", "mask", "camera_info", "diffraction", "field_curvature")
+_KEYS = (*_NUMBERS, "side", "mask", "camera_info", "diffraction", "field_curvature", "wavefront")
 # Diffraction is left out where less of the light than this, as a share, goes farther than a pixel
 # from where rays go.
 _INVISIBLE = 0.005
+# How much wider aberrations make a PSF: what goes beyond is left out.
+_WIDER, _MORE_PX = 1.25, 4.0
 # Less blur is hardly seen, least of all through a lens that has other errors, too.
 _LEAST_BLUR_PX = 1.5
 
@@ -90,6 +94,8 @@ class Camera:
         Wavelength of the light that diffraction is reckoned for.
     field_curvature : FieldCurvature or None
         How the focus moves away from the middle of the image; None: not at all.
+    wavefront : Wavefront or None
+        How the PSF changes over the image; None: not at all.
     diffraction : bool or None
         Whether PSFs include diffraction, where it can be seen; None: no, see `psf_diffraction_px`.
 
@@ -114,6 +120,7 @@ class Camera:
     wavelength_nm: float = 550.0
     diffraction: bool | None = None
     field_curvature: FieldCurvature | None = None
+    wavefront: Wavefront | None = None
 
     def __post_init__(self) -> None:
         for name, (expected, described) in _NUMBERS.items():
@@ -260,6 +267,21 @@ class Camera:
             inverse = 1 / axial_m
             inverse -= missing * (1 - mask_m * inverse) / (1 - mask_m / self.focus_distance_m)
             return np.asarray(np.where(inverse <= 0, np.inf, 1 / inverse), np.float32)
+
+    def psf_at(
+        self, mask: Mask, blur_size_px: float, tangent: DoubleArray, width: int = 0
+    ) -> FloatArray:
+        """Return the PSF of a mask at a place where its mean blur size is `blur_size_px`.
+
+        `mask` is the camera's or a part of it; `tangent` [2] that of the angle from the axis, down
+        and right. Without a `width` that of all but what aberrations throw far away.
+        """
+        assert self.wavefront is not None
+        unit, size_px = self.blur_per_dioptre_px, blur_size_px
+        if self.field_curvature is not None:
+            size_px += unit * float(self.field_curvature.at(tangent @ tangent))
+        width = width or psf_width(_WIDER * abs(size_px) + _MORE_PX)
+        return self.wavefront.psf(mask, size_px, unit, tangent, width)
 
     def field_range_px(self, near_m: float, far_m: float) -> tuple[float, float]:
         """Return `blur_range_px` over the whole image, as far as it is on one side of the focus."""
@@ -430,9 +452,9 @@ def camera_from_mapping(
     They are `focal_length_mm` and `pixel_pitch_um`, or `focal_length_px`; `focus_distance_m`,
     `image_width`, `image_height`, `mask` (`{name: ...}` or `{file: ...}`), `mask_extent_mm`;
     optionally `lens_mask_distance_mm`, `side`, `noise`, `noise_gain`, `wavelength_nm`,
-    `diffraction`, `field_curvature` (two numbers) and `camera_info` (a calibration file, see
-    `load_intrinsics`). File names are relative to `folder`. An `InputError` is one line that names
-    `where` and the key, and says what is allowed.
+    `diffraction`, `field_curvature` (two numbers), `wavefront` and `camera_info` (a calibration
+    file, see `load_intrinsics`). File names are relative to `folder`. An `InputError` is one line
+    that names `where` and the key, and says what is allowed.
     """
     with naming(where):
         _check_keys(mapping)
@@ -440,6 +462,8 @@ def camera_from_mapping(
         values["mask"] = _mask_from(values["mask"], Path(folder))
         if "field_curvature" in values:
             values["field_curvature"] = FieldCurvature.of_entry(values["field_curvature"])
+        if "wavefront" in values:
+            values["wavefront"] = Wavefront.of_entry(values["wavefront"])
         info = values.pop("camera_info", None)
         if info is not None:
             if not isinstance(info, str):

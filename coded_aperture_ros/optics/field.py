@@ -6,8 +6,9 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import has_type
 from coded_aperture_ros.optics.intrinsics import Intrinsics
@@ -42,6 +43,11 @@ class FieldCurvature:
             )
         return cls(*entry)
 
+    def at(self, tangent2: ArrayLike) -> DoubleArray:
+        """Return what is missing of 1 / z_focus where the square of the tangent is `tangent2`."""
+        squared = np.asarray(tangent2, np.float64)
+        return squared * (self.second + self.fourth * squared)
+
     def dioptres(self, intrinsics: Intrinsics, shape: tuple[int, ...]) -> FloatArray:
         """Return what is missing of 1 / z_focus at every pixel of a map of the whole image.
 
@@ -57,4 +63,4 @@ def _dioptres(
     k = intrinsics.scaled(columns, rows).camera_matrix
     across = ((np.arange(columns) - k[2]) / k[0]) ** 2
     tangent2 = across + ((np.arange(rows) - k[5])[:, None] / k[4]) ** 2
-    return np.asarray(tangent2 * (curvature.second + curvature.fourth * tangent2), np.float32)
+    return curvature.at(tangent2).astype(np.float32)

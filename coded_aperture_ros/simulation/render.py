@@ -16,16 +16,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera, Mask, psf_width, render_psf
 from coded_aperture_ros.optics.diffraction import diffracted, tail_px
+from coded_aperture_ros.optics.wavefront import parts_of_field
 from coded_aperture_ros.simulation.hidden import Surface, fill_unknown, hidden_surface
 
 # Layers closer than this in blur size belong to one surface and do not occlude one another. It
 # must exceed what a slanted surface changes within the reach of a PSF.
 _SURFACE_GAP_PX = 1.4
 _LEAST_COVERAGE = 1e-3
+# With a wavefront: parts of the image, and what is rendered around each for its occlusions.
+_ROWS, _COLUMNS, _SURFACE_MARGIN_PX = 6, 8, 24
 
 
 def render_coded_frame(
@@ -58,7 +61,8 @@ def render_coded_frame(
     ndarray of float32, shape of `image`
         Linear light, without noise. A scene in one plane is exactly the image convolved with
         `render_psf`, with the image's edges replicated; with diffraction it is but for what the
-        blocks' PSFs lack of their tails.
+        blocks' PSFs lack of their tails. With a wavefront, every part of the image has the PSF of
+        its middle, and light does not fall off.
 
     Raises
     ------
@@ -68,19 +72,50 @@ def render_coded_frame(
     _check(image, depth_m, layer_spacing_px, aperture_blocks)
     blur_size_px = _blur_sizes(fill_unknown(depth_m), camera)
     colours = np.asarray(image, dtype=np.float32).reshape(*depth_m.shape, -1)
+    if camera.wavefront is None:
+        frame = _compose(colours, blur_size_px, camera, layer_spacing_px, aperture_blocks)
+        return frame.reshape(image.shape)
+    frame, (rows, columns) = np.empty_like(colours), depth_m.shape
+    matrix = camera.intrinsics.scaled(columns, rows).camera_matrix
+    margin = psf_width(np.abs(blur_size_px).max()) + _SURFACE_MARGIN_PX
+    tangents = parts_of_field(columns, rows, matrix, _ROWS, _COLUMNS)
+    for tangent, (row, column) in zip(tangents, np.ndindex(_ROWS, _COLUMNS), strict=True):
+        top, bottom = row * rows // _ROWS, (row + 1) * rows // _ROWS
+        left, right = column * columns // _COLUMNS, (column + 1) * columns // _COLUMNS
+        above, before = max(0, top - margin), max(0, left - margin)
+        around = np.s_[above : bottom + margin, before : right + margin]
+        part = _compose(
+            *(colours[around], blur_size_px[around], camera, layer_spacing_px, aperture_blocks),
+            tangent,
+        )
+        inside = part[top - above : bottom - above, left - before : right - before]
+        frame[top:bottom, left:right] = inside
+    return frame.reshape(image.shape)
+
+
+def _compose(
+    colours: FloatArray,
+    blur_size_px: FloatArray,
+    camera: Camera,
+    spacing_px: float,
+    blocks: int,
+    tangent: DoubleArray | None = None,
+) -> FloatArray:
+    """Compose a frame, or a part of one whose PSFs are those at a tangent of the wavefront."""
     visible = Surface(blur_size_px, colours)
     # How far behind an occluder's edge the light that just passes it can come from.
     reach_px = int(np.ceil(np.ptp(blur_size_px) / 2)) + 1
     hidden = hidden_surface(visible, _SURFACE_GAP_PX, reach_px)
-    layers = list(_layers(visible, hidden, layer_spacing_px))
-    total = np.zeros((*depth_m.shape, colours.shape[2] + 1), dtype=np.float32)
-    for block in _blocks(camera.mask, aperture_blocks):
-        total += _through_block(layers, block, camera, depth_m.shape)
+    layers = list(_layers(visible, hidden, spacing_px))
+    total = np.zeros((*colours.shape[:2], colours.shape[2] + 1), dtype=np.float32)
+    for block in _blocks(camera.mask, blocks):
+        lens = camera.wavefront
+        if lens is None or tangent is None or lens.passed(block, tangent) > _LEAST_COVERAGE:
+            total += _through_block(layers, block, camera, colours.shape[:2], tangent)
     # Where no light comes through a block, the others make up for it; where none comes at all,
     # the sharp scene is the best guess.
     found = total[..., -1:]
-    frame = np.divide(total[..., :-1], found, out=colours.copy(), where=found > _LEAST_COVERAGE)
-    return frame.reshape(image.shape)
+    return np.divide(total[..., :-1], found, out=colours.copy(), where=found > _LEAST_COVERAGE)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -165,17 +200,23 @@ def _blocks(mask: Mask, count: int) -> Iterator[Mask]:
 
 
 def _through_block(
-    layers: list[_Layer], block: Mask, camera: Camera, shape: tuple[int, ...]
+    layers: list[_Layer],
+    block: Mask,
+    camera: Camera,
+    shape: tuple[int, ...],
+    tangent: DoubleArray | None,
 ) -> FloatArray:
     """Compose the light that reaches the sensor through one block of the aperture.
 
     Returns premultiplied colours and a weight, [rows, columns, channels + 1]. The weight is the
-    block's share of the aperture; it falls to zero where no surface is known that light comes
+    block's share of the light; it falls to zero where no surface is known that light comes
     from: next to steep steps a block may look past the visible surface and what is continued
     behind it.
     """
     height, width = shape
     weight = block.open_fraction / camera.mask.open_fraction
+    if camera.wavefront is not None and tangent is not None:
+        weight *= camera.wavefront.passed(block, tangent)
     total = np.zeros((height, width, layers[0].light.shape[2]), dtype=np.float32)
     # Coverage by the layers that are in front by more than the surface gap.
     occluded = np.zeros((height, width), dtype=np.float32)
@@ -184,7 +225,8 @@ def _through_block(
         while recent and recent[0][0] <= layer.number - layer.surface_gap:
             _, region, coverage = recent.popleft()
             occluded[region] += coverage
-        region, blurred = _blur(layer, block, camera, height, width)
+        kernel = _kernel(block, camera, layer.blur_size_px, tangent)
+        region, blurred = _blur(layer, kernel, height, width)
         blurred *= np.maximum(0, 1 - occluded[region])[..., None]
         total[region] += blurred
         recent.append((layer.number, region, blurred[..., -1]))
@@ -193,11 +235,11 @@ def _through_block(
 
 
 def _blur(
-    layer: _Layer, block: Mask, camera: Camera, height: int, width: int
+    layer: _Layer, kernel: FloatArray, height: int, width: int
 ) -> tuple[tuple[slice, slice], FloatArray]:
     """Blur a layer; return where in the frame the result belongs, and the result."""
     # OpenCV correlates; turned by 180 degrees, the kernel convolves.
-    kernel = _kernel(block, camera, layer.blur_size_px)[::-1, ::-1]
+    kernel = kernel[::-1, ::-1]
     reach = len(kernel) // 2
     rows, columns = layer.light.shape[:2]
     bottom, right = layer.top + rows, layer.left + columns
@@ -209,8 +251,12 @@ def _blur(
     return region, _correlate(padded, kernel)
 
 
-def _kernel(block: Mask, camera: Camera, blur_size_px: float) -> FloatArray:
+def _kernel(
+    block: Mask, camera: Camera, blur_size_px: float, tangent: DoubleArray | None
+) -> FloatArray:
     """Return the PSF of a block; with diffraction what it adds to that of the whole mask."""
+    if camera.wavefront is not None and tangent is not None:
+        return camera.psf_at(block, blur_size_px, tangent)
     q = camera.psf_diffraction_px
     if not q:
         return render_psf(block, blur_size_px)

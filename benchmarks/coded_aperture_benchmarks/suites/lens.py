@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.bank import learn_bank_for_camera
 from coded_aperture_ros.calibration.planes.field import fit_field
 from coded_aperture_ros.calibration.planes.folder import load_planes
+from coded_aperture_ros.calibration.planes.wavefront import fit_wavefront
 from coded_aperture_ros.cli.options import table
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.optics import Camera
@@ -32,6 +34,7 @@ class Cell:
     sigma: float
     levels: int
     seed: int
+    psfs: bool
 
 
 def _cells(args: argparse.Namespace) -> list[Cell]:
@@ -39,19 +42,15 @@ def _cells(args: argparse.Namespace) -> list[Cell]:
         args.usage_error("--planes: name the folder with planes of the lens")
     options.check_names(args.folders, "scenes")
     return [
-        Cell(scene, args.planes, args.noise, args.levels, seed)
+        Cell(scene, args.planes, args.noise, args.levels, seed, args.psfs)
         for scene in args.folders
         for seed in range(args.seed, args.seed + args.repeats)
     ]
 
 
 def measure(cell: Cell) -> list[Row]:
-    """Measure a scene with the camera as it was, and with its field curvature."""
+    """Measure a scene with the camera as it was, and with what planes tell of its lens."""
     scene = RayTracedScene.load(cell.scene, _MASK)
-    found = fit_field(scene.camera, load_planes([cell.planes]))
-    bent = dataclasses.replace(
-        scene.camera, field_curvature=found.curvature, mask_extent_mm=found.mask_extent_mm
-    )
     noise = np.random.default_rng(cell.seed).standard_normal(scene.coded.shape, dtype=np.float32)
     frame = scene.coded + np.float32(cell.sigma) * noise
     return [
@@ -59,10 +58,24 @@ def measure(cell: Cell) -> list[Row]:
             "scene": cell.scene.resolve().name,
             "seed": cell.seed,
             "field_curvature": camera.field_curvature is not None,
+            "psfs": camera.wavefront is not None,
             **_scores(scene, camera, frame, cell.levels),
         }
-        for camera in (scene.camera, bent)
+        for camera in (scene.camera, *_of_planes(cell.scene, cell.planes, cell.psfs))
     ]
+
+
+@functools.lru_cache(maxsize=1)
+def _of_planes(scene: Path, folder: Path, psfs: bool) -> list[Camera]:
+    camera, planes = RayTracedScene.load(scene, _MASK).camera, load_planes([folder])
+    found = fit_field(camera, planes)
+    bent = dataclasses.replace(
+        camera, field_curvature=found.curvature, mask_extent_mm=found.mask_extent_mm
+    )
+    if not psfs:
+        return [bent]
+    used = [planes.names.index(name) for name in found.names]
+    return [bent, fit_wavefront(bent, planes, used, iter)]
 
 
 def _scores(scene: RayTracedScene, camera: Camera, frame: np.ndarray, levels: int) -> Row:
@@ -108,7 +121,7 @@ def _text(results: Row) -> str:
         [
             row["scene"],
             str(row["seed"]),
-            "with" if row["field_curvature"] else "without",
+            "PSFs of the parts" if row["psfs"] else "with" if row["field_curvature"] else "without",
             *("-" if row[name] is None else f"{100 * row[name]:.1f} %" for name in names),
         ]
         for row in results["cells"]
@@ -131,6 +144,9 @@ SUITE = Suite(
         options.folders("ray-traced scenes of levin's mask"),
         options.option(
             "--planes", "folder with planes.json of the same lens", type=Path, metavar="DIR"
+        ),
+        options.option(
+            "--psfs", "also with what calibrate field --psfs finds, minutes", action="store_true"
         ),
         options.added_noise(0.002),
         options.number("--levels", 2, 30, "blur levels of the banks"),

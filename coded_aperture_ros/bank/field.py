@@ -1,0 +1,77 @@
+"""Filters for the parts of an image, where a lens blurs otherwise than on its axis."""
+
+import dataclasses
+
+import numpy as np
+
+from coded_aperture_ros.bank.factoring import fitted_coefficients
+from coded_aperture_ros.bank.hypotheses import Hypotheses
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
+from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.optics import Camera, Intrinsics
+from coded_aperture_ros.optics.wavefront import parts_of_field
+
+# Twice as many are better by 0.3 of 2.5 %, through a double Gauss.
+ROWS, COLUMNS = 4, 6
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FieldPsfs:
+    """PSFs [G, L, k, k] of every level at G places in the image, by their tangents [G, 2].
+
+    The level's blur size is the mean size there: see `FieldCurvature`.
+    """
+
+    psfs: FloatArray
+    tangents: DoubleArray
+    intrinsics: Intrinsics  # of the frames
+
+    @classmethod
+    def of(cls, camera: Camera, blur_sizes_px: DoubleArray) -> "FieldPsfs | None":
+        """Return those of a camera, or None if its PSF is everywhere that of the axis."""
+        if camera.wavefront is None:
+            return None
+        size, matrix = (camera.image_width, camera.image_height), camera.intrinsics.camera_matrix
+        tangents = np.array(list(parts_of_field(*size, matrix, ROWS, COLUMNS)))
+        psfs = [
+            [camera.psf_at(camera.mask, px, tangent) for px in blur_sizes_px]
+            for tangent in tangents
+        ]
+        width = max(len(psf) for of_part in psfs for psf in of_part)
+        psfs = [[np.pad(psf, (width - len(psf)) // 2) for psf in of_part] for of_part in psfs]
+        return cls(np.array(psfs), tangents, camera.intrinsics)
+
+    def of_levels(self, levels: IndexArray) -> "FieldPsfs":
+        """Return those of some levels."""
+        return dataclasses.replace(self, psfs=self.psfs[:, levels])
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FieldFilters:
+    """Weights of every part's hypotheses in the common basis of a bank; see `FilterBank`."""
+
+    field: FieldPsfs
+    coefficients: FloatArray  # [G, R, S, slopes, L]
+    log_determinants: FloatArray  # [G, S, slopes, L]
+
+    @classmethod
+    def of(cls, field: FieldPsfs, parts: list[Hypotheses], basis: FloatArray) -> "FieldFilters":
+        """Fit the hypotheses of every part to a basis."""
+        determinants = np.array([part.log_determinants for part in parts], np.float32)
+        fitted = []
+        for ratio, scales in enumerate(parts[0].scales):
+            filters = np.concatenate([part.weights[ratio] for part in parts])
+            one = fitted_coefficients(basis.astype(np.float64), filters, scales)
+            fitted.append(one.reshape(len(basis.T), len(parts), -1))
+        coefficients = np.array(fitted, np.float32).transpose(2, 1, 0, 3)
+        shape = len(parts), len(basis.T), *determinants.shape[1:]
+        return cls(field, np.ascontiguousarray(coefficients).reshape(shape), determinants)
+
+    def part_of(self, grid: PatchGrid, shape: tuple[int, ...]) -> IndexArray:
+        """Return which part every patch of frames of a shape is in [rows, columns]."""
+        k = self.field.intrinsics.scaled(shape[1], shape[0]).camera_matrix
+        down = (np.asarray(grid.row_centres) - k[5]) / k[4]
+        right = (np.asarray(grid.column_centres) - k[2]) / k[0]
+        places = np.stack(np.meshgrid(down, right, indexing="ij"), axis=-1)
+        apart = places[:, :, None] - self.field.tangents
+        return np.sum(apart * apart, axis=-1).argmin(axis=2)

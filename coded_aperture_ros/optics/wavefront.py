@@ -1,0 +1,172 @@
+"""The blur of a real lens over its field: aberrations, and rims that cut off the pupil's edge."""
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.options import has_type
+from coded_aperture_ros.optics.mask import Mask
+
+# ``W_klm`` of Hopkins: powers of the field, of the radius in the pupil, of the angle's cosine.
+TERMS = (
+    *((2, 2, 0), (4, 2, 0), (2, 2, 2), (4, 2, 2)),  # curvature and astigmatism
+    *((1, 3, 1), (3, 3, 1), (5, 3, 1), (3, 3, 3), (1, 5, 1), (3, 5, 1)),  # coma
+    *((0, 4, 0), (2, 4, 0), (4, 4, 0), (2, 4, 2), (4, 4, 2)),  # spherical
+    *((0, 6, 0), (2, 6, 0), (2, 6, 2)),
+)
+NAMES = tuple("W{}{}{}".format(*term) for term in TERMS)
+_MOST = 100.0
+# Rays to the pixel, along either side, and in the smallest PSF.
+_RAYS_PER_PX, _FEWEST_RAYS = 12, 96
+_FEWEST = 1e-3  # of the light; less is behind the rims
+_SOFT = 0.03  # a rim is so wide, in half extents, that what passes changes smoothly
+
+
+@dataclasses.dataclass(frozen=True)
+class Wavefront:
+    """Where the rays of a point go that do not meet where those of a thin lens would.
+
+    A ray through the point ``(p, q)`` of the mask, in half extents, p along the field's radius,
+    comes out at ``S / 2 (p, q) + M f / 4 grad W`` px from the middle, with the blur size S of the
+    axis and ``W = sum of W_klm h^k rho^l cos^m``. The field h is 1 at the tangent `corner`. An
+    `InputError` if numbers are not finite, or more than a lens can have.
+
+    Attributes
+    ----------
+    corner : float
+        Tangent of the angle from the axis of the corner of the image.
+    coefficients : tuple of float
+        ``W_klm`` in dioptres (1/m), in the order of `TERMS`.
+    rims : tuple of float
+        Two circles that the light passes through: radius in half extents of the mask, and by how
+        much the circle is moved, outwards in the image, at the corner.
+    """
+
+    corner: float
+    coefficients: tuple[float, ...] = (0.0,) * len(TERMS)
+    rims: tuple[float, float, float, float] = (_MOST, 0.0, _MOST, 0.0)
+
+    def __post_init__(self) -> None:
+        values = (self.corner, *self.coefficients, *self.rims)
+        if not all(has_type(v, float) and math.isfinite(v) and abs(v) <= _MOST for v in values):
+            raise InputError(f"wavefront: expected numbers up to {_MOST:g}")
+        if not (self.corner > 0 and self.rims[0] > 0 and self.rims[2] > 0):
+            raise InputError("wavefront: the corner and the radii of rims must be more than 0")
+
+    @classmethod
+    def of_entry(cls, entry: Any) -> "Wavefront":
+        """Read the entry of a camera file, as `entry` gives it; terms left out are 0."""
+        names = {"corner", "rims", *NAMES}
+        if not isinstance(entry, Mapping) or "corner" not in entry or not set(entry) <= names:
+            raise InputError(
+                "wavefront: expected corner, rims and terms such as W222, as calibrate field gives"
+            )
+        rims = entry.get("rims", cls.rims)
+        if not isinstance(rims, (list, tuple)) or len(rims) != 4:
+            raise InputError("wavefront: rims: expected four numbers")
+        return cls(entry["corner"], tuple(entry.get(name, 0.0) for name in NAMES), tuple(rims))
+
+    @property
+    def entry(self) -> dict[str, Any]:
+        """What a camera file says of it."""
+        terms = {k: round(v, 5) for k, v in zip(NAMES, self.coefficients, strict=True) if v}
+        return {"corner": round(self.corner, 5), "rims": [round(v, 4) for v in self.rims], **terms}
+
+    def psf(
+        self, mask: Mask, blur_size_px: float, per_dioptre_px: float, tangent: ArrayLike, width: int
+    ) -> FloatArray:
+        """Return the PSF [width, width] at a place in the image, of unit sum.
+
+        Parameters
+        ----------
+        blur_size_px : float
+            Signed size S that the mask's extent would have on the axis.
+        per_dioptre_px : float
+            ``M f``; see `Camera.blur_per_dioptre_px`.
+        tangent : array of 2
+            Of the angle from the axis: downwards and to the right.
+
+        Raises
+        ------
+        InputError
+            If no light comes there.
+        """
+        rays = _FEWEST_RAYS + math.ceil(_RAYS_PER_PX * abs(blur_size_px))
+        places, light = _pupil(mask, rays)
+        moved, passed = self._rays(places, blur_size_px, per_dioptre_px, np.asarray(tangent, float))
+        pixel = np.floor(moved + width / 2).astype(np.intp)
+        seen = ((pixel >= 0) & (pixel < width)).all(axis=0)
+        index = np.ravel_multi_index(tuple(pixel[:, seen]), (width, width))
+        psf = np.bincount(index, (light * passed)[seen], width * width).reshape(width, width)
+        if not psf.sum() > _FEWEST * light.sum():
+            raise InputError("wavefront: the rims leave no light: check rims and corner")
+        return (psf / psf.sum()).astype(np.float32)
+
+    def passed(self, mask: Mask, tangent: ArrayLike) -> float:
+        """Return which share of the light of a mask, or a part of one, passes the rims."""
+        places, light = _pupil(mask, _FEWEST_RAYS)
+        _, passed = self._rays(places, 0.0, 1.0, np.asarray(tangent, float))
+        return float(np.average(passed, weights=light))
+
+    def defocus(self, mask: Mask, tangent: float) -> float:
+        """Return how many dioptres of defocus fit the rays best, away from the axis."""
+        places, light = _pupil(mask, _FEWEST_RAYS)
+        moved, passed = self._rays(places, 0.0, 1.0, np.array([0.0, tangent]))
+        light *= passed
+        apart = places - np.average(places, axis=1, weights=light)[:, None]
+        return float(2 * np.sum(light * apart * moved) / np.sum(light * apart * apart))
+
+    def _rays(
+        self, places: DoubleArray, blur_size_px: float, per_dioptre_px: float, tangent: DoubleArray
+    ) -> tuple[DoubleArray, DoubleArray]:
+        """Return where rays [2, n] come out, px down and right, and how much passes the rims."""
+        field = float(np.hypot(*tangent))
+        down, right = tangent / field if field else (0.0, 1.0)
+        turn = np.array([[down, right], [-right, down]])
+        p, q = turn @ places
+        h, squared = field / self.corner, p * p + q * q
+        passed = np.ones_like(p)
+        for radius, shift in (self.rims[:2], self.rims[2:]):
+            inside = radius - np.hypot(p - shift * h, q)
+            passed *= np.clip(inside / _SOFT + 0.5, 0, 1)
+        along, across = np.zeros_like(p), np.zeros_like(p)
+        for coefficient, (of_field, of_radius, m) in zip(self.coefficients, TERMS, strict=True):
+            if not (scale := coefficient * h**of_field):
+                continue
+            half = (of_radius - m) // 2
+            radial, angular = squared**half, p**m
+            if half:
+                both = scale * 2 * half * squared ** (half - 1) * angular
+                along += both * p
+                across += both * q
+            if m:
+                along += scale * m * radial * p ** (m - 1)
+        moved = blur_size_px / 2 * np.array([p, q]) + per_dioptre_px / 4 * np.array([along, across])
+        return turn.T @ moved, passed
+
+
+def _pupil(mask: Mask, rays: int) -> tuple[DoubleArray, DoubleArray]:
+    """Return evenly spread points [2, n] of the mask's openings, and how much light they pass."""
+    cells = mask.transmission
+    each = math.ceil(rays / max(cells.shape))
+    light = np.kron(cells, np.ones((each, each)))
+    open_ = np.nonzero(light)
+    middle = (np.array(light.shape)[:, None] - 1) / 2
+    places = (np.array(open_) - middle) / (max(light.shape) / 2)
+    return places, light[open_].astype(np.float64)
+
+
+def parts_of_field(
+    width: int, height: int, matrix: tuple[float, ...], rows: int, columns: int
+) -> Iterator[DoubleArray]:
+    """Yield the tangents (down, right) of the middles of the parts of an image, row by row."""
+    for row in range(rows):
+        for column in range(columns):
+            y, x = (row + 0.5) * height / rows - 0.5, (column + 0.5) * width / columns - 0.5
+            yield np.array([(y - matrix[5]) / matrix[4], (x - matrix[2]) / matrix[0]])

@@ -1,0 +1,196 @@
+"""A lens whose PSF changes over the image: its rays, banks for its parts, what planes show."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from cli_scene import texture
+
+from coded_aperture_ros.bank import learn_bank, learn_bank_for_camera, load_bank, save_bank
+from coded_aperture_ros.calibration.planes.pictures import Planes
+from coded_aperture_ros.calibration.planes.wavefront import fit_wavefront
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.likelihood import Plan, new_engine
+from coded_aperture_ros.optics import Camera, FieldCurvature, Mask, View, Wavefront, render_psf
+from coded_aperture_ros.optics.camera import camera_from_mapping
+from coded_aperture_ros.optics.wavefront import NAMES, TERMS
+from coded_aperture_ros.simulation.render import render_coded_frame
+
+SHAPE = (192, 256)
+LEVIN = Mask.named("levin")
+STRAIGHT = Camera(500.0, 0.9, 256, 192, LEVIN, 36.0)
+CORNER = float(np.hypot(96, 128) / 500)
+
+
+def wavefront(**terms):
+    return Wavefront(CORNER, tuple(terms.pop(name, 0.0) for name in NAMES), **terms)
+
+
+LENS = dataclasses.replace(
+    STRAIGHT,
+    field_curvature=FieldCurvature(0.8, 0.0),
+    wavefront=wavefront(
+        W220=-0.8 * CORNER**2, W222=-0.1, W131=0.05, W242=-0.06, rims=(1.2, 0.5, 1.1, -0.4)
+    ),
+)
+
+
+def psf(lens, size_px, tangent=(0.0, 0.0), width=31, unit=18.0):
+    return lens.psf(LEVIN, size_px, unit, tangent, width)
+
+
+def unlike(one, other):
+    return np.linalg.norm(one - other) / np.linalg.norm(other)
+
+
+@pytest.mark.parametrize("size_px", [4.0, 11.3, -11.3, 22.0])
+def test_without_aberrations_it_is_a_thin_lens(size_px):
+    thin = render_psf(LEVIN, size_px, 31)
+    assert unlike(psf(wavefront(), size_px, (0.1, -0.05)), thin) < 0.06
+
+
+def test_defocus_is_blur_size():
+    bent = wavefront(W220=-0.1)
+    at_the_corner = psf(bent, 12.0, (0.0, CORNER))
+    assert unlike(at_the_corner, render_psf(LEVIN, 12.0 - 0.1 * 18.0, 31)) < 0.06
+    assert bent.defocus(LEVIN, CORNER) == pytest.approx(-0.1)
+
+
+def test_astigmatism_narrows_along_the_field():
+    lens = wavefront(W222=-0.2)
+    down, across = (psf(lens, 14.0, t) for t in ((CORNER, 0.0), (0.0, CORNER)))
+    seen = np.ptp(np.argwhere(down > 0), axis=0) + 1
+    # 2 dW222 / 4 of M f: along the field alone.
+    assert seen.tolist() == [pytest.approx(14 - 0.2 * 18, abs=2), pytest.approx(14, abs=2)]
+    levin_turned = Mask("turned", LEVIN.transmission.T)
+    turned = lens.psf(levin_turned, 14.0, 18.0, (0.0, CORNER), 31)
+    assert unlike(turned.T, down) < 1e-3
+    assert unlike(across, down) > 0.3
+
+
+def test_a_rim_cuts_off_the_side_that_is_away_from_it():
+    cut = psf(wavefront(rims=(1.0, 0.8, 100.0, 0.0)), 14.0, (0.0, CORNER))
+    columns = np.nonzero(cut)[1]
+    assert columns.min() > 15 - 0.2 * 7 - 2  # nothing left of 0.8 - 1 of the half extent
+    with pytest.raises(InputError, match="no light"):
+        psf(wavefront(rims=(0.5, 9.0, 100.0, 0.0)), 14.0, (0.0, CORNER))
+
+
+def test_an_entry_of_a_camera_file_comes_back():
+    assert LENS.wavefront is not None
+    entry = LENS.wavefront.entry
+    again = Wavefront.of_entry(entry)
+    assert np.allclose(again.coefficients, LENS.wavefront.coefficients, atol=1e-5)
+    assert again.rims == LENS.wavefront.rims
+    mapping = {
+        "focal_length_px": 500.0,
+        "focus_distance_m": 0.9,
+        "image_width": 256,
+        "image_height": 192,
+        "mask": {"name": "levin"},
+        "mask_extent_mm": 36.0,
+    }
+    assert camera_from_mapping({**mapping, "wavefront": entry}).wavefront == again
+    for wrong in (3, {"W222": 1.0}, {"corner": 0.3, "W999": 1.0}, {"corner": 0}, {"corner": "x"}):
+        with pytest.raises(InputError, match="wavefront: "):
+            camera_from_mapping({**mapping, "wavefront": wrong})
+    with pytest.raises(InputError, match="four numbers"):
+        camera_from_mapping({**mapping, "wavefront": {"corner": 0.3, "rims": [1, 0]}})
+
+
+def plane(camera, depth_m, seed):
+    light = render_coded_frame(
+        texture(*SHAPE, seed=seed), np.full(SHAPE, depth_m, np.float32), camera
+    )
+    random = np.random.default_rng(seed)
+    return (light + 0.001 * random.standard_normal(light.shape)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return learn_bank_for_camera(LENS, 1.2, 3.4, 16)
+
+
+def error_in_the_corners(bank, camera, frame, depth_m):
+    estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0.0), camera)
+    estimate = estimator.estimate(frame)
+    estimator.close()
+    error = np.abs(estimate.depth_m / depth_m - 1)
+    return np.nanmedian(error[:50, :50]), np.nanmedian(error[-50:, -50:])
+
+
+def test_depth_is_right_where_the_psf_is_another(bank):
+    frame = plane(LENS, 2.0, 31)
+    one_psf = dataclasses.replace(LENS, wavefront=None)
+    without = error_in_the_corners(
+        learn_bank_for_camera(one_psf, 1.2, 3.4, 16), one_psf, frame, 2.0
+    )
+    with_ = error_in_the_corners(bank, LENS, frame, 2.0)
+    assert max(with_) < 0.05
+    assert max(with_) < 0.5 * max(without)
+
+
+def test_a_part_of_the_view_has_the_psfs_of_its_place(bank):
+    """A region of interest in the corner is not taken for the middle."""
+    view = View(96, 96, 256, 192)
+    estimator = DepthEstimator(
+        bank, DepthConfig(confidence_threshold=0.0, check_fit=False), LENS.cut(view)
+    )
+    own = Plan.of(estimator.model, (96, 96), 8)
+    estimator.close()
+    whole = Plan.of(bank, SHAPE, 8)
+    assert np.array_equal(own.areas[0].hypotheses, whole.areas[0].hypotheses)
+    assert len(own.areas) < len(whole.areas)
+
+
+def test_every_patch_is_in_one_area(bank):
+    plan = Plan.of(bank, SHAPE, 8)
+    seen = np.zeros((plan.grid.rows, plan.grid.columns), int)
+    for area in plan.areas:
+        seen[area.rows, area.columns] += 1
+    assert (seen == 1).all()
+
+
+def test_parts_are_scored_as_banks_of_their_own(bank):
+    """Energies in a corner are those of a bank of the PSFs there, but for the basis."""
+    frame = plane(LENS, 1.6, 5)
+    own = learn_bank(dataclasses.replace(bank.stack, psfs=bank.field.field.psfs[0]))
+    axis = dataclasses.replace(bank, field=None)
+    parts, alone, elsewhere = (each.energies(frame, 8, 0.001)[:2, :2] for each in (bank, own, axis))
+    assert np.abs(parts - alone).mean() < 0.3 * np.abs(elsewhere - alone).mean()
+
+
+def test_torch_knows_the_parts(bank):
+    pytest.importorskip("torch", reason="needs PyTorch")
+    frame, plan = plane(LENS, 1.6, 5), Plan.of(bank, SHAPE, 8)
+    energies = []
+    for backend in ("numpy", "torch"):
+        engine = new_engine(plan, backend)
+        engine.project(frame)
+        energies.append(engine.energies(0.001).copy())
+        engine.close()
+    assert np.abs(energies[0] - energies[1]).max() < 1e-3 * np.ptp(energies[0])
+
+
+def test_a_bank_comes_back_from_its_file(bank, tmp_path):
+    save_bank(bank, tmp_path / "bank.npz")
+    again = load_bank(tmp_path / "bank.npz")
+    frame = plane(LENS, 1.6, 5)
+    assert np.array_equal(again.energies(frame, 8, 0.001), bank.energies(frame, 8, 0.001))
+    assert again.field.field.intrinsics == bank.field.field.intrinsics
+
+
+def test_planes_show_how_the_psf_changes(monkeypatch):
+    monkeypatch.setattr("coded_aperture_ros.calibration.planes.wavefront._ROUNDS", 8)
+    depths = (1.3, 1.6, 2.1, 3.2)
+    images = tuple(plane(LENS, depth_m, seed) for seed, depth_m in enumerate(depths))
+    planes = Planes(images, np.array(depths), tuple(map(str, depths)))
+    first = dataclasses.replace(LENS, wavefront=None, mask_extent_mm=36.5)
+    found = fit_wavefront(first, planes, [1, 3], iter)
+    assert found.mask_extent_mm == pytest.approx(36, rel=0.03)
+    true, told = (
+        camera.psf_at(LEVIN, 12.0, np.array([0.13, 0.18]), 31) for camera in (LENS, found)
+    )
+    assert unlike(told, true) < 0.5 * unlike(render_psf(LEVIN, 12.0, 31), true)
+    assert len(TERMS) == len(NAMES)
