@@ -20,6 +20,7 @@ class Extension:
     package: str
     help: str
     first: tuple[str, ...] = ()  # what the package is told before the arguments
+    entry: str = "__main__"  # the module whose `main` takes them
 
     def add_parser(self, subparsers: Any) -> None:
         """Add the sub-command to the program's parser."""
@@ -33,7 +34,7 @@ class Extension:
 
     def run(self, args: argparse.Namespace) -> int:
         """Run the sub-command; return its exit status."""
-        return self.module("__main__", self.command).main([*self.first, *args.arguments])
+        return self.module(self.entry, self.command).main([*self.first, *args.arguments])
 
     def module(self, name: str, what: str) -> Any:
         """Return a module of the package; an `InputError` says that `what` needs it."""
@@ -61,6 +62,12 @@ MASK_DESIGN = Extension(
     *_BENCHMARKS,
     "compare masks for a camera, a depth range and some light, from end to end",
     ("design",),
+)
+MASK_SEARCH = Extension(
+    "search",
+    *_BENCHMARKS,
+    "look for masks with less depth and deblurring error",
+    entry="mask_search.command",
 )
 MASK_MOTION = Extension(
     "motion",

@@ -4,14 +4,12 @@ import argparse
 from importlib import import_module
 from typing import Any
 
-from coded_aperture_ros.cli.extension import MASK_DESIGN, MASK_MOTION
+from coded_aperture_ros.cli.extension import MASK_DESIGN, MASK_MOTION, MASK_SEARCH
 from coded_aperture_ros.cli.options import add_commands
 
 ACTIONS: dict[str, Any] = {
-    **{
-        name: import_module(f"coded_aperture_ros.cli.mask_{name}")
-        for name in ("print", "score", "search")
-    },
+    **{name: import_module(f"coded_aperture_ros.cli.mask_{name}") for name in ("print", "score")},
+    "search": MASK_SEARCH,
     "design": MASK_DESIGN,
     "motion": MASK_MOTION,
 }

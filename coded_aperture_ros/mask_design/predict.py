@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design import openings_of
-from coded_aperture_ros.mask_design.grids import smallest_openings
+from coded_aperture_ros.mask_design.openings import smallest_openings
 from coded_aperture_ros.mask_design.spectra import (
     Frequencies,
     SceneConfig,

@@ -5,18 +5,18 @@ import json
 import numpy as np
 import pytest
 from cli_scene import call, picture_folder
-from coded_aperture_benchmarks.reference.subspace_distances import subspace_distances
-
-from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.mask_design import MaskScorer, SceneConfig
-from coded_aperture_ros.mask_design.grids import (
+from coded_aperture_benchmarks.mask_search.grids import (
     allowed,
     changed,
     is_connected,
     random_grids,
-    smallest_openings,
     symmetric,
 )
+from coded_aperture_benchmarks.reference.subspace_distances import subspace_distances
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.mask_design import MaskScorer, SceneConfig
+from coded_aperture_ros.mask_design.openings import smallest_openings
 from coded_aperture_ros.mask_design.spectra import (
     Frequencies,
     autocorrelations,

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.mask_design.grids import SYMMETRIES, random_grids
+from coded_aperture_benchmarks.mask_search.grids import SYMMETRIES, random_grids
 from coded_aperture_ros.mask_design.textures import Textures
 from coded_aperture_ros.optics import Mask
 

@@ -1,27 +1,39 @@
-"""`coded_aperture mask search`: better masks than the published ones."""
+"""The command line of the search, which `coded_aperture mask search` hands its arguments to."""
 
 import argparse
 import logging
 import multiprocessing
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from coded_aperture_benchmarks.cluster import dask_client
+from coded_aperture_benchmarks.mask_search.checkpoint import load_checkpoint, save_checkpoint
+from coded_aperture_benchmarks.mask_search.search import (
+    SearchConfig,
+    first_state,
+    run_epoch,
+    search_epochs,
+)
 from coded_aperture_ros.cli.checks import check_output
-from coded_aperture_ros.cli.cluster import dask_client
 from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import (
+    CommandParser,
+    add_config_options,
     add_jobs_option,
     add_options,
     config_from,
-    settings_of,
     table,
 )
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.io import write_image
+from coded_aperture_ros.mask_design import SceneConfig
 
 RunAll = Callable[[list[tuple[Any, ...]]], list[Any]]
 _SHOWN = 8
@@ -36,11 +48,10 @@ _EPILOG = """examples:
 """
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the sub-command to the program's parser."""
-    parser = subparsers.add_parser(
-        "search",
-        help="look for masks with less depth and deblurring error",
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit status."""
+    parser = CommandParser(
+        prog="coded_aperture mask search",
         description="Look for masks of small predicted depth and deblurring error, by annealing "
         "and mixing populations of masks. The best is written as a picture, one pixel for each "
         "cell, which --mask and camera files take.",
@@ -55,22 +66,12 @@ def add_parser(subparsers: Any) -> None:
     add_options(parser, files)
     add_jobs_option(parser)
     add_options(parser, {"--json": "print the Pareto front as JSON"})
-    settings = {
-        "mask_design.search.SearchConfig": "which masks, and how long",
-        "mask_design.SceneConfig": "what the mask has to tell apart",
-    }
-    parser.add_late_options = settings_of(settings)
+    add_config_options(parser, SearchConfig, "which masks, and how long")
+    add_config_options(parser, SceneConfig, "what the mask has to tell apart")
+    return _search(parser.parse_args(arguments))
 
 
-def run(args: argparse.Namespace) -> int:
-    """Run the sub-command; return its exit status."""
-    import numpy as np
-
-    from coded_aperture_ros.io import write_image
-    from coded_aperture_ros.mask_design import SceneConfig
-    from coded_aperture_ros.mask_design.checkpoint import load_checkpoint, save_checkpoint
-    from coded_aperture_ros.mask_design.search import SearchConfig, first_state, search_epochs
-
+def _search(args: argparse.Namespace) -> int:
     config, scene = config_from(args, SearchConfig), config_from(args, SceneConfig)
     if args.output is not None:
         check_output(args.output, suffixes=(".png", ".npy"))
@@ -124,8 +125,6 @@ def _dask_workers(address: str) -> Iterator[RunAll]:
 
 
 def _run(task: tuple[Any, ...]) -> Any:
-    from coded_aperture_ros.mask_design.search import run_epoch
-
     return run_epoch(*task)
 
 

@@ -13,16 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
-from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.options import check_options, option
-from coded_aperture_ros.mask_design.grids import (
+from coded_aperture_benchmarks.mask_search.grids import (
     CARRIERS,
     SYMMETRIES,
     allowed,
     changed,
     random_grids,
 )
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.mask_design.predict import MaskScorer
 from coded_aperture_ros.mask_design.spectra import SceneConfig
 

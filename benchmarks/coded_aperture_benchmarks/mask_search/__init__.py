@@ -1,0 +1,1 @@
+"""`coded_aperture mask search`: better masks than the published ones."""
