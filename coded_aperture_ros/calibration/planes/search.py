@@ -119,17 +119,10 @@ def pattern_of(fit: LensFit, mask: Mask, extent_px: float, image_width: int) -> 
     )
 
 
-def _cropped(mask: NDArray, darkest: float = 0.2) -> NDArray:
-    """Crop to the square around the rows and columns with more than `darkest` of the brightest."""
-    ranges = []
-    for axis in (0, 1):
-        profile = mask.sum(axis=axis)
-        light = np.flatnonzero(profile > darkest * profile.max())
-        ranges.append((light[0], light[-1] + 1))
-    (left, right), (top, bottom) = ranges
-    side = max(right - left, bottom - top)
-    square = np.zeros((side, side))
-    above, before = (side - (bottom - top)) // 2, (side - (right - left)) // 2
-    inside = mask[top:bottom, left:right]
-    square[above : above + inside.shape[0], before : before + inside.shape[1]] = inside
-    return square
+def _cropped(mask: NDArray) -> NDArray:
+    """Crop to the square around the rows and columns with more than a fifth of the brightest."""
+    profiles = mask.sum(axis=1), mask.sum(axis=0)
+    rows, columns = (np.flatnonzero(each > 0.2 * each.max()) for each in profiles)
+    inside = mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    side = max(inside.shape)
+    return np.pad(inside, [((side - n) // 2, (side - n + 1) // 2) for n in inside.shape])
