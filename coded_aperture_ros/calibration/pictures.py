@@ -48,11 +48,9 @@ def _mask_tile(transmission: FloatArray) -> FloatArray:
     rows, columns = transmission.shape
     scale = _TILE_PX / max(rows, columns)
     size = (round(columns * scale), round(rows * scale))
-    drawn = np.zeros((_TILE_PX, _TILE_PX), np.float32)
-    top, left = (_TILE_PX - size[1]) // 2, (_TILE_PX - size[0]) // 2
     cells = cv2.resize(transmission, size, interpolation=cv2.INTER_NEAREST_EXACT)
-    drawn[top : top + size[1], left : left + size[0]] = cells
-    return drawn
+    rests = [_TILE_PX - length for length in cells.shape]
+    return np.pad(cells, [(rest // 2, rest - rest // 2) for rest in rests])
 
 
 def _halves(measured: NDArray, explained: NDArray) -> FloatArray:
