@@ -201,12 +201,11 @@ def add_bits_option(parser: argparse.ArgumentParser) -> None:
 
 def add_mosaic_option(parser: argparse.ArgumentParser) -> None:
     """Add `--bayer`, for pictures as the sensor counts them."""
-    what = (
-        "pictures are the grey mosaics of a sensor with these colour filters in every two by two "
-        "pixels; bags know it themselves"
-    )
-    orders = "rggb", "bggr", "gbrg", "grbg"
-    parser.add_argument("--bayer", choices=orders, default="", help=what)
+    what = {
+        "--bayer {rggb,bggr,gbrg,grbg}": "pictures are the grey mosaics of a sensor with these "
+        "colour filters in every two by two pixels; bags know it themselves"
+    }
+    add_options(parser, what, default="")
 
 
 def _gamma(text: str) -> Any:
