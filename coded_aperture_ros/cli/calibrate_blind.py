@@ -74,8 +74,8 @@ def run(args: argparse.Namespace) -> int:
                 f"patches of {filters.window_px} px"
             )
     if args.output is not None:
-        for name in (_REPORT, MASK_FILE, _PICTURE_OF_MASK, _PICTURE):
-            check_output(Path(args.output) / name, map(Path, names))
+        results = (_REPORT, MASK_FILE, _PICTURE_OF_MASK, _PICTURE)
+        check_output((Path(args.output, name) for name in results), map(Path, names))
     start = time.perf_counter()
     images = [read_image(name, args.gamma) for name in names]
     found = find_mask(images, names, config, progress)
