@@ -16,6 +16,7 @@ from coded_aperture_ros.bank.hypotheses import RATIOS
 from coded_aperture_ros.bank.prior import NaturalImagePrior, power_spectrum
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.imaging import transfer_function
 from coded_aperture_ros.likelihood import plausible_ratios, take_logarithm
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE
 from coded_aperture_ros.mask_design.predict import SIGMAS, check_sigmas, check_two_colours
@@ -106,10 +107,8 @@ class PictureScorer:
 
     def _blurred(self, psfs: FloatArray) -> NDArray[np.complex64]:
         """Return the spectra of the windows in the middle of blurred patches [N, K]."""
-        side, reach = self.side_px, psfs.shape[-1] // 2
-        centred = np.zeros((len(psfs), side, side), np.float32)
-        centred[:, : psfs.shape[1], : psfs.shape[2]] = psfs
-        transfer = scipy.fft.rfft2(np.roll(centred, (-reach, -reach), (1, 2)))
+        side = self.side_px
+        transfer = np.stack([transfer_function(psf, (side, side)) for psf in psfs])
         margin = (side - self.spectra.window_px) // 2
         middle = slice(margin, margin + self.spectra.window_px)
         blurred = np.empty_like(self._noise)

@@ -144,11 +144,8 @@ def expected_spectra(mask: Mask, scene: SceneConfig, frequencies: Frequencies) -
     texture = _texture(np.maximum(radius, 1 / _TORUS_PX), scene).astype(np.float32)
     overlap = scipy.fft.irfft(_window_power()[: WINDOW_PX + 1] * _TORUS_PX, _TORUS_PX)
     window = (overlap[:, None] * overlap).astype(np.float32)
-    psfs = np.zeros((scene.levels, *torus), np.float32)
-    for psf, size in zip(psfs, scene.blur_sizes_px, strict=True):
-        rendered = render_psf(mask, size)
-        psf[: len(rendered), : len(rendered)] = rendered
-    transfer = scipy.fft.rfft2(psfs)
+    psfs = [render_psf(mask, size) for size in scene.blur_sizes_px]
+    transfer = np.stack([scipy.fft.rfft2(psf, torus) for psf in psfs])
     spectra = seen_spectra(texture, transfer.real**2 + transfer.imag**2, window)
     taken = spectra[:, 2 * frequencies.vertical, 2 * frequencies.horizontal]
     return np.maximum(taken, 0).astype(np.float32)
