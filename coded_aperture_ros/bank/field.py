@@ -31,8 +31,7 @@ class FieldPsfs:
         """Return those of a camera, or None if its PSF is everywhere that of the axis."""
         if camera.wavefront is None:
             return None
-        size, matrix = (camera.image_width, camera.image_height), camera.intrinsics.camera_matrix
-        tangents = np.array(list(parts_of_field(*size, matrix, ROWS, COLUMNS)))
+        tangents = parts_of_field(camera.intrinsics, ROWS, COLUMNS)
         psfs = [
             [camera.psf_at(camera.mask, px, tangent) for px in blur_sizes_px]
             for tangent in tangents
@@ -40,10 +39,6 @@ class FieldPsfs:
         width = max(len(psf) for of_part in psfs for psf in of_part)
         psfs = [[np.pad(psf, (width - len(psf)) // 2) for psf in of_part] for of_part in psfs]
         return cls(np.array(psfs), tangents, camera.intrinsics)
-
-    def of_levels(self, levels: IndexArray) -> "FieldPsfs":
-        """Return those of some levels."""
-        return dataclasses.replace(self, psfs=self.psfs[:, levels])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -330,7 +330,8 @@ def relearned(bank: FilterBank, window_px: int, levels: IndexArray) -> FilterBan
         np.abs(stack.blur_sizes_px[levels]), stack.psfs[levels], in_pixels=stack.in_pixels
     )
     config = LearnConfig(window_px, bank.basis_vectors, bank.highest_frequency, bank.noise)
-    field = None if bank.field is None else bank.field.field.of_levels(levels)
+    field = None if bank.field is None else bank.field.field
+    field = field and dataclasses.replace(field, psfs=field.psfs[:, levels])
     return _learned_like(bank, some, config, field)
 
 

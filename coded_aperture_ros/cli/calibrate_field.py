@@ -3,18 +3,13 @@
 import argparse
 import dataclasses
 import json
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from coded_aperture_ros.cli.calibrate_planes import check_size
 from coded_aperture_ros.cli.checks import check_output, inputs_of
 from coded_aperture_ros.cli.measuring import add_planes_arguments, tell
 from coded_aperture_ros.cli.options import add_gamma_option, add_options
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.core.errors import InputError
-
-if TYPE_CHECKING:
-    from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
-    from coded_aperture_ros.optics import Camera
 
 _EPILOG = """examples:
     coded_aperture calibrate field planes --camera camera.yaml
@@ -61,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.optics import load_camera
 
     if args.picture is not None and not args.psfs:
-        raise InputError("--picture: draws what --psfs finds, give both")
+        args.usage_error("--picture: draws what --psfs finds, give both")
     if args.picture is not None:
         check_output(args.picture, inputs_of(args, "camera", "inputs"))
     planes = load_planes(args.inputs, args.depths, args.gamma)
@@ -102,16 +97,15 @@ def run(args: argparse.Namespace) -> int:
     return tell(args, summary, _text, warnings)
 
 
-def _picture(camera: "Camera", blur_size_px: "DoubleArray") -> "FloatArray":
+def _picture(camera: Any, blur_size_px: Any) -> Any:
     """Return the PSFs of the parts of the image, side by side as they lie."""
     import cv2
     import numpy as np
 
     from coded_aperture_ros.bank.field import COLUMNS, FieldPsfs
 
-    field = FieldPsfs.of(camera, blur_size_px)
-    assert field is not None
-    tiles = np.pad(field.psfs[:, 0] / field.psfs.max(), ((0, 0), (1, 1), (1, 1)))
+    psfs = FieldPsfs.of(camera, blur_size_px).psfs[:, 0]  # type: ignore[union-attr]
+    tiles = np.pad(psfs / psfs.max(), ((0, 0), (1, 1), (1, 1)))
     drawn = np.vstack([np.hstack(row) for row in tiles.reshape(-1, COLUMNS, *tiles.shape[1:])])
     return cv2.resize(drawn, None, fx=4, fy=4, interpolation=cv2.INTER_NEAREST)
 

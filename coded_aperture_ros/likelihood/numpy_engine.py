@@ -1,7 +1,6 @@
 """The engine on NumPy: every array is allocated when a frame size is planned, none per frame."""
 
 import dataclasses
-from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -49,7 +48,7 @@ class NumpyEngine:
         looked_at = np.arange(len(plan.horizontal) // 2) < plan.used[:, None]
         self._features = np.ascontiguousarray(plan.features[:, looked_at.ravel()])
         self._used = plan.used * grid.columns
-        self._shares = list(_shares(plan))
+        self._shares = list(plan.shares(_PATCHES))
         tried = len(plan.hypotheses) // len(plan.ratios) * len(plan.contrasts)
         rank = plan.hypotheses.shape[1]
         self._scratch = [
@@ -137,15 +136,3 @@ class NumpyEngine:
         np.minimum.reduce(excess.reshape(-1, *energies.shape), axis=0, out=energies)
         take_logarithm(energies, functions[-1, some] * precision + OWN_NOISE, plan.count)
         self._energies[:, some] = energies
-
-
-def _shares(plan: Plan) -> Iterator[tuple[FloatArray, slice | IndexArray]]:
-    """Yield the hypotheses of some patches, and which these are."""
-    index = np.arange(plan.grid.rows * plan.grid.columns).reshape(plan.grid.rows, -1)
-    for area in plan.areas:
-        patches = index[area.rows, area.columns].ravel()
-        for start in range(0, len(patches), _PATCHES):
-            some = patches[start : start + _PATCHES]
-            # A slice is not copied.
-            whole = len(plan.areas) == 1
-            yield area.hypotheses, slice(some[0], some[-1] + 1) if whole else some

@@ -12,7 +12,7 @@ common basis), these act on ``q`` and ``x`` directly.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -191,6 +191,16 @@ class Plan:
         columns, half = len(self.horizontal) // 2, self.grid.window_px // 2
         unpaired = [0, half][: len(self.vertical) - 2 * self.paired]
         return _of_products(functions, self.grid.window_px, columns, self.paired, unpaired)
+
+    def shares(self, most: int) -> Iterator[tuple[FloatArray, slice | IndexArray]]:
+        """Yield hypotheses and the patches that they are tried on, so many at most."""
+        index = np.arange(self.grid.rows * self.grid.columns).reshape(self.grid.rows, -1)
+        for area in self.areas:
+            patches = index[area.rows, area.columns].ravel()
+            for start in range(0, len(patches), most):
+                some = patches[start : start + most]
+                whole = len(self.areas) == 1  # a slice is not copied
+                yield area.hypotheses, slice(some[0], some[-1] + 1) if whole else some
 
     @property
     def pixel_rows(self) -> int:

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design import openings_of
-from coded_aperture_ros.mask_design.openings import smallest_openings
 from coded_aperture_ros.mask_design.spectra import (
     Frequencies,
     SceneConfig,
@@ -210,3 +210,24 @@ def _distances(logs: FloatArray, slope: FloatArray) -> FloatArray:
     products = logs @ logs.transpose(0, 2, 1) - fitted @ logs.transpose(0, 2, 1)
     squares = np.einsum("bll->bl", products)
     return np.maximum(squares[:, :, None] + squares[:, None] - 2 * products, 0) / 8
+
+
+def smallest_openings(grids: NDArray[np.floating]) -> NDArray[np.int64]:
+    """Return the side of the largest square that each open cell of a mask has a place in [B].
+
+    In cells, of masks [B, n, n]; 0 for a mask without an open cell.
+    """
+    opened = np.asarray(grids) > 0
+    widths = np.zeros(len(opened), np.int64)
+    kept = opened.any(axis=(1, 2))
+    for side in range(1, opened.shape[-1] + 1):
+        kept &= (squares_only(opened, side) == opened).all(axis=(1, 2))
+        if not kept.any():
+            break
+        widths[kept] = side
+    return widths
+
+
+def squares_only(opened: BoolArray, side: int) -> BoolArray:
+    """Keep of each mask [B, n, n] the cells that lie in open squares of a side (an opening)."""
+    return np.asarray(ndimage.binary_opening(opened, np.ones((1, side, side), bool)))

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import has_type
+from coded_aperture_ros.optics.intrinsics import Intrinsics
 from coded_aperture_ros.optics.mask import Mask
 
 # ``W_klm`` of Hopkins: powers of the field, of the radius in the pupil, of the angle's cosine.
@@ -162,11 +163,9 @@ def _pupil(mask: Mask, rays: int) -> tuple[DoubleArray, DoubleArray]:
     return places, light[open_].astype(np.float64)
 
 
-def parts_of_field(
-    width: int, height: int, matrix: tuple[float, ...], rows: int, columns: int
-) -> Iterator[DoubleArray]:
-    """Yield the tangents (down, right) of the middles of the parts of an image, row by row."""
-    for row in range(rows):
-        for column in range(columns):
-            y, x = (row + 0.5) * height / rows - 0.5, (column + 0.5) * width / columns - 0.5
-            yield np.array([(y - matrix[5]) / matrix[4], (x - matrix[2]) / matrix[0]])
+def parts_of_field(frames: Intrinsics, rows: int, columns: int) -> DoubleArray:
+    """Return the tangents (down, right) of the middles of the parts of an image [n, 2]."""
+    k = frames.camera_matrix
+    down = ((np.arange(rows) + 0.5) * frames.image_height / rows - 0.5 - k[5]) / k[4]
+    right = ((np.arange(columns) + 0.5) * frames.image_width / columns - 0.5 - k[2]) / k[0]
+    return np.stack(np.meshgrid(down, right, indexing="ij"), axis=-1).reshape(-1, 2)

@@ -76,9 +76,8 @@ def render_coded_frame(
         frame = _compose(colours, blur_size_px, camera, layer_spacing_px, aperture_blocks)
         return frame.reshape(image.shape)
     frame, (rows, columns) = np.empty_like(colours), depth_m.shape
-    matrix = camera.intrinsics.scaled(columns, rows).camera_matrix
     margin = psf_width(np.abs(blur_size_px).max()) + _SURFACE_MARGIN_PX
-    tangents = parts_of_field(columns, rows, matrix, _ROWS, _COLUMNS)
+    tangents = parts_of_field(camera.intrinsics.scaled(columns, rows), _ROWS, _COLUMNS)
     for tangent, (row, column) in zip(tangents, np.ndindex(_ROWS, _COLUMNS), strict=True):
         top, bottom = row * rows // _ROWS, (row + 1) * rows // _ROWS
         left, right = column * columns // _COLUMNS, (column + 1) * columns // _COLUMNS

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 import yaml
-from cli_scene import call, refused, texture
+from cli_scene import call, refused, texture, wrong_usage
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,7 +16,7 @@ from coded_aperture_ros.calibration.planes.field import fit_field
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.io import write_image
+from coded_aperture_ros.io import read_image, write_image
 from coded_aperture_ros.optics import (
     Camera,
     FieldCurvature,
@@ -139,7 +139,7 @@ def test_a_wrong_distance_is_found(planes):
     assert found.found_m[list(found.misplaced)] == pytest.approx(1.9, rel=0.03)
 
 
-def test_the_command(planes, tmp_path, capsys, caplog):
+def test_the_command(planes, tmp_path, capsys, caplog, monkeypatch):
     for index, image in enumerate(planes.images):
         write_image(tmp_path / f"{index}.png", image)
     listed = [
@@ -165,6 +165,15 @@ def test_the_command(planes, tmp_path, capsys, caplog):
     printed = yaml.safe_load(call(capsys, *arguments).out)
     assert printed == {key: told[key] for key in ("mask_extent_mm", "field_curvature")}
     assert camera_from_mapping({**content, **printed}).field_curvature
+    monkeypatch.setattr("coded_aperture_ros.calibration.planes.wavefront._ROUNDS", 1)
+    picture = tmp_path / "found/psfs.png"
+    picture.parent.mkdir()
+    wrong_usage(call(capsys, *arguments, "--picture", picture), "calibrate field", "--psfs")
+    lens = yaml.safe_load(call(capsys, *arguments, "--psfs", "--picture", picture).out)
+    assert set(lens) == {"mask_extent_mm", "field_curvature", "wavefront"}
+    found = camera_from_mapping({**content, **lens})
+    assert found.wavefront.corner == pytest.approx(np.hypot(128, 96) / 500, rel=0.01)
+    assert read_image(picture).max() > 0.5
     camera.write_text(yaml.safe_dump({**content, "image_width": 512, "image_height": 384}))
     refused(call(capsys, *arguments), "the pictures have 256x192")
     camera.write_text(yaml.safe_dump({**content, "focus_distance_m": 3.4, "side": "near"}))

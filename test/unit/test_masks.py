@@ -16,7 +16,7 @@ from coded_aperture_benchmarks.reference.subspace_distances import subspace_dist
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.mask_design import MaskScorer, SceneConfig
-from coded_aperture_ros.mask_design.openings import smallest_openings
+from coded_aperture_ros.mask_design.predict import smallest_openings
 from coded_aperture_ros.mask_design.spectra import (
     Frequencies,
     autocorrelations,

@@ -1,10 +1,12 @@
 """The search for masks: what it finds, that it goes on where it stood, and who does the work."""
 
 import json
+import os
 import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -133,6 +135,7 @@ def test_a_scheduler_that_does_not_answer_is_named(capsys):
 @pytest.mark.slow
 def test_nothing_is_lost_when_a_worker_is_killed(capsys):
     distributed = pytest.importorskip("distributed")
+    root = Path(__file__).resolve().parents[2]  # workers need what the search is made of
     long = [*SHORT[:-4], "--epochs", "6", "--generations", "12", "--levels", "4"]
     alone = json.loads(call(capsys, "mask", "search", *long, "--jobs", "1", "--json").out)
     with distributed.LocalCluster(
@@ -144,6 +147,7 @@ def test_nothing_is_lost_when_a_worker_is_killed(capsys):
                 [sys.executable, "-m", "distributed.cli.dask_worker", address, "--no-nanny",
                  "--nthreads", "1", "--no-dashboard"],
                 stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                env=os.environ | {"PYTHONPATH": f"{root}{os.pathsep}{root / 'benchmarks'}"},
             )
             for _ in range(2)
         ]  # fmt: skip

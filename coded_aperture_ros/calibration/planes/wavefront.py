@@ -11,6 +11,7 @@ from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.prior import NaturalImagePrior
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.arrays import DoubleArray, IndexArray
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.core.workers import thread_count
 from coded_aperture_ros.imaging import grey_image
@@ -60,7 +61,10 @@ def fit_wavefront(camera: Camera, planes: Planes, used: list[int], progress: Pro
     Its field curvature becomes that of the wavefront. By Fisher scoring of the likelihood of the
     windows' power spectra, for textures as those of a bank.
     """
-    lens = _Lens.of(camera, planes)
+    rows, columns = planes.images[0].shape[:2]
+    k = camera.intrinsics.camera_matrix
+    corner = np.hypot(max(k[5], rows - k[5]) / k[4], max(k[2], columns - k[2]) / k[0])
+    lens = _Lens(camera, float(corner), _FOURIER.multiplicity[_COUNTED].astype(np.float64))
     windows = list(_windows(camera, planes, used))
     curvature = camera.field_curvature or FieldCurvature()
     first = np.array([1.0, *_RIMS, *[0.0] * len(TERMS)])
@@ -70,8 +74,8 @@ def fit_wavefront(camera: Camera, planes: Planes, used: list[int], progress: Pro
     prior = count * np.diag(_SPREAD**-2)
     # What is largest first, from astigmatism of either sign: else the best may never be found.
     starts = [first + sign * _ASTIGMATISM for sign in (-1, 0, 1)]
-    state = min(starts, key=lambda start: lens.best_cost(start, windows))
-    damping = 1e-2
+    costs = [lens.cost(at, [lens.textures(at, each) for each in windows]) for at in starts]
+    state, damping = starts[int(np.argmin(costs))], 1e-2
     for number in progress(range(_ROUNDS)):
         active = np.arange(9 if number < _FIRST_ROUNDS else len(first))
         textures = [lens.textures(state, each) for each in windows]
@@ -101,13 +105,6 @@ class _Lens:
     camera: Camera
     corner: float
     counts: DoubleArray  # multiplicity of the frequencies that count [K]
-
-    @classmethod
-    def of(cls, camera: Camera, planes: Planes) -> "_Lens":
-        rows, columns = planes.images[0].shape[:2]
-        k = camera.intrinsics.camera_matrix
-        corner = np.hypot(max(k[5], rows - k[5]) / k[4], max(k[2], columns - k[2]) / k[0])
-        return cls(camera, float(corner), _FOURIER.multiplicity[_COUNTED].astype(np.float64))
 
     def camera_of(self, state: DoubleArray) -> Camera:
         """Return the camera with the lens of a state."""
@@ -140,12 +137,11 @@ class _Lens:
         )
 
     def cost(self, state: DoubleArray, textures: list[_Textures]) -> float:
-        """Twice the negative log-likelihood."""
-        return float(sum(self._cost(each, self._variance(state, each)) for each in textures))
-
-    def best_cost(self, state: DoubleArray, windows: list[_Windows]) -> float:
-        """Return the cost of windows with the textures that explain them best."""
-        return self.cost(state, [self.textures(state, each) for each in windows])
+        """Twice the negative log-likelihood; infinite where no lens is like that."""
+        try:
+            return sum(self._cost(each, self._variance(state, each)) for each in textures)
+        except InputError:
+            return np.inf
 
     def derivatives(
         self, state: DoubleArray, textures: list[_Textures], active: IndexArray
@@ -203,9 +199,8 @@ class _Lens:
 
 def _windows(camera: Camera, planes: Planes, used: list[int]) -> Iterator[_Windows]:
     """Yield the windows of some planes and all parts of the image."""
-    rows, columns = planes.images[0].shape[:2]
     matrix = camera.intrinsics.camera_matrix
-    centres = np.array(list(parts_of_field(columns, rows, matrix, ROWS, COLUMNS)))
+    centres = parts_of_field(camera.intrinsics, ROWS, COLUMNS)
     chosen = np.unique(np.linspace(0, len(used) - 1, _MOST_PLANES).round().astype(int))
     for index in np.array(used)[chosen]:
         grey, _ = grey_image(planes.images[index], 1.0)
