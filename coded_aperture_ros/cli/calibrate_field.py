@@ -91,9 +91,8 @@ def run(args: argparse.Namespace) -> int:
         for index in found.misplaced
     ]
     if args.picture is not None:
-        largest_px = np.abs(bent.blur_size_px(found.depths_m)).max(keepdims=True)
-        sign = 1 if found.depths_m[-1] > camera.focus_distance_m else -1
-        write_image(args.picture, _picture(bent, sign * largest_px))
+        sizes_px = bent.blur_size_px(found.depths_m)
+        write_image(args.picture, _picture(bent, sizes_px[[np.abs(sizes_px).argmax()]]))
     return tell(args, summary, _text, warnings)
 
 
