@@ -38,7 +38,7 @@ def add_parser(subparsers: Any) -> None:
         parser,
         {
             "--psfs": "find how the PSF changes over the image, too: astigmatism, coma, spherical "
-            "aberration, and what the lens cuts off; a minute or two",
+            "aberration, and what the lens cuts off; takes minutes",
             "--picture PNG": "with --psfs: draw the PSFs of the parts of the image",
             "--json": "print the numbers as JSON",
         },
