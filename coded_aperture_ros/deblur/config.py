@@ -12,40 +12,34 @@ from coded_aperture_ros.depth.config import DepthConfig
 class DeblurConfig:
     """How a coded frame is turned into an all-in-focus one."""
 
+    parameter_group = "deblur."
     method: str = option(
         "fast",
         "fast: closed forms blended by a small network, for video; inverse: the closed form of "
         "each pixel's level, without it; cg: a few steps towards the sharp scene that explains "
         "the whole frame; sparse: many of them, the best picture.",
         choices=("fast", "inverse", "cg", "sparse"),
-        parameter="deblur.method",
     )
     noise: float = option_of(DepthConfig, "noise")
     noise_gain: float = option_of(DepthConfig, "noise_gain")
     smoothness: float = option(
-        1.0,
-        "Trades sharpness (below 1) against noise and ringing (above 1).",
-        within=(0.01, 100.0),
-        parameter="deblur.smoothness",
+        1.0, "Trades sharpness (below 1) against noise and ringing (above 1).", within=(0.01, 100.0)
     )
     occlusion: str = option(
         "auto",
         "Whether cg and sparse reckon with foregrounds that hide a part of what is behind them; "
         "auto: where the PSFs are small enough for the memory.",
         choices=("auto", "yes", "no"),
-        parameter="deblur.occlusion",
     )
     iterations: int = option(
         0,
         "Conjugate-gradient steps of cg and sparse, at most; 0: as many as the method is made for.",
         within=(0, 10000),
-        parameter="deblur.iterations",
     )
     tolerance: float = option(
         1e-3,
         "Norm of the gradient at which cg and sparse stop, relative to that of a black picture.",
         within=(0.0, 1.0),
-        parameter="deblur.tolerance",
     )
     saturation: float = option_of(DepthConfig, "saturation")
     temporal_frames: float = option(
@@ -60,7 +54,6 @@ class DeblurConfig:
         "Kernels in the common basis of the inverse filters. Fewer is faster and less accurate.",
         within=(2, 64),
         read_only=True,
-        parameter="deblur.rank",
     )
     band: str = option(
         "full",
@@ -69,7 +62,6 @@ class DeblurConfig:
         "are.",
         choices=("full", "half"),
         read_only=True,
-        parameter="deblur.band",
     )
     threads: int = option(
         1,
