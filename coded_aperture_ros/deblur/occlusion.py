@@ -13,7 +13,6 @@ from coded_aperture_ros.deblur.blur_map import nearest_of
 from coded_aperture_ros.deblur.operator import BlurOperator, frame_within, scene_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.deblur.visibility import NOTHING, least_towards, rays
-from coded_aperture_ros.imaging import periodic_shape
 
 # Neighbouring pixels that differ by more are an edge, where something may be hidden.
 _EDGE_PX = 1.0
@@ -40,11 +39,8 @@ class OccludedBlur(BlurOperator):
     def __init__(
         self, basis: PsfBasis, blur_size_px: FloatArray, workers: Workers | None = None
     ) -> None:
-        rows, columns = blur_size_px.shape
-        self.shape, self.margin_px = (rows, columns), basis.margin_px
-        self.scene_shape = periodic_shape(self.shape, 2 * self.margin_px)
-        self.workers = workers or Workers()
-        self._basis = basis
+        super().__init__(basis, blur_size_px.shape, basis.margin_px, workers)
+        rows, columns = self.shape
         surfaces = _Surfaces.of(scene_around(blur_size_px, self), self.margin_px)
         self.hidden, self._origin = surfaces.hidden, surfaces.origin
         self._steps = basis.steps_of(surfaces.front)

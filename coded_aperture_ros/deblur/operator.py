@@ -29,13 +29,15 @@ class BlurOperator(abc.ABC):
     have one plane, or two with what is `hidden` behind foregrounds [planes, *scene_shape].
     """
 
-    shape: Shape
-    scene_shape: Shape
-    margin_px: int
     hidden: BoolArray | None = None  # where the second plane has something [*scene_shape]
-    workers: Workers
-    _basis: PsfBasis
     _steps: IndexArray  # of the scene, see `PsfBasis.steps_of`
+
+    def __init__(
+        self, basis: PsfBasis, shape: tuple[int, ...], margin_px: int, workers: Workers | None
+    ) -> None:
+        self.shape: Shape = (shape[0], shape[1])
+        self.scene_shape = periodic_shape(self.shape, 2 * margin_px)
+        self.margin_px, self.workers, self._basis = margin_px, workers or Workers(), basis
 
     @abc.abstractmethod
     def forward(self, scene: FloatArray) -> FloatArray:
@@ -63,12 +65,6 @@ def scene_around(
     right = operator.scene_shape[1] - operator.shape[1] - margin
     scene = cv2.copyMakeBorder(frame, margin, below, margin, right, borderType=border)
     return np.asarray(scene, np.float32)
-
-
-def steps_around(basis: PsfBasis, blur_size_px: FloatArray, operator: BlurOperator) -> IndexArray:
-    """Return the column of the basis' table for every pixel of a scene around a blur map."""
-    steps = basis.steps_of(blur_size_px).astype(np.float32)
-    return scene_around(steps, operator).astype(np.intp)
 
 
 def frame_within(scene: Any, operator: BlurOperator) -> Any:
@@ -132,15 +128,11 @@ class SpreadingBlur(BlurOperator):
         workers: Workers | None = None,
         motion: MotionParts | None = None,
     ) -> None:
-        rows, columns = blur_size_px.shape
         traces = [] if motion is None else motion.traces()
         reach_px = max((len(trace) // 2 for trace in traces), default=0)
-        self.shape, self.margin_px = (rows, columns), basis.margin_px + reach_px
-        self.scene_shape = periodic_shape(self.shape, 2 * self.margin_px)
-        self.workers = workers or Workers()
-        self._basis = basis
+        super().__init__(basis, blur_size_px.shape, basis.margin_px + reach_px, workers)
         self._transforms = basis.transforms(self.scene_shape)
-        self._steps = steps_around(basis, blur_size_px, self)
+        self._steps = basis.steps_of(scene_around(blur_size_px, self))
         self._shares = [np.take(of_kernel, self._steps) for of_kernel in basis.table]
         self._traces = [transfer_function(trace, self.scene_shape) for trace in traces]
         self._parts: list[FloatArray] = []

@@ -144,15 +144,9 @@ weighted_differences = Compiled(_loop, _plain)
 
 
 def _difference(image: FloatArray, axis: int) -> FloatArray:
-    result = np.zeros_like(image)
-    inner, source = (result, image) if axis == 0 else (result.T, image.T)
-    np.subtract(source[1:], source[:-1], out=inner[:-1])
-    return result
+    return np.diff(image, axis=axis, append=image[-1:] if axis == 0 else image[:, -1:])
 
 
 def _adjoint(part: FloatArray, axis: int) -> FloatArray:
-    result = np.zeros_like(part)
-    inner, source = (result, part) if axis == 0 else (result.T, part.T)
-    inner[1:] = source[:-1]
-    inner[:-1] -= source[:-1]
-    return result
+    inner, zero = part[:-1] if axis == 0 else part[:, :-1], np.float32(0)
+    return -np.diff(inner, axis=axis, prepend=zero, append=zero)
