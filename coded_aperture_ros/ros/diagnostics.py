@@ -71,7 +71,7 @@ class Summary:
     rate_hz: float
     latency_s: tuple[float, float, float] | None  # median, 99th percentile, maximum
     work_s: tuple[float, float, float] | None
-    stages_s: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    stages_s: dict[str, tuple[float, float, float] | None] = field(default_factory=dict)
     figures: dict[str, float] = field(default_factory=dict)
     last_error: str = ""
     complaint: Complaint | None = None
@@ -177,13 +177,9 @@ def camera_of(node: Node) -> str:
     return node.get_namespace().rpartition("/")[2] or "camera"
 
 
-def _by_stage(frames: list[Mapping[str, float]]) -> dict[str, tuple[float, float, float]]:
+def _by_stage(frames: list[Mapping[str, float]]) -> dict[str, tuple[float, float, float] | None]:
     stages = dict.fromkeys(stage for seconds in frames for stage in seconds)
-    figures = {
-        stage: percentiles([seconds[stage] for seconds in frames if stage in seconds])
-        for stage in stages
-    }
-    return {stage: three for stage, three in figures.items() if three is not None}
+    return {name: percentiles([each[name] for each in frames if name in each]) for name in stages}
 
 
 def percentiles(values: list[float]) -> tuple[float, float, float] | None:
