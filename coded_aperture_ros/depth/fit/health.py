@@ -7,7 +7,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from coded_aperture_ros.core.archive import read_shipped
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, as_floats
 from coded_aperture_ros.depth.fit.evidence import Evidence, Witness
 from coded_aperture_ros.depth.fit.quantiles import quantiles
 from coded_aperture_ros.depth.fit.traces import traces
@@ -87,33 +87,23 @@ class Health:
         return np.asarray(left * confidence + (1 - left) * lowest, np.float32)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Weights:
-    """Some small networks: features, standardised, through two layers; health, then causes."""
-
-    mean: FloatArray  # [members, inputs], as `scale`
-    scale: FloatArray
-    layers: tuple[tuple[FloatArray, FloatArray], ...]  # weights [members, outputs, inputs], biases
-
-    def __call__(self, features: FloatArray) -> FloatArray:
-        """Return the mean of what they say."""
-        values = (np.clip(features, -LIMIT, LIMIT) - self.mean) / self.scale
-        values = np.clip(values, -SCALED_LIMIT, SCALED_LIMIT)[..., None]
-        for weight, bias in self.layers[:-1]:
-            values = np.maximum(weight @ values + bias[..., None], 0)
-        weight, bias = self.layers[-1]
-        return np.asarray((weight @ values)[..., 0] + bias).mean(axis=0)
-
-
 @lru_cache(maxsize=1)
-def _weights() -> _Weights:
+def _weights() -> dict[str, FloatArray]:
+    """Return what small networks [members, ...] standardise by, and their weights and biases."""
     arrays = read_shipped(__file__, "fit.npz", SCHEMA, SCHEMA_VERSION)
+    return {name: as_floats(array) for name, array in arrays.items() if array.ndim}
 
-    def of(name: str) -> FloatArray:
-        return arrays[name].astype(np.float32)
 
-    layers = tuple((of(f"weight{n}"), of(f"bias{n}")) for n in range(_LAYERS))
-    return _Weights(of("mean"), of("scale"), layers)
+def _outputs_of(features: FloatArray) -> FloatArray:
+    """Return the mean of what the networks say: health, then causes."""
+    of = _weights()
+    values = (np.clip(features, -LIMIT, LIMIT) - of["mean"]) / of["scale"]
+    values = np.clip(values, -SCALED_LIMIT, SCALED_LIMIT)[..., None]
+    for layer in range(_LAYERS):
+        values = of[f"weight{layer}"] @ values + of[f"bias{layer}"][..., None]
+        if layer < _LAYERS - 1:
+            np.maximum(values, 0, out=values)
+    return np.asarray(values[..., 0].mean(axis=0))
 
 
 def can_be_checked(stack: PsfStack) -> bool:
@@ -154,7 +144,7 @@ class FitCheck:
             return self._health
         outputs = None
         for features in self.looks(seen, misfit, level, confidence):
-            outputs = _weights()(features)
+            outputs = _outputs_of(features)
             if _health_of(outputs).value > _TRUSTED:
                 break
         if outputs is None:
