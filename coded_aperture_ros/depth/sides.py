@@ -6,6 +6,8 @@ patch is a photograph, whose gradients are few and large. With the other side's,
 gain at every frequency, its phases are scrambled, and the same power is spread over all pixels.
 """
 
+from functools import cache
+
 import cv2
 import numpy as np
 import scipy.fft
@@ -215,7 +217,7 @@ class SideFinder:
         self._around_px = max(_AROUND_PX, stack.psfs.shape[-1] - 1)
         self._periodic = periodic_shape(shape, self._around_px)
         self._prior = image_prior(self._periodic)
-        self._transfers: dict[int, NDArray[np.complex64]] = {}
+        self._transfer = cache(lambda level: transfer_function(stack.psfs[level], self._periodic))
 
     def log_odds(
         self, grey: FloatArray, grid: PatchGrid, level: IndexArray, noise: float
@@ -259,8 +261,3 @@ class SideFinder:
         here = sharp[:height, :width]
         right, below = sharp[:height, 1 : width + 1], sharp[1 : height + 1, :width]
         return [np.square(right - here), np.square(below - here)]
-
-    def _transfer(self, level: int) -> NDArray[np.complex64]:
-        if level not in self._transfers:
-            self._transfers[level] = transfer_function(self._stack.psfs[level], self._periodic)
-        return self._transfers[level]
