@@ -59,13 +59,12 @@ def new_model(
         raise InputError(f"method: {method!r} is not one of {', '.join(METHODS)}")
     if method == "simple" and bank is not None:
         raise InputError("method: simple has no bank: leave the bank out")
-    if bank is None and (camera is None or depth_range_m is None):
-        raise InputError(f"method: {method} needs a bank, or a camera and a depth range")
-    if bank is None and camera is not None and depth_range_m is not None:
+    if bank is None:
+        if camera is None or depth_range_m is None:
+            raise InputError(f"method: {method} needs a bank, or a camera and a depth range")
         if method == "simple":
             return neighbour_model_for_camera(camera, *depth_range_m, level_count, simple)
         bank = learn_bank_for_camera(camera, *depth_range_m, level_count, learn)
-    assert bank is not None  # as the checks above have made sure
     if method == "bank":
         return bank
     settings = motion or MotionConfig()
