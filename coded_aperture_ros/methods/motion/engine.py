@@ -8,7 +8,7 @@ from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, I
 from coded_aperture_ros.likelihood import NumpyEngine, Plan, take_logarithm
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE
 from coded_aperture_ros.methods.motion.bank import MotionBank
-from coded_aperture_ros.methods.motion.exact import ExactEnergies
+from coded_aperture_ros.methods.motion.exact import ExactEnergies, alike
 from coded_aperture_ros.methods.motion.refine import most_likely_motion
 
 # Patches whose hypotheses are tried at a time: what a product of matrices gives for one motion
@@ -103,20 +103,13 @@ class MotionEngine(NumpyEngine):
         """
         rows, columns, count = candidates.shape
         energies = np.empty((count, self._levels, rows * columns), np.float32)
-        sets, which = np.unique(candidates.reshape(-1, count), axis=0, return_inverse=True)
-        which = which.ravel()  # NumPy 2.0 gives it the shape of the rows
-        tasks: list[_Task] = []
-        for number, motions in enumerate(sets):
-            members = np.flatnonzero(which == number)
-            tasks += [
-                (motions.tolist(), members[start : start + _PATCHES])
-                for start in range(0, len(members), _PATCHES)
-            ]
+        sets = candidates.reshape(-1, count).T
+        tasks = [(sets[:, part[0]].tolist(), part) for part in alike(sets, _PATCHES)]
         if self._exact is None:
             self._compete(noise, energies, tasks)
         else:
             self._take_textures(self._exact, noise, [(some[:1], part) for some, part in tasks])
-            energies[:] = self._exact.of_some(candidates.reshape(-1, count).T)
+            energies[:] = self._exact.of_some(sets)
         return energies.reshape(count, self._levels, rows, columns)
 
     def _project_row(self, row: int, thread: int) -> None:

@@ -65,7 +65,7 @@ class ExactEnergies:
             block = self._weights[int(ratio)][slope].reshape(len(pairs), -1)
             pairs[:, patches] = self._least([block], patches, len(pairs), thread)
 
-        self._workers.each(compute, _alike(self._texture))
+        self._workers.each(compute, alike(self._texture))
 
     def of_some(self, motions: IndexArray) -> FloatArray:
         """Return the energies of some motions [k, patches] likewise, [k, L, patches]."""
@@ -79,7 +79,7 @@ class ExactEnergies:
             block = block.reshape(len(energies), -1)
             energies[:, patches] = self._least([block], patches, len(energies), thread)
 
-        self._workers.each(compute, _alike(keys))
+        self._workers.each(compute, alike(keys))
         return energies.reshape(count, levels, -1)
 
     def compare_best(
@@ -110,7 +110,7 @@ class ExactEnergies:
             ]
             found[members] = self._least(blocks, patches[members], found.shape[1], thread).T
 
-        self._workers.each(compute, _alike(keys))
+        self._workers.each(compute, alike(keys))
         energies[rows, :, patches] = found
 
     def _least(
@@ -155,12 +155,12 @@ class ExactEnergies:
         return weights
 
 
-def _alike(keys: IndexArray) -> list[IndexArray]:
-    """Return where the keys [.., n] are equal, in parts that can be worked on at a time."""
+def alike(keys: IndexArray, most: int = _PATCHES) -> list[IndexArray]:
+    """Return where the keys [.., n] are equal, in parts of at most so many."""
     order = np.lexsort(keys[::-1])
     ends = np.flatnonzero(np.diff(keys[:, order]).any(axis=0)) + 1
     return [
-        group[start : start + _PATCHES]
+        group[start : start + most]
         for group in np.split(order, ends)
-        for start in range(0, len(group), _PATCHES)
+        for start in range(0, len(group), most)
     ]
