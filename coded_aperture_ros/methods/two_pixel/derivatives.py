@@ -1,10 +1,10 @@
-"""High-pass channels of a frame (thesis eq. 5.2), and their spectra."""
+"""High-pass channels of a frame (thesis eq. 5.2)."""
 
 import numpy as np
 import scipy.ndimage
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import FloatArray
 
 # Differences to the right, downward, and along the two diagonals; P = 2 in the thesis.
 _DIFFERENCES = (
@@ -48,8 +48,3 @@ def channel_kernel(
     odd = np.zeros((side, side), np.float32)
     odd[: kernel.shape[0], : kernel.shape[1]] = kernel
     return odd
-
-
-def passed_power(kernel: FloatArray, period: int) -> DoubleArray:
-    """Return the power that a kernel passes [period, period // 2 + 1], as of `rfft2`."""
-    return np.abs(np.fft.rfft2(kernel, (period, period))) ** 2

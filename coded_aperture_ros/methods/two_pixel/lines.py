@@ -20,14 +20,13 @@ class NeighbourLine:
     """
 
     direction: DoubleArray  # [2]; row and column, the longer of them 1
-    pairs: int  # how many pairs of holes lie in its direction
     # [n, 2]; row and column of the pixels, from the first one, a pixel apart along the longer axis.
     positions: IndexArray
     lags: IndexArray  # [m, 2]; the different lags between two of them; rows >= 0. At most 2 n - 1.
     lag_of_pair: IndexArray  # [n, n]; index of every pair's lag
 
     @classmethod
-    def along(cls, direction: DoubleArray, length_px: int, pairs: int = 1) -> "NeighbourLine":
+    def along(cls, direction: DoubleArray, length_px: int) -> "NeighbourLine":
         """Draw the line from a pixel in a direction (row, column) that `length_px` is far along."""
         steps = np.arange(length_px + 1)[:, None]
         direction = direction / np.abs(direction).max()
@@ -37,7 +36,7 @@ class NeighbourLine:
         backward = (between[..., 0] < 0) | ((between[..., 0] == 0) & (between[..., 1] < 0))
         between[backward] *= -1
         lags, index = np.unique(between.reshape(-1, 2), axis=0, return_inverse=True)
-        return cls(direction, pairs, positions, lags, index.reshape(len(positions), len(positions)))
+        return cls(direction, positions, lags, index.reshape(len(positions), len(positions)))
 
 
 def neighbour_lines(holes: Holes, largest_blur_px: float) -> list[NeighbourLine]:
@@ -70,8 +69,8 @@ def neighbour_lines(holes: Holes, largest_blur_px: float) -> list[NeighbourLine]
         shared = list(range(len(found)))
     hole_px = holes.side * abs(largest_blur_px)
     return [
-        NeighbourLine.along(found[n][0], int(np.ceil(found[n][1] + hole_px / 2)), len(pairs[n]))
-        for n in shared
+        NeighbourLine.along(direction, int(np.ceil(length + hole_px / 2)))
+        for direction, length in (found[n] for n in shared)
     ]
 
 

@@ -9,7 +9,7 @@ from coded_aperture_ros.bank.learning import check_levels, psf_stack_for_camera
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.methods.two_pixel.config import SimpleConfig
-from coded_aperture_ros.methods.two_pixel.derivatives import channel_kernel, passed_power
+from coded_aperture_ros.methods.two_pixel.derivatives import channel_kernel
 from coded_aperture_ros.methods.two_pixel.holes import find_holes
 from coded_aperture_ros.methods.two_pixel.likelihood import BLOCK_PX, NeighbourModel
 from coded_aperture_ros.methods.two_pixel.lines import NeighbourLine, neighbour_lines
@@ -82,7 +82,7 @@ def neighbour_model(
         for line, kernel, end in zip(lines, of_channel, ends, strict=True):
             part = slice(end - len(line.lags), end)
             at_lags = (line.lags[:, 0] % period, line.lags[:, 1] % period)
-            passed = passed_power(kernel, period)
+            passed = np.abs(np.fft.rfft2(kernel, torus)) ** 2
             of_noise = scipy.fft.irfft2(passed, torus)[at_lags]
             whitener = _whitener(of_noise[line.lag_of_pair])
             none = whitener.T @ whitener  # the inverse of the noise's covariance
