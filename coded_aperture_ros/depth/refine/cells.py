@@ -1,7 +1,6 @@
 """The cells of a frame that depth is refined on: those of the patches, and more up to its edges."""
 
 import dataclasses
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -44,20 +43,21 @@ class Cells:
         """
         rows = _inside(grid.row_centres, self.top)
         columns = _inside(grid.column_centres, self.left)
-        if grid.stride_px != CELL_PX or rows.offset or columns.offset:
+        first = grid.row_centres[0] - self.top, grid.column_centres[0] - self.left
+        if grid.stride_px != CELL_PX or any(at % CELL_PX != CELL_PX // 2 for at in first):
             across = _interpolation(grid.column_centres, self.left, columns)
             down = _interpolation(grid.row_centres, self.top, rows)
             values = np.asarray(down @ values @ across.T, np.float32)
         at_cells = np.empty((*values.shape[:-2], self.rows, self.columns), np.float32)
-        within = at_cells[..., rows.start : rows.stop, :]
-        within[..., columns.start : columns.stop] = values
+        within = at_cells[..., rows, :]
+        within[..., columns] = values
         # Beyond the outermost patches their values go on.
         within[..., : columns.start] = values[..., :1]
         within[..., columns.stop :] = values[..., -1:]
         at_cells[..., : rows.start, :] = within[..., :1, :]
         at_cells[..., rows.stop :, :] = within[..., -1:, :]
         known = np.zeros((self.rows, self.columns), np.float32)
-        known[rows.start : rows.stop, columns.start : columns.stop] = 1
+        known[rows, columns] = 1
         return at_cells, known
 
     def of_frame(self, picture: FloatArray) -> FloatArray:
@@ -69,20 +69,12 @@ class Cells:
         return np.asarray(cv2.copyMakeBorder(picture, *margins, cv2.BORDER_REFLECT))
 
 
-class _Inside(NamedTuple):
-    """Cells whose middles lie among patches' centres, and how far off the first of them is."""
-
-    start: int
-    stop: int
-    offset: int
-
-
-def _inside(centres: IndexArray, first: int) -> _Inside:
+def _inside(centres: IndexArray, first: int) -> slice:
+    """Return the cells whose middles lie among patches' centres."""
     before, after = (int(centre) - CELL_PX // 2 - first for centre in centres[[0, -1]])
     start = -(-before // CELL_PX)
     # A few patches close together may have no cell's middle among them: then the next one.
-    stop = max(after // CELL_PX, start) + 1
-    return _Inside(start, stop, start * CELL_PX - before)
+    return slice(start, max(after // CELL_PX, start) + 1)
 
 
 def _axis(centre: int, length: int) -> tuple[int, int]:
@@ -95,7 +87,7 @@ def _axis(centre: int, length: int) -> tuple[int, int]:
     return top, -(-count // multiple) * multiple
 
 
-def _interpolation(centres: IndexArray, first: int, cells: _Inside) -> FloatArray:
+def _interpolation(centres: IndexArray, first: int, cells: slice) -> FloatArray:
     """Return the linear weight of every patch for every cell [cells, patches]."""
     at = first + CELL_PX * np.arange(cells.start, cells.stop) + CELL_PX // 2
     place = np.interp(at, centres, np.arange(len(centres)))

@@ -141,10 +141,7 @@ def expected_powers(bank: FilterBank, motions: Motions, progress: Progress = ite
 
 
 def _spread(fourier: WindowedFourierBasis, period: int) -> FloatArray:
-    """Return how much of the power at each of a torus' frequencies a window sees at each of its.
-
-    ndarray, float32 [N, period].
-    """
+    """Return the share of a torus' powers that a window sees at each frequency [N, period]."""
     n = fourier.window_px
     seen = np.abs(scipy.fft.fft(fourier.window.astype(np.float64), period)) ** 2 / period
     index = np.arange(n)[:, None] * (period // n) - np.arange(period)
