@@ -32,13 +32,22 @@ class FieldPsfs:
         if camera.wavefront is None:
             return None
         tangents = parts_of_field(camera.intrinsics, ROWS, COLUMNS)
-        psfs = [
-            [camera.psf_at(camera.mask, px, tangent) for px in blur_sizes_px]
-            for tangent in tangents
-        ]
-        width = max(len(psf) for of_part in psfs for psf in of_part)
-        psfs = [[np.pad(psf, (width - len(psf)) // 2) for psf in of_part] for of_part in psfs]
+        psfs = [psfs_at(camera, blur_sizes_px, tangent) for tangent in tangents]
+        width = max(of_part.shape[-1] for of_part in psfs)
+        psfs = [_padded(of_part, width) for of_part in psfs]
         return cls(np.array(psfs), tangents, camera.intrinsics)
+
+
+def psfs_at(camera: Camera, blur_sizes_px: DoubleArray, tangent: DoubleArray) -> FloatArray:
+    """Return the PSFs [L, k, k] of a camera with a wavefront at one place; see `FieldPsfs`."""
+    psfs = [camera.psf_at(camera.mask, size_px, tangent) for size_px in blur_sizes_px]
+    width = max(map(len, psfs))
+    return np.concatenate([_padded(psf[None], width) for psf in psfs])
+
+
+def _padded(psfs: FloatArray, width: int) -> FloatArray:
+    margin = (width - psfs.shape[-1]) // 2
+    return np.pad(psfs, ((0, 0), (margin, margin), (margin, margin)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

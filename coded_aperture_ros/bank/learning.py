@@ -6,7 +6,7 @@ import numpy as np
 
 from coded_aperture_ros.bank.empirical import EmpiricalPrior
 from coded_aperture_ros.bank.factoring import factor_weights
-from coded_aperture_ros.bank.field import FieldFilters, FieldPsfs
+from coded_aperture_ros.bank.field import FieldFilters, FieldPsfs, psfs_at
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.hypotheses import RATIOS, Hypotheses
 from coded_aperture_ros.bank.model import DEFAULT_STRIDE_PX, FilterBank
@@ -158,6 +158,8 @@ def psf_stack_for_camera(
             f"depth range {near_m:g} to {far_m:g} m: {whose} needs finite depths; far away they "
             "differ little in blur, 100 times the distance of the focus is enough"
         )
+    if camera.wavefront is not None:
+        return PsfStack(blur_sizes, psfs_at(camera, blur_sizes, np.zeros(2)), depths_m)
     stack = render_psf_stack(camera.mask, blur_sizes, camera.psf_diffraction_px)
     return dataclasses.replace(stack, depths_m=depths_m)
 

@@ -96,7 +96,8 @@ class DepthEstimator:
         self._costs_tell_sides = costs_tell_sides
         self._fit: FitCheck | None = None
         if config.check_fit and isinstance(model, FilterBank) and can_be_checked(model.stack):
-            self._fit = FitCheck(model.stack, frames > 0, model.guard_levels > 0)
+            guarded, parts = model.guard_levels > 0, model.field is not None
+            self._fit = FitCheck(model.stack, frames > 0, guarded, parts)
         self._planned: _Planned | None = None
         if like is not None and like._given is model and "small_bank" in like.__dict__:
             self.small_bank = like.small_bank.seen_by(camera)

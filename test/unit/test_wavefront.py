@@ -131,6 +131,21 @@ def test_depth_is_right_where_the_psf_is_another(bank):
     assert max(with_) < 0.5 * max(without)
 
 
+def test_a_frame_through_the_lens_fits_its_bank(bank):
+    """Only the middle is compared with what else it may be: the PSFs are those of the axis."""
+    strong = dataclasses.replace(
+        LENS, wavefront=wavefront(W222=-0.6, W131=0.3, rims=(1.2, 0.5, 1.1, -0.4))
+    )
+    own = learn_bank_for_camera(strong, 1.2, 3.4, 16)
+    frame = plane(strong, 2.0, 31)
+    for known, fits in ((own, True), (dataclasses.replace(own, field=None), False)):
+        estimator = DepthEstimator(known, DepthConfig(), strong)
+        health = estimator.estimate(frame).health
+        estimator.close()
+        assert health is not None
+        assert health.fits == fits
+
+
 def test_a_part_of_the_view_has_the_psfs_of_its_place(bank):
     """A region of interest in the corner is not taken for the middle."""
     view = View(96, 96, 256, 192)

@@ -47,6 +47,8 @@ _USUAL_PIXELS = 288 * 288
 _LEAST_NOISE, _CLEANEST, _DITHER = 2e-4, 3e-4, 6e-4
 _UNSURE_PX, _FAR_PX = 4.0, 1.5
 _CONFIDENT, _SPARSE = 0.55, 3
+# What is left out on either side of the middle, as shares of the frame.
+_AROUND_MIDDLE = 0.3
 # At most so many windows along a side at the first look, which is enough where confidence is left
 # as it is, and at the second.
 _CELLS = 5, 10
@@ -117,11 +119,19 @@ class FitCheck:
     """Checks the frames of a video, or single ones, against a bank's PSFs; see `can_be_checked`.
 
     With `remembers`, frames are those of a video, in order: then only some are looked at, and what
-    they say is averaged. With `guarded`, the levels at the ends stand for what is beyond them.
+    they say is averaged. With `guarded`, the levels at the ends stand for what is beyond them. With
+    `middle_only`, the PSFs are those of the middle of the image, and only windows there tell.
     """
 
-    def __init__(self, stack: PsfStack, remembers: bool = False, guarded: bool = False) -> None:
+    def __init__(
+        self,
+        stack: PsfStack,
+        remembers: bool = False,
+        guarded: bool = False,
+        middle_only: bool = False,
+    ) -> None:
         self._stack, self._remembers, self._guarded = stack, remembers, guarded
+        self._middle_only = middle_only
         self.reset()
 
     def reset(self) -> None:
@@ -168,9 +178,16 @@ class FitCheck:
         known = seen.noise.sigma if seen.noise.highest is None else 0.0
         of_file = traces(grey, noise, known)
         smaller = max(0.0, float(np.log(_USUAL_PIXELS / grey.size)))
+        top, left = (
+            int(_AROUND_MIDDLE * length) if self._middle_only else 0 for length in grey.shape
+        )
+        part = np.s_[top : grey.shape[0] - top, left : grey.shape[1] - left]
+        unusable = None if seen.unusable is None else seen.unusable[part]
         for cells in _CELLS:
-            windows = self._witness.ask(grey, noise, seen.unusable, cells)
+            windows = self._witness.ask(grey[part], noise, unusable, cells)
             if windows is not None:
+                at = windows.rows + top, windows.columns + left
+                windows = dataclasses.replace(windows, rows=at[0], columns=at[1])
                 of_maps = self._of_maps(windows, seen, misfit, level, confidence)
                 numbers = [*windows.features, *of_file, *of_maps, smaller]
                 yield np.nan_to_num(np.array(numbers, np.float32))
