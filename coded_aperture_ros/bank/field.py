@@ -73,9 +73,17 @@ class FieldFilters:
 
     def part_of(self, grid: PatchGrid, shape: tuple[int, ...]) -> IndexArray:
         """Return which part every patch of frames of a shape is in [rows, columns]."""
-        k = self.field.intrinsics.scaled(shape[1], shape[0]).camera_matrix
-        down = (np.asarray(grid.row_centres) - k[5]) / k[4]
-        right = (np.asarray(grid.column_centres) - k[2]) / k[0]
-        places = np.stack(np.meshgrid(down, right, indexing="ij"), axis=-1)
-        apart = places[:, :, None] - self.field.tangents
-        return np.sum(apart * apart, axis=-1).argmin(axis=2)
+        frames = self.field.intrinsics.scaled(shape[1], shape[0])
+        return nearest_part(places_of(grid, frames), self.field.tangents)
+
+
+def places_of(grid: PatchGrid, frames: Intrinsics) -> DoubleArray:
+    """Return the tangents (down, right) of the middles of patches [rows, columns, 2]."""
+    k = frames.camera_matrix
+    down, right = (grid.row_centres - k[5]) / k[4], (grid.column_centres - k[2]) / k[0]
+    return np.stack(np.meshgrid(down, right, indexing="ij"), axis=-1)
+
+
+def nearest_part(places: DoubleArray, parts: DoubleArray) -> IndexArray:
+    """Return which of the tangents of parts [G, 2] each place is nearest to [rows, columns]."""
+    return np.sum((places[:, :, None] - parts) ** 2, axis=-1).argmin(axis=2)

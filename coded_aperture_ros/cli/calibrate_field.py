@@ -1,8 +1,8 @@
 """`coded_aperture calibrate field`: how the focus of a lens moves away from the image's middle."""
 
 import argparse
-import dataclasses
 import json
+from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.calibrate_planes import check_size
@@ -57,20 +57,15 @@ def run(args: argparse.Namespace) -> int:
 
     if args.picture is not None and not args.psfs:
         args.usage_error("--picture: draws what --psfs finds, give both")
-    if args.picture is not None:
-        check_output(args.picture, inputs_of(args, "camera", "inputs"))
     planes = load_planes(args.inputs, args.depths, args.gamma)
+    if args.picture is not None:
+        check_output(args.picture, [*map(Path, planes.names), *inputs_of(args, "camera")])
     camera = load_camera(args.camera)
     check_size(args.camera, camera, planes)
     found = fit_field(camera, planes, progress)
-    bent = dataclasses.replace(
-        camera.fitted(*planes.images[0].shape[1::-1]),
-        field_curvature=found.curvature,
-        mask_extent_mm=found.mask_extent_mm,
-    )
+    bent = found.camera
     if args.psfs:
-        right = [n for i, n in enumerate(found.names) if i not in found.misplaced]
-        bent = fit_wavefront(bent, planes, [planes.names.index(n) for n in right], progress)
+        bent = fit_wavefront(bent, planes, found.trusted, progress)
     curvature = bent.field_curvature or found.curvature
     columns = found.depths_m, found.found_m, found.errors_without, found.errors
     corner = float(curvature.dioptres(bent.intrinsics, planes.images[0].shape)[0, 0])

@@ -10,7 +10,8 @@ covered" says nearly all about "what of it is covered".
 
 import dataclasses
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 
 import cv2
 import numpy as np
@@ -108,9 +109,13 @@ def _compose(
     layers = list(_layers(visible, hidden, spacing_px))
     total = np.zeros((*colours.shape[:2], colours.shape[2] + 1), dtype=np.float32)
     for block in _blocks(camera.mask, blocks):
-        lens = camera.wavefront
-        if lens is None or tangent is None or lens.passed(block, tangent) > _LEAST_COVERAGE:
-            total += _through_block(layers, block, camera, colours.shape[:2], tangent)
+        passed = 1.0
+        if tangent is not None and camera.wavefront is not None:
+            passed = camera.wavefront.passed(block, tangent)
+        if passed > _LEAST_COVERAGE:
+            psf = partial(_kernel, block, camera, tangent=tangent)
+            share = passed * block.open_fraction / camera.mask.open_fraction
+            total += _through_block(layers, psf, share, colours.shape[:2])
     # Where no light comes through a block, the others make up for it; where none comes at all,
     # the sharp scene is the best guess.
     found = total[..., -1:]
@@ -199,23 +204,16 @@ def _blocks(mask: Mask, count: int) -> Iterator[Mask]:
 
 
 def _through_block(
-    layers: list[_Layer],
-    block: Mask,
-    camera: Camera,
-    shape: tuple[int, ...],
-    tangent: DoubleArray | None,
+    layers: list[_Layer], psf: Callable[[float], FloatArray], share: float, shape: tuple[int, ...]
 ) -> FloatArray:
     """Compose the light that reaches the sensor through one block of the aperture.
 
-    Returns premultiplied colours and a weight, [rows, columns, channels + 1]. The weight is the
-    block's share of the light; it falls to zero where no surface is known that light comes
-    from: next to steep steps a block may look past the visible surface and what is continued
-    behind it.
+    `psf` gives the block's PSF by its blur size, and `share` is its part of the light. Returns
+    premultiplied colours and a weight, [rows, columns, channels + 1]: the share. It falls to zero
+    where no surface is known that light comes from: next to steep steps a block may look past the
+    visible surface and what is continued behind it.
     """
     height, width = shape
-    weight = block.open_fraction / camera.mask.open_fraction
-    if camera.wavefront is not None and tangent is not None:
-        weight *= camera.wavefront.passed(block, tangent)
     total = np.zeros((height, width, layers[0].light.shape[2]), dtype=np.float32)
     # Coverage by the layers that are in front by more than the surface gap.
     occluded = np.zeros((height, width), dtype=np.float32)
@@ -224,13 +222,12 @@ def _through_block(
         while recent and recent[0][0] <= layer.number - layer.surface_gap:
             _, region, coverage = recent.popleft()
             occluded[region] += coverage
-        kernel = _kernel(block, camera, layer.blur_size_px, tangent)
-        region, blurred = _blur(layer, kernel, height, width)
+        region, blurred = _blur(layer, psf(layer.blur_size_px), height, width)
         blurred *= np.maximum(0, 1 - occluded[region])[..., None]
         total[region] += blurred
         recent.append((layer.number, region, blurred[..., -1]))
     lit: FloatArray = np.maximum(total[..., -1:], _LEAST_COVERAGE)
-    return total * (np.float32(weight) / lit)
+    return total * (np.float32(share) / lit)
 
 
 def _blur(
@@ -254,7 +251,7 @@ def _kernel(
     block: Mask, camera: Camera, blur_size_px: float, tangent: DoubleArray | None
 ) -> FloatArray:
     """Return the PSF of a block; with diffraction what it adds to that of the whole mask."""
-    if camera.wavefront is not None and tangent is not None:
+    if tangent is not None:
         return camera.psf_at(block, blur_size_px, tangent)
     q = camera.psf_diffraction_px
     if not q:

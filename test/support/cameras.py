@@ -22,6 +22,16 @@ TINY = {
     "mask_extent_mm": 52.0,
 }
 
+# Of the lenses whose blur is not everywhere that of the axis.
+STRAIGHT = {
+    "focal_length_px": 500.0,
+    "focus_distance_m": 0.9,
+    "image_width": 256,
+    "image_height": 192,
+    "mask": {"name": "levin"},
+    "mask_extent_mm": 36.0,
+}
+
 
 def pinhole(**changes):
     values = {

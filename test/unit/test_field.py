@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 import yaml
+from cameras import STRAIGHT as STRAIGHT_FILE
 from cli_scene import call, refused, texture, wrong_usage
 from hypothesis import given
 from hypothesis import strategies as st
@@ -91,17 +92,9 @@ def test_levels_reach_as_far_as_the_blur_of_the_field():
 
 @pytest.mark.parametrize("entry", [3, [1], [1, 2, 3], [1, "2"], [1, float("nan")], [1, 1e9]])
 def test_entries_that_are_no_curvature_are_refused(entry):
-    mapping = {
-        "focal_length_px": 500.0,
-        "focus_distance_m": 0.9,
-        "image_width": 256,
-        "image_height": 192,
-        "mask": {"name": "levin"},
-        "mask_extent_mm": 36.0,
-    }
-    assert camera_from_mapping({**mapping, "field_curvature": [1.5, -2]}).field_curvature
+    assert camera_from_mapping({**STRAIGHT_FILE, "field_curvature": [1.5, -2]}).field_curvature
     with pytest.raises(InputError, match=r"field_curvature: "):
-        camera_from_mapping({**mapping, "field_curvature": entry})
+        camera_from_mapping({**STRAIGHT_FILE, "field_curvature": entry})
 
 
 def median_error(camera, frame, depth_m, part):
@@ -146,16 +139,8 @@ def test_the_command(planes, tmp_path, capsys, caplog, monkeypatch):
         {"file": f"{i}.png", "depth_m": z} for i, z in enumerate((1.25, 1.4, 1.6, 2.1, 2.4, 3.2))
     ]
     (tmp_path / "planes.json").write_text(json.dumps(listed))
-    content = {
-        "focal_length_px": 500.0,
-        "focus_distance_m": 0.9,
-        "image_width": 256,
-        "image_height": 192,
-        "mask": {"name": "levin"},
-        "mask_extent_mm": 36.0,
-    }
     camera = tmp_path / "camera.yaml"
-    camera.write_text(yaml.safe_dump(content))
+    camera.write_text(yaml.safe_dump(STRAIGHT_FILE))
     arguments = ("calibrate", "field", tmp_path, "--camera", camera)
     told = json.loads(call(capsys, *arguments, "--json").out)
     assert len(told["planes"]) == 6
@@ -164,19 +149,21 @@ def test_the_command(planes, tmp_path, capsys, caplog, monkeypatch):
     # What it prints is what the camera file takes.
     printed = yaml.safe_load(call(capsys, *arguments).out)
     assert printed == {key: told[key] for key in ("mask_extent_mm", "field_curvature")}
-    assert camera_from_mapping({**content, **printed}).field_curvature
+    assert camera_from_mapping({**STRAIGHT_FILE, **printed}).field_curvature
     monkeypatch.setattr("coded_aperture_ros.calibration.planes.wavefront._ROUNDS", 1)
     picture = tmp_path / "found/psfs.png"
     picture.parent.mkdir()
     wrong_usage(call(capsys, *arguments, "--picture", picture), "calibrate field", "--psfs")
+    for kept in (tmp_path / "0.png", camera):
+        refused(call(capsys, *arguments, "--psfs", "--picture", kept), kept.name, "input")
     lens = yaml.safe_load(call(capsys, *arguments, "--psfs", "--picture", picture).out)
     assert set(lens) == {"mask_extent_mm", "field_curvature", "wavefront"}
-    found = camera_from_mapping({**content, **lens})
+    found = camera_from_mapping({**STRAIGHT_FILE, **lens})
     assert found.wavefront.corner == pytest.approx(np.hypot(128, 96) / 500, rel=0.01)
     assert read_image(picture).max() > 0.5
-    camera.write_text(yaml.safe_dump({**content, "image_width": 512, "image_height": 384}))
+    camera.write_text(yaml.safe_dump({**STRAIGHT_FILE, "image_width": 512, "image_height": 384}))
     refused(call(capsys, *arguments), "the pictures have 256x192")
-    camera.write_text(yaml.safe_dump({**content, "focus_distance_m": 3.4, "side": "near"}))
+    camera.write_text(yaml.safe_dump({**STRAIGHT_FILE, "focus_distance_m": 3.4, "side": "near"}))
     refused(call(capsys, *arguments, "--depths", "3.1,3.15,3.2,3.25,3.3,3.35"), "3 are needed")
 
 

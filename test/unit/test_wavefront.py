@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from cameras import STRAIGHT as STRAIGHT_FILE
 from cli_scene import texture
 
 from coded_aperture_ros.bank import learn_bank, learn_bank_for_camera, load_bank, save_bank
@@ -83,20 +84,12 @@ def test_an_entry_of_a_camera_file_comes_back():
     again = Wavefront.of_entry(entry)
     assert np.allclose(again.coefficients, LENS.wavefront.coefficients, atol=1e-5)
     assert again.rims == LENS.wavefront.rims
-    mapping = {
-        "focal_length_px": 500.0,
-        "focus_distance_m": 0.9,
-        "image_width": 256,
-        "image_height": 192,
-        "mask": {"name": "levin"},
-        "mask_extent_mm": 36.0,
-    }
-    assert camera_from_mapping({**mapping, "wavefront": entry}).wavefront == again
+    assert camera_from_mapping({**STRAIGHT_FILE, "wavefront": entry}).wavefront == again
     for wrong in (3, {"W222": 1.0}, {"corner": 0.3, "W999": 1.0}, {"corner": 0}, {"corner": "x"}):
         with pytest.raises(InputError, match="wavefront: "):
-            camera_from_mapping({**mapping, "wavefront": wrong})
+            camera_from_mapping({**STRAIGHT_FILE, "wavefront": wrong})
     with pytest.raises(InputError, match="four numbers"):
-        camera_from_mapping({**mapping, "wavefront": {"corner": 0.3, "rims": [1, 0]}})
+        camera_from_mapping({**STRAIGHT_FILE, "wavefront": {"corner": 0.3, "rims": [1, 0]}})
 
 
 def plane(camera, depth_m, seed):

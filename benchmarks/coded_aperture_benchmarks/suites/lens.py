@@ -69,13 +69,9 @@ def measure(cell: Cell) -> list[Row]:
 def _of_planes(scene: Path, folder: Path, psfs: bool) -> list[Camera]:
     camera, planes = RayTracedScene.load(scene, _MASK).camera, load_planes([folder])
     found = fit_field(camera, planes)
-    bent = dataclasses.replace(
-        camera, field_curvature=found.curvature, mask_extent_mm=found.mask_extent_mm
-    )
     if not psfs:
-        return [bent]
-    used = [planes.names.index(name) for name in found.names]
-    return [bent, fit_wavefront(bent, planes, used, iter)]
+        return [found.camera]
+    return [found.camera, fit_wavefront(found.camera, planes, found.trusted, iter)]
 
 
 def _scores(scene: RayTracedScene, camera: Camera, frame: np.ndarray, levels: int) -> Row:

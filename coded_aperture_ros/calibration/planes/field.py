@@ -24,9 +24,11 @@ class FieldFit:
     """Field curvature and mask extent as planes show them, and how well they fit.
 
     Of each plane that is blurred enough: name, depth, depth and median error by a fit to the
-    others, and the error without curvature. `misplaced` are those whose depth is wrong.
+    others, and the error without curvature. `misplaced` are those whose depth is wrong, `trusted`
+    the others, by their index among all planes. The `camera` is for the pictures, with both.
     """
 
+    camera: Camera
     curvature: FieldCurvature
     mask_extent_mm: float
     names: tuple[str, ...]
@@ -35,6 +37,7 @@ class FieldFit:
     errors_without: DoubleArray
     errors: DoubleArray
     misplaced: tuple[int, ...]
+    trusted: tuple[int, ...]
 
 
 def fit_field(camera: Camera, planes: Planes, progress: Progress = iter) -> FieldFit:
@@ -93,13 +96,18 @@ def fit_field(camera: Camera, planes: Planes, progress: Progress = iter) -> Fiel
     middle = np.array([np.median(each) for each in left_out])
     scatter = np.array([np.ptp(np.quantile(each, (0.1, 0.9))) for each in left_out])
     scale, second, fourth = (float(value) for value in fitted(everything))
+    curvature = FieldCurvature(round(second / scale, 4), round(fourth / scale, 4))
+    extent_mm = round(camera.mask_extent_mm * scale, 4)
+    misplaced = np.abs(middle) > np.maximum(_OFF, _OF_SCATTER * scatter)
     return FieldFit(
-        FieldCurvature(round(second / scale, 4), round(fourth / scale, 4)),
-        round(camera.mask_extent_mm * scale, 4),
+        dataclasses.replace(camera, field_curvature=curvature, mask_extent_mm=extent_mm),
+        curvature,
+        extent_mm,
         tuple(planes.names[index] for index in used),
         true,
         true * np.exp(middle),
         np.array([np.median(np.abs(np.expm1(apart(i, 1, 0, 0)))) for i in everything]),
         np.array([np.median(np.abs(np.expm1(each))) for each in left_out]),
-        tuple(np.flatnonzero(np.abs(middle) > np.maximum(_OFF, _OF_SCATTER * scatter))),
+        tuple(np.flatnonzero(misplaced)),
+        tuple(np.array(used)[~misplaced]),
     )

@@ -1,12 +1,12 @@
 """How the PSF of a lens changes over the image, from planes at known depths."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from coded_aperture_ros.bank.field import COLUMNS, ROWS
+from coded_aperture_ros.bank.field import COLUMNS, ROWS, nearest_part, places_of
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.prior import NaturalImagePrior
 from coded_aperture_ros.calibration.planes.pictures import Planes
@@ -55,7 +55,9 @@ class _Textures:
     power: DoubleArray  # [T, K]; their sum
 
 
-def fit_wavefront(camera: Camera, planes: Planes, used: list[int], progress: Progress) -> Camera:
+def fit_wavefront(
+    camera: Camera, planes: Planes, used: Sequence[int], progress: Progress
+) -> Camera:
     """Fit a wavefront and the mask's extent to some of the planes; return the camera with them.
 
     Its field curvature becomes that of the wavefront. By Fisher scoring of the likelihood of the
@@ -197,18 +199,16 @@ class _Lens:
         return Wavefront(self.corner, tuple(values[5:]), tuple(values[1:5]))
 
 
-def _windows(camera: Camera, planes: Planes, used: list[int]) -> Iterator[_Windows]:
+def _windows(camera: Camera, planes: Planes, used: Sequence[int]) -> Iterator[_Windows]:
     """Yield the windows of some planes and all parts of the image."""
-    matrix = camera.intrinsics.camera_matrix
-    centres = parts_of_field(camera.intrinsics, ROWS, COLUMNS)
+    parts = parts_of_field(camera.intrinsics, ROWS, COLUMNS)
     chosen = np.unique(np.linspace(0, len(used) - 1, _MOST_PLANES).round().astype(int))
     for index in np.array(used)[chosen]:
         grey, _ = grey_image(planes.images[index], 1.0)
         power, grid = _FOURIER.power(grey, _STRIDE_PX)
         noise = max(float(np.quantile(power @ _FOURIER.noise_weights, 0.05)), 1e-9)
-        down, right = (grid.row_centres - matrix[5]) / matrix[4], grid.column_centres - matrix[2]
-        places = np.stack(np.meshgrid(down, right / matrix[0], indexing="ij"), axis=-1)
-        part = np.sum((places[:, :, None] - centres) ** 2, axis=-1).argmin(axis=2)
+        places = places_of(grid, camera.intrinsics)
+        part = nearest_part(places, parts)
         for inside in (part == number for number in np.unique(part)):
             size_px = float(camera.blur_size_px(planes.depths_m[index]))
             seen = power[inside][:, _COUNTED].astype(np.float64)
