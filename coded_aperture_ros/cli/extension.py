@@ -63,6 +63,12 @@ MASK_DESIGN = Extension(
     "compare masks for a camera, a depth range and some light, from end to end",
     ("design",),
 )
+MASK_SCORE = Extension(
+    "score",
+    *_BENCHMARKS,
+    "predict depth and deblurring error of masks",
+    entry="mask_scores.command",
+)
 MASK_SEARCH = Extension(
     "search",
     *_BENCHMARKS,

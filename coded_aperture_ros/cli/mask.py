@@ -1,14 +1,15 @@
 """`coded_aperture mask`: what can be done with a mask before it is in a lens."""
 
 import argparse
-from importlib import import_module
 from typing import Any
 
-from coded_aperture_ros.cli.extension import MASK_DESIGN, MASK_MOTION, MASK_SEARCH
+from coded_aperture_ros.cli import mask_print
+from coded_aperture_ros.cli.extension import MASK_DESIGN, MASK_MOTION, MASK_SCORE, MASK_SEARCH
 from coded_aperture_ros.cli.options import add_commands
 
 ACTIONS: dict[str, Any] = {
-    **{name: import_module(f"coded_aperture_ros.cli.mask_{name}") for name in ("print", "score")},
+    "print": mask_print,
+    "score": MASK_SCORE,
     "search": MASK_SEARCH,
     "design": MASK_DESIGN,
     "motion": MASK_MOTION,

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from coded_aperture_benchmarks.crops import Textures
 from coded_aperture_benchmarks.frames.two_plane import (
     composite,
     make_two_planes,
@@ -14,7 +15,6 @@ from hypothesis import strategies as st
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.mask_design.textures import Textures
 from coded_aperture_ros.optics import MASK_NAMES, Mask, render_psf
 
 RANDOM = load_textures("random")

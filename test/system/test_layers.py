@@ -23,7 +23,6 @@ ROOMS = (
     "deblur",
     "calibration",
     "design",
-    "mask_design",
     "checkup",
     "pipeline",
     "__init__",

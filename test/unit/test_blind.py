@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from blind_scene import CONFIG, MASK, SIZES_PX, names, plane, planes
 from cli_scene import call, examples, wrong_usage
+from coded_aperture_benchmarks.crops import Textures
 from coded_aperture_benchmarks.frames.blind_planes import (
     deblurring_loss,
     make_blind_planes,
@@ -31,7 +32,6 @@ from coded_aperture_ros.calibration.mask.spectra import half_plane, mean_by_cont
 from coded_aperture_ros.calibration.pictures import blind_picture
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io import read_image, write_image
-from coded_aperture_ros.mask_design.textures import Textures
 from coded_aperture_ros.optics import Mask
 
 CELLS = MASK.transmission.astype(np.float64)

@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 import pytest
 from cli_scene import call
+from coded_aperture_benchmarks.mask_scores.predict import MaskScorer
+from coded_aperture_benchmarks.mask_scores.spectra import SceneConfig
 from coded_aperture_benchmarks.mask_search.checkpoint import load_checkpoint, save_checkpoint
 from coded_aperture_benchmarks.mask_search.search import (
     Front,
@@ -23,7 +25,6 @@ from coded_aperture_benchmarks.mask_search.search import (
 )
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.mask_design import MaskScorer, SceneConfig
 
 SCENE = SceneConfig(levels=5)
 CONFIG = SearchConfig(cells=7, islands=2, epochs=3, generations=3)

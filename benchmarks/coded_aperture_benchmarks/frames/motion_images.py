@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
+from coded_aperture_benchmarks.crops import Textures
 from coded_aperture_benchmarks.fragmentation import (
     BLUR_SIZES_PX,
     DIRECTIONS,
@@ -19,7 +20,6 @@ from coded_aperture_benchmarks.frames.stair import crops_generator, with_noise
 from coded_aperture_ros.bank import LearnConfig, learn_bank
 from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.imaging.noise import NOISE_FLOOR
-from coded_aperture_ros.mask_design.textures import Textures
 from coded_aperture_ros.methods.motion import MotionConfig, blurred_psf, learn_motion_bank
 from coded_aperture_ros.methods.motion.engine import MotionEngine
 from coded_aperture_ros.optics import Mask, render_psf_stack

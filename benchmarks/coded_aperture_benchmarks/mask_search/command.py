@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from coded_aperture_benchmarks.cluster import dask_client
+from coded_aperture_benchmarks.mask_scores.spectra import SceneConfig
 from coded_aperture_benchmarks.mask_search.checkpoint import load_checkpoint, save_checkpoint
 from coded_aperture_benchmarks.mask_search.search import (
     SearchConfig,
@@ -33,7 +34,6 @@ from coded_aperture_ros.cli.options import (
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io import write_image
-from coded_aperture_ros.mask_design import SceneConfig
 
 RunAll = Callable[[list[tuple[Any, ...]]], list[Any]]
 _SHOWN = 8

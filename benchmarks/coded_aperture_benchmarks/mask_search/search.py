@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from coded_aperture_benchmarks.mask_scores.predict import MaskScorer
+from coded_aperture_benchmarks.mask_scores.spectra import SceneConfig
 from coded_aperture_benchmarks.mask_search.grids import (
     CARRIERS,
     SYMMETRIES,
@@ -23,8 +25,6 @@ from coded_aperture_benchmarks.mask_search.grids import (
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
-from coded_aperture_ros.mask_design.predict import MaskScorer
-from coded_aperture_ros.mask_design.spectra import SceneConfig
 
 _MASKS = 64
 _FRONT = 60

@@ -11,6 +11,7 @@ import numpy as np
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.figures import masks_by_light
 from coded_aperture_benchmarks.layered import LayeredScene, random_scene
+from coded_aperture_benchmarks.mask_scores.spectra import SceneConfig
 from coded_aperture_benchmarks.mask_search.grids import CARRIERS
 from coded_aperture_benchmarks.mask_search.search import (
     Front,
@@ -36,7 +37,6 @@ from coded_aperture_ros.design.setting import resolutions_m
 from coded_aperture_ros.design.sheet import mask_sheet
 from coded_aperture_ros.design.sheet_files import svg_of
 from coded_aperture_ros.io import write_image
-from coded_aperture_ros.mask_design import SceneConfig
 from coded_aperture_ros.optics import Camera, Mask, load_camera
 from coded_aperture_ros.simulation import SensorModel
 

@@ -11,6 +11,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from coded_aperture_benchmarks.mask_scores.predict import SIGMAS, check_sigmas, check_two_colours
+from coded_aperture_benchmarks.mask_scores.spectra import SceneConfig, seen_spectra
 from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.bank.hypotheses import RATIOS
 from coded_aperture_ros.bank.prior import NaturalImagePrior, power_spectrum
@@ -19,8 +21,6 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.imaging import transfer_function
 from coded_aperture_ros.likelihood import plausible_ratios, take_logarithm
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE
-from coded_aperture_ros.mask_design.predict import SIGMAS, check_sigmas, check_two_colours
-from coded_aperture_ros.mask_design.spectra import SceneConfig, seen_spectra
 from coded_aperture_ros.optics import Mask, psf_width, render_psf_stack
 
 WINDOW_PX = 96

@@ -13,10 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
-from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.design import openings_of
-from coded_aperture_ros.mask_design.spectra import (
+from coded_aperture_benchmarks.mask_scores.spectra import (
     Frequencies,
     SceneConfig,
     autocorrelations,
@@ -24,6 +21,9 @@ from coded_aperture_ros.mask_design.spectra import (
     expected_spectra,
     lag_matrix,
 )
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.design import openings_of
 from coded_aperture_ros.optics import Mask
 
 SIGMAS = (0.001, 0.005)

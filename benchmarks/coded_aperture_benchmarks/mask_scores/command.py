@@ -1,21 +1,29 @@
-"""`coded_aperture mask score`: what errors to expect of a mask, before it is built."""
+"""The command line of the scores, which `coded_aperture mask score` hands its arguments to."""
 
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from coded_aperture_benchmarks.crops import Textures, pictures_of
+from coded_aperture_benchmarks.mask_scores.pictures import WINDOWS, PictureScorer, patch_side_px
+from coded_aperture_benchmarks.mask_scores.predict import MaskScorer
+from coded_aperture_benchmarks.mask_scores.spectra import SceneConfig
 from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import (
+    CommandParser,
+    add_config_options,
     add_options,
     at_least,
     config_from,
     mask_of,
     noise_level,
-    settings_of,
     table,
 )
 from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.optics import MASK_NAMES, Mask
 
 _EPILOG = """examples:
   all masks with names:
@@ -28,11 +36,10 @@ _EPILOG = """examples:
 """
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the sub-command to the program's parser."""
-    parser = subparsers.add_parser(
-        "score",
-        help="predict depth and deblurring error of masks",
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit status."""
+    parser = CommandParser(
+        prog="coded_aperture mask score",
         description="Predict the depth error and the deblurring error of masks, from the spectra "
         "that they make of texture. With pictures, their sharp windows are blurred with each mask "
         "too, and told apart as depth estimation does. Predictions are for comparing masks; bench "
@@ -48,17 +55,14 @@ def add_parser(subparsers: Any) -> None:
     add_options(parser, {"--images DIR": folder})
     add_options(parser, {"--windows N": windows}, type=at_least(1))
     add_options(parser, {"--json": "print the scores as JSON"})
-    settings = {"mask_design.SceneConfig": "what the mask has to tell apart"}
-    parser.add_late_options = settings_of(settings)
-
-
-def run(args: argparse.Namespace) -> int:
-    """Run the sub-command; return its exit status."""
-    from coded_aperture_ros.mask_design import MaskScorer, SceneConfig
-    from coded_aperture_ros.optics import MASK_NAMES
-
+    add_config_options(parser, SceneConfig, "what the mask has to tell apart")
+    args = parser.parse_args(arguments)
     if args.windows is not None and args.images is None:
-        args.usage_error("--windows: these are windows of pictures, give --images too")
+        parser.error("--windows: these are windows of pictures, give --images too")
+    return _score(args)
+
+
+def _score(args: argparse.Namespace) -> int:
     names = args.masks or list(MASK_NAMES)
     masks = [mask_of(name) for name in names]
     scene = config_from(args, SceneConfig)
@@ -79,17 +83,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _with_pictures(
-    args: argparse.Namespace, scene: Any, masks: Sequence[Any]
+    args: argparse.Namespace, scene: SceneConfig, masks: Sequence[Mask]
 ) -> list[dict[str, float] | None]:
     """Return the depth error of every mask with the pictures, at every noise, if there are any."""
     if args.images is None:
         return [None] * len(masks)
-    import numpy as np
-
-    from coded_aperture_ros.mask_design import PictureScorer
-    from coded_aperture_ros.mask_design.pictures import WINDOWS, patch_side_px
-    from coded_aperture_ros.mask_design.textures import Textures, pictures_of
-
     textures = Textures.of_files("natural", pictures_of(Path(args.images)))
     side = patch_side_px(scene)
     patches = textures.crops(args.windows or WINDOWS, side, side, np.random.default_rng(0))

@@ -1,0 +1,1 @@
+"""What errors to expect of a mask, before it is built."""
