@@ -1,9 +1,9 @@
-"""How well a wavefront fitted to dots at some distances predicts the PSFs at others.
+"""How well a wavefront predicts the PSFs of a lens: fitted to dots at some distances, or traced.
 
 The folder holds pictures of a grid of dots, `dots_1.50m.png` and so on; a scene of the same lens
 says in its `meta.json` what mask and focus it has. Every PSF is compared as it lies in the picture,
 with its light and its middle taken out; the error is the norm of the difference over that of the
-PSF.
+PSF. With `--camera` nothing is fitted: the file comes from `calibrate trace`, or planes.
 """
 
 import argparse
@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from coded_aperture_ros.calibration.psf.lattice import find_lattice
 from coded_aperture_ros.cli.options import table
 from coded_aperture_ros.io import read_image
-from coded_aperture_ros.optics import Camera, Wavefront
+from coded_aperture_ros.optics import Camera, Wavefront, load_camera
 from coded_aperture_ros.optics.wavefront import TERMS
 
 _WIDTH, _FINER = 27, 3
@@ -35,8 +35,11 @@ def main() -> None:
     parser.add_argument("scene", type=Path, help="folder of a ray-traced scene of the same lens")
     parser.add_argument("--fit", nargs="+", default=["1.50", "3.00"], help="distances fitted, m")
     parser.add_argument("--every", type=int, default=7, help="one dot of so many is fitted")
+    parser.add_argument("--camera", type=Path, help="camera file with a wavefront")
     args = parser.parse_args()
     camera = RayTracedScene.load(args.scene, "levin").camera
+    if args.camera is not None:
+        camera, args.fit = load_camera(args.camera), []
     pictures = {
         found[1]: _dots(path, camera)
         for path in sorted(args.dots.glob("dots_*m.png"))
@@ -58,8 +61,12 @@ def main() -> None:
         ends = [(left(state + step), left(state - step)) for step in np.diag(_STEPS)]
         return np.stack([after - before for after, before in ends], axis=1) / (2 * _STEPS)
 
-    solved = least_squares(left, _FIRST, slopes, x_scale=_STEPS, max_nfev=25).x
-    lens, rows = wavefront(solved), []
+    solved, lens = _FIRST, camera.wavefront
+    if args.fit:
+        solved = least_squares(left, _FIRST, slopes, x_scale=_STEPS, max_nfev=25).x
+        lens = wavefront(solved)
+    assert lens is not None
+    rows = []
     for z, dots in pictures.items():
         errors = np.array(
             [np.linalg.norm(_difference(camera, lens, solved[0], float(z), dot)) for dot in dots]

@@ -81,6 +81,12 @@ MASK_MOTION = Extension(
     "find the placement of holes that preserves most under defocus and motion",
     ("motion", "fragmentation"),
 )
+CALIBRATE_TRACE = Extension(
+    "trace",
+    *_BENCHMARKS,
+    "trace rays through the prescription of a lens, for its PSFs",
+    entry="prescription.command",
+)
 VIEW = Extension(
     "view", "viewer", "coded_aperture_viewer", "show a camera, a video or a bag live in the browser"
 )

@@ -1,0 +1,105 @@
+"""`coded_aperture calibrate trace`: the PSFs of a lens from its prescription."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from coded_aperture_benchmarks.prescription.fit import traced_camera
+from coded_aperture_benchmarks.prescription.lens import load_lens
+from coded_aperture_ros.cli.checks import check_output
+from coded_aperture_ros.cli.measuring import tell
+from coded_aperture_ros.cli.options import CommandParser, add_options
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.optics import camera_from_mapping
+from coded_aperture_ros.optics.intrinsics import read_yaml
+
+_EPILOG = """examples:
+  what a double Gauss makes of a mask 15 mm wide in its stop:
+    coded_aperture calibrate trace dgauss.zmx --camera camera.yaml --depth-range 1 4 -o traced.yaml
+
+The camera file has focal_length_mm, pixel_pitch_um and, as mask_extent_mm, how wide the mask is in
+the stop. A lens that is not a .zmx file is a table with a line for each surface, from the front to
+the last one before the sensor: radius, thickness to the next, index and Abbe number of what is
+behind it (1 and 0: air), diameter, in mm; 0 is flat, and 'stop' ends the line of the stop.
+"""
+_REPLACED = ("focal_length_mm", "pixel_pitch_um", "lens_mask_distance_mm", "camera_info")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit status."""
+    parser = CommandParser(
+        prog="coded_aperture calibrate trace",
+        description="Trace rays through the prescription of a lens, and write a camera file with "
+        "the focal length, the mask's extent in the entrance pupil, and the PSFs all over the "
+        "image that the lens will give its mask: to learn a bank, to simulate, or to choose a "
+        "lens before it is bought. Distances are from the entrance pupil.",
+        epilog=_EPILOG,
+    )
+    parser.add_argument("lens", type=Path, metavar="LENS", help=".zmx file, or a table")
+    add_options(parser, {"--camera YAML": "camera file: mask, sensor and focus"}, required=True)
+    depths = {"--depth-range NEAR FAR": "where the blur has to be right, in m"}
+    add_options(parser, depths, type=float, required=True)
+    add_options(parser, {"-o --output YAML": "camera file to write"}, required=True)
+    add_options(parser, {"--json": "print the numbers as JSON"})
+    return _trace(parser.parse_args(arguments))
+
+
+def _trace(args: argparse.Namespace) -> int:
+    source, output = Path(args.camera), Path(args.output)
+    check_output(output, [args.lens, source], suffixes=[".yaml"])
+    near_m, far_m = args.depth_range
+    if not 0 < near_m < far_m < np.inf:
+        raise InputError(f"--depth-range: expected two increasing depths, got {near_m} {far_m}")
+    entries = read_yaml(source, f"camera file {source}")
+    camera = camera_from_mapping(entries, f"camera file {source}", source.parent)
+    if "pixel_pitch_um" not in entries or "wavefront" in entries:
+        raise InputError(
+            f"camera file {source}: expected focal_length_mm, pixel_pitch_um and no wavefront"
+        )
+    lens = load_lens(args.lens, camera.wavelength_nm)
+    pitch_um = float(entries["pixel_pitch_um"])
+    found, left_px = traced_camera(camera, lens, camera.mask_extent_mm, pitch_um, near_m, far_m)
+    assert found.wavefront is not None and found.field_curvature is not None
+    mask = dict(entries["mask"])
+    if "file" in mask:
+        mask["file"] = str((source.parent / mask["file"]).resolve())
+    curvature = found.field_curvature
+    changed = {
+        "focal_length_px": round(found.focal_length_px, 3),
+        "focus_distance_m": round(found.focus_distance_m, 5),
+        "mask": mask,
+        "mask_extent_mm": round(found.mask_extent_mm, 4),
+        "field_curvature": [curvature.second, curvature.fourth],
+        "wavefront": found.wavefront.entry,
+    }
+    kept = {name: value for name, value in entries.items() if name not in _REPLACED}
+    with atomic_output(output) as temporary:
+        temporary.write_text(yaml.safe_dump(kept | changed, sort_keys=False), encoding="utf-8")
+    at_corner = np.array([0.0, found.wavefront.corner])
+    summary = {
+        "focal_length_mm": round(lens.focal_length_mm, 3),
+        "entrance_pupil_mm": round(lens.pupil_mm, 3),
+        **changed,
+        "corner_px": round(
+            float(curvature.at(at_corner @ at_corner)) * found.blur_per_dioptre_px, 2
+        ),
+        "corner_light": round(found.wavefront.passed(found.mask, at_corner), 3),
+        "left_px": round(left_px, 3),
+        "output": str(output),
+    }
+    return tell(args, summary, _text)
+
+
+def _text(summary: dict[str, Any]) -> str:
+    return (
+        "focal length {focal_length_mm:g} mm; the entrance pupil, from which distances count, is "
+        "{entrance_pupil_mm:g} mm behind the first surface;\nthe mask's extent in it is "
+        "{mask_extent_mm:g} mm, and rays near the axis meet at {focus_distance_m:g} m\nin the "
+        "corner the blur is {corner_px:g} px less, and {corner_light:.0%} of the light gets "
+        "through; rays land within {left_px:g} px (RMS) of\nwhat {output} says".format(**summary)
+    )
