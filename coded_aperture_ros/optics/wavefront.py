@@ -100,7 +100,7 @@ class Wavefront:
         """
         rays = _FEWEST_RAYS + math.ceil(_RAYS_PER_PX * abs(blur_size_px))
         places, light = _pupil(mask, rays)
-        moved, passed = self._rays(places, blur_size_px, per_dioptre_px, np.asarray(tangent, float))
+        moved, passed = self.rays(places, blur_size_px, per_dioptre_px, np.asarray(tangent, float))
         pixel = np.floor(moved + width / 2).astype(np.intp)
         seen = ((pixel >= 0) & (pixel < width)).all(axis=0)
         index = np.ravel_multi_index(tuple(pixel[:, seen]), (width, width))
@@ -112,21 +112,24 @@ class Wavefront:
     def passed(self, mask: Mask, tangent: ArrayLike) -> float:
         """Return which share of the light of a mask, or a part of one, passes the rims."""
         places, light = _pupil(mask, _FEWEST_RAYS)
-        _, passed = self._rays(places, 0.0, 1.0, np.asarray(tangent, float))
+        _, passed = self.rays(places, 0.0, 1.0, np.asarray(tangent, float))
         return float(np.average(passed, weights=light))
 
     def defocus(self, mask: Mask, tangent: float) -> float:
         """Return how many dioptres of defocus fit the rays best, away from the axis."""
         places, light = _pupil(mask, _FEWEST_RAYS)
-        moved, passed = self._rays(places, 0.0, 1.0, np.array([0.0, tangent]))
+        moved, passed = self.rays(places, 0.0, 1.0, np.array([0.0, tangent]))
         light *= passed
         apart = places - np.average(places, axis=1, weights=light)[:, None]
         return float(2 * np.sum(light * apart * moved) / np.sum(light * apart * apart))
 
-    def _rays(
+    def rays(
         self, places: DoubleArray, blur_size_px: float, per_dioptre_px: float, tangent: DoubleArray
     ) -> tuple[DoubleArray, DoubleArray]:
-        """Return where rays [2, n] come out, px down and right, and how much passes the rims."""
+        """Return where rays through places [2, n] of the mask come out, and what passes the rims.
+
+        Places are in half extents, down and right; what comes out [2, n] is in px.
+        """
         field = float(np.hypot(*tangent))
         down, right = tangent / field if field else (0.0, 1.0)
         turn = np.array([[down, right], [-right, down]])

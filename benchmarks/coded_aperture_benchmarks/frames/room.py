@@ -14,7 +14,7 @@ import numpy as np
 from coded_aperture_benchmarks.layered.textures import TEXTURE_PX, TEXTURED_COUNT, texture
 from coded_aperture_benchmarks.layered.tracing import compiled, lens_samples
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
-from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics import Camera, Intrinsics, Wavefront
 
 # The room's sides and height; the camera keeps to a ring in its middle.
 _ROOM_M = (9.0, 2.6, 8.0)
@@ -22,6 +22,8 @@ _RING_M = (2.0, 1.5)
 _EYE_M = 1.2
 # A walk begins at rest, and has its pace after so many steps.
 _STARTING = 10
+# Aberrations are those of the middle of squares of so many pixels.
+_SQUARE_PX = 4
 _LEVELS = 4
 _FURNITURE = 24
 # Textures have a texel of about this size; most surfaces are neither very plain nor very bright.
@@ -75,6 +77,9 @@ class Room:
         turned, place = pose[:3, :3], pose[:3, 3]
         focal_px, _, middle_x, _, _, middle_y, *_ = camera.intrinsics.camera_matrix
         extent_m = 1e-3 * camera.mask_extent_mm
+        view, unit_px = camera.intrinsics, camera.blur_per_dioptre_px
+        moves = _moves(camera.wavefront, view, unit_px, samples.tobytes())
+        farthest_px = float(np.abs(moves[..., :2]).max())
         boards, boxes = [], []
         for board in self.boards:
             corner, right, down = (
@@ -87,7 +92,7 @@ class Room:
                 np.concatenate([corner, normal, right / (right @ right), down / (down @ down)])
             )
             corners = np.array([corner, corner + right, corner + down, corner + right + down])
-            boxes.append(_box(corners, focal_px, (middle_x, middle_y), camera))
+            boxes.append(_box(corners, focal_px, (middle_x, middle_y), camera, farthest_px))
         lens = np.array([focal_px, middle_x, middle_y, camera.focus_distance_m, extent_m])
         textures, sides, starts, first = _textures(tuple(board.texture for board in self.boards))
         paint = [
@@ -109,11 +114,35 @@ class Room:
             sides,
             starts,
             samples,
+            moves,
+            _SQUARE_PX,
             lens.astype(np.float32),
             camera.image_height,
             camera.image_width,
         )
         return np.asarray(found[0]), np.asarray(found[1])
+
+
+@lru_cache(maxsize=1)
+def _moves(lens: Wavefront | None, view: Intrinsics, unit_px: float, seen: bytes) -> FloatArray:
+    """Return how far aberrations move rays in each square of the image, px, and what passes.
+
+    Of rays through places [n, 3] of the mask, `seen` as bytes: [rows, columns, n, 3], or
+    [1, 1, n, 3] where there are none. Light falls off towards the corners as behind the rims.
+    """
+    samples = np.frombuffer(seen, np.float32).reshape(-1, 3)
+    still = np.array([0, 0, 1], np.float32)
+    if lens is None or len(samples) == 1:
+        return np.tile(still, (1, 1, len(samples), 1))
+    shape = -(-view.image_height // _SQUARE_PX), -(-view.image_width // _SQUARE_PX)
+    moves, k = np.empty((*shape, len(samples), 3), np.float32), view.camera_matrix
+    places = 2 * samples[:, :2].T.astype(np.float64)
+    for square in np.ndindex(shape):
+        middle = (np.array(square) + 0.5) * _SQUARE_PX - 0.5
+        tangent = (middle - [k[5], k[2]]) / [k[4], k[0]]
+        moved, passed = lens.rays(places, 0.0, unit_px, tangent)
+        moves[square] = np.stack([*moved, passed], axis=1)
+    return moves
 
 
 def random_room(seed: int) -> Room:
@@ -207,13 +236,17 @@ def _box_boards(
 
 
 def _box(
-    corners: DoubleArray, focal_px: float, middle: tuple[float, float], camera: Camera
+    corners: DoubleArray,
+    focal_px: float,
+    middle: tuple[float, float],
+    camera: Camera,
+    aberrations_px: float,
 ) -> tuple[float, float, float, float]:
     """Return the rows and columns between which a board may be seen: first, last, first, last."""
     nearest = corners[:, 2].min()
     if nearest < 0.1:  # partly behind the camera
         return (0, 1e6, 0, 1e6) if corners[:, 2].max() > 0 else (1, 0, 1, 0)
-    reach = abs(float(camera.blur_size_px(float(nearest)))) / 2 + 1
+    reach = abs(float(camera.blur_size_px(float(nearest)))) / 2 + 1 + aberrations_px
     x, y = (focal_px * corners[:, axis] / corners[:, 2] + middle[axis] for axis in range(2))
     return y.min() - reach, y.max() + reach, x.min() - reach, x.max() + reach
 

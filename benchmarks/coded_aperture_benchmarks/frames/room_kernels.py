@@ -30,7 +30,7 @@ def _texel(textures, sides, starts, first, level, row, column):  # type: ignore[
 
 @njit(cache=True, fastmath=True, parallel=True)
 def trace(  # type: ignore[no-untyped-def]
-    boards, boxes, paint, textures, sides, starts, samples, lens, height, width
+    boards, boxes, paint, textures, sides, starts, samples, moves, square_px, lens, height, width
 ):
     """See `Room.seen`."""
     focal_px, middle_x, middle_y, focus_m, extent_m = lens
@@ -49,11 +49,17 @@ def trace(  # type: ignore[no-untyped-def]
                 count += 1
         for y in range(top, bottom):
             for x in range(left, right):
+                row = min(y // square_px, len(moves) - 1)
+                column = min(x // square_px, moves.shape[1] - 1)
                 for sample in range(len(samples)):
                     v, u, weight = samples[sample]
+                    down_px, right_px, passed = moves[row, column, sample]
+                    if passed <= 0:
+                        continue
+                    weight *= passed
                     lx, ly = u * extent_m, v * extent_m
-                    dx = (x - middle_x) / focal_px - lx / focus_m
-                    dy = (y - middle_y) / focal_px - ly / focus_m
+                    dx = (x - right_px - middle_x) / focal_px - lx / focus_m
+                    dy = (y - down_px - middle_y) / focal_px - ly / focus_m
                     best, of_right, of_down, hit = _FARTHEST_M, 0.0, 0.0, -1
                     for index in range(count):
                         b = boards[near[index]]
