@@ -126,7 +126,7 @@ def _restorer(
 ) -> tuple[Callable[[NamedFrame], tuple[Any, Any]], Callable[[], None], Callable[..., Any]]:
     """Return what makes pictures and maps of blur sizes, what begins a video, what tells errors."""
     from coded_aperture_ros.bank import check_setting
-    from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, covers_frame
+    from coded_aperture_ros.deblur import DeblurConfig, covers_frame, deblurrer_of
     from coded_aperture_ros.depth import DepthConfig, blur_sizes_px
     from coded_aperture_ros.imaging import KnownNoise
     from coded_aperture_ros.pipeline import FramePipeline
@@ -136,7 +136,7 @@ def _restorer(
     noise = dataclasses.asdict(KnownNoise.of(config, camera, bank))
     config = dataclasses.replace(config, **noise)
     iterations = partial(progress, unit="iteration")
-    deblurrer = Deblurrer(bank.stack, config, iterations)
+    deblurrer = deblurrer_of(bank, config, iterations)
     if camera is not None:
         with naming(args.camera):
             camera = check_setting(bank, camera)

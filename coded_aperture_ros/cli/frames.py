@@ -154,7 +154,7 @@ def named_frames(
                 check_output(outputs(target), files, others=of_pictures)
             try:
                 with naming(given):
-                    image, coloured, hidden = _light_of(capture, args)
+                    image, coloured, hidden = light_of(capture, args)
             except InputError as error:
                 unusable.note(error)
                 continue
@@ -167,14 +167,14 @@ def single_frame(path: str, args: argparse.Namespace) -> tuple[Any, float]:
     from coded_aperture_ros.io.sources import captures, open_files
 
     with closing(open_files(path)) as source, naming(path):
-        found = [_light_of(capture, args) for capture in captures(source)]
+        found = [light_of(capture, args) for capture in captures(source)]
     if len(found) != 1:
         raise InputError(f"{path}: expected one frame, it has {len(found)}")
     ((image, _, hidden),) = found
     return image, hidden
 
 
-def _light_of(capture: Any, args: argparse.Namespace) -> tuple[Any, Any, float]:
+def light_of(capture: Any, args: argparse.Namespace) -> tuple[Any, Any, float]:
     """Return the light of a capture, in colour too, and what noise compression has hidden."""
     from coded_aperture_ros.imaging import hidden_noise
     from coded_aperture_ros.io.messages import frame_from_pixels

@@ -1,6 +1,7 @@
 """All-in-focus frames from coded frames and their depth."""
 
 from coded_aperture_ros.deblur.blur_map import covers_frame
+from coded_aperture_ros.deblur.by_parts import AnyDeblurrer, deblurrer_of
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.deblurrer import Deblurrer
 from coded_aperture_ros.deblur.levels import blur_levels

@@ -10,7 +10,13 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stamp_order import StampOrder
-from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, blur_levels, covers_frame
+from coded_aperture_ros.deblur import (
+    AnyDeblurrer,
+    DeblurConfig,
+    blur_levels,
+    covers_frame,
+    deblurrer_of,
+)
 from coded_aperture_ros.imaging import KnownNoise, channel_noise
 from coded_aperture_ros.io.messages import (
     MessageError,
@@ -52,7 +58,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         # Of the frames that come, and of those that are deblurred, in the worker's thread.
         self._arriving, self._deblurred = StampOrder(), StampOrder()
         self._restarting = threading.Event()
-        self._deblurrer: Deblurrer | None = None
+        self._deblurrer: AnyDeblurrer | None = None
         self.listen_to_frames("image_raw", self._on_image)
         self.listen("depth/image", Image, self._on_depth)
         self.begin()
@@ -135,7 +141,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
             return True
         return self._deblurred.follow(stamp) == "restart"
 
-    def _present_deblurrer(self, config: DeblurConfig) -> Deblurrer:
+    def _present_deblurrer(self, config: DeblurConfig) -> AnyDeblurrer:
         """Return the deblurrer for the present PSFs and parameters."""
         made = self._deblurrer
         if made is None:  # cleaned up while this frame was in work
@@ -148,8 +154,8 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
             made.reconfigure(config)
         return made
 
-    def _new_deblurrer(self) -> Deblurrer:
-        deblurrer = Deblurrer(self._model.model.stack, self.configs[DeblurConfig])
+    def _new_deblurrer(self) -> AnyDeblurrer:
+        deblurrer = deblurrer_of(self._model.model, self.configs[DeblurConfig])
         camera = self._model.camera
         deblurrer.prepare((camera.image_height, camera.image_width))
         return deblurrer
