@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, inputs_of
-from coded_aperture_ros.cli.extension import CALIBRATE_TRACE
+from coded_aperture_ros.cli.extension import CALIBRATE_REFINE, CALIBRATE_TRACE
 from coded_aperture_ros.cli.measuring import checked_config, tell
 from coded_aperture_ros.cli.options import add_commands, add_options, settings_of, written_name
 from coded_aperture_ros.core.errors import naming
@@ -23,6 +23,7 @@ ACTIONS: dict[str, Any] = {
         name: import_module(f"coded_aperture_ros.cli.calibrate_{name}")
         for name in ("blind", "field", "noise", "planes", "psf")
     },
+    "refine": CALIBRATE_REFINE,
     "trace": CALIBRATE_TRACE,
 }
 

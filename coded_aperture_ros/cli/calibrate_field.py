@@ -5,9 +5,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.calibrate_planes import check_size
 from coded_aperture_ros.cli.checks import check_output, inputs_of
-from coded_aperture_ros.cli.measuring import add_planes_arguments, tell
+from coded_aperture_ros.cli.measuring import add_planes_arguments, check_size, tell
 from coded_aperture_ros.cli.options import add_gamma_option, add_options
 from coded_aperture_ros.cli.progress import progress
 
@@ -47,8 +46,6 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the action; return its exit status."""
-    import numpy as np
-
     from coded_aperture_ros.calibration.planes.field import fit_field
     from coded_aperture_ros.calibration.planes.folder import load_planes
     from coded_aperture_ros.calibration.planes.wavefront import fit_wavefront
@@ -66,29 +63,40 @@ def run(args: argparse.Namespace) -> int:
     bent = found.camera
     if args.psfs:
         bent = fit_wavefront(bent, planes, found.trusted, progress)
-    curvature = bent.field_curvature or found.curvature
+    if args.picture is not None:
+        sizes_px = bent.blur_size_px(found.depths_m)
+        write_image(args.picture, _picture(bent, sizes_px[[abs(sizes_px).argmax()]]))
+    return tell(args, field_summary(found, bent), field_text, misplaced_planes(found))
+
+
+def field_summary(found: Any, camera: Any) -> dict[str, Any]:
+    """Return what planes say of a lens, as numbers; `camera` is the one with what was found."""
+    import numpy as np
+
+    curvature = camera.field_curvature or found.curvature
     columns = found.depths_m, found.found_m, found.errors_without, found.errors
-    corner = float(curvature.dioptres(bent.intrinsics, planes.images[0].shape)[0, 0])
-    summary = {
-        "mask_extent_mm": bent.mask_extent_mm,
+    shape = camera.image_height, camera.image_width
+    corner = float(curvature.dioptres(camera.intrinsics, shape)[0, 0])
+    return {
+        "mask_extent_mm": camera.mask_extent_mm,
         "field_curvature": [curvature.second, curvature.fourth],
-        **({"wavefront": bent.wavefront.entry} if bent.wavefront is not None else {}),
+        **({"wavefront": camera.wavefront.entry} if camera.wavefront is not None else {}),
         "corner_dioptres": round(corner, 4),
-        "corner_px": round(corner * bent.blur_per_dioptre_px, 2),
+        "corner_px": round(corner * camera.blur_per_dioptre_px, 2),
         "planes": [
             {"name": name, **dict(zip(_FIGURES, np.round(row, 4).tolist(), strict=True))}
             for name, *row in zip(found.names, *columns, strict=True)
         ],
     }
-    warnings = [
+
+
+def misplaced_planes(found: Any) -> list[str]:
+    """Say which planes are not where they were said to be."""
+    return [
         f"{found.names[index]}: at {found.depths_m[index]:g} m, but blurred as at "
         f"{found.found_m[index]:.3g} m by the other planes: check the distance"
         for index in found.misplaced
     ]
-    if args.picture is not None:
-        sizes_px = bent.blur_size_px(found.depths_m)
-        write_image(args.picture, _picture(bent, sizes_px[[np.abs(sizes_px).argmax()]]))
-    return tell(args, summary, _text, warnings)
 
 
 def _picture(camera: Any, blur_size_px: Any) -> Any:
@@ -104,7 +112,8 @@ def _picture(camera: Any, blur_size_px: Any) -> Any:
     return cv2.resize(drawn, None, fx=4, fy=4, interpolation=cv2.INTER_NEAREST)
 
 
-def _text(summary: dict[str, Any]) -> str:
+def field_text(summary: dict[str, Any]) -> str:
+    """Return the same as lines of a camera file, with remarks."""
     planes = summary["planes"]
     lines = [
         f"mask_extent_mm: {summary['mask_extent_mm']:g}",

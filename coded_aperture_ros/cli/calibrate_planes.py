@@ -8,12 +8,14 @@ import time
 from pathlib import Path
 from typing import Any
 
+from coded_aperture_ros.cli.calibrate_field import field_summary, field_text, misplaced_planes
 from coded_aperture_ros.cli.checks import check_output, check_suffix, inputs_of
 from coded_aperture_ros.cli.measuring import (
     MASK_FILE,
     above,
     add_level_count_option,
     add_planes_arguments,
+    check_size,
     checked_config,
     rounded,
     tell,
@@ -47,6 +49,8 @@ depth, with fine texture all over. A blur of more than 24 px needs a --window-px
 --json prints planes, focus_distance_m, slope_px_m, mask, residual_px, left_out_error and more.
 """
 _REPORT, _CAMERA = "calibrate_planes.json", "camera.yaml"
+# A lens whose blur changes by less towards the corners is not the reason.
+_CURVED_PX = 0.5
 _LEVEL_COUNT = 40
 
 
@@ -174,27 +178,55 @@ def _calibrate(args: argparse.Namespace) -> int:
     check_output([Path(args.bank), *beside], inputs)
     if camera is not None:
         check_size(args.camera, camera, planes)
-    found = calibrate_planes(
-        planes,
-        args.level_count,
-        config,
-        None if args.depth_range is None else tuple(args.depth_range),
-        None if camera is None else camera.mask,
-        progress,
-    )
+    try:
+        found = calibrate_planes(
+            planes,
+            args.level_count,
+            config,
+            None if args.depth_range is None else tuple(args.depth_range),
+            None if camera is None else camera.mask,
+            progress,
+        )
+    except InputError as error:
+        if camera is None:
+            raise
+        return _calibrate_field(args, camera, planes, config, error)
     summary = _summary(args, found, camera, round(time.perf_counter() - start, 3))
     _write_files(args, found, camera, summary)
     return tell(args, summary, _text)
 
 
-def check_size(path: str, camera: Any, planes: Any) -> None:
-    """Refuse pictures of another size than the camera file's."""
-    height, width = planes.images[0].shape[:2]
-    if (camera.image_width, camera.image_height) != (width, height):
-        raise InputError(
-            f"{path}: for images of {camera.image_width}x{camera.image_height}, the pictures have "
-            f"{width}x{height}: set image_width and image_height"
-        )
+def _calibrate_field(
+    args: argparse.Namespace, camera: Any, planes: Any, config: Any, refused: InputError
+) -> int:
+    """Learn the bank from the camera file and the field curvature of its lens, if that explains it.
+
+    Else the error that planes are refused with is raised.
+    """
+    from coded_aperture_ros.bank import learn_bank_for_camera, save_bank
+    from coded_aperture_ros.calibration.planes.field import fit_field
+    from coded_aperture_ros.core.files import atomic_outputs
+
+    try:
+        found = fit_field(camera, planes, progress)
+    except InputError:
+        raise refused from None
+    if found.misplaced:
+        raise InputError("; ".join(misplaced_planes(found)))
+    summary = {"bank": args.bank, **field_summary(found, found.camera)}
+    if abs(summary["corner_px"]) < _CURVED_PX:
+        raise refused
+    near_m, far_m = args.depth_range or planes.depths_m[[0, -1]].tolist()
+    bank = learn_bank_for_camera(found.camera, near_m, far_m, args.level_count, config)
+    with atomic_outputs() as output:
+        if args.output is not None:
+            write_report(output, Path(args.output) / _REPORT, summary, camera.mask)
+        save_bank(bank, output(args.bank))
+    warning = (
+        "the lens is focused elsewhere towards the corners: the bank is that of the camera file "
+        "with the lines below, which belong into it; calibrate field --psfs finds more"
+    )
+    return tell(args, summary, field_text, [warning])
 
 
 def _summary(args: argparse.Namespace, found: Any, camera: Any, seconds: float) -> dict[str, Any]:

@@ -81,6 +81,12 @@ MASK_MOTION = Extension(
     "find the placement of holes that preserves most under defocus and motion",
     ("motion", "fragmentation"),
 )
+CALIBRATE_REFINE = Extension(
+    "refine",
+    *_BENCHMARKS,
+    "find out from ordinary frames whether a lens was refocused, or its mask moved",
+    entry="footage.command",
+)
 CALIBRATE_TRACE = Extension(
     "trace",
     *_BENCHMARKS,

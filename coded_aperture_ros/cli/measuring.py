@@ -68,6 +68,16 @@ def rounded(value: float, digits: int) -> float | None:
     return round(float(value), digits) if math.isfinite(value) else None
 
 
+def check_size(path: str, camera: Any, planes: Any) -> None:
+    """Refuse pictures of another size than the camera file's."""
+    height, width = planes.images[0].shape[:2]
+    if (camera.image_width, camera.image_height) != (width, height):
+        raise InputError(
+            f"{path}: for images of {camera.image_width}x{camera.image_height}, the pictures have "
+            f"{width}x{height}: set image_width and image_height"
+        )
+
+
 def pictures_in(inputs: list[str]) -> list[str]:
     """Return the pictures, or those of the one folder."""
     from coded_aperture_ros.io.sources import open_files

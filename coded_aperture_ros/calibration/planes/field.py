@@ -6,17 +6,23 @@ import numpy as np
 
 from coded_aperture_ros.bank import learn_bank
 from coded_aperture_ros.calibration.planes.pictures import Planes
-from coded_aperture_ros.core.arrays import DoubleArray
+from coded_aperture_ros.calibration.scoring import Scoring, Windows, spectra_of
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.optics import Camera, FieldCurvature, render_psf_stack
+from coded_aperture_ros.imaging import grey_image
+from coded_aperture_ros.optics import Camera, FieldCurvature, render_psf, render_psf_stack
 
 # With less blur on the axis the corners may have none, or that of the other side of the focus.
 _LEAST_PX, _SMALLEST_PX, _STEP_PX = 4.0, 1.5, 0.4
 _FEWEST, _CONFIDENT, _EVERY_PX, _SCATTER_PX, _ROUNDS = 3, 0.55, 4, 0.3, 30
 # A plane whose depth is off by more than the first, and by more than its own scatter, is elsewhere.
 _OFF, _OF_SCATTER = 0.05, 0.8
+# So is one whose blur, in the middle third and by all its windows, is off the line of the others.
+# Where blur is less, textures that are not like photographs move it more than that.
+_TOLD_PX, _OFF_PX, _MIDDLE, _LEAST_NOISE = 8.0, 0.4, 0.35, 0.003
+_WINDOW_STRIDE_PX, _SIZE_STEP_PX = 24, 0.25
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -99,6 +105,7 @@ def fit_field(camera: Camera, planes: Planes, progress: Progress = iter) -> Fiel
     curvature = FieldCurvature(round(second / scale, 4), round(fourth / scale, 4))
     extent_mm = round(camera.mask_extent_mm * scale, 4)
     misplaced = np.abs(middle) > np.maximum(_OFF, _OF_SCATTER * scatter)
+    misplaced |= _off_the_line(camera, planes, used)
     return FieldFit(
         dataclasses.replace(camera, field_curvature=curvature, mask_extent_mm=extent_mm),
         curvature,
@@ -111,3 +118,35 @@ def fit_field(camera: Camera, planes: Planes, progress: Progress = iter) -> Fiel
         tuple(np.flatnonzero(misplaced)),
         tuple(np.array(used)[~misplaced]),
     )
+
+
+def _off_the_line(camera: Camera, planes: Planes, used: list[int]) -> BoolArray:
+    """Return which planes are blurred, in the middle of the image, as at another depth."""
+    scoring = Scoring(lambda _, seen: render_psf(camera.mask, seen.blur_size_px), np.ones(1))
+    k, corner = camera.intrinsics.camera_matrix, np.hypot(*planes.images[0].shape[:2]) / 2
+    expected = np.abs(camera.blur_size_px(planes.depths_m[used]))
+    grid = np.arange(_SMALLEST_PX, 1.2 * expected.max(), _SIZE_STEP_PX)
+    sizes_px = np.empty(len(used))
+    for number, index in enumerate(used):
+        grey, _ = grey_image(planes.images[index], 1.0)
+        powers, noise, middles = spectra_of(np.ascontiguousarray(grey), _WINDOW_STRIDE_PX)
+        powers = powers[np.hypot(*(middles - [k[5], k[2]]).T) < _MIDDLE * corner]
+        noise = max(noise, _LEAST_NOISE**2)
+        here = (Windows(float(size), np.zeros(2), powers, noise) for size in grid)
+        costs = [scoring.costs(np.zeros(1), each).min(axis=1).sum() for each in here]
+        sizes_px[number] = grid[int(np.argmin(costs))]
+    off, inverse = np.zeros(len(used), bool), 1 / planes.depths_m[used]
+    told = np.maximum(expected, sizes_px) >= _TOLD_PX
+    while (told & ~off).sum() > _FEWEST:
+        # The worst first: it bends the line of the others.
+        left: dict[int, float] = {}
+        for number in map(int, np.flatnonzero(told & ~off)):
+            others = told & ~off
+            others[number] = False
+            line = np.polyfit(inverse[others], sizes_px[others], 1)
+            left[number] = abs(sizes_px[number] - np.polyval(line, inverse[number]))
+        worst = max(left, key=lambda number: left[number])
+        if left[worst] <= _OFF_PX:
+            break
+        off[worst] = True
+    return off

@@ -1,0 +1,148 @@
+"""`coded_aperture calibrate refine`: what has changed in a camera, from ordinary frames."""
+
+import argparse
+from collections.abc import Sequence
+from contextlib import closing
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from coded_aperture_benchmarks.footage.refine import Refined, refine_camera
+from coded_aperture_ros.cli.checks import check_output, check_suffix
+from coded_aperture_ros.cli.frames import light_of
+from coded_aperture_ros.cli.measuring import tell
+from coded_aperture_ros.cli.options import (
+    CommandParser,
+    add_bits_option,
+    add_gamma_option,
+    add_mosaic_option,
+    add_options,
+    at_least,
+)
+from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.errors import InputError, naming
+from coded_aperture_ros.core.files import atomic_outputs
+from coded_aperture_ros.imaging import grey_image
+from coded_aperture_ros.io.sources import captures, open_files
+from coded_aperture_ros.optics import Camera, load_camera
+from coded_aperture_ros.optics.camera import camera_files
+from coded_aperture_ros.optics.intrinsics import read_yaml
+
+_EPILOG = """example:
+    coded_aperture calibrate refine bag:drive --camera camera.yaml -o refined.yaml
+
+Then: learn the bank again, with the camera file that it wrote; or turn the mask back, or clean it.
+A drive of some metres towards furniture tells the focus; anything with texture tells the mask.
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit status."""
+    parser = CommandParser(
+        prog="coded_aperture calibrate refine",
+        description="Find out from the frames of a drive, without any target, whether the lens is "
+        "still focused where the camera file says, whether the mask has turned, and whether cells "
+        "of it are covered. Takes some minutes.",
+        epilog=_EPILOG,
+    )
+    what = "video, bag (bag:PATH#TOPIC) or folder of pictures, in order"
+    parser.add_argument("frames", metavar="FRAMES", help=what)
+    add_options(parser, {"--camera YAML": "camera file as it was set up"}, required=True)
+    add_mosaic_option(parser)
+    add_bits_option(parser)
+    add_gamma_option(parser)
+    most = {"--most-frames N": "stop after so many (default %(default)s)"}
+    add_options(parser, most, type=at_least(2), default=400)
+    written = {
+        "-o --output YAML": "camera file to write, with the mask beside it where it has changed",
+        "--json": "print the numbers as JSON",
+    }
+    add_options(parser, written)
+    return _refine(parser.parse_args(arguments))
+
+
+def _refine(args: argparse.Namespace) -> int:
+    camera = load_camera(args.camera)
+    mask_file = Path(args.output or "refined.yaml").with_suffix(".mask.npy")
+    if args.output is not None:
+        check_suffix(args.output, [".yaml"])
+        check_output([Path(args.output), mask_file], camera_files(args.camera))
+    frames: list[FloatArray] = []
+    with closing(open_files(args.frames)) as source, naming(args.frames):
+        for capture in progress(islice(captures(source), args.most_frames), None, "frame"):
+            grey, _ = grey_image(light_of(capture, args)[0], 1.0)
+            camera = camera.fitted(grey.shape[1], grey.shape[0])
+            frames.append(grey)
+        if len(frames) < 2:
+            raise InputError("expected the frames of a video")
+        found = refine_camera(camera, frames, progress)
+    mask, focus = found.mask, found.focus
+    summary = {
+        "frames": len(frames),
+        "turned_deg": round(mask.turned_deg, 2),
+        "turned_std_deg": round(mask.std_deg, 2),
+        "covered": [
+            {"row": int(row), "column": int(column), "passes": round(mask.passed[row, column], 2)}
+            for row, column in zip(*mask.covered.nonzero(), strict=True)
+        ],
+        "focus_distance_m": round(found.camera.focus_distance_m, 4),
+        "dioptres": focus and round(focus.dioptres, 4),
+        "dioptres_std": focus and round(focus.std, 4),
+        "changed": _changes(args.camera, camera, found),
+    }
+    warnings = [f"focus: {found.unknown}"] if found.unknown else []
+    if args.output is not None:
+        _write(args, found.camera, mask_file if found.camera.mask != camera.mask else None)
+    return tell(args, summary, _text, warnings)
+
+
+def _changes(name: str, camera: Camera, found: Refined) -> list[str]:
+    """Say what is not as the camera file says."""
+    mask, focus = found.mask, found.focus
+    changes = []
+    if found.is_turned:
+        way = "clockwise" if mask.turned_deg > 0 else "anticlockwise"
+        changes.append(f"the mask is turned {way} by {abs(mask.turned_deg):.1f} degrees")
+    for row, column in zip(*mask.covered.nonzero(), strict=True):
+        changes.append(
+            f"row {row + 1}, column {column + 1} of the mask passes {mask.passed[row, column]:.0%}"
+        )
+    if focus is not None and not found.unknown and abs(focus.dioptres) > 3 * focus.std:
+        by = (found.camera.focus_distance_m / camera.focus_distance_m - 1) * 100
+        changes.append(
+            f"the lens is focused at {found.camera.focus_distance_m:.3f} m, "
+            f"{by:+.1f} %: depth by {name} is off by {abs(focus.dioptres * focus.depth_m):.0%} at "
+            f"{focus.depth_m:.2g} m"
+        )
+    return changes
+
+
+def _write(args: argparse.Namespace, camera: Camera, mask_file: Path | None) -> None:
+    """Write the camera file as it was, but for what has changed."""
+    entries = read_yaml(args.camera, f"camera file {args.camera}")
+    output, folder = Path(args.output), Path(args.camera).resolve().parent
+    with atomic_outputs() as write:
+        entries["focus_distance_m"] = round(camera.focus_distance_m, 5)
+        if "focal_length_px" in entries:
+            entries["focal_length_px"] = round(camera.focal_length_px, 4)
+        if "camera_info" in entries:
+            entries["camera_info"] = str(folder / entries["camera_info"])
+        if mask_file is not None:
+            np.save(write(mask_file), camera.mask.transmission)
+            entries["mask"] = {"file": mask_file.name}
+        elif "file" in entries["mask"]:
+            entries["mask"] = {"file": str(folder / entries["mask"]["file"])}
+        write(output).write_text(yaml.safe_dump(entries, sort_keys=False), encoding="utf-8")
+
+
+def _text(summary: dict[str, Any]) -> str:
+    lines = summary["changed"] or ["as the camera file says"]
+    known = "not known"
+    if summary["dioptres"] is not None:
+        known = "{dioptres:+.4f} ± {dioptres_std:.4f} dioptres from where it was".format(**summary)
+    numbers = "# {frames} frames: mask turned by {turned_deg:.2f} ± {turned_std_deg:.2f} degrees, "
+    return "\n".join([*lines, numbers.format(**summary) + f"focus {known}"])
