@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +64,7 @@ class BagConversion:
     # Of all frames, by their camera; for such a method.
     prior: Callable[[Camera], ExpectedMotion | None] = lambda camera: None
     bits: int = 16  # of 16-bit frames
+    settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # for the report
 
     def run(
         self, source: Path, target: Path, progress: Progress = lambda steps, total: steps
@@ -152,6 +153,7 @@ class BagConversion:
                     "preparation_s": preparation_s,
                     "processors": processors(),
                 },
+                "settings": dict(self.settings),
                 "report": str(target / REPORT / PAGE),
             }
             write_report(writer.folder / REPORT, results, record)

@@ -40,9 +40,8 @@ def write_report(folder: Path, results: Mapping[str, Any], record: Record) -> No
 
 
 def _page(results: Mapping[str, Any], record: Record) -> str:
-    title = html.escape(f"Depth of {results['input']}")
     warnings = [f'<p class="warning">{html.escape(text)}</p>' for text in _warnings(results)]
-    parts = [f"<h1>{title}</h1>", *warnings, _table(_facts(results))]
+    parts = [*warnings, _table(_facts(results))]
     parts.append(f"<h2>Frame by frame</h2>{_image(series_plot(record.series()), 'series')}")
     if record.scores:
         reliability = Reliability.total([score.reliability for score in record.scores.values()])
@@ -61,7 +60,13 @@ def _page(results: Mapping[str, Any], record: Record) -> str:
         ]
         parts.append(f"<h3>Frame {sample.index}</h3>{''.join(figures)}")
     parts.append(f"<h2>Time</h2>{_table(_times(results))}")
-    body = "\n".join(parts)
+    return page_of(f"Depth of {results['input']}", parts)
+
+
+def page_of(title: str, parts: Iterable[str]) -> str:
+    """Return a page in our style of a title and pieces of HTML below it."""
+    title = html.escape(title)
+    body = "\n".join([f"<h1>{title}</h1>", *parts])
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
         f"<style>{_STYLE}</style></head><body>\n{body}\n</body></html>\n"

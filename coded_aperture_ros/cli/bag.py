@@ -1,8 +1,10 @@
 """`coded_aperture bag`: depth and all-in-focus frames of a recorded bag, and how good they are."""
 
 import argparse
+import functools
 import logging
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +16,11 @@ from coded_aperture_ros.cli.estimators import (
     expected_motion_of,
     pipeline_of,
 )
+from coded_aperture_ros.cli.extension import BENCH
 from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import add_bits_option, add_gamma_option, add_options, checked
 from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import load_in_fork_server, processors
 
 _DEBLUR_RANK = 10
@@ -29,7 +33,12 @@ _EPILOG = """examples:
         --reference-depth /ground_truth/depth --deblur none
   something moves during the exposures:
     coded_aperture bag recording -o moving --bank bank.npz --camera camera.yaml --motion
+  many bags, shared by the workers of a Dask scheduler; the same line again goes on where it stood:
+    coded_aperture bag drives/* -o results --bank bank.npz --camera camera.yaml \\
+        --scheduler tcp://host:8786
 """
+# What does not change the results of a bag.
+_NO_SETTINGS = {"command", "inputs", "output", "overwrite", "json", "scheduler"}
 
 
 def add_parser(subparsers: Any) -> None:
@@ -45,10 +54,16 @@ def add_parser(subparsers: Any) -> None:
         "report/report.json.",
         epilog=_EPILOG,
     )
-    parser.add_argument("input", metavar="IN", help="bag: its folder, or a .mcap or .db3 file")
-    add_options(parser, {"-o --output OUT": "folder of the new bag"}, required=True)
+    bags = "bag: its folder, or a .mcap or .db3 file"
+    parser.add_argument("inputs", metavar="IN", nargs="+", help=bags)
+    output = (
+        "folder of the new bag; with several, or --scheduler, of a folder for each that is not "
+    )
+    output = {"-o --output OUT": output + "complete yet, and of a report over all"}
+    add_options(parser, output, required=True)
     topics = {
-        "--overwrite": "replace OUT, if that is a bag already",
+        "--scheduler ADDRESS": "Dask scheduler, whose workers share the bags",
+        "--overwrite": "replace what is a bag already",
         "--topic T": "of the coded frames, raw or compressed; by default the only images, or "
         "image_raw",
         "--reference-depth T": "depth images (32FC1 in m, 16UC1 in mm) of the same view to compare "
@@ -95,19 +110,24 @@ def run(args: argparse.Namespace) -> int:
     check_estimator_options(args)
     if args.camera is None:
         args.usage_error("the following arguments are required: --camera")
-    deblurring = {"rank": args.deblur_rank, "band": args.deblur_band}
-    if args.deblur == "none" and deblurring != {"rank": _DEBLUR_RANK, "band": "full"}:
+    if args.deblur == "none" and (args.deblur_rank, args.deblur_band) != (_DEBLUR_RANK, "full"):
         args.usage_error("--deblur none takes neither --deblur-rank nor --deblur-band")
-    if processors() > 1:
+    if processors() > 1 and not args.scheduler:
         load_in_fork_server("coded_aperture_ros.bags.workers")
+    if len(args.inputs) > 1 or args.scheduler:
+        return _convert_all(args)
+    return tell(args, _convert(args, Path(args.inputs[0]), Path(args.output)), _in_words)
+
+
+def _convert(args: argparse.Namespace, source: Path, target: Path) -> dict[str, Any]:
     from coded_aperture_ros.bags.conversion import BagConversion
     from coded_aperture_ros.deblur import DeblurConfig
     from coded_aperture_ros.io.bags import check_bag_output
     from coded_aperture_ros.optics import load_camera
 
-    source, target = Path(args.input), Path(args.output)
     check_bag_output(target, [source, *inputs_of(args, "bank", "camera")], args.overwrite)
     camera = load_camera(args.camera)
+    deblurring = {"rank": args.deblur_rank, "band": args.deblur_band}
     deblur = None if args.deblur == "none" else DeblurConfig(args.deblur, **deblurring)
     asked = {"motion": args.motion, "free_space": args.free_space_risk}
     asked |= dict.fromkeys(("second", "second_share"), args.second_surface)
@@ -122,13 +142,56 @@ def run(args: argparse.Namespace) -> int:
         map_size=args.output_size,
         more=tuple(name for name in asked if asked[name]),
         prior=lambda camera: expected_motion_of(args, camera),
+        settings=_settings(args),
     )
     results = conversion.run(source, target, lambda steps, total: progress(steps, total, "frame"))
     if results["damage"]:
         logging.warning(f"{source}: processed up to the damage: {results['damage']}")
     for fault, reason in results["fault_reasons"].items():
         logging.warning(f"{results['faults'][fault]} frame(s) not used ({fault}): {reason}")
-    return tell(args, results, _in_words)
+    return results
+
+
+def _settings(args: argparse.Namespace) -> dict[str, Any]:
+    plain = str | int | float | list | None  # not what belongs to the parser
+    given = vars(args).items()
+    return {name: of for name, of in given if isinstance(of, plain) and name not in _NO_SETTINGS}
+
+
+def _convert_all(args: argparse.Namespace) -> int:
+    from coded_aperture_ros.bags.many import jobs_of, write_summary
+
+    for name in filter(vars(args).get, ("bank", "camera")):  # a worker may be elsewhere
+        setattr(args, name, str(Path(getattr(args, name)).resolve()))
+    del args.of_simple, args.of_motion  # these do not travel
+    args.usage_error = sys.exit
+    jobs = jobs_of(map(Path, args.inputs), Path(args.output))
+    left = [job for job in jobs if args.overwrite or not job.done(_settings(args))]
+    work = functools.partial(_failure, args)
+    outcomes = ((job, work(job)) for job in left)
+    if args.scheduler:
+        cluster = BENCH.module("cluster", "bag --scheduler")
+        outcomes = cluster.failures_on_workers(args.scheduler, work, left)
+    failed = {job: reason for job, reason in progress(outcomes, len(left), "bag") if reason}
+    for job, reason in failed.items():
+        logging.error(f"{job.source}: {reason}")
+    results = write_summary(Path(args.output), jobs, failed, len(jobs) - len(left))
+    return tell(args, results, _all_in_words) or int(bool(failed))
+
+
+def _failure(args: argparse.Namespace, job: Any) -> str:
+    """Work on a bag, perhaps far from who asked for it; return what went wrong, or nothing."""
+    try:
+        _convert(args, job.source, job.target)
+    except (InputError, SystemExit) as error:
+        return str(error)
+    return ""
+
+
+def _all_in_words(results: dict[str, Any]) -> str:
+    bags = f"{len(results['bags'])} bags, {results['complete_before']} of them complete before"
+    frames = f"depth of {results['used']} of {results['frames']} frames"
+    return f"{results['output']}: {bags}; {frames}\nreport: {results['report']}"
 
 
 def _in_words(results: dict[str, Any]) -> str:

@@ -1,0 +1,99 @@
+"""Many recordings: what each becomes, which of them are done, and one report over all."""
+
+import dataclasses
+import html
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from coded_aperture_ros.bags.conversion import REPORT
+from coded_aperture_ros.bags.page import JSON, PAGE, page_of
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.files import atomic_outputs
+
+# How the frames of a bag, or of all bags, are summed up: every one counts the same.
+_OVER_FRAMES: dict[str, Callable[[Any], Any]] = {
+    "coverage": np.mean,
+    "median_relative_error": np.median,
+    "within_10_percent": np.mean,
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """A bag, and the one with results that it becomes."""
+
+    source: Path
+    target: Path
+
+    def report(self) -> Any:
+        """Return what the results say of themselves; None: there are none, or not all yet."""
+        path = self.target / REPORT / JSON
+        return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
+
+    def done(self, settings: Mapping[str, Any]) -> bool:
+        """Tell whether there are results; an `InputError` if of another bag or other settings."""
+        if (found := self.report()) is None:
+            return False
+        was, wanted = {**found, **found["settings"]}, {"input": str(self.source), **settings}
+        if other := [f"{name} {was.get(name)}" for name in wanted if was.get(name) != wanted[name]]:
+            what = f"{self.target} has results of {', '.join(other)}"
+            raise InputError(f"{what}: use another folder, or --overwrite")
+        return True
+
+
+def jobs_of(sources: Iterable[Path], folder: Path) -> list[Job]:
+    """Return what becomes of bags: each has a folder of its name; no two may have the same."""
+    jobs: dict[str, Job] = {}
+    for source in (path.resolve() for path in sources):
+        name = source.name.removesuffix(".mcap").removesuffix(".db3")
+        if name in jobs:
+            raise InputError(f"{jobs[name].source} and {source} have the same name")
+        jobs[name] = Job(source, folder.resolve() / name)
+    return list(jobs.values())
+
+
+def write_summary(
+    folder: Path, jobs: Sequence[Job], failed: Mapping[Job, str], before: int
+) -> dict[str, Any]:
+    """Write a page and JSON about all bags; `before` says how many were done beforehand."""
+    reports = [job.report() for job in jobs if job not in failed]
+    results = {
+        "output": str(folder),
+        "complete_before": before,
+        "failed": {str(job.source): reason for job, reason in failed.items()},
+        **_summed_up("all", reports),
+        "bags": [_summed_up(Path(report["output"]).name, [report]) for report in reports],
+        "report": str(folder / PAGE),
+    }
+    with atomic_outputs() as output:
+        text = json.dumps(results, indent=1, allow_nan=False)
+        output(folder / JSON).write_text(text + "\n", encoding="utf-8")
+        output(folder / PAGE).write_text(_page(results), encoding="utf-8")
+    return results
+
+
+def _summed_up(name: str, reports: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {"name": name}
+    found |= {each: sum(report[each] for report in reports) for each in ("frames", "used")}
+    for each, sum_up in _OVER_FRAMES.items():
+        values = [row.get(each) for report in reports for row in report["series"]]
+        known = [value for value in values if value is not None]
+        found[each] = float(sum_up(known)) if known else None
+    return found
+
+
+def _page(results: Mapping[str, Any]) -> str:
+    rows = ["<tr><th>bag<th>frames<th>with depth<th>pixels<th>median error<th>within 10 %"]
+    for row in (*results["bags"], results):
+        shares = (row[each] for each in _OVER_FRAMES)
+        texts = ("-" if share is None else f"{100 * share:.1f} %" for share in shares)
+        name = html.escape(row["name"])
+        link = name if row is results else f'<a href="{name}/{REPORT}/{PAGE}">{name}</a>'
+        rows.append("<td>".join(["<tr>", link, str(row["frames"]), str(row["used"]), *texts]))
+    for source, reason in results["failed"].items():
+        rows.append(f"<tr><td>{html.escape(source)}<td colspan=5>{html.escape(reason)}")
+    return page_of(f"Depth of {len(results['bags'])} bags", ["<table>", *rows, "</table>"])
