@@ -56,10 +56,8 @@ def add_parser(subparsers: Any) -> None:
     )
     bags = "bag: its folder, or a .mcap or .db3 file"
     parser.add_argument("inputs", metavar="IN", nargs="+", help=bags)
-    output = (
-        "folder of the new bag; with several, or --scheduler, of a folder for each that is not "
-    )
-    output = {"-o --output OUT": output + "complete yet, and of a report over all"}
+    each = "; with several, or --scheduler, of a folder for each that is not complete yet"
+    output = {"-o --output OUT": f"folder of the new bag{each}, and of a report over all"}
     add_options(parser, output, required=True)
     topics = {
         "--scheduler ADDRESS": "Dask scheduler, whose workers share the bags",
