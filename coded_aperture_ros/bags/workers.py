@@ -53,12 +53,11 @@ def frame_workers(processor: FrameProcessor, first: bytes) -> Iterator[Submit]:
     """Yield what has a message of a frame processed, and returns what waits for the result.
 
     There are as many processes as processors, which take turns. If the pipeline remembers frames,
-    there is one process, which takes them in their order; with one processor, or in a worker of
-    Dask, which must not have others below it, it is this one.
+    there is one process, which takes them in their order; with one processor, it is this one.
 
     They prepare with the message `first`. An `InputError` if a process ended by itself.
     """
-    if processors() == 1 or multiprocessing.current_process().daemon:
+    if processors() == 1:
         processor.prepare(first)
         yield lambda data: lambda: processor(data)
         return

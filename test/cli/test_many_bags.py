@@ -138,10 +138,9 @@ def test_the_example_of_the_help(scene, week, tmp_path, capsys, monkeypatch, sch
 
 @pytest.mark.slow
 def test_another_worker_does_what_a_dead_one_was_at(scene, tmp_path, checkout):
-    """Also one that may have processes of its own below it."""
     distributed = pytest.importorskip("distributed")
     write_bag(tmp_path / "in" / "long", recording(scene, frames=40))
-    environment = os.environ | {"PYTHONPATH": str(checkout)}
+    environment = os.environ | {"PYTHONPATH": f"{checkout}{os.pathsep}{checkout / 'benchmarks'}"}
     program = [sys.executable, "-m", "coded_aperture_ros"]
     with distributed.LocalCluster(
         n_workers=0, dashboard_address=":0", host="127.0.0.1", processes=True
