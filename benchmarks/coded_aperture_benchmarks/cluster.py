@@ -64,20 +64,24 @@ def _apart(work: Callable[[Item], str], item: Item) -> str:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     environment |= {"OPENBLAS_NUM_THREADS": "1", "OPENCV_LOG_LEVEL": "SILENT"}
     environment.pop("MALLOC_TRIM_THRESHOLD_", None)
-    done = subprocess.run(
-        [sys.executable, "-c", _PROGRAM],
-        input=pickle.dumps((work, item)),
-        env=environment,
-        stdout=subprocess.PIPE,
-        check=False,
-    )
-    if done.returncode:
-        return f"its process ended with status {done.returncode}, see the log of the worker"
-    return done.stdout.decode()
+    program = [sys.executable, "-c", _PROGRAM]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(program, stdin=pipe, stdout=pipe, env=environment) as process:
+        assert process.stdin is not None and process.stdout is not None
+        process.stdin.write(pickle.dumps((work, item)))
+        process.stdin.flush()  # and not closed: that would be our end
+        answer = process.stdout.read().decode()
+        process.wait()
+    if process.returncode:
+        return f"its process ended with status {process.returncode}, see the log of the worker"
+    return answer
 
 
+# It ends with who has started it.
 _PROGRAM = """
-import pickle, sys
+import os, pickle, sys, threading
 work, item = pickle.load(sys.stdin.buffer)
-sys.stdout.write(work(item))
+threading.Thread(target=lambda: os._exit(len(sys.stdin.buffer.read()) or 1), daemon=True).start()
+print(work(item), end="", flush=True)
+os._exit(0)
 """

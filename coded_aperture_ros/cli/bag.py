@@ -179,8 +179,9 @@ def _convert_all(args: argparse.Namespace) -> int:
 
 def _failure(args: argparse.Namespace, job: Any) -> str:
     """Work on a bag, perhaps far from who asked for it; return what went wrong, or nothing."""
-    try:
-        _convert(args, job.source, job.target)
+    try:  # who did it before may have died before saying so
+        if args.overwrite or not job.done(_settings(args)):
+            _convert(args, job.source, job.target)
     except (InputError, SystemExit) as error:
         return str(error)
     return ""
