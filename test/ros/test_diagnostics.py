@@ -1,5 +1,8 @@
 """What /diagnostics says when frames stop, and when they come again."""
 
+import json
+import re
+
 import cv2
 import numpy as np
 import pytest
@@ -48,6 +51,19 @@ def test_figures_and_complaint_go_when_frames_stop(ros, chain, coded):
     assert float(reports.status.message.removeprefix(stopped).removesuffix(" s")) >= WINDOW_S
     assert reports.status.level == DiagnosticStatus.WARN
     assert not {"health", "nearest_obstacle_m"} & reports.values.keys()
+
+
+def test_the_plot_of_foxglove_finds_its_figures(ros, chain, coded, checkout):
+    layout = json.loads((checkout / "config" / "foxglove_layout.json").read_text())
+    (plot,) = (panel for panel in layout["configById"].values() if "paths" in panel)
+    reports = Reports(ros)
+    chain.result(mono8(coded))
+    form = re.compile(r'/diagnostics\.status\[:\]{name=="(.+)"}\.values\[:\]{key=="(.+)"}\.value')
+    for path in plot["paths"]:
+        name, key = form.fullmatch(path["value"]).groups()
+        assert wait_until(lambda: reports.status.name == name)  # noqa: B023
+        assert wait_until(lambda: key in reports.values)  # noqa: B023
+        assert float(reports.values[key]) >= 0
 
 
 def test_an_error_is_told_until_frames_have_been_good_for_a_while(ros, chain, coded):

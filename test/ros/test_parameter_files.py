@@ -1,5 +1,7 @@
 """Parameter files, and the picture for RViz, name only what exists."""
 
+import json
+import re
 from importlib import import_module
 
 import pytest
@@ -106,3 +108,27 @@ def test_the_picture_of_rviz_shows_published_topics(checkout):
     others = {"image_raw", "costmap/costmap", "scan"}
     assert topics - others <= {*DepthNode.outputs, *DeblurNode.outputs}
     assert "depth/points" in topics
+
+
+def test_the_layout_of_foxglove_shows_published_topics(checkout):
+    from coded_aperture_ros.ros.deblur_node import DeblurNode
+    from coded_aperture_ros.ros.depth_node import DepthNode
+
+    content = json.loads((checkout / "config" / "foxglove_layout.json").read_text())
+    panels = content["configById"]
+    topics, kinds = set(), set()
+    for name, panel in panels.items():
+        kinds.add(name.partition("!")[0])
+        topics |= panel.get("topics", {}).keys()
+        topics |= {panel["imageMode"][key] for key in panel.get("imageMode", ()) if "Topic" in key}
+        topics |= {path["value"].partition(".")[0] for path in panel.get("paths", ())}
+        topics |= {panel["topicToRender"]} if "topicToRender" in panel else set()
+    assert kinds == {"Image", "3D", "Plot", "DiagnosticSummary"}
+    shown = {"image_raw", "depth/image", "depth/confidence", "deblurred/image", "depth/points"}
+    driver = {"image_raw", "camera_info"}
+    relative = {topic.removeprefix("/") for topic in topics}
+    assert shown <= relative
+    assert relative - driver - {"diagnostics"} <= {*DepthNode.outputs, *DeblurNode.outputs}
+    # Every panel has its place, and no place is empty.
+    text = json.dumps(content["layout"])
+    assert sorted(re.findall(r'"(?:first|second)": "(.+?)"', text)) == sorted(panels)

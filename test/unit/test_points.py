@@ -65,6 +65,29 @@ def test_distortion_is_undone(model, d):
     assert np.abs(pixels.reshape(480, 640, 2) - expected).max() < 0.01
 
 
+def test_rectified_depth_suits_a_pinhole_as_points_suit_the_lens():
+    """What image_proc does, by nearest neighbours, with the camera_info that depth comes with."""
+    d, size = (-0.3, 0.1, 0.001, -0.002, 0.0), (480, 640)
+    wall = np.float32([0.3, -0.2, 0.5])  # times a point of it: 1
+    lens, pinhole = (
+        np.dstack([rays("plumb_bob", WIDE, each, *size), np.ones(size, np.float32)])
+        for each in (d, (0.0,) * 5)
+    )
+    depth = 1 / (lens @ wall)
+    k = np.reshape(WIDE, (3, 3))
+    where = cv2.initUndistortRectifyMap(k, np.array(d), None, k, size[::-1], cv2.CV_32FC1)
+    rectified = cv2.remap(depth, *where, cv2.INTER_NEAREST, borderValue=np.nan)
+    nothing = np.zeros((*size, 3), np.uint8)
+    points = points_of_depth(depth, depth, depth, nothing, lens[..., :2])[..., :3]
+
+    def off(points):
+        return np.nanquantile(np.abs(points @ wall - 1), 0.99)
+
+    assert off(points) < 1e-5
+    assert off(pinhole * rectified[..., None]) < 3e-3  # half a pixel
+    assert off(pinhole * depth[..., None]) > 0.02  # not rectified
+
+
 @pytest.mark.parametrize(("model", "count"), [("plumb_bob", 3), ("equidistant", 5)])
 def test_coefficients_that_no_model_has_are_refused(model, count):
     with pytest.raises(InputError, match=f"{count} coefficients do not suit {model}"):
