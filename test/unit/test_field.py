@@ -185,3 +185,31 @@ def test_depth_of_what_is_at_infinity_on_the_axis_has_a_deviation():
     known = np.isfinite(estimate.depth_m)
     assert known.any()
     assert not np.isnan(estimate.std_dev_m[known]).any()
+
+
+@pytest.mark.slow
+def test_planes_of_a_lens_with_field_curvature_pass_and_give_its_bank(tmp_path, capsys, caplog):
+    # More curved than planes by themselves can be explained with.
+    bent = dataclasses.replace(STRAIGHT, field_curvature=FieldCurvature(3.0, -4.0))
+    files = [f"{index}.png" for index in range(len(DEPTHS_M))]
+    for seed, (name, depth_m) in enumerate(zip(files, DEPTHS_M, strict=True)):
+        write_image(tmp_path / name, plane(bent, depth_m, seed))
+
+    def listed(*depths_m):
+        entries = [{"file": f, "depth_m": z} for f, z in zip(files, depths_m, strict=True)]
+        (tmp_path / "planes.json").write_text(json.dumps(entries))
+
+    camera = tmp_path / "camera.yaml"
+    camera.write_text(yaml.safe_dump(STRAIGHT_FILE))
+    bank = tmp_path / "bank.npz"
+    arguments = ("calibrate", "planes", tmp_path, "--camera", camera, "-o", bank, "--json")
+    listed(*DEPTHS_M)
+    told = json.loads(call(capsys, *arguments).out)
+    assert told["field_curvature"][0] > 1
+    assert told["corner_px"] > 1 and told["corner_dioptres"] > 0.05
+    assert "focused elsewhere towards the corners" in caplog.text
+    assert bank.is_file()
+    bank.unlink()
+    listed(1.25, 1.4, 1.6, 2.09, 2.4, 3.2)
+    refused(call(capsys, *arguments), "3.png: at 2.09 m, but blurred as at 1.")
+    assert not bank.exists()

@@ -86,7 +86,7 @@ def _refine(args: argparse.Namespace) -> int:
         "turned_deg": round(mask.turned_deg, 2),
         "turned_std_deg": round(mask.std_deg, 2),
         "covered": [
-            {"row": int(row), "column": int(column), "passes": round(mask.passed[row, column], 2)}
+            {"row": int(row), "column": int(column)}
             for row, column in zip(*mask.covered.nonzero(), strict=True)
         ],
         "focus_distance_m": round(found.camera.focus_distance_m, 4),
@@ -108,9 +108,7 @@ def _changes(name: str, camera: Camera, found: Refined) -> list[str]:
         way = "clockwise" if mask.turned_deg > 0 else "anticlockwise"
         changes.append(f"the mask is turned {way} by {abs(mask.turned_deg):.1f} degrees")
     for row, column in zip(*mask.covered.nonzero(), strict=True):
-        changes.append(
-            f"row {row + 1}, column {column + 1} of the mask passes {mask.passed[row, column]:.0%}"
-        )
+        changes.append(f"row {row + 1}, column {column + 1} of the mask is covered")
     if focus is not None and not found.unknown and abs(focus.dioptres) > 3 * focus.std:
         by = (found.camera.focus_distance_m / camera.focus_distance_m - 1) * 100
         changes.append(

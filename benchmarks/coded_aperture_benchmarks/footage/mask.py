@@ -1,7 +1,7 @@
 """Whether the mask has turned in its lens, and which of its cells are covered."""
 
 import dataclasses
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import cv2
 import numpy as np
@@ -19,16 +19,16 @@ _STRIDE_PX, _MIDDLE, _PARTS = 32, 0.25, (2, 2)
 _LEVELS, _LEAST_BLUR_PX = 32, 2.5
 # Windows that fit worst are of edges and of what moves; fewer of one PSF say little.
 _KEPT, _FEWEST = 0.8, 4
-_FEWEST_WINDOWS = 300
+_STRETCHES, _FEWEST_WINDOWS = 4, 120
 _FINE = 8
 # Degrees that a mask may have turned where nothing tells.
 _SPREAD_DEG = 3.0
 _STEP_DEG, _STEP = 0.25, 0.05
 _TURNS_DEG = np.arange(-8.0, 8.1, 2.0)
-_SORTINGS, _ROUNDS = 3, 3
+_SORTINGS, _ROUNDS = 2, 3
 # Windows overlap, and so do what they tell of neighbouring frequencies.
 _REPEATED = 4.0
-_SURE, _COVERED, _MOST_COVERED = 5.0, 0.75, 6
+_SURE, _COVERED, _MOST_COVERED = 5.0, 0.0, 6
 # That many PSFs tell about cells: those with the most windows.
 _GROUPS = 12
 
@@ -44,7 +44,7 @@ class MaskState:
     passed : ndarray, float64 [n, m]
         Which share each open cell of the mask passes of what it did; 0 where it is closed.
     covered : ndarray, bool [n, m]
-        Cells that surely pass less than three quarters. Of a mask that is its own half turn, it may
+        Cells that pass next to nothing. Of a mask that is its own half turn, it may
         be the cell on the other side of the middle: power spectra do not tell.
     windows : int
         How many windows tell.
@@ -74,16 +74,19 @@ def turned(mask: Mask, degrees: float) -> Mask:
 
 
 def fit_mask(
-    camera: Camera, frames: Iterable[FloatArray], largest_px: float, progress: Progress
+    camera: Camera, frames: Sequence[FloatArray], largest_px: float, progress: Progress
 ) -> MaskState:
     """Fit how the mask is turned, and what its cells pass, to windows of unknown depth.
+
+    Textures with a direction bend what a stretch of a video says. So each of four stretches is
+    asked for the turn by itself: how they scatter is how far to trust it.
 
     Parameters
     ----------
     camera : Camera
         As it was set up.
-    frames : iterable of ndarray, float32 [rows, columns]
-        Grey, linear light.
+    frames : sequence of ndarray, float32 [rows, columns]
+        Grey, linear light, in order.
     largest_px : float
         Largest blur size that there may be.
     progress : Progress
@@ -93,34 +96,49 @@ def fit_mask(
     InputError
         If there are too few windows with texture.
     """
-    seen = list(_windows(camera, frames))
-    count = sum(len(each.powers) for each in seen)
-    if count < _FEWEST_WINDOWS:
-        raise InputError(f"{count} windows are too few to tell: give more frames")
+    per_stretch = -(-len(frames) // _STRETCHES)
     open_cells = np.argwhere(camera.mask.transmission > 0)
     steps = np.array([_STEP_DEG, *np.full(len(open_cells), _STEP)])
     scoring = Scoring(_Fitted(camera, open_cells).psf, steps)
     sizes_px = np.linspace(_LEAST_BLUR_PX, largest_px, _LEVELS)
-    of_one_part = [each for each in seen if (each.tangent == seen[0].tangent).all()]
-    state = min(
-        (np.array([degrees, *np.ones(len(open_cells))]) for degrees in _TURNS_DEG),
-        key=lambda state: _sorted(scoring, state, of_one_part, sizes_px[::4])[1],
-    )
-    of_state = np.zeros((1, 1))
+    turns, seen = [], list[Windows]()
+    for first in progress(range(0, len(frames), per_stretch)):
+        of_stretch = list(_windows(camera, frames[first : first + per_stretch]))
+        windows = sum(len(each.powers) for each in of_stretch)
+        if windows < _FEWEST_WINDOWS:
+            raise InputError(
+                f"{windows} windows in {per_stretch} frames are too few to tell: give more frames"
+            )
+        turns.append(_turn(scoring, of_stretch, sizes_px))
+        seen += of_stretch
+    state = np.array([np.mean(turns), *np.ones(len(open_cells))])
     covered: list[int] = []
-    for number in progress(range(_SORTINGS)):
-        windows, _ = _sorted(scoring, state, seen, sizes_px)
-        spread = np.array([_SPREAD_DEG, *steps[1:]]) * np.sqrt(count)
-        state, of_state = scoring.fit(
-            state, windows, spread, lambda _: np.array([0]), _ROUNDS, iter
-        )
-        if number:
-            state, covered = _covered(scoring, state, windows)
+    for _ in range(_SORTINGS):
+        state, covered = _covered(scoring, state, _sorted(scoring, state, seen, sizes_px)[0])
     passed, is_covered = (np.zeros(camera.mask.transmission.shape) for _ in range(2))
     passed[tuple(open_cells.T)] = state[1:]
     is_covered[tuple(open_cells[covered].T)] = 1
-    std_deg = float(np.sqrt(_REPEATED * of_state[0, 0]))
+    std_deg = float(np.std(turns, ddof=1) / np.sqrt(len(turns))) if len(turns) > 1 else np.inf
+    count = sum(len(each.powers) for each in seen)
     return MaskState(float(state[0]), std_deg, passed, is_covered > 0, count)
+
+
+def _turn(scoring: Scoring, seen: list[Windows], sizes_px: DoubleArray) -> float:
+    """Return how far the mask is turned, in degrees, by the windows of a stretch."""
+    of_one_part = [each for each in seen if (each.tangent == seen[0].tangent).all()]
+    cells = len(scoring.steps) - 1
+    state = min(
+        (np.array([degrees, *np.ones(cells)]) for degrees in _TURNS_DEG),
+        key=lambda state: _sorted(scoring, state, of_one_part, sizes_px[::4])[1],
+    )
+    spread = np.array([_SPREAD_DEG, *scoring.steps[1:]])
+    for _ in range(_SORTINGS):
+        windows, _ = _sorted(scoring, state, seen, sizes_px)
+        count = sum(len(each.powers) for each in windows)
+        state, _ = scoring.fit(
+            state, windows, spread * np.sqrt(count), lambda _: np.array([0]), _ROUNDS, iter
+        )
+    return float(state[0])
 
 
 def _covered(
@@ -142,11 +160,15 @@ def _covered(
     moved, gained = np.zeros(0), 0.0
     while len(chosen) < _MOST_COVERED:
         tried = [[*chosen, cell] for cell in range(len(cells)) if cell not in chosen]
-        gains = [_gain(gradient, information, each) for each in tried]
-        best = int(np.argmax([gain for gain, _ in gains]))
-        if (gains[best][0] - gained) / _REPEATED < _SURE**2 or gains[best][1][-1] > _COVERED - 1:
+        gains = [(*_gain(gradient, information, each), each) for each in tried]
+        best = max(
+            (each for each in gains if each[1][-1] < _COVERED - 1),
+            default=None,
+            key=lambda each: each[0],
+        )
+        if best is None or (best[0] - gained) / _REPEATED < _SURE**2:
             break
-        chosen, (gained, moved) = tried[best], gains[best]
+        gained, moved, chosen = best
     found = open_.copy()
     found[1 + np.array(chosen, int)] = np.clip(1 + moved, 0, 1)
     return found, chosen

@@ -22,7 +22,7 @@ _FARTHEST = 0.97
 _WIDER = 1.05  # than the farthest by the camera as it was: it may have been refocused
 _CONFIDENT = 0.4
 # A focus is known if depth is right to this by it.
-_WELL_KNOWN = 0.03
+_WELL_KNOWN = 0.01
 # Below so many degrees a mask has not turned.
 _TURNED_DEG = 0.5
 

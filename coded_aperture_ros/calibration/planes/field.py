@@ -22,7 +22,7 @@ _OFF, _OF_SCATTER = 0.05, 0.8
 # So is one whose blur, in the middle third and by all its windows, is off the line of the others.
 # Where blur is less, textures that are not like photographs move it more than that.
 _TOLD_PX, _OFF_PX, _MIDDLE, _LEAST_NOISE = 8.0, 0.4, 0.35, 0.003
-_WINDOW_STRIDE_PX, _SIZE_STEP_PX = 24, 0.25
+_FEWEST_TOLD, _WINDOW_STRIDE_PX, _SIZE_STEP_PX = 5, 24, 0.25
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -137,7 +137,7 @@ def _off_the_line(camera: Camera, planes: Planes, used: list[int]) -> BoolArray:
         sizes_px[number] = grid[int(np.argmin(costs))]
     off, inverse = np.zeros(len(used), bool), 1 / planes.depths_m[used]
     told = np.maximum(expected, sizes_px) >= _TOLD_PX
-    while (told & ~off).sum() > _FEWEST:
+    while (told & ~off).sum() >= _FEWEST_TOLD:
         # The worst first: it bends the line of the others.
         left: dict[int, float] = {}
         for number in map(int, np.flatnonzero(told & ~off)):
