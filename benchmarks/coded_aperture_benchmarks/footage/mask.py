@@ -28,7 +28,7 @@ _TURNS_DEG = np.arange(-8.0, 8.1, 2.0)
 _SORTINGS, _ROUNDS = 2, 3
 # Windows overlap, and so do what they tell of neighbouring frequencies.
 _REPEATED = 4.0
-_SURE, _COVERED, _MOST_COVERED = 5.0, 0.0, 6
+_SURE, _COVERED, _MOST_COVERED = 5.0, 0.3, 6
 # That many PSFs tell about cells: those with the most windows.
 _GROUPS = 12
 
@@ -44,7 +44,7 @@ class MaskState:
     passed : ndarray, float64 [n, m]
         Which share each open cell of the mask passes of what it did; 0 where it is closed.
     covered : ndarray, bool [n, m]
-        Cells that pass next to nothing. Of a mask that is its own half turn, it may
+        Cells that pass less than a third. Of a mask that is its own half turn, it may
         be the cell on the other side of the middle: power spectra do not tell.
     windows : int
         How many windows tell.
