@@ -6,6 +6,7 @@ import hmac
 import json
 import logging
 import threading
+import time
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from pathlib import Path
@@ -26,8 +27,9 @@ from coded_aperture_viewer.packet import BEYOND, NEARER, packet
 _PAGE = Path(__file__).with_name("page.html")
 _LOCAL = ("localhost", "127.0.0.1", "::1")
 _LARGEST_MESSAGE = 65_536
-# Between two frames that pages are sent: drawing them must not cost depth its rate.
-_PAUSE_S = 0.09
+# From a frame that pages are sent to the next, and of that after it was packed: drawing them must
+# not cost depth its rate.
+_PERIOD_S, _PAUSE_S = 0.1, 0.05
 
 
 class Server:
@@ -97,11 +99,12 @@ class Server:
         while True:
             await self._arrived.wait()
             self._arrived.clear()
+            begun = time.monotonic()
             if self._latest is not None:
                 self._newest = await asyncio.to_thread(self._packed, self._latest)
             for wake in self._pages.values():
                 wake.set()
-            await asyncio.sleep(_PAUSE_S)
+            await asyncio.sleep(max(_PAUSE_S, begun + _PERIOD_S - time.monotonic()))
 
     async def _start(self, _: web.Application) -> None:
         self._loop = asyncio.get_running_loop()

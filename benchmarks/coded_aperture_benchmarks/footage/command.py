@@ -92,6 +92,7 @@ def _refine(args: argparse.Namespace) -> int:
         "focus_distance_m": round(found.camera.focus_distance_m, 4),
         "dioptres": focus and round(focus.dioptres, 4),
         "dioptres_std": focus and round(focus.std, 4),
+        "told": not found.unknown,  # the focus
         "changed": _changes(args.camera, camera, found),
     }
     warnings = [f"focus: {found.unknown}"] if found.unknown else []
@@ -125,8 +126,6 @@ def _write(args: argparse.Namespace, camera: Camera, mask_file: Path | None) -> 
     output, folder = Path(args.output), Path(args.camera).resolve().parent
     with atomic_outputs() as write:
         entries["focus_distance_m"] = round(camera.focus_distance_m, 5)
-        if "focal_length_px" in entries:
-            entries["focal_length_px"] = round(camera.focal_length_px, 4)
         if "camera_info" in entries:
             entries["camera_info"] = str(folder / entries["camera_info"])
         if mask_file is not None:
@@ -138,7 +137,8 @@ def _write(args: argparse.Namespace, camera: Camera, mask_file: Path | None) -> 
 
 
 def _text(summary: dict[str, Any]) -> str:
-    lines = summary["changed"] or ["as the camera file says"]
+    as_said = "the mask is as the camera file says" + (", and so is the focus" * summary["told"])
+    lines = summary["changed"] or [as_said]
     known = "not known"
     if summary["dioptres"] is not None:
         known = "{dioptres:+.4f} ± {dioptres_std:.4f} dioptres from where it was".format(**summary)

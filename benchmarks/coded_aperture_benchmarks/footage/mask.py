@@ -44,8 +44,8 @@ class MaskState:
     passed : ndarray, float64 [n, m]
         Which share each open cell of the mask passes of what it did; 0 where it is closed.
     covered : ndarray, bool [n, m]
-        Cells that pass less than a third. Of a mask that is its own half turn, it may
-        be the cell on the other side of the middle: power spectra do not tell.
+        Cells that pass less than a third. Of a mask that is its own half turn, it may be the cell
+        on the other side of the middle: power spectra do not tell.
     windows : int
         How many windows tell.
     """
