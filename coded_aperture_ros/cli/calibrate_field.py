@@ -12,7 +12,7 @@ from coded_aperture_ros.cli.progress import progress
 
 _EPILOG = """examples:
     coded_aperture calibrate field planes --camera camera.yaml
-    coded_aperture calibrate field planes --camera camera.yaml --psfs --picture psfs.png
+    coded_aperture calibrate field planes --camera camera.yaml --psfs --report lens.html
 
 Then: put what it prints into the camera file, and learn the bank again. Take 6 or more planes
 parallel to the sensor, with fine texture up to the corners, over the range of depth that matters;
@@ -39,6 +39,8 @@ def add_parser(subparsers: Any) -> None:
             "--psfs": "find how the PSF changes over the image, too: astigmatism, coma, spherical "
             "aberration, and what the lens cuts off; takes minutes",
             "--picture PNG": "with --psfs: draw the PSFs of the parts of the image",
+            "--report HTML": "page with blur, as measured and predicted, and errors by plane and "
+            "radius, and PSFs",
             "--json": "print the numbers as JSON",
         },
     )
@@ -49,24 +51,36 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.calibration.planes.field import fit_field
     from coded_aperture_ros.calibration.planes.folder import load_planes
     from coded_aperture_ros.calibration.planes.wavefront import fit_wavefront
+    from coded_aperture_ros.cli.field_report import field_page
+    from coded_aperture_ros.core.files import atomic_output
     from coded_aperture_ros.io import write_image
     from coded_aperture_ros.optics import load_camera
 
     if args.picture is not None and not args.psfs:
         args.usage_error("--picture: draws what --psfs finds, give both")
     planes = load_planes(args.inputs, args.depths, args.gamma)
-    if args.picture is not None:
-        check_output(args.picture, [*map(Path, planes.names), *inputs_of(args, "camera")])
+    outputs = [Path(name) for name in (args.picture, args.report) if name is not None]
+    check_output(outputs, [*map(Path, planes.names), *inputs_of(args, "camera")])
     camera = load_camera(args.camera)
     check_size(args.camera, camera, planes)
     found = fit_field(camera, planes, progress)
     bent = found.camera
     if args.psfs:
         bent = fit_wavefront(bent, planes, found.trusted, progress)
+    sizes_px = bent.blur_size_px(found.depths_m)
+    widest, narrowest = abs(sizes_px).argmax(), abs(sizes_px).argmin()
     if args.picture is not None:
-        sizes_px = bent.blur_size_px(found.depths_m)
-        write_image(args.picture, _picture(bent, sizes_px[[abs(sizes_px).argmax()]]))
-    return tell(args, field_summary(found, bent), field_text, misplaced_planes(found))
+        write_image(args.picture, _picture(bent, sizes_px[[widest]]))
+    summary, misplaced = field_summary(found, bent), misplaced_planes(found)
+    if args.report is not None:
+        pictures = {
+            f"at {found.depths_m[plane]:.4g} m": _picture(bent, sizes_px[[plane]])
+            for plane in (narrowest, widest)
+            if bent.wavefront is not None
+        }
+        with atomic_output(args.report) as path:
+            path.write_text(field_page(found, field_text(summary), pictures, misplaced), "utf-8")
+    return tell(args, summary, field_text, misplaced)
 
 
 def field_summary(found: Any, camera: Any) -> dict[str, Any]:

@@ -146,8 +146,18 @@ def test_the_command(planes, tmp_path, capsys, caplog, monkeypatch):
     assert len(told["planes"]) == 6
     (found,) = re.findall(r"3.png: at 2.1 m, but blurred as at ([\d.]+) m", caplog.text)
     assert float(found) == pytest.approx(1.9, rel=0.02)
-    # What it prints is what the camera file takes.
-    printed = yaml.safe_load(call(capsys, *arguments).out)
+    # What it prints is what the camera file takes; the page says it, too, and where planes tell.
+    report = tmp_path / "lens.html"
+    printed = yaml.safe_load(call(capsys, *arguments, "--report", report).out)
+    page = report.read_text()
+    assert f"field_curvature: {printed['field_curvature']}" in page
+    assert "3.png: at 2.1 m, but blurred as at" in page
+    cells = re.findall(r"<td>(\d).png</td>.*?([\d.]+) / ([\d.]+)</td>", page)
+    assert [int(name) for name, *_ in cells] == list(range(6))
+    for name, measured, predicted in cells:
+        # The misplaced one is predicted otherwise.
+        assert (abs(float(measured) - float(predicted)) < 0.4) == (name != "3")
+    refused(call(capsys, *arguments, "--report", tmp_path / "0.png"), "0.png", "input")
     assert printed == {key: told[key] for key in ("mask_extent_mm", "field_curvature")}
     assert camera_from_mapping({**STRAIGHT_FILE, **printed}).field_curvature
     monkeypatch.setattr("coded_aperture_ros.calibration.planes.wavefront._ROUNDS", 1)
