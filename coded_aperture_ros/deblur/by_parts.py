@@ -7,13 +7,15 @@ import cv2
 import numpy as np
 
 from coded_aperture_ros.bank import FilterBank
-from coded_aperture_ros.bank.field import COLUMNS, ROWS
+from coded_aperture_ros.bank.field import COLUMNS, ROWS, FieldPsfs
 from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.deblurrer import Deblurrer
+from coded_aperture_ros.deblur.levels import RenderedLevels
 from coded_aperture_ros.deblur.uncertainty import Uncertainty
 from coded_aperture_ros.likelihood.protocol import BlurLevels
+from coded_aperture_ros.optics import PsfStack
 from coded_aperture_ros.optics.wavefront import parts_of_field
 
 # Half as many along a side as depth has: all of them are 0.3 dB better, and take three times as
@@ -34,20 +36,23 @@ class _Part:
 class PartsDeblurrer:
     """Makes frames all-in-focus as `Deblurrer` does, each part of them with PSFs of its own.
 
-    Parameters and methods are those of `Deblurrer`, but for a bank with a `field` in place of its
-    stack.
+    Parameters and methods are those of `Deblurrer`, but for the PSFs of the `field`; the stack has
+    those of the axis.
     """
 
     def __init__(
-        self, bank: FilterBank, config: DeblurConfig | None = None, progress: Progress = iter
+        self,
+        stack: PsfStack,
+        field: FieldPsfs,
+        config: DeblurConfig | None = None,
+        progress: Progress = iter,
     ) -> None:
-        assert bank.field is not None
-        self.stack, field = bank.stack, bank.field.field
+        self.stack = stack
         self._deblurrers = []
         for tangent in parts_of_field(field.intrinsics, _ROWS, _COLUMNS):
             nearest = np.argsort(np.sum((field.tangents - tangent) ** 2, axis=1))[:4]
-            stack = dataclasses.replace(bank.stack, psfs=field.psfs[nearest].mean(axis=0))
-            self._deblurrers.append(Deblurrer(stack, config, progress))
+            of_part = dataclasses.replace(stack, psfs=field.psfs[nearest].mean(axis=0))
+            self._deblurrers.append(Deblurrer(of_part, config, progress))
 
     @property
     def config(self) -> DeblurConfig:
@@ -159,6 +164,9 @@ def deblurrer_of(
     model: BlurLevels, config: DeblurConfig | None = None, progress: Progress = iter
 ) -> AnyDeblurrer:
     """Return what deblurs a model's frames: by parts, where its PSFs change over the image."""
+    field = model.field if isinstance(model, RenderedLevels) else None
     if isinstance(model, FilterBank) and model.field is not None:
-        return PartsDeblurrer(model, config, progress)
-    return Deblurrer(model.stack, config, progress)
+        field = model.field.field
+    if field is None:
+        return Deblurrer(model.stack, config, progress)
+    return PartsDeblurrer(model.stack, field, config, progress)

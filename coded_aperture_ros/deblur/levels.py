@@ -3,6 +3,7 @@
 import dataclasses
 
 from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT, FilterBank, psf_stack_for_camera
+from coded_aperture_ros.bank.field import FieldPsfs
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood import BlurLevels
 from coded_aperture_ros.optics import Camera, PsfStack
@@ -16,6 +17,7 @@ class RenderedLevels:
     mask_digest: str
     learned_from: str = "the camera file"
     noise: float = 0.0
+    field: FieldPsfs | None = None  # where they change over the image
 
     @property
     def window_px(self) -> int:
@@ -36,4 +38,5 @@ def blur_levels(
     if depth_range_m is None:
         raise InputError("deblurring needs a bank, or a depth range")
     stack = psf_stack_for_camera(camera, *depth_range_m, level_count, "deblurring")
-    return RenderedLevels(stack, camera.mask.digest)
+    field = FieldPsfs.of(camera, stack.blur_sizes_px)
+    return RenderedLevels(stack, camera.mask.digest, field=field)

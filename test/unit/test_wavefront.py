@@ -205,7 +205,7 @@ def test_planes_show_how_the_psf_changes(monkeypatch):
 
 
 def test_deblurring_goes_by_the_parts_of_the_image():
-    from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, deblurrer_of
+    from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, blur_levels, deblurrer_of
 
     bent = dataclasses.replace(
         LENS, wavefront=wavefront(W222=-0.3, W131=0.15, rims=(1.1, 0.5, 1.1, -0.4))
@@ -231,4 +231,11 @@ def test_deblurring_goes_by_the_parts_of_the_image():
     made[0].prepare(SHAPE)
     for each in made:
         each.close()
+    # What a node renders of a camera file does as well as a bank.
+    rendered = deblurrer_of(
+        blur_levels(camera=bent, depth_range_m=(1.5, 3.0), level_count=8), config
+    )
+    as_well = (rendered.deblur(frame, blur) - sharp)[corner]
+    assert float(np.sqrt(np.mean(as_well**2))) == pytest.approx(by_parts, rel=0.05)
+    rendered.close()
     assert isinstance(deblurrer_of(learn_bank_for_camera(STRAIGHT, 1.5, 3.0, 8)), Deblurrer)
