@@ -293,16 +293,14 @@ def _camera_text(summary: Any, path: Path) -> str:
     """Return a camera file with the focus and the mask that were found, for another folder."""
     import yaml
 
-    from coded_aperture_ros.optics.intrinsics import read_yaml
+    from coded_aperture_ros.optics.camera import camera_entries
 
-    content = read_yaml(path, f"camera file {path}") | {
+    content = camera_entries(path) | {
         "focus_distance_m": summary["focus_distance_m"],
         "side": summary["side"],
         "mask": {"file": MASK_FILE},
         "mask_extent_mm": summary["mask_extent_mm"],
     }
-    if "camera_info" in content:
-        content["camera_info"] = str((path.parent / content["camera_info"]).resolve())
     return str(yaml.safe_dump(content, sort_keys=False))
 
 

@@ -3,17 +3,19 @@
 import dataclasses
 from functools import lru_cache
 
-import cv2
 import numpy as np
 
 from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.bank.field import COLUMNS, ROWS, FieldPsfs
 from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.progress import Progress
+from coded_aperture_ros.deblur.blur_map import filled_blur_map, known_pixels
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.deblurrer import Deblurrer
 from coded_aperture_ros.deblur.levels import RenderedLevels
+from coded_aperture_ros.deblur.problem import measured_pixels, motion_of_frame
 from coded_aperture_ros.deblur.uncertainty import Uncertainty
+from coded_aperture_ros.imaging import check_frame
 from coded_aperture_ros.likelihood.protocol import BlurLevels
 from coded_aperture_ros.optics import PsfStack
 from coded_aperture_ros.optics.wavefront import parts_of_field
@@ -92,14 +94,19 @@ class PartsDeblurrer:
         motion_px: FloatArray | None = None,
     ) -> FloatArray:
         """Return the all-in-focus frame; see `Deblurrer.deblur`."""
-        maps = [_as_large(blur_size_px, frame.shape)]
-        maps += [] if motion_px is None else [_as_large(motion_px, frame.shape)]
+        check_frame(frame)
+        clean, *_ = measured_pixels(frame, self.config.saturation)
+        filled = filled_blur_map(blur_size_px, clean)
+        known = known_pixels(blur_size_px, frame.shape)
+        blur = np.where(known, filled, np.float32(np.nan))
+        motion = motion_of_frame(motion_px, frame.shape)
         sharp, weight = np.zeros_like(frame), np.zeros(frame.shape[:2], np.float32)
         for part, deblurrer in zip(_parts(frame.shape[:2]), self._deblurrers, strict=True):
-            cut, blur, *motion = (np.ascontiguousarray(each[part.where]) for each in (frame, *maps))
-            if not np.isfinite(blur).any():
-                blur = np.full_like(blur, np.nanmedian(maps[0]))
-            found = deblurrer.deblur(cut, blur, noise, *motion)
+            # A part without any depth takes that of its neighbours.
+            of_part = blur if known[part.where].any() else filled
+            maps = frame, of_part, *(() if motion is None else (motion,))
+            cut, sizes_px, *moved = (np.ascontiguousarray(each[part.where]) for each in maps)
+            found = deblurrer.deblur(cut, sizes_px, noise, *moved)
             sharp[part.where] += (found.T * part.weight.T).T
             weight[part.where] += part.weight
         return (sharp.T / weight.T).T
@@ -147,14 +154,6 @@ def _stretches(length: int, count: int) -> list[tuple[slice, FloatArray]]:
         inside = slice(*np.flatnonzero(weight)[[0, -1]] + [0, 1])
         found.append((inside, weight[inside]))
     return found
-
-
-def _as_large(of_map: FloatArray, shape: Shape) -> FloatArray:
-    """Return a map of a frame in the frame's size, by the nearest pixel."""
-    if of_map.shape[:2] == shape[:2]:
-        return of_map
-    size = shape[1], shape[0]
-    return np.asarray(cv2.resize(of_map, size, interpolation=cv2.INTER_NEAREST_EXACT), np.float32)
 
 
 AnyDeblurrer = Deblurrer | PartsDeblurrer

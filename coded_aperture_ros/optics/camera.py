@@ -444,6 +444,16 @@ def camera_files(path: str | os.PathLike[str]) -> list[Path]:
     return [Path(path), *(Path(path).parent / name for name in named if isinstance(name, str))]
 
 
+def camera_entries(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return the entries of a camera file that can be read, for one in another folder."""
+    entries, folder = dict(read_yaml(path, f"camera file {path}")), Path(path).resolve().parent
+    if "camera_info" in entries:
+        entries["camera_info"] = str((folder / entries["camera_info"]).resolve())
+    if "file" in entries["mask"]:
+        entries["mask"] = {"file": str((folder / entries["mask"]["file"]).resolve())}
+    return entries
+
+
 def camera_from_mapping(
     mapping: Any, where: str = "camera", folder: str | os.PathLike[str] = "."
 ) -> Camera:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import has_type
+from coded_aperture_ros.optics.field import FieldCurvature
 from coded_aperture_ros.optics.intrinsics import Intrinsics
 from coded_aperture_ros.optics.mask import Mask
 
@@ -122,6 +123,14 @@ class Wavefront:
         light *= passed
         apart = places - np.average(places, axis=1, weights=light)[:, None]
         return float(2 * np.sum(light * apart * moved) / np.sum(light * apart * apart))
+
+    def curvature(self, mask: Mask) -> FieldCurvature:
+        """Return the field curvature that is most like the `defocus` up to the corner."""
+        tangents = np.linspace(0, self.corner, 32)[1:]
+        missing = [-self.defocus(mask, tangent) for tangent in tangents]
+        bends = np.stack([tangents**2, tangents**4], axis=1)
+        second, fourth = np.linalg.lstsq(bends, np.array(missing), rcond=None)[0]
+        return FieldCurvature(round(float(second), 4), round(float(fourth), 4))
 
     def rays(
         self, places: DoubleArray, blur_size_px: float, per_dioptre_px: float, tangent: DoubleArray

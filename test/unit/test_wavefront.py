@@ -230,6 +230,9 @@ def test_deblurring_goes_by_the_parts_of_the_image():
     assert made[0].uncertainty(frame, small, blur).std_dev.shape == SHAPE
     made[0].prepare(SHAPE)
     for each in made:
+        with pytest.raises(InputError, match="does not have the proportions"):
+            each.deblur(frame, blur[:, ::2])
+    for each in made:
         each.close()
     # What a node renders of a camera file does as well as a bank.
     rendered = deblurrer_of(

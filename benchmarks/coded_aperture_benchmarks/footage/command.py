@@ -29,8 +29,7 @@ from coded_aperture_ros.core.files import atomic_outputs
 from coded_aperture_ros.imaging import grey_image
 from coded_aperture_ros.io.sources import captures, open_files
 from coded_aperture_ros.optics import Camera, load_camera
-from coded_aperture_ros.optics.camera import camera_files
-from coded_aperture_ros.optics.intrinsics import read_yaml
+from coded_aperture_ros.optics.camera import camera_entries, camera_files
 
 _EPILOG = """example:
     coded_aperture calibrate refine bag:drive --camera camera.yaml -o refined.yaml
@@ -122,17 +121,12 @@ def _changes(name: str, camera: Camera, found: Refined) -> list[str]:
 
 def _write(args: argparse.Namespace, camera: Camera, mask_file: Path | None) -> None:
     """Write the camera file as it was, but for what has changed."""
-    entries = read_yaml(args.camera, f"camera file {args.camera}")
-    output, folder = Path(args.output), Path(args.camera).resolve().parent
+    entries, output = camera_entries(args.camera), Path(args.output)
     with atomic_outputs() as write:
         entries["focus_distance_m"] = round(camera.focus_distance_m, 5)
-        if "camera_info" in entries:
-            entries["camera_info"] = str(folder / entries["camera_info"])
         if mask_file is not None:
             np.save(write(mask_file), camera.mask.transmission)
             entries["mask"] = {"file": mask_file.name}
-        elif "file" in entries["mask"]:
-            entries["mask"] = {"file": str(folder / entries["mask"]["file"])}
         write(output).write_text(yaml.safe_dump(entries, sort_keys=False), encoding="utf-8")
 
 

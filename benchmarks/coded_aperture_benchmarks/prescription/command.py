@@ -15,8 +15,8 @@ from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import CommandParser, add_options
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
-from coded_aperture_ros.optics import camera_from_mapping
-from coded_aperture_ros.optics.intrinsics import read_yaml
+from coded_aperture_ros.optics import load_camera
+from coded_aperture_ros.optics.camera import camera_entries
 
 _EPILOG = """examples:
   what a double Gauss makes of a mask 15 mm wide in its stop:
@@ -55,8 +55,7 @@ def _trace(args: argparse.Namespace) -> int:
     near_m, far_m = args.depth_range
     if not 0 < near_m < far_m < np.inf:
         raise InputError(f"--depth-range: expected two increasing depths, got {near_m} {far_m}")
-    entries = read_yaml(source, f"camera file {source}")
-    camera = camera_from_mapping(entries, f"camera file {source}", source.parent)
+    camera, entries = load_camera(source), camera_entries(source)
     if "pixel_pitch_um" not in entries or "wavefront" in entries:
         raise InputError(
             f"camera file {source}: expected focal_length_mm, pixel_pitch_um and no wavefront"
@@ -65,14 +64,10 @@ def _trace(args: argparse.Namespace) -> int:
     pitch_um = float(entries["pixel_pitch_um"])
     found, left_px = traced_camera(camera, lens, camera.mask_extent_mm, pitch_um, near_m, far_m)
     assert found.wavefront is not None and found.field_curvature is not None
-    mask = dict(entries["mask"])
-    if "file" in mask:
-        mask["file"] = str((source.parent / mask["file"]).resolve())
     curvature = found.field_curvature
     changed = {
         "focal_length_px": round(found.focal_length_px, 3),
         "focus_distance_m": round(found.focus_distance_m, 5),
-        "mask": mask,
         "mask_extent_mm": round(found.mask_extent_mm, 4),
         "field_curvature": [curvature.second, curvature.fourth],
         "wavefront": found.wavefront.entry,

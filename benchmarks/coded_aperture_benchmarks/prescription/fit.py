@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 from coded_aperture_benchmarks.prescription.lens import Lens, Rays
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics import Camera, FieldCurvature, Wavefront
+from coded_aperture_ros.optics import Camera, Wavefront
 from coded_aperture_ros.optics.wavefront import TERMS
 
 _FIELDS, _DEPTHS, _RAYS = 9, 5, 41
@@ -72,10 +72,6 @@ def traced_camera(
     at_infinity, per_dioptre = 2 * solved[0], -2 * solved[1]
     coefficients = 4 * solved[2:] / per_dioptre
     wavefront = Wavefront(corner, tuple(coefficients.tolist()), _rims(bundles))
-    tangents = np.linspace(0, corner, 32)[1:]
-    missing = [-wavefront.defocus(camera.mask, tangent) for tangent in tangents]
-    bends = np.stack([tangents**2, tangents**4], axis=1)
-    second, fourth = np.linalg.lstsq(bends, np.array(missing), rcond=None)[0]
     found = dataclasses.replace(
         camera,
         focal_length_px=focal_px,
@@ -84,7 +80,7 @@ def traced_camera(
         mask_extent_mm=float(per_dioptre / focal_px * 1e3),
         lens_mask_distance_mm=0.0,
         measured=None,
-        field_curvature=FieldCurvature(round(float(second), 4), round(float(fourth), 4)),
+        field_curvature=wavefront.curvature(camera.mask),
         wavefront=wavefront,
     )
     return found, left
@@ -124,10 +120,13 @@ def _bundle(camera: Camera, rays: Rays, field: float, inverse_m: float, half_mm:
 def _solve(bundles: list[_Bundle], pitch_mm: float) -> tuple[DoubleArray, float]:
     """Fit, linearly, half the blur size at infinity and per 1/m, and a wavefront, px."""
     moments, sides, total, weights = 0.0, 0.0, 0.0, 0.0
+    terms = [Wavefront(1.0, tuple(row)) for row in np.eye(len(TERMS)).tolist()]
     for each in bundles:
         light = each.light * each.passed
         columns = [each.places, each.places * each.inverse_m]
-        columns += [_slopes(each, *term) for term in TERMS]
+        columns += [
+            term.rays(each.places, 0.0, 4.0, np.array([each.field, 0]))[0] for term in terms
+        ]
         rows = np.stack(columns, axis=-1)
         seen = each.moved_px / pitch_mm
         # Where the middle of the blur lies says nothing.
@@ -141,16 +140,6 @@ def _solve(bundles: list[_Bundle], pitch_mm: float) -> tuple[DoubleArray, float]
     solved = np.linalg.lstsq(np.asarray(moments), np.asarray(sides), rcond=1e-12)[0]
     left = total - solved @ np.asarray(sides)
     return solved, float(np.sqrt(max(left, 0) / weights))
-
-
-def _slopes(bundle: _Bundle, of_field: int, of_radius: int, m: int) -> DoubleArray:
-    """Return the gradient of a term at the places [2, n]."""
-    p, q = bundle.places
-    squared, half = p * p + q * q, (of_radius - m) // 2
-    radial, angular = squared**half, p**m
-    both = 2 * half * squared ** max(half - 1, 0) * angular
-    along = both * p + m * radial * p ** max(m - 1, 0)
-    return bundle.field**of_field * np.stack([along, both * q])
 
 
 def _rims(bundles: list[_Bundle]) -> tuple[float, float, float, float]:

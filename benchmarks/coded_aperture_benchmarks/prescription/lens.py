@@ -119,6 +119,7 @@ def _of_zemax(path: Path) -> Lens:
     try:
         data = ZemaxDataParser(str(path)).parse()
         optic = ZemaxToOpticConverter(data).convert()
+    # What its reader raises for files that are none, and for kinds of surfaces that it has not.
     except (ValueError, KeyError, IndexError, NotImplementedError) as error:
         raise InputError(f"not a lens that optiland reads: {error}") from error
     surfaces = [data.surfaces[index] for index in sorted(data.surfaces)][1:-1]

@@ -68,14 +68,10 @@ class _Lens:
     def camera_of(self, state: DoubleArray) -> Camera:
         """Return the camera with the lens of a state."""
         wavefront, camera = self._wavefront(state), self.camera
-        tangents = np.linspace(0, self.corner, 32)[1:]
-        missing = [-wavefront.defocus(camera.mask, tangent) for tangent in tangents]
-        bends = np.stack([tangents**2, tangents**4], axis=1)
-        second, fourth = np.linalg.lstsq(bends, np.array(missing), rcond=None)[0]
         return dataclasses.replace(
             camera,
             mask_extent_mm=round(camera.mask_extent_mm * float(state[0]), 4),
-            field_curvature=FieldCurvature(round(float(second), 4), round(float(fourth), 4)),
+            field_curvature=wavefront.curvature(camera.mask),
             wavefront=wavefront,
         )
 
