@@ -88,7 +88,7 @@ test-oldest: ## Run every test with the oldest supported versions (those of Ubun
 TRAIN ?= build/training
 SHARDS ?= 80
 MINUTES ?= 75
-WEIGHTS = $(notdir $(wildcard coded_aperture_ros/depth/refine/refinement.*))
+WEIGHTS = $(notdir $(wildcard coded_aperture_ros/depth/decoders/network/refinement.*))
 TRAINING = PYTHONPATH=benchmarks OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python training
 IN_TWO_PROCESSES = trap 'kill 0' INT; part() { $(TRAINING)/$(1) --shards $$1 $(SHARDS) 2; }; \
 	part 0 & first=$$!; part 1; second=$$?; wait $$first && exit $$second

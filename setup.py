@@ -29,8 +29,8 @@ setup(
     package_data={
         f"{NAME}.cli": ["demo_page.html"],
         f"{NAME}.deblur.blend": ["*.npz"],
-        f"{NAME}.depth.fit": ["*.npz"],
-        f"{NAME}.depth.refine": ["*.npz"],
+        f"{NAME}.depth.quality": ["*.npz"],
+        f"{NAME}.depth.decoders.network": ["*.npz"],
         f"{NAME}.design": ["page.html"],
     },
     data_files=[

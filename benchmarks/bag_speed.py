@@ -20,7 +20,6 @@ import numpy as np
 import yaml
 from coded_aperture_benchmarks.frames.video import CodedVideo, load_video
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera, save_bank
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.io.bags import bag_output
 from coded_aperture_ros.io.bags.codec import (
@@ -32,6 +31,7 @@ from coded_aperture_ros.io.bags.codec import (
     new_topic,
 )
 from coded_aperture_ros.io.messages import millimetres_from_depth, pixels_from_frame
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera, save_bank
 
 RATE_HZ = 30
 START_NS = 1_700_000_000 * 10**9

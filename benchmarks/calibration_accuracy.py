@@ -16,12 +16,12 @@ import numpy as np
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, scene_camera
 from coded_aperture_benchmarks.scripts import data_folder, data_parser, exit_status, print_rows
 
-from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank_for_camera
-from coded_aperture_ros.bank.remap import remap_bank
 from coded_aperture_ros.calibration.planes.calibrate import calibrate_planes
 from coded_aperture_ros.calibration.planes.folder import load_planes
 from coded_aperture_ros.calibration.psf.dots import psf_from_dots
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank_for_camera
+from coded_aperture_ros.likelihood.bank.remap import remap_bank
 from coded_aperture_ros.optics import Mask, render_psf
 
 NOISE = 0.002

@@ -17,10 +17,10 @@ from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, bank_for
 from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.scripts import exit_status
 
-from coded_aperture_ros.bank import LearnConfig
 from coded_aperture_ros.cli.options import at_least
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.io.messages import luminance
+from coded_aperture_ros.likelihood.bank import LearnConfig
 
 _LEVELS, _WINDOW_PX, _NOISE = 30, 48, 0.002
 _VIDEO_FRAMES = 5.0

@@ -13,9 +13,9 @@ import numpy as np
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, bank_for
 from coded_aperture_benchmarks.scripts import data_folder, data_parser, exit_status, print_rows
 
-from coded_aperture_ros.bank import learn_bank
 from coded_aperture_ros.deblur import Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.likelihood.bank import learn_bank
 from coded_aperture_ros.metrics import depth_error, psnr_db
 from coded_aperture_ros.optics import PsfStack
 

@@ -17,11 +17,11 @@ from coded_aperture_benchmarks.metrics.published import published
 from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.scripts import exit_status
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank
 from coded_aperture_ros.cli.options import at_least
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.imaging import SRGB, decode, encode
+from coded_aperture_ros.frames import SRGB, decode, encode
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
 _FIRST_SEED, _SHAPE = 1_004_000, (300, 400)

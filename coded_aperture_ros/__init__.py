@@ -6,9 +6,9 @@ The names below are all that most programs need; they are imported when first us
 # As in `typing`, whose import would take ten times as long as this package's.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from coded_aperture_ros.bank import FilterBank, learn_bank
     from coded_aperture_ros.deblur import Deblurrer
     from coded_aperture_ros.depth import DepthEstimator
+    from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank
     from coded_aperture_ros.optics import Camera
     from coded_aperture_ros.pipeline import FramePipeline
 
@@ -18,9 +18,9 @@ _ROOMS = {
     "Camera": "optics",
     "Deblurrer": "deblur",
     "DepthEstimator": "depth",
-    "FilterBank": "bank",
+    "FilterBank": "likelihood.bank",
     "FramePipeline": "pipeline",
-    "learn_bank": "bank",
+    "learn_bank": "likelihood.bank",
 }
 __all__ = ["Camera", "Deblurrer", "DepthEstimator", "FilterBank", "FramePipeline", "learn_bank"]
 

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from coded_aperture_ros.bank import FilterBank, check_frame_size, check_setting
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimate, DepthEstimator
 from coded_aperture_ros.design.setting import resolutions_m, setting_of
+from coded_aperture_ros.likelihood.bank import FilterBank, check_frame_size, check_setting
 from coded_aperture_ros.optics import Camera
 
 OK, WARNING, FAILED = "ok", "warning", "failed"

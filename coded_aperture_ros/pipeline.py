@@ -16,7 +16,7 @@ from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.core.stamp_order import StampOrder
 from coded_aperture_ros.deblur import DeblurConfig, deblurrer_of
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator, estimate_video
-from coded_aperture_ros.imaging import KnownNoise, channel_noise
+from coded_aperture_ros.frames import KnownNoise, channel_noise
 from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.optics.rotation import ExpectedMotion

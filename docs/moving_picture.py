@@ -10,12 +10,12 @@ import numpy as np
 from PIL import Image
 
 from coded_aperture_ros import FramePipeline
-from coded_aperture_ros.bank import learn_bank_for_camera
 from coded_aperture_ros.core.share import share_directory
 from coded_aperture_ros.depth import DepthConfig
-from coded_aperture_ros.imaging import SRGB, pixels_from_linear
+from coded_aperture_ros.frames import SRGB, pixels_from_linear
 from coded_aperture_ros.io.depth_picture import depth_picture
 from coded_aperture_ros.io.panels import panels
+from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.simulation import PanningScene, SensorModel, motorcycle_scene
 

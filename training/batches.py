@@ -11,7 +11,7 @@ import torch
 from costs import CELLS
 from scenes import BLUR_STEP, FIRST_RARE_SHARD, FRAMES_PER_SHARD
 
-from coded_aperture_ros.depth.refine.cells import CELL_PX
+from coded_aperture_ros.depth.decoders.network.cells import CELL_PX
 
 # Cells a side of what is learned from at a time: a part of each frame.
 _PART = 36

@@ -2,7 +2,7 @@
 
     python training/calibrate.py --scenes DIR --costs DIR --shards 0 4 80 84
 
-Prints the constant of `coded_aperture_ros/depth/refine/refine.py`, and how well its confidence,
+Prints the constant of `depth/decoders/network/refine.py`, and how well its confidence,
 which `calibrate_frames.py` fits, holds on these small frames with the flaws of cameras.
 """
 
@@ -14,10 +14,10 @@ from batches import Frame, load, true_blur_px
 from shards import shards_of
 
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX
-from coded_aperture_ros.depth.refine.network import Network
-from coded_aperture_ros.depth.refine.probabilities import HalfCells
-from coded_aperture_ros.depth.refine.refine import _calibrated, _log_odds
+from coded_aperture_ros.depth.decoders.network.features import BLUR_SIZES_PX
+from coded_aperture_ros.depth.decoders.network.network import Network
+from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells
+from coded_aperture_ros.depth.decoders.network.refine import _calibrated, _log_odds
 
 _PUBLISHED = 0.55
 _LEAST_PX = 1e-3

@@ -5,7 +5,7 @@
     python training/calibrate_frames.py --fit build/training/sure_*.npz
 
 Looks at frames as a robot's are: the bank is learned from the camera, and in a third of the frames
-its blur is wrong by 0.6 %. Prints the constants of `coded_aperture_ros/depth/refine/refine.py`,
+its blur is wrong by 0.6 %. Prints the constants of `depth/decoders/network/refine.py`,
 and, for each kind of scene, how well a fit on the other kinds does.
 """
 
@@ -20,13 +20,13 @@ from coded_aperture_benchmarks.layered import random_scene
 from scipy.optimize import minimize
 from tqdm import tqdm
 
-from coded_aperture_ros.bank import learn_bank_for_camera
 from coded_aperture_ros.cli.options import mask_of
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth.decoders.network import refine
+from coded_aperture_ros.depth.decoders.network.cells import CELL_PX, Cells
 from coded_aperture_ros.depth.observation import Observation
-from coded_aperture_ros.depth.refine import refine
-from coded_aperture_ros.depth.refine.cells import CELL_PX, Cells
+from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.simulation import SensorModel
 

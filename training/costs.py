@@ -16,19 +16,19 @@ import numpy as np
 from scenes import BLUR_STEP, FRAMES_PER_SHARD, LIGHT_STEP, drawn, mask_of
 from shards import add_shard_options, compute
 
-from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank
-from coded_aperture_ros.bank.file import load_bank, save_bank
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.depth.refine.cells import CELL_PX, Cells
-from coded_aperture_ros.depth.refine.features import (
+from coded_aperture_ros.depth.decoders.network.cells import CELL_PX, Cells
+from coded_aperture_ros.depth.decoders.network.features import (
     Look,
     Surroundings,
     cost_features,
     frame_features,
     tried_sizes,
 )
-from coded_aperture_ros.depth.refine.small import small_bank, small_cost
+from coded_aperture_ros.depth.decoders.network.small import small_bank, small_cost
 from coded_aperture_ros.depth.temporal import bounded
+from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank
+from coded_aperture_ros.likelihood.bank.file import load_bank, save_bank
 from coded_aperture_ros.optics import render_psf_stack
 
 # Frames of one size have no more cells a side than this, whatever the window.

@@ -18,8 +18,8 @@ from network import BINS, Refinement
 from shipped import shipped
 
 from coded_aperture_ros.core.archive import write_archive
-from coded_aperture_ros.depth.refine.features import COST_CHANNELS, FRAME_CELL_PX, SCALARS
-from coded_aperture_ros.depth.refine.network import SCHEMA, SCHEMA_VERSION
+from coded_aperture_ros.depth.decoders.network.features import COST_CHANNELS, FRAME_CELL_PX, SCALARS
+from coded_aperture_ros.depth.decoders.network.network import SCHEMA, SCHEMA_VERSION
 
 # Of a single-precision number; what is left out is below what half precision keeps.
 _DROPPED_BITS = 12

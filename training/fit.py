@@ -3,7 +3,7 @@
 python training/fit.py --scenes DIR --costs DIR --output DIR --minutes 60 --large
 python training/fit.py --scenes DIR --costs DIR --output DIR2 --minutes 60 --teacher DIR/state.pt
 python training/fit.py --scenes DIR --costs DIR --output DIR --minutes 60 --rate 5e-4 \
-    --shipped coded_aperture_ros/depth/refine/refinement.npz
+    --shipped coded_aperture_ros/depth/decoders/network/refinement.npz
 """
 
 import argparse
@@ -25,8 +25,12 @@ from shipped import normalised, shipped
 from teacher import teacher as large_network
 from torch.nn import functional
 
-from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, BLUR_STEP_PX, LARGEST_PX
-from coded_aperture_ros.depth.refine.probabilities import REACH
+from coded_aperture_ros.depth.decoders.network.features import (
+    BLUR_SIZES_PX,
+    BLUR_STEP_PX,
+    LARGEST_PX,
+)
+from coded_aperture_ros.depth.decoders.network.probabilities import REACH
 
 _BATCH = 8
 _AVERAGE = 0.998

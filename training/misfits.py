@@ -29,12 +29,12 @@ from scenes import (
 )
 from shards import add_shard_options, compute
 
-from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank
-from coded_aperture_ros.bank.file import load_bank, save_bank
 from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimator
-from coded_aperture_ros.depth.fit import FitCheck
-from coded_aperture_ros.depth.refine import small_bank
-from coded_aperture_ros.depth.refine.small import SMALL_PX
+from coded_aperture_ros.depth.decoders.network import small_bank
+from coded_aperture_ros.depth.decoders.network.small import SMALL_PX
+from coded_aperture_ros.depth.quality import FitCheck
+from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank
+from coded_aperture_ros.likelihood.bank.file import load_bank, save_bank
 from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
 
 # Levels of all banks; each frame is shown to some of them.

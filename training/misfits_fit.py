@@ -1,6 +1,6 @@
 """Fit the network of the check of fit, and write it in the form that the package reads.
 
-python training/misfits_fit.py --misfits DIR -o coded_aperture_ros/depth/fit/fit.npz
+python training/misfits_fit.py --misfits DIR -o coded_aperture_ros/depth/quality/fit.npz
 """
 
 import argparse
@@ -12,7 +12,13 @@ import torch
 
 from coded_aperture_ros.core.archive import write_archive
 from coded_aperture_ros.depth import CAUSES
-from coded_aperture_ros.depth.fit.health import FITS, LIMIT, SCALED_LIMIT, SCHEMA, SCHEMA_VERSION
+from coded_aperture_ros.depth.quality.health import (
+    FITS,
+    LIMIT,
+    SCALED_LIMIT,
+    SCHEMA,
+    SCHEMA_VERSION,
+)
 
 # One shard in so many is only looked at.
 _HELD_BACK, _OF = 7, 8

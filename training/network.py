@@ -7,7 +7,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from coded_aperture_ros.depth.refine.features import (
+from coded_aperture_ros.depth.decoders.network.features import (
     BLUR_SIZES_PX,
     COST_CHANNELS,
     FRAME_CELL_PX,

@@ -27,7 +27,7 @@ from coded_aperture_ros.deblur.blend.features import (
 from coded_aperture_ros.deblur.blend.hypotheses import Hypotheses, sizes_of
 from coded_aperture_ros.deblur.blur_map import filled_blur_map
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.imaging import KnownNoise, channel_noise
+from coded_aperture_ros.frames import KnownNoise, channel_noise
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
 FRAMES_PER_SHARD = 25

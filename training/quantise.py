@@ -1,7 +1,7 @@
 """Add the form in whole numbers to the refinement, by frames that it has learned from.
 
 python training/quantise.py --scenes DIR --costs DIR --shards 4 6 84 86 \
-    --network coded_aperture_ros/depth/refine/refinement.npz
+    --network coded_aperture_ros/depth/decoders/network/refinement.npz
 """
 
 import argparse
@@ -13,7 +13,7 @@ from shards import shards_of
 from whole_numbers import Inputs, add_whole_numbers, kept
 
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.depth.refine.network import SCHEMA, SCHEMA_VERSION, Network
+from coded_aperture_ros.depth.decoders.network.network import SCHEMA, SCHEMA_VERSION, Network
 
 _EVERY = 3  # one frame in so many tells the ranges as well
 

@@ -25,8 +25,8 @@ from torch import nn
 from torch.nn import functional
 
 from coded_aperture_ros.core.archive import write_archive
-from coded_aperture_ros.depth.refine.features import BLUR_STEP_PX
-from coded_aperture_ros.depth.refine.second import CHANNELS, SCHEMA, SCHEMA_VERSION
+from coded_aperture_ros.depth.decoders.network.features import BLUR_STEP_PX
+from coded_aperture_ros.depth.decoders.network.second import CHANNELS, SCHEMA, SCHEMA_VERSION
 
 _BATCH, _PART, _REPORT_S = 16, 36, 60
 _FURTHER_RATE = 6e-4

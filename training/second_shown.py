@@ -15,10 +15,10 @@ from scenes import BLUR_STEP, FRAMES_PER_SHARD, drawn
 from shards import add_shard_options, compute
 
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.depth.refine.cells import CELL_PX
-from coded_aperture_ros.depth.refine.features import COST_CHANNELS
-from coded_aperture_ros.depth.refine.network import Network
-from coded_aperture_ros.depth.refine.second import in_cells
+from coded_aperture_ros.depth.decoders.network.cells import CELL_PX
+from coded_aperture_ros.depth.decoders.network.features import COST_CHANNELS
+from coded_aperture_ros.depth.decoders.network.network import Network
+from coded_aperture_ros.depth.decoders.network.second import in_cells
 
 
 def whole(values: np.ndarray, corner: tuple[int, int], fill: float) -> np.ndarray:

@@ -12,7 +12,7 @@ from onnx import numpy_helper
 from torch import nn
 
 from coded_aperture_ros.core.archive import read_archive
-from coded_aperture_ros.depth.refine.network import SCHEMA, SCHEMA_VERSION
+from coded_aperture_ros.depth.decoders.network.network import SCHEMA, SCHEMA_VERSION
 
 _PARTS = ("levels_onnx", "cells_onnx")
 _FIRST = "every_level.layers.first"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coded_aperture_benchmarks.frames.tag_cards import QR, TAG, Card
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import Gamma, pixels_from_linear
+from coded_aperture_ros.frames import Gamma, pixels_from_linear
 from coded_aperture_ros.optics import Camera
 
 # A code whose middle is farther off is another one.

@@ -26,7 +26,7 @@ from coded_aperture_benchmarks.run import Row
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import options_of
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, Uncertainty
-from coded_aperture_ros.imaging.noise import NOISE_FLOOR
+from coded_aperture_ros.frames.noise import NOISE_FLOOR
 from coded_aperture_ros.optics import PsfStack
 
 # What no method has touched, to compare with.

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
-from coded_aperture_ros.methods.motion.kernels import Motions, motion_kernel
+from coded_aperture_ros.likelihood.motion.kernels import Motions, motion_kernel
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
 # Side of the smallest hole that still shows a point as one, mm, for a lens of 50 mm (thesis 7.4.1).

@@ -15,14 +15,14 @@ from coded_aperture_benchmarks.reference import REFERENCE_METHODS, HypothesisPla
 from coded_aperture_benchmarks.reference.conditional import conditional_levels
 from coded_aperture_benchmarks.reference.subspace import SubspaceBank, learn_subspace_bank
 from coded_aperture_benchmarks.textures import training_textures
-from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank
 from coded_aperture_ros.cli.options import mask_of
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import options_of
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.imaging.noise import NOISE_FLOOR
+from coded_aperture_ros.frames.noise import NOISE_FLOOR
 from coded_aperture_ros.likelihood import LikelihoodModel
-from coded_aperture_ros.methods.two_pixel import (
+from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank
+from coded_aperture_ros.likelihood.two_pixel import (
     NeighbourModel,
     SimpleConfig,
     find_holes,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.imaging import SRGB, pixels_from_linear
+from coded_aperture_ros.frames import SRGB, pixels_from_linear
 from coded_aperture_ros.io import depth_picture
 
 WHITE = 255

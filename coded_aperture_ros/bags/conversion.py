@@ -19,12 +19,11 @@ from coded_aperture_ros.bags.page import PAGE, write_report
 from coded_aperture_ros.bags.record import Record
 from coded_aperture_ros.bags.score import References
 from coded_aperture_ros.bags.workers import Wait, frame_workers, in_order
-from coded_aperture_ros.bank import check_frame_size
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.figures import new_figure
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import map_size
-from coded_aperture_ros.imaging import Gamma
+from coded_aperture_ros.frames import Gamma
 from coded_aperture_ros.io.bags.codec import read_picture
 from coded_aperture_ros.io.bags.reading import Bag
 from coded_aperture_ros.io.bags.recorded import Topic
@@ -38,7 +37,8 @@ from coded_aperture_ros.io.bags.topics import (
 )
 from coded_aperture_ros.io.bags.writing import bag_output
 from coded_aperture_ros.io.messages import MessageError, view_of
-from coded_aperture_ros.methods.choose import bank_of
+from coded_aperture_ros.likelihood.bank import check_frame_size
+from coded_aperture_ros.likelihood.choose import bank_of
 from coded_aperture_ros.optics import Camera, View
 from coded_aperture_ros.optics.rotation import ExpectedMotion
 from coded_aperture_ros.pipeline import FramePipeline

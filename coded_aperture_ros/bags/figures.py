@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.bags.record import Sample
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.figures import new_figure, save_figure
-from coded_aperture_ros.imaging import SRGB, pixels_from_linear
+from coded_aperture_ros.frames import SRGB, pixels_from_linear
 from coded_aperture_ros.io import confidence_picture, depth_picture, grey_picture
 from coded_aperture_ros.metrics.figures import reliability_diagram
 from coded_aperture_ros.metrics.reliability import Reliability

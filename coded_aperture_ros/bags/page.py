@@ -15,7 +15,7 @@ from coded_aperture_ros.bags.figures import (
     series_plot,
 )
 from coded_aperture_ros.bags.record import Record
-from coded_aperture_ros.depth.fit import CAUSES
+from coded_aperture_ros.depth.quality import CAUSES
 from coded_aperture_ros.metrics.reliability import Reliability
 
 PAGE, JSON = "report.html", "report.json"

@@ -6,12 +6,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from coded_aperture_ros.bank.fourier import WindowedFourierBasis
-from coded_aperture_ros.bank.prior import NaturalImagePrior
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.core.workers import thread_count
+from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
+from coded_aperture_ros.likelihood.bank.prior import NaturalImagePrior
 
 FOURIER, _PRIOR = WindowedFourierBasis(48, 0.46), NaturalImagePrior()
 _COUNTED = FOURIER.multiplicity > 0

@@ -57,10 +57,10 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the action; return its exit status."""
-    from coded_aperture_ros.bank import LearnConfig
     from coded_aperture_ros.calibration.blind.config import BlindConfig
     from coded_aperture_ros.calibration.blind.find import find_mask
     from coded_aperture_ros.io import read_image
+    from coded_aperture_ros.likelihood.bank import LearnConfig
 
     if args.bank is None and args.output is None:
         args.usage_error("say where the results go with --output DIR or -o bank.npz, or both")
@@ -113,10 +113,10 @@ def _write_files(args: argparse.Namespace, found: Any, filters: Any, summary: An
     """Write the bank and all files of the output folder, or none."""
     import numpy as np
 
-    from coded_aperture_ros.bank import learn_bank, save_bank
     from coded_aperture_ros.calibration.pictures import blind_picture, enlarged
     from coded_aperture_ros.core.files import atomic_outputs
     from coded_aperture_ros.io import write_image
+    from coded_aperture_ros.likelihood.bank import learn_bank, save_bank
     from coded_aperture_ros.optics import render_psf_stack
 
     with atomic_outputs() as output:

@@ -118,7 +118,7 @@ def _picture(camera: Any, blur_size_px: Any) -> Any:
     import cv2
     import numpy as np
 
-    from coded_aperture_ros.bank.field import COLUMNS, FieldPsfs
+    from coded_aperture_ros.likelihood.bank.field import COLUMNS, FieldPsfs
 
     psfs = FieldPsfs.of(camera, blur_size_px).psfs[:, 0]  # type: ignore[union-attr]
     tiles = np.pad(psfs / psfs.max(), ((0, 0), (1, 1), (1, 1)))

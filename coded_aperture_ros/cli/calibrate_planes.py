@@ -162,9 +162,9 @@ def _say(text: str) -> None:
 
 
 def _calibrate(args: argparse.Namespace) -> int:
-    from coded_aperture_ros.bank import LearnConfig
     from coded_aperture_ros.calibration.planes.calibrate import calibrate_planes
     from coded_aperture_ros.calibration.planes.folder import load_planes
+    from coded_aperture_ros.likelihood.bank import LearnConfig
     from coded_aperture_ros.optics import load_camera
 
     config = checked_config(args, LearnConfig)
@@ -203,9 +203,9 @@ def _calibrate_field(
 
     Else the error that planes are refused with is raised.
     """
-    from coded_aperture_ros.bank import learn_bank_for_camera, save_bank
     from coded_aperture_ros.calibration.planes.field import fit_field
     from coded_aperture_ros.core.files import atomic_outputs
+    from coded_aperture_ros.likelihood.bank import learn_bank_for_camera, save_bank
 
     try:
         found = fit_field(camera, planes, progress)
@@ -276,8 +276,8 @@ def _summary(args: argparse.Namespace, found: Any, camera: Any, seconds: float) 
 
 def _write_files(args: argparse.Namespace, found: Any, camera: Any, summary: Any) -> None:
     """Write the bank and all files of the output folder, or none."""
-    from coded_aperture_ros.bank import save_bank
     from coded_aperture_ros.core.files import atomic_outputs
+    from coded_aperture_ros.likelihood.bank import save_bank
 
     with atomic_outputs() as output:
         if args.output is not None:

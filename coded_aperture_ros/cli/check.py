@@ -53,8 +53,8 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
-    from coded_aperture_ros.bank import load_bank
     from coded_aperture_ros.checkup import FAILED, Finding, FrameCheckup, camera_findings
+    from coded_aperture_ros.likelihood.bank import load_bank
     from coded_aperture_ros.optics import load_camera
 
     camera = load_camera(args.camera)
@@ -97,9 +97,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _learned(camera: Any, range_m: Any) -> Any:
-    from coded_aperture_ros.bank import learn_bank_for_camera
-    from coded_aperture_ros.bank.learning import DEFAULT_LEVEL_COUNT
     from coded_aperture_ros.cli.progress import progress
+    from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
+    from coded_aperture_ros.likelihood.bank.learning import DEFAULT_LEVEL_COUNT
 
     (near_m, far_m), count = range_m, DEFAULT_LEVEL_COUNT
     return learn_bank_for_camera(
@@ -109,7 +109,7 @@ def _learned(camera: Any, range_m: Any) -> Any:
 
 def _frames(args: argparse.Namespace, report: Callable[[str, InputError], None]) -> Any:
     """Yield input, name, light and hidden noise of every frame; report what cannot be read."""
-    from coded_aperture_ros.imaging import hidden_noise
+    from coded_aperture_ros.frames import hidden_noise
     from coded_aperture_ros.io.messages import frame_from_pixels
     from coded_aperture_ros.io.sources import captures, open_files
 

@@ -72,8 +72,8 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
-    from coded_aperture_ros.bank import load_bank
     from coded_aperture_ros.io import PICTURE_SUFFIXES, write_image
+    from coded_aperture_ros.likelihood.bank import load_bank
     from coded_aperture_ros.optics import load_camera
 
     bank = load_bank(args.bank)
@@ -125,10 +125,10 @@ def _restorer(
     args: argparse.Namespace, bank: Any, camera: Any
 ) -> tuple[Callable[[NamedFrame], tuple[Any, Any]], Callable[[], None], Callable[..., Any]]:
     """Return what makes pictures and maps of blur sizes, what begins a video, what tells errors."""
-    from coded_aperture_ros.bank import check_setting
     from coded_aperture_ros.deblur import DeblurConfig, covers_frame, deblurrer_of
     from coded_aperture_ros.depth import DepthConfig, blur_sizes_px
-    from coded_aperture_ros.imaging import KnownNoise
+    from coded_aperture_ros.frames import KnownNoise
+    from coded_aperture_ros.likelihood.bank import check_setting
     from coded_aperture_ros.pipeline import FramePipeline
 
     motion_px = _motion(args)

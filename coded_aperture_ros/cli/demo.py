@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     if not shared_memory:
         say.line(f"/dev/shm has less than {SHARED_MEMORY_MB} MB: sending images by UDP (slower)")
     # Only now: rclpy reads the environment when it is imported and started.
-    from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT
+    from coded_aperture_ros.likelihood.bank import DEFAULT_LEVEL_COUNT
     from coded_aperture_ros.ros.demo_monitor import running_monitor
 
     with (
@@ -112,7 +112,11 @@ def run(options: argparse.Namespace) -> int:
 
 def learned_model(camera_file: Path, bank_file: Path, say: Speaker) -> dict[str, Any]:
     """Learn the bank, and return the parameters of the nodes that use it."""
-    from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT, learn_bank_for_camera, save_bank
+    from coded_aperture_ros.likelihood.bank import (
+        DEFAULT_LEVEL_COUNT,
+        learn_bank_for_camera,
+        save_bank,
+    )
     from coded_aperture_ros.optics import load_camera
 
     started_s = time.monotonic()

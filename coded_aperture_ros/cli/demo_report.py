@@ -56,7 +56,7 @@ def summarise(monitor: "DemoMonitor", seconds: float) -> dict[str, Any]:
 def write_results(output: Path, snapshot: "dict[str, NDArray]", summary: dict[str, Any]) -> None:
     """Write the pictures, the summary, and a page that has both and needs no other file."""
     from coded_aperture_ros.core.files import atomic_output
-    from coded_aperture_ros.imaging import SRGB
+    from coded_aperture_ros.frames import SRGB
     from coded_aperture_ros.io import depth_picture, write_image
     from coded_aperture_ros.ros.demo_monitor import CODED, DEBLURRED, DEPTH
 
@@ -78,7 +78,7 @@ def _comparison(snapshot: "dict[str, NDArray]") -> "NDArray":
     import numpy as np
 
     from coded_aperture_ros.bags.score import at_size
-    from coded_aperture_ros.imaging import SRGB, pixels_from_linear
+    from coded_aperture_ros.frames import SRGB, pixels_from_linear
     from coded_aperture_ros.io import depth_picture, error_picture
     from coded_aperture_ros.io.panels import panels
     from coded_aperture_ros.ros import demo_monitor as topics

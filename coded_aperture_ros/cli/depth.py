@@ -124,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
     from coded_aperture_ros.depth.points import points_of_frame
     from coded_aperture_ros.io.movie_file import movie
     from coded_aperture_ros.io.points_file import write_points
-    from coded_aperture_ros.methods.choose import bank_of
+    from coded_aperture_ros.likelihood.choose import bank_of
     from coded_aperture_ros.optics import load_camera
 
     _check_usage(args)
@@ -332,7 +332,7 @@ def _beside(image: Any, values: Any, scale: tuple[float, float, str]) -> Any:
     import cv2
     import numpy as np
 
-    from coded_aperture_ros.imaging import SRGB, encode
+    from coded_aperture_ros.frames import SRGB, encode
     from coded_aperture_ros.io import depth_picture
 
     depth = depth_picture(values, *scale)

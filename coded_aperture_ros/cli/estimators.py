@@ -48,10 +48,10 @@ def add_estimator_options(parser: argparse.ArgumentParser, motion: str) -> None:
 
 def add_estimator_settings(parser: argparse.ArgumentParser, **defaults: Any) -> None:
     """Add the settings of the estimate, with defaults of their own, and of the methods."""
-    from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT
     from coded_aperture_ros.depth import DepthConfig
-    from coded_aperture_ros.methods.motion import MotionConfig
-    from coded_aperture_ros.methods.two_pixel import SimpleConfig
+    from coded_aperture_ros.likelihood.bank import DEFAULT_LEVEL_COUNT
+    from coded_aperture_ros.likelihood.motion import MotionConfig
+    from coded_aperture_ros.likelihood.two_pixel import SimpleConfig
 
     add_config_options(parser, DepthConfig, "estimation", **defaults)
     simple = add_config_options(parser, SimpleConfig, "with --method simple")
@@ -98,12 +98,12 @@ def pipeline_of(args: argparse.Namespace, camera: Any, deblur: Any = None) -> An
 
     `camera` is that of `--camera`, if any; `deblur` a `DeblurConfig`, None to deblur nothing.
     """
-    from coded_aperture_ros.bank import check_setting, load_bank
     from coded_aperture_ros.depth import DepthConfig, refinement_note, side_warning
-    from coded_aperture_ros.depth.regularize import LEARNED
-    from coded_aperture_ros.methods.choose import new_model
-    from coded_aperture_ros.methods.motion import MotionConfig
-    from coded_aperture_ros.methods.two_pixel import SimpleConfig
+    from coded_aperture_ros.depth.decoders.regularize import LEARNED
+    from coded_aperture_ros.likelihood.bank import check_setting, load_bank
+    from coded_aperture_ros.likelihood.choose import new_model
+    from coded_aperture_ros.likelihood.motion import MotionConfig
+    from coded_aperture_ros.likelihood.two_pixel import SimpleConfig
     from coded_aperture_ros.pipeline import FramePipeline
 
     bank = load_bank(args.bank) if args.bank else None

@@ -48,8 +48,8 @@ def add_input_options(parser: argparse.ArgumentParser, output_help: str) -> None
 
 def suitable(frame: NamedFrame, bank: Any, scale: float = 1.0) -> NamedFrame:
     """Resample a frame by a scale; an `InputError` if its size is not the bank's."""
-    from coded_aperture_ros.bank import check_frame_size
-    from coded_aperture_ros.imaging import resampled
+    from coded_aperture_ros.frames import resampled
+    from coded_aperture_ros.likelihood.bank import check_frame_size
 
     size = frame.image.shape[:2]
     if scale != 1:
@@ -176,7 +176,7 @@ def single_frame(path: str, args: argparse.Namespace) -> tuple[Any, float]:
 
 def light_of(capture: Any, args: argparse.Namespace) -> tuple[Any, Any, float]:
     """Return the light of a capture, in colour too, and what noise compression has hidden."""
-    from coded_aperture_ros.imaging import hidden_noise
+    from coded_aperture_ros.frames import hidden_noise
     from coded_aperture_ros.io.messages import frame_from_pixels
 
     mosaic = capture.mosaic or args.bayer

@@ -95,7 +95,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _add_late_options(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT, LearnConfig
+    from coded_aperture_ros.likelihood.bank import DEFAULT_LEVEL_COUNT, LearnConfig
 
     what = f"number of levels, with --camera or --planes (default {DEFAULT_LEVEL_COUNT})"
     add_level_count_option(parser, None, what)
@@ -106,9 +106,9 @@ def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     import numpy as np
 
-    from coded_aperture_ros.bank import save_bank
     from coded_aperture_ros.depth import side_warning
     from coded_aperture_ros.design.diffraction import diffraction_warning
+    from coded_aperture_ros.likelihood.bank import save_bank
     from coded_aperture_ros.optics import load_camera
 
     _check_usage(args)
@@ -200,15 +200,15 @@ def _check_usage(args: argparse.Namespace) -> None:
 
 
 def _learned(args: argparse.Namespace, camera: Any) -> Any:
-    from coded_aperture_ros.bank import (
+    from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_planes
+    from coded_aperture_ros.calibration.planes.folder import load_folder
+    from coded_aperture_ros.likelihood.bank import (
         DEFAULT_LEVEL_COUNT,
         LearnConfig,
         learn_bank,
         learn_bank_for_camera,
         textures_of,
     )
-    from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_planes
-    from coded_aperture_ros.calibration.planes.folder import load_folder
 
     config, count = checked_config(args, LearnConfig), args.level_count or DEFAULT_LEVEL_COUNT
     if args.planes is not None:
@@ -228,8 +228,8 @@ def _learned(args: argparse.Namespace, camera: Any) -> Any:
 
 
 def _remapped(args: argparse.Namespace, camera: Any) -> Any:
-    from coded_aperture_ros.bank import load_bank
-    from coded_aperture_ros.bank.remap import remap_bank
+    from coded_aperture_ros.likelihood.bank import load_bank
+    from coded_aperture_ros.likelihood.bank.remap import remap_bank
 
     bank = load_bank(args.remap)
     near_m, far_m = args.depth_range or (None, None)
@@ -239,9 +239,13 @@ def _remapped(args: argparse.Namespace, camera: Any) -> Any:
 
 def _tuned(args: argparse.Namespace, camera: Any) -> Any:
     """Learn the best bank for a time per frame; return it and what was tried."""
-    from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT, LearnConfig, learn_bank_for_camera
     from coded_aperture_ros.depth.config import VIDEO_FRAMES, DepthConfig
     from coded_aperture_ros.depth.tune import tune
+    from coded_aperture_ros.likelihood.bank import (
+        DEFAULT_LEVEL_COUNT,
+        LearnConfig,
+        learn_bank_for_camera,
+    )
 
     prior, count = _prior(args), args.level_count or DEFAULT_LEVEL_COUNT
     if camera.side == "both":
@@ -275,9 +279,9 @@ def _resolution(camera: Any, bank: Any) -> dict[str, float | None]:
 
 
 def _prior(args: argparse.Namespace) -> Any:
-    from coded_aperture_ros.bank import EmpiricalPrior, NaturalImagePrior
-    from coded_aperture_ros.imaging import linear_from_pixels
+    from coded_aperture_ros.frames import linear_from_pixels
     from coded_aperture_ros.io.sources import captures, open_files
+    from coded_aperture_ros.likelihood.bank import EmpiricalPrior, NaturalImagePrior
 
     if args.images is None:
         return NaturalImagePrior()

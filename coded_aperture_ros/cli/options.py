@@ -209,7 +209,7 @@ def add_mosaic_option(parser: argparse.ArgumentParser) -> None:
 
 
 def _gamma(text: str) -> Any:
-    from coded_aperture_ros.imaging import gamma_from_text
+    from coded_aperture_ros.frames import gamma_from_text
 
     try:
         return gamma_from_text(text)

@@ -60,9 +60,9 @@ def _made(folder: Path) -> Iterator[list[str]]:
     """Write everything; yield the names of each part."""
     import numpy as np
 
-    from coded_aperture_ros.bank import power_spectrum
     from coded_aperture_ros.core.share import share_directory
     from coded_aperture_ros.io import write_depth, write_image
+    from coded_aperture_ros.likelihood.bank import power_spectrum
     from coded_aperture_ros.optics import load_camera
     from coded_aperture_ros.simulation import (
         PanningScene,

@@ -82,7 +82,7 @@ class StereoOutput:
     def write(self, output: Path, sharp: Any, blur_size_px: Any) -> dict[str, str]:
         """Write the 3D pictures of one frame; return the name of each, by option."""
         from coded_aperture_ros import deblur
-        from coded_aperture_ros.imaging import SRGB
+        from coded_aperture_ros.frames import SRGB
         from coded_aperture_ros.io import write_image
 
         farness = self._direction * blur_size_px
@@ -128,7 +128,7 @@ class StereoOutput:
 def _write_turn(path: Path, sharp: Any, blur_size_px: Any, encoding: Any) -> None:
     """Write what is seen on the way around the aperture; what has the median depth stays still."""
     from coded_aperture_ros.deblur import Parallax, view_through
-    from coded_aperture_ros.imaging import pixels_from_linear
+    from coded_aperture_ros.frames import pixels_from_linear
     from coded_aperture_ros.io.movie_file import movie
 
     relief_px = blur_size_px - Parallax.of_scene(blur_size_px, 1).screen_px

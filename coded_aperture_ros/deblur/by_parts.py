@@ -5,8 +5,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from coded_aperture_ros.bank import FilterBank
-from coded_aperture_ros.bank.field import COLUMNS, ROWS, FieldPsfs
 from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.deblur.blur_map import filled_blur_map, known_pixels
@@ -15,7 +13,9 @@ from coded_aperture_ros.deblur.deblurrer import Deblurrer
 from coded_aperture_ros.deblur.levels import RenderedLevels
 from coded_aperture_ros.deblur.problem import measured_pixels, motion_of_frame
 from coded_aperture_ros.deblur.uncertainty import Uncertainty
-from coded_aperture_ros.imaging import check_frame
+from coded_aperture_ros.frames import check_frame
+from coded_aperture_ros.likelihood.bank import FilterBank
+from coded_aperture_ros.likelihood.bank.field import COLUMNS, ROWS, FieldPsfs
 from coded_aperture_ros.likelihood.protocol import BlurLevels
 from coded_aperture_ros.optics import PsfStack
 from coded_aperture_ros.optics.wavefront import parts_of_field

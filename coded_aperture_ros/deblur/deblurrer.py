@@ -30,7 +30,7 @@ from coded_aperture_ros.deblur.problem import (
 )
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.deblur.uncertainty import Uncertainty, kinds_of, uncertainty_of
-from coded_aperture_ros.imaging import KnownNoise, channel_noise, check_frame
+from coded_aperture_ros.frames import KnownNoise, channel_noise, check_frame
 from coded_aperture_ros.optics import PsfStack
 
 # How far edges of the depth of what moves may be off, px.

@@ -6,9 +6,9 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import image_prior
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, Shape
-from coded_aperture_ros.imaging import transfer_function
+from coded_aperture_ros.frames import transfer_function
+from coded_aperture_ros.likelihood.bank import image_prior
 from coded_aperture_ros.optics import PsfStack
 
 # Model errors whose inverse filters span those of all in between.

@@ -12,7 +12,7 @@ from coded_aperture_ros.core.arrays import FloatArray, IndexArray, Shape
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blur_map import local_variance
 from coded_aperture_ros.deblur.inverse_basis import MODEL_ERRORS, InverseBasis
-from coded_aperture_ros.imaging import periodic, periodic_shape
+from coded_aperture_ros.frames import periodic, periodic_shape
 from coded_aperture_ros.optics import PsfStack
 
 # How finely maps are looked up between levels.

@@ -2,10 +2,10 @@
 
 import dataclasses
 
-from coded_aperture_ros.bank import DEFAULT_LEVEL_COUNT, FilterBank, psf_stack_for_camera
-from coded_aperture_ros.bank.field import FieldPsfs
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood import BlurLevels
+from coded_aperture_ros.likelihood.bank import DEFAULT_LEVEL_COUNT, FilterBank, psf_stack_for_camera
+from coded_aperture_ros.likelihood.bank.field import FieldPsfs
 from coded_aperture_ros.optics import Camera, PsfStack
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray, Shape
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
-from coded_aperture_ros.imaging import periodic_shape, transfer_function
-from coded_aperture_ros.methods.motion import motion_kernel
+from coded_aperture_ros.frames import periodic_shape, transfer_function
+from coded_aperture_ros.likelihood.motion import motion_kernel
 
 # Motions that a frame is divided among, at most; rarer ones are taken for the nearest of these.
 _MOST_MOTIONS = 8

@@ -9,7 +9,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
-from coded_aperture_ros.imaging import StaticAverage, filled
+from coded_aperture_ros.frames import StaticAverage, filled
 
 # One bad pixel below this would spoil the whole frame through its Fourier transform.
 _DARKEST = -1.0

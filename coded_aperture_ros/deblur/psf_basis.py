@@ -7,9 +7,9 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import power_spectrum
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray, Shape
-from coded_aperture_ros.imaging import transfer_function
+from coded_aperture_ros.frames import transfer_function
+from coded_aperture_ros.likelihood.bank import power_spectrum
 from coded_aperture_ros.optics import PsfStack
 
 # What the missing kernels may leave out of a blurred photograph, as a share of its contrast.

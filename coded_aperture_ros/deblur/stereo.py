@@ -8,7 +8,7 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur.blur_map import filled_blur_map
 from coded_aperture_ros.deblur.views import view_through
-from coded_aperture_ros.imaging import check_frame
+from coded_aperture_ros.frames import check_frame
 
 # The few pixels beyond these percentiles of blur size, most of them wrong, do not set the scale.
 _EXTREMES = (1, 99)

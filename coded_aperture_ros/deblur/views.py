@@ -6,7 +6,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur.blur_map import filled_blur_map
-from coded_aperture_ros.imaging import check_frame
+from coded_aperture_ros.frames import check_frame
 from coded_aperture_ros.optics import Mask
 
 # Groups of cells of a fine mask that let less light pass than this share of the clearest are shut.

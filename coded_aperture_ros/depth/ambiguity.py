@@ -7,10 +7,10 @@ patches of a wall then agree on a wrong level, and neither they nor their neighb
 import cv2
 import numpy as np
 
-from coded_aperture_ros.bank.periodic import periodic_levels
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
-from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import Cost
+from coded_aperture_ros.likelihood.bank.periodic import periodic_levels
 
 # What is left of the confidence: such depth is hardly ever right.
 BY_CHANCE = np.float32(0.2)

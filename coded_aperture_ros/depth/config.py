@@ -6,7 +6,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.networks import RUNTIMES, check_runtime
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.core.workers import thread_count
-from coded_aperture_ros.depth.regularize import LEARNED, REGULARIZERS
+from coded_aperture_ros.depth.decoders.regularize import LEARNED, REGULARIZERS
 from coded_aperture_ros.likelihood import BACKENDS, check_backend
 
 # `temporal_frames` of nodes and bags, whose frames are those of a video.

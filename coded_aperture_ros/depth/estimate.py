@@ -8,8 +8,8 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth.fit import Health
-from coded_aperture_ros.depth.posterior import is_unsure
+from coded_aperture_ros.depth.decoders.posterior import is_unsure
+from coded_aperture_ros.depth.quality import Health
 from coded_aperture_ros.likelihood import MotionField
 
 MAP_SIZES = ("auto", "full", "half", "quarter")

@@ -7,26 +7,32 @@ from typing import Any
 
 import numpy as np
 
-from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, Shape
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.core.workers import Workers, thread_count
 from coded_aperture_ros.depth.ambiguity import BY_CHANCE, may_be_periodic
 from coded_aperture_ros.depth.config import DepthConfig
-from coded_aperture_ros.depth.decision import Regularized
-from coded_aperture_ros.depth.edges import edge_correction
+from coded_aperture_ros.depth.decoders.classical import Regularized
+from coded_aperture_ros.depth.decoders.edges import edge_correction
+from coded_aperture_ros.depth.decoders.network import (
+    CELL_PX,
+    Refined,
+    small_bank,
+    small_cost,
+    untrained,
+)
+from coded_aperture_ros.depth.decoders.posterior import is_unsure
+from coded_aperture_ros.depth.decoders.regularize import LEARNED, Regularizer, regularizer
 from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
-from coded_aperture_ros.depth.fit import FitCheck, Health, can_be_checked
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
-from coded_aperture_ros.depth.posterior import is_unsure
-from coded_aperture_ros.depth.refine import CELL_PX, Refined, small_bank, small_cost, untrained
-from coded_aperture_ros.depth.regularize import LEARNED, Regularizer, regularizer
+from coded_aperture_ros.depth.quality import FitCheck, Health, can_be_checked
 from coded_aperture_ros.depth.sides import FocalSides
 from coded_aperture_ros.depth.temporal import TemporalFilter
 from coded_aperture_ros.depth.upsample import MapGrid
-from coded_aperture_ros.imaging import KnownNoise, StaticAverage, frames_of_patches, grey_image
+from coded_aperture_ros.frames import KnownNoise, StaticAverage, frames_of_patches, grey_image
 from coded_aperture_ros.likelihood import Cost, Likelihood, LikelihoodModel, MotionField
+from coded_aperture_ros.likelihood.bank import FilterBank
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.optics.rotation import ExpectedMotion
 

@@ -5,15 +5,15 @@ import dataclasses
 import cv2
 import numpy as np
 
-from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray, Shape
 from coded_aperture_ros.core.errors import InputError, naming
+from coded_aperture_ros.depth.decoders.network import untrained
 from coded_aperture_ros.depth.estimate import DepthEstimate
 from coded_aperture_ros.depth.estimator import DepthEstimator
+from coded_aperture_ros.depth.folding import Folding
 from coded_aperture_ros.depth.observation import Observation
-from coded_aperture_ros.depth.refine import untrained
-from coded_aperture_ros.depth.refine.focal import Folding
 from coded_aperture_ros.likelihood import Cost
+from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank
 from coded_aperture_ros.optics import render_psf_stack
 
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
-from coded_aperture_ros.imaging import (
+from coded_aperture_ros.frames import (
     GreyNoise,
     KnownNoise,
     PatchGrid,

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.depth.estimate import DepthEstimate
-from coded_aperture_ros.imaging import Gamma
+from coded_aperture_ros.frames import Gamma
 from coded_aperture_ros.io.messages import pixels_from_frame
 from coded_aperture_ros.optics import Camera
 

@@ -13,15 +13,19 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import image_prior
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
+from coded_aperture_ros.depth.decoders.posterior import (
+    is_uninformative,
+    level_deviation,
+    level_probability,
+)
+from coded_aperture_ros.depth.decoders.regularize import Regularizer
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
-from coded_aperture_ros.depth.posterior import is_uninformative, level_deviation, level_probability
-from coded_aperture_ros.depth.regularize import Regularizer
-from coded_aperture_ros.imaging import PatchGrid, periodic, periodic_shape, transfer_function
-from coded_aperture_ros.imaging.patches import mean_at
+from coded_aperture_ros.frames import PatchGrid, periodic, periodic_shape, transfer_function
+from coded_aperture_ros.frames.patches import mean_at
 from coded_aperture_ros.likelihood import LikelihoodModel
+from coded_aperture_ros.likelihood.bank import image_prior
 from coded_aperture_ros.optics import PsfStack
 
 # Neighbours within a window's side whose levels differ by at most so many are one surface.

@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.frames import PatchGrid
 
 # The frames are compared at this many pixels per patch distance, shifted by so many of them each
 # way: what moves less than a patch distance between two frames is found again.

@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 from scipy.signal import fftconvolve
 
-from coded_aperture_ros.bank import FilterBank, LearnConfig, power_spectrum
 from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.core.workers import thread_count
 from coded_aperture_ros.depth.config import VIDEO_FRAMES, DepthConfig
 from coded_aperture_ros.depth.estimator import DepthEstimator
+from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, power_spectrum
 
 # Windows that are tried, and strides as shares of a window.
 _WINDOWS_PX = (48, 64, 96)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray, Shape
-from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.frames import PatchGrid
 
 # Where the levels of the four patches around a pixel differ by more, there is a depth edge between
 # them, and they are not averaged.

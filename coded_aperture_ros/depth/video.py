@@ -11,7 +11,7 @@ from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
 from coded_aperture_ros.depth.estimator import DepthEstimator
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.temporal import TemporalFilter, bounded
-from coded_aperture_ros.imaging.static_average import StaticAverage, joined
+from coded_aperture_ros.frames.static_average import StaticAverage, joined
 from coded_aperture_ros.likelihood import Cost
 
 # After this many times the length of the memory, a frame no longer counts.

@@ -26,7 +26,7 @@ from coded_aperture_ros.core.arrays import (
     PerPatch,
     as_floats,
 )
-from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE, plausible_ratios
 
 # What is smaller than this share of the largest is rounding.

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch
-from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.optics import PsfStack
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import decode_picture
+from coded_aperture_ros.frames import decode_picture
 
 # Finer than any lens shows, and a picture of a mask may well be a scan of one.
 _MOST_CELLS = 4096

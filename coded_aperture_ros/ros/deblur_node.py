@@ -17,7 +17,7 @@ from coded_aperture_ros.deblur import (
     covers_frame,
     deblurrer_of,
 )
-from coded_aperture_ros.imaging import KnownNoise, channel_noise
+from coded_aperture_ros.frames import KnownNoise, channel_noise
 from coded_aperture_ros.io.messages import (
     MessageError,
     array_from_image,

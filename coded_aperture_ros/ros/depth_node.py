@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
 from std_msgs.msg import Header
 
-from coded_aperture_ros.bank import LearnConfig
 from coded_aperture_ros.core.blas import slow_blas_warning
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
@@ -28,7 +27,7 @@ from coded_aperture_ros.depth import (
     side_warning,
 )
 from coded_aperture_ros.depth.config import VIDEO_FRAMES
-from coded_aperture_ros.imaging import hidden_noise
+from coded_aperture_ros.frames import hidden_noise
 from coded_aperture_ros.io.messages import (
     DEPTH_FORMATS,
     MessageError,
@@ -39,9 +38,10 @@ from coded_aperture_ros.io.messages import (
     pixels_from_frame,
 )
 from coded_aperture_ros.likelihood import LikelihoodModel
-from coded_aperture_ros.methods.choose import METHODS, new_model, with_settings
-from coded_aperture_ros.methods.motion import MotionConfig
-from coded_aperture_ros.methods.two_pixel import SimpleConfig
+from coded_aperture_ros.likelihood.bank import LearnConfig
+from coded_aperture_ros.likelihood.choose import METHODS, new_model, with_settings
+from coded_aperture_ros.likelihood.motion import MotionConfig
+from coded_aperture_ros.likelihood.two_pixel import SimpleConfig
 from coded_aperture_ros.optics.intrinsics import rays
 from coded_aperture_ros.pipeline import FramePipeline, LateFrameError
 from coded_aperture_ros.ros.diagnostics import Complaint

@@ -8,23 +8,23 @@ from typing import Generic, TypeVar
 
 from rclpy.node import Node
 
-from coded_aperture_ros.bank import (
+from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.depth import blur_sizes_px, depths_are_measured
+from coded_aperture_ros.depth.levels import check_camera
+from coded_aperture_ros.frames import PatchGrid
+from coded_aperture_ros.io.messages import MessageError
+from coded_aperture_ros.likelihood import BlurLevels
+from coded_aperture_ros.likelihood.bank import (
     DEFAULT_LEVEL_COUNT,
     FilterBank,
     check_frame_size,
     check_setting,
     load_bank,
 )
-from coded_aperture_ros.bank.learning import guarded_range
-from coded_aperture_ros.bank.remap import remap_bank
-from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.options import check_options, option
-from coded_aperture_ros.depth import blur_sizes_px, depths_are_measured
-from coded_aperture_ros.depth.levels import check_camera
-from coded_aperture_ros.imaging import PatchGrid
-from coded_aperture_ros.io.messages import MessageError
-from coded_aperture_ros.likelihood import BlurLevels
+from coded_aperture_ros.likelihood.bank.learning import guarded_range
+from coded_aperture_ros.likelihood.bank.remap import remap_bank
 from coded_aperture_ros.optics import Camera, View
 from coded_aperture_ros.ros.camera_model import required_camera
 from coded_aperture_ros.ros.parameters import NodeParameters

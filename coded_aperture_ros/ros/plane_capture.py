@@ -12,7 +12,7 @@ from sensor_msgs.msg import Image
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import Gamma
+from coded_aperture_ros.frames import Gamma
 from coded_aperture_ros.io.messages import MessageError, frame_from_image
 from coded_aperture_ros.ros.running import running_apart
 

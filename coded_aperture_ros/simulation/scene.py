@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import SRGB, linear_from_pixels
+from coded_aperture_ros.frames import SRGB, linear_from_pixels
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.simulation.hidden import fill_unknown
 from coded_aperture_ros.simulation.render import render_coded_frame

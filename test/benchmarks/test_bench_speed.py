@@ -15,9 +15,9 @@ from coded_aperture_benchmarks.speed.work import fitted_slope
 from coded_aperture_benchmarks.suites import speed as bench_speed
 from coded_aperture_benchmarks.suites.speed import _text
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.io import read_image
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank
 from coded_aperture_ros.metrics.times import Times
 from coded_aperture_ros.optics import Mask
 

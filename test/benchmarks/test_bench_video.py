@@ -18,7 +18,7 @@ from coded_aperture_benchmarks.frames.walks import of_video
 from coded_aperture_benchmarks.suites.video import ratios, tables_of, ways
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import SRGB, pixels_from_linear
+from coded_aperture_ros.frames import SRGB, pixels_from_linear
 from coded_aperture_ros.io import read_image, write_image
 from coded_aperture_ros.optics import Camera, Mask
 from coded_aperture_ros.simulation import render_coded_frame

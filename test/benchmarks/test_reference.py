@@ -9,8 +9,8 @@ import scipy.fft
 import scipy.signal
 from coded_aperture_benchmarks.reference import REFERENCE_METHODS, HypothesisPlanes, deconvolve
 
-from coded_aperture_ros.bank import power_spectrum
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.likelihood.bank import power_spectrum
 from coded_aperture_ros.optics import Mask, render_psf, render_psf_stack
 
 STACK = render_psf_stack(Mask.named("levin"), [7, 10, 13, 16])

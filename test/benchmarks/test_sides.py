@@ -11,13 +11,13 @@ from coded_aperture_benchmarks.frames.sides import SideEstimates, SideFrame, Sid
 from coded_aperture_benchmarks.textures import load_textures
 from scipy.signal import fftconvolve
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, side_warning
 from coded_aperture_ros.depth.sides import SideFinder, far_log_odds, given_side, side_confidence
-from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.io import write_image
-from coded_aperture_ros.methods.motion import MotionConfig, learn_motion_bank
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera
+from coded_aperture_ros.likelihood.motion import MotionConfig, learn_motion_bank
 from coded_aperture_ros.optics import Mask, render_psf
 from coded_aperture_ros.optics.camera import camera_from_mapping
 from coded_aperture_ros.simulation import render_coded_frame

@@ -6,10 +6,10 @@ from coded_aperture_benchmarks.reference.subspace import learn_subspace_bank
 from scipy.signal import fftconvolve
 from textures import blurred_texture
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.frames import PatchGrid
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank
 from coded_aperture_ros.likelihood.scoring import TEMPERATURE
 from coded_aperture_ros.optics import Mask, render_psf_stack
 

@@ -10,10 +10,10 @@ import yaml
 from cli_scene import call, everything, refused, wrong_usage
 from planes_scene import DEPTHS_M, FOCUS_M, SLOPE_PX_M, WINDOW, plane
 
-from coded_aperture_ros.bank import load_bank
 from coded_aperture_ros.calibration.planes.folder import add_plane
-from coded_aperture_ros.imaging import SRGB
+from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import read_image, write_image
+from coded_aperture_ros.likelihood.bank import load_bank
 from coded_aperture_ros.optics import load_camera
 
 SMALL = ("--window-px", WINDOW, "--rank", 16, "--level-count", 7)

@@ -30,13 +30,13 @@ from cli_scene import (
     wrong_usage,
 )
 
-from coded_aperture_ros.bank import load_bank, save_bank
 from coded_aperture_ros.cli import progress
 from coded_aperture_ros.cli.main import main
 from coded_aperture_ros.deblur import Parallax, anaglyph, side_by_side, stereo_pair
 from coded_aperture_ros.depth import DepthConfig
-from coded_aperture_ros.imaging import SRGB
+from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import read_image
+from coded_aperture_ros.likelihood.bank import load_bank, save_bank
 from coded_aperture_ros.optics import PsfStack, load_camera
 from coded_aperture_ros.pipeline import FramePipeline
 from coded_aperture_ros.simulation import render_coded_frame

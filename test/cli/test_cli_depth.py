@@ -29,12 +29,12 @@ from cli_scene import (
 )
 from scipy import ndimage
 
-from coded_aperture_ros.bank import load_bank
 from coded_aperture_ros.depth import REGULARIZERS, DepthConfig, DepthEstimator, estimate_video
-from coded_aperture_ros.imaging import SRGB, encode, mosaic_from_colour
+from coded_aperture_ros.frames import SRGB, encode, mosaic_from_colour
 from coded_aperture_ros.io import read_depth, read_image, write_image
-from coded_aperture_ros.methods.choose import new_model
-from coded_aperture_ros.methods.motion import MotionConfig
+from coded_aperture_ros.likelihood.bank import load_bank
+from coded_aperture_ros.likelihood.choose import new_model
+from coded_aperture_ros.likelihood.motion import MotionConfig
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.pipeline import FramePipeline
 from coded_aperture_ros.simulation import render_coded_frame

@@ -10,7 +10,7 @@ import pytest
 from cli_scene import CAMERA, call, camera_file, everything, forbid_work, refused, wrong_usage
 from psf_pictures import measured_file
 
-from coded_aperture_ros.bank import LearnConfig, load_bank
+from coded_aperture_ros.likelihood.bank import LearnConfig, load_bank
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 
 SMALL = ("--window-px", 16, "--rank", 8)

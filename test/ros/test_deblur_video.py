@@ -7,9 +7,9 @@ from rclpy.parameter import Parameter
 from ros_helpers import wait_until
 from sensor_msgs.msg import Image
 
-from coded_aperture_ros.bank import learning
 from coded_aperture_ros.deblur import Deblurrer
 from coded_aperture_ros.io.messages import array_from_image, pixels_from_frame
+from coded_aperture_ros.likelihood.bank import learning
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode

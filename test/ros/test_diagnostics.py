@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from node_chains import Chain, mono8
 from ros_helpers import wait_until
 
-from coded_aperture_ros.depth.fit.health import FitCheck, Health
+from coded_aperture_ros.depth.quality.health import FitCheck, Health
 from coded_aperture_ros.io.messages import array_from_image
 from coded_aperture_ros.ros import diagnostics
 from coded_aperture_ros.ros.depth_node import DepthNode

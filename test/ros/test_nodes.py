@@ -22,8 +22,6 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, Reg
 from small_camera import CAMERA, DEPTH_M, FAR_M, HEIGHT, NEAR_M, WIDTH
 from std_msgs.msg import Header
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera, load_bank, save_bank
-from coded_aperture_ros.bank.learning import guarded_range
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthEstimator, map_size
 from coded_aperture_ros.io.messages import (
@@ -31,6 +29,13 @@ from coded_aperture_ros.io.messages import (
     millimetres_from_depth,
     pixels_from_frame,
 )
+from coded_aperture_ros.likelihood.bank import (
+    LearnConfig,
+    learn_bank_for_camera,
+    load_bank,
+    save_bank,
+)
+from coded_aperture_ros.likelihood.bank.learning import guarded_range
 from coded_aperture_ros.optics import load_camera, render_psf
 from coded_aperture_ros.optics.intrinsics import rays
 from coded_aperture_ros.ros import frame_node

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.signal import fftconvolve
 
-from coded_aperture_ros.bank import power_spectrum
+from coded_aperture_ros.likelihood.bank import power_spectrum
 from coded_aperture_ros.optics import Mask, render_psf
 
 WINDOW, NOISE, SIZE = 24, 0.001, 144

@@ -4,7 +4,7 @@ import numpy as np
 import yaml
 from scipy.signal import fftconvolve
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank, save_bank
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank, save_bank
 from coded_aperture_ros.optics import Camera, load_camera, render_psf, render_psf_stack
 
 WIDTH, HEIGHT = 128, 96

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from coded_aperture_ros.bank import power_spectrum
+from coded_aperture_ros.likelihood.bank import power_spectrum
 
 
 def natural_texture(shape, seed=0, contrast=0.01):

@@ -22,10 +22,10 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from small_camera import CAMERA, FAR_M, HEIGHT, NEAR_M, WIDTH, coded_wall
 from std_msgs.msg import Header
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank, load_bank, save_bank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stamp_order import StampOrder
 from coded_aperture_ros.io.messages import ENCODINGS, array_from_image, pixels_from_frame
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank, load_bank, save_bank
 from coded_aperture_ros.optics import Mask, load_camera, load_intrinsics, render_psf_stack
 from coded_aperture_ros.ros.camera_info_store import camera_info_path, intrinsics_of
 from coded_aperture_ros.ros.camera_model import CameraModel

@@ -11,14 +11,12 @@ PACKAGE = "coded_aperture_ros"
 # Bottom first: a room imports only rooms before it, and `pipeline` puts them together.
 ROOMS = (
     "core",
-    "imaging",
+    "frames",
     "metrics",
     "optics",
     "simulation",
     "io",
     "likelihood",
-    "bank",
-    "methods",
     "depth",
     "deblur",
     "calibration",
@@ -139,7 +137,7 @@ def test_no_circles_among_files_and_folders(sources):
 @pytest.mark.parametrize(
     ("path", "source"),
     [
-        ("optics/lens.py", "from coded_aperture_ros.bank import learn_bank"),
+        ("optics/lens.py", "from coded_aperture_ros.likelihood.bank import learn_bank"),
         ("optics/lens.py", "def f():\n    import coded_aperture_ros.cli.main"),
         ("optics/lens.py", "from coded_aperture_ros import depth"),
         ("optics/lens.py", "from ..deblur import Deblurrer"),
@@ -159,7 +157,10 @@ def test_a_broken_order_is_seen(path, source):
     [
         ("cli/demo.py", "from coded_aperture_ros.ros.environment import limit_libraries"),
         ("ros/depth_node.py", "import rclpy\nfrom sensor_msgs.msg import Image"),
-        ("depth/estimate.py", "from coded_aperture_ros.bank import load_bank\nimport numpy"),
+        (
+            "depth/estimate.py",
+            "from coded_aperture_ros.likelihood.bank import load_bank\nimport numpy",
+        ),
         ("optics/psf.py", "from .mask import Mask\nfrom ..core.errors import InputError"),
     ],
 )
@@ -170,22 +171,25 @@ def test_the_order_allows_what_is_below(path, source):
 @pytest.mark.parametrize(
     "files",
     [
-        {"bank/a.py": "from coded_aperture_ros.bank.b import f", "bank/b.py": "from .a import g"},
         {
-            "bank/a.py": "def f():\n    from coded_aperture_ros.bank import b",
-            "bank/b.py": "from . import a",
+            "likelihood/bank/a.py": "from coded_aperture_ros.likelihood.bank.b import f",
+            "likelihood/bank/b.py": "from .a import g",
+        },
+        {
+            "depth/a.py": "def f():\n    from coded_aperture_ros.depth import b",
+            "depth/b.py": "from . import a",
         },
         # A file that takes something from its own folder's face.
         {
-            "bank/__init__.py": "from coded_aperture_ros.bank.a import f",
-            "bank/a.py": "from coded_aperture_ros.bank import f",
+            "likelihood/bank/__init__.py": "from coded_aperture_ros.likelihood.bank.a import f",
+            "likelihood/bank/a.py": "from coded_aperture_ros.likelihood.bank import f",
         },
         # Two sub-folders that need each other, though no two files do.
         {
-            "methods/x/a.py": "from coded_aperture_ros.methods.y.a import f",
-            "methods/x/b.py": "",
-            "methods/y/a.py": "",
-            "methods/y/b.py": "from coded_aperture_ros.methods.x.b import f",
+            "likelihood/x/a.py": "from coded_aperture_ros.likelihood.y.a import f",
+            "likelihood/x/b.py": "",
+            "likelihood/y/a.py": "",
+            "likelihood/y/b.py": "from coded_aperture_ros.likelihood.x.b import f",
         },
     ],
 )
@@ -198,9 +202,9 @@ def test_circles_are_seen(files):
 
 def test_files_in_order_have_no_circle():
     files = {
-        "bank/__init__.py": "from coded_aperture_ros.bank.b import f",
-        "bank/a.py": "from coded_aperture_ros.optics import lens",
-        "bank/b.py": "from . import a",
+        "likelihood/bank/__init__.py": "from coded_aperture_ros.likelihood.bank.b import f",
+        "likelihood/bank/a.py": "from coded_aperture_ros.optics import lens",
+        "likelihood/bank/b.py": "from . import a",
         "optics/__init__.py": "",
         "optics/lens.py": "",
     }

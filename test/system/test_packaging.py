@@ -169,9 +169,9 @@ def test_every_other_file_is_installed(checkout):
         if path.is_file() and path.suffix != ".py" and path.parent.name != "__pycache__"
     }
     weights = {
-        Path("depth/refine/refinement.npz"),
-        Path("depth/refine/second.npz"),
-        Path("depth/fit/fit.npz"),
+        Path("depth/decoders/network/refinement.npz"),
+        Path("depth/decoders/network/second.npz"),
+        Path("depth/quality/fit.npz"),
         Path("deblur/blend/blend.npz"),
     }
     pages = {Path("design/page.html"), Path("cli/demo_page.html")}

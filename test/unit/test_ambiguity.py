@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from textures import natural_texture
 
-from coded_aperture_ros.bank import learn_bank_for_camera
-from coded_aperture_ros.bank.periodic import periodic_levels
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.ambiguity import may_be_periodic
-from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import Cost
+from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
+from coded_aperture_ros.likelihood.bank.periodic import periodic_levels
 from coded_aperture_ros.optics import Camera, Mask
 from coded_aperture_ros.simulation import render_coded_frame
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from textures import blurred_texture
 
-from coded_aperture_ros.bank import (
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.likelihood.bank import (
     LearnConfig,
     NaturalImagePrior,
     check_frame_size,
@@ -16,8 +17,7 @@ from coded_aperture_ros.bank import (
     load_bank,
     save_bank,
 )
-from coded_aperture_ros.bank.factoring import factor_weights
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.likelihood.bank.factoring import factor_weights
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE
 from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
 

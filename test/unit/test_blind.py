@@ -15,7 +15,6 @@ from coded_aperture_benchmarks.frames.blind_planes import (
 )
 from coded_aperture_benchmarks.textures import load_textures
 
-from coded_aperture_ros.bank import WindowedFourierBasis, load_bank
 from coded_aperture_ros.calibration.blind.config import BlindConfig
 from coded_aperture_ros.calibration.blind.find import BlindMask, find_mask
 from coded_aperture_ros.calibration.blind.grid_misfit import (
@@ -32,6 +31,7 @@ from coded_aperture_ros.calibration.mask.spectra import half_plane, mean_by_cont
 from coded_aperture_ros.calibration.pictures import blind_picture
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io import read_image, write_image
+from coded_aperture_ros.likelihood.bank import WindowedFourierBasis, load_bank
 from coded_aperture_ros.optics import Mask
 
 CELLS = MASK.transmission.astype(np.float64)

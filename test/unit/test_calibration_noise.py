@@ -8,7 +8,7 @@ from cli_scene import call, everything, refused, wrong_usage
 from coded_aperture_ros.calibration.noise import noise_from_frames
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig
-from coded_aperture_ros.imaging.noise import KnownNoise
+from coded_aperture_ros.frames.noise import KnownNoise
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.optics import camera_from_mapping
 

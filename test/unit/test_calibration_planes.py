@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from planes_scene import DEPTHS_M, FOCUS_M, NOISE, SLOPE_PX_M, WINDOW, blur_size_px, plane
 
-from coded_aperture_ros.bank import LearnConfig, LearnedPattern, load_bank, save_bank
 from coded_aperture_ros.calibration.planes.calibrate import calibrate_planes
 from coded_aperture_ros.calibration.planes.checks import (
     advice_on_depths,
@@ -19,6 +18,7 @@ from coded_aperture_ros.calibration.planes.measure import MeasuredPlane, measure
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io import read_image, write_image
+from coded_aperture_ros.likelihood.bank import LearnConfig, LearnedPattern, load_bank, save_bank
 from coded_aperture_ros.optics import Mask
 
 CONFIG = LearnConfig(window_px=WINDOW, rank=24)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from coded_aperture_ros.core.compiled import Compiled
+from coded_aperture_ros.depth.decoders.network.layout import add_up, put_in_squares
+from coded_aperture_ros.depth.decoders.paths import add_best_paths
 from coded_aperture_ros.depth.levels import look_up
-from coded_aperture_ros.depth.paths import add_best_paths
-from coded_aperture_ros.depth.refine.layout import add_up, put_in_squares
 from coded_aperture_ros.likelihood.products import products_of_transforms
 
 RANDOM = np.random.default_rng(0)

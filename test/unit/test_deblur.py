@@ -5,12 +5,12 @@ import pytest
 from deblur_scene import NOISE, blurred, deblurrer, edges_and_texture, levin_stack
 from scipy import ndimage
 
-from coded_aperture_ros.bank import image_prior
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur import Deblurrer
 from coded_aperture_ros.deblur.blur_map import filled_blur_map
 from coded_aperture_ros.deblur.inverse_basis import InverseBasis, wiener_filters
-from coded_aperture_ros.imaging import transfer_function
+from coded_aperture_ros.frames import transfer_function
+from coded_aperture_ros.likelihood.bank import image_prior
 from coded_aperture_ros.metrics import psnr_db
 from coded_aperture_ros.optics import Mask, render_psf, render_psf_stack
 

@@ -7,18 +7,22 @@ import pytest
 from scipy import ndimage
 from textures import natural_texture
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, Levels
-from coded_aperture_ros.depth.edges import DEPTH_EDGE_PX, edge_correction, slimmed_foreground
-from coded_aperture_ros.depth.posterior import refine_level
-from coded_aperture_ros.depth.regularize import regularizer
+from coded_aperture_ros.depth.decoders.edges import (
+    DEPTH_EDGE_PX,
+    edge_correction,
+    slimmed_foreground,
+)
+from coded_aperture_ros.depth.decoders.posterior import refine_level
+from coded_aperture_ros.depth.decoders.regularize import regularizer
 from coded_aperture_ros.depth.upsample import MapGrid
-from coded_aperture_ros.imaging import PatchGrid, estimate_noise
-from coded_aperture_ros.imaging.frame import grey_image
-from coded_aperture_ros.imaging.noise import high_power
-from coded_aperture_ros.imaging.patches import usable_windows
+from coded_aperture_ros.frames import PatchGrid, estimate_noise
+from coded_aperture_ros.frames.frame import grey_image
+from coded_aperture_ros.frames.noise import high_power
+from coded_aperture_ros.frames.patches import usable_windows
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation import render_coded_frame
 

@@ -9,11 +9,11 @@ from cameras import THESIS
 from cli_scene import call, camera_file
 from scipy import signal, special
 
-from coded_aperture_ros.bank import load_bank
-from coded_aperture_ros.bank.learning import psf_stack_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design import openings_of
 from coded_aperture_ros.design.diffraction import airy_width_px, diffraction_warning
+from coded_aperture_ros.likelihood.bank import load_bank
+from coded_aperture_ros.likelihood.bank.learning import psf_stack_for_camera
 from coded_aperture_ros.optics import (
     MASK_NAMES,
     Camera,

@@ -5,7 +5,9 @@ import pytest
 from cli_scene import call, refused
 from textures import blurred_texture
 
-from coded_aperture_ros.bank import (
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.io import write_image
+from coded_aperture_ros.likelihood.bank import (
     EmpiricalPrior,
     LearnConfig,
     learn_bank,
@@ -13,8 +15,6 @@ from coded_aperture_ros.bank import (
     power_spectrum,
     save_bank,
 )
-from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io import write_image
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
 SIZES = np.linspace(3.0, 13.0, 9)

@@ -11,11 +11,11 @@ import pytest
 from definition import energies_by_definition
 from scipy.ndimage import gaussian_filter, uniform_filter
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import processors
-from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import BACKENDS, Plan, new_engine
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
 NOISE = 0.002

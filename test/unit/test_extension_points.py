@@ -9,10 +9,10 @@ from scipy import ndimage
 from textures import blurred_texture
 
 from coded_aperture_ros import DepthEstimator, FramePipeline, learn_bank
-from coded_aperture_ros.bank import LearnConfig
 from coded_aperture_ros.depth import DepthConfig
-from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import Cost
+from coded_aperture_ros.likelihood.bank import LearnConfig
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf_stack
 
 LEVEL = 5

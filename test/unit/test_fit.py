@@ -7,13 +7,17 @@ import numpy as np
 import pytest
 from coded_aperture_benchmarks.layered import random_scene
 
-from coded_aperture_ros.bank import LearnConfig, WindowedFourierBasis, learn_bank
 from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimator, Health
-from coded_aperture_ros.depth.fit import FitCheck, can_be_checked, evidence
-from coded_aperture_ros.depth.fit.alternatives import NAMES, alternatives, levels_beyond, own_levels
-from coded_aperture_ros.depth.fit.evidence import Witness
-from coded_aperture_ros.depth.fit.quantiles import quantiles
-from coded_aperture_ros.depth.fit.spectra import (
+from coded_aperture_ros.depth.quality import FitCheck, can_be_checked, evidence
+from coded_aperture_ros.depth.quality.alternatives import (
+    NAMES,
+    alternatives,
+    levels_beyond,
+    own_levels,
+)
+from coded_aperture_ros.depth.quality.evidence import Witness
+from coded_aperture_ros.depth.quality.quantiles import quantiles
+from coded_aperture_ros.depth.quality.spectra import (
     SLOPES,
     WINDOW_PX,
     Hypotheses,
@@ -21,7 +25,8 @@ from coded_aperture_ros.depth.fit.spectra import (
     powers,
     surprise,
 )
-from coded_aperture_ros.depth.fit.traces import traces
+from coded_aperture_ros.depth.quality.traces import traces
+from coded_aperture_ros.likelihood.bank import LearnConfig, WindowedFourierBasis, learn_bank
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf, render_psf_stack
 
 SIZES_PX = np.arange(2.0, 18.0, 0.55)

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from textures import natural_texture
 
-from coded_aperture_ros.bank import learn_bank, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.focus_pair import FocusPair
+from coded_aperture_ros.likelihood.bank import learn_bank, learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation import render_coded_frame
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from coded_aperture_ros.bank import WindowedFourierBasis, power_spectrum
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.frames import PatchGrid
+from coded_aperture_ros.likelihood.bank import WindowedFourierBasis, power_spectrum
 from coded_aperture_ros.optics import Mask, render_psf
 
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from textures import natural_texture
 
-from coded_aperture_ros.bank import learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, refinement_note
+from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells
 from coded_aperture_ros.depth.free_space import near_ends
 from coded_aperture_ros.depth.levels import Levels
-from coded_aperture_ros.depth.refine.probabilities import HalfCells
+from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, FieldCurvature, Mask
 from coded_aperture_ros.simulation import render_coded_frame
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import decode, encode, gamma_from_text, linear_from_pixels
+from coded_aperture_ros.frames import decode, encode, gamma_from_text, linear_from_pixels
 from coded_aperture_ros.io import (
     confidence_picture,
     depth_picture,

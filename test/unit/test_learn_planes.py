@@ -18,7 +18,6 @@ from asymmetric_planes import (
 from cli_scene import call, everything, refused, wrong_usage
 from scipy.signal import fftconvolve
 
-from coded_aperture_ros.bank import LearnConfig, WindowedFourierBasis, load_bank
 from coded_aperture_ros.calibration.mask.fit import Variables
 from coded_aperture_ros.calibration.mask.sizes import FreeSizes
 from coded_aperture_ros.calibration.mask.spectra import autocorrelation_to_power, half_plane
@@ -27,6 +26,7 @@ from coded_aperture_ros.calibration.planes.folder import load_folder
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.calibration.planes.search import MaskSearch
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.likelihood.bank import LearnConfig, WindowedFourierBasis, load_bank
 from coded_aperture_ros.optics import Mask, render_psf
 
 

@@ -7,11 +7,16 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera, load_bank, save_bank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import processors, thread_count
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.likelihood.bank import (
+    LearnConfig,
+    learn_bank_for_camera,
+    load_bank,
+    save_bank,
+)
 from coded_aperture_ros.optics import Camera, Mask
 from coded_aperture_ros.simulation import render_coded_frame
 

@@ -13,8 +13,8 @@ from coded_aperture_benchmarks.mask_scores.pictures import (
 from coded_aperture_benchmarks.mask_scores.spectra import SceneConfig
 from scipy.signal import fftconvolve
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
 WINDOW_PX = 48

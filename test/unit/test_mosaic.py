@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from coded_aperture_benchmarks.layered import random_scene
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.imaging import (
+from coded_aperture_ros.frames import (
     MOSAICS,
     colour_from_mosaic,
     grey_from_mosaic,
     mosaic_from_colour,
 )
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
 HALF_GREEN = np.array([0.25, 0.5, 0.25], np.float32)

@@ -7,11 +7,11 @@ import pytest
 from cli_scene import texture
 from scipy.signal import fftconvolve
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video
 from coded_aperture_ros.likelihood import NumpyEngine, Plan
-from coded_aperture_ros.methods.motion import (
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank, learn_bank_for_camera
+from coded_aperture_ros.likelihood.motion import (
     MotionConfig,
     MotionModel,
     Motions,
@@ -19,9 +19,9 @@ from coded_aperture_ros.methods.motion import (
     learn_motion_bank,
     motion_kernel,
 )
-from coded_aperture_ros.methods.motion.bank import expected_powers
-from coded_aperture_ros.methods.motion.engine import MotionEngine
-from coded_aperture_ros.methods.motion.occurring import occurring_motions, refined_motion
+from coded_aperture_ros.likelihood.motion.bank import expected_powers
+from coded_aperture_ros.likelihood.motion.engine import MotionEngine
+from coded_aperture_ros.likelihood.motion.occurring import occurring_motions, refined_motion
 from coded_aperture_ros.optics import Intrinsics, Mask, render_psf_stack
 from coded_aperture_ros.optics.rotation import expected_motion
 

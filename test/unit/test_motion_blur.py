@@ -22,7 +22,7 @@ from coded_aperture_ros.deblur.operator import SpreadingBlur, frame_within, moti
 from coded_aperture_ros.deblur.problem import motion_of_frame
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.io import write_image
-from coded_aperture_ros.methods.motion import Motions, blurred_psf, motion_kernel
+from coded_aperture_ros.likelihood.motion import Motions, blurred_psf, motion_kernel
 from coded_aperture_ros.optics import Camera, Mask, render_psf, render_psf_stack
 from coded_aperture_ros.simulation import render_coded_frame
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from coded_aperture_benchmarks.layered import random_scene
 
-from coded_aperture_ros.bank import learn_bank
 from coded_aperture_ros.core import networks
 from coded_aperture_ros.core.archive import read_shipped
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.networks import network_of
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.depth.refine import network as refinement
+from coded_aperture_ros.depth.decoders.network import network as refinement
+from coded_aperture_ros.likelihood.bank import learn_bank
 from coded_aperture_ros.metrics import psnr_db
 from coded_aperture_ros.optics import Mask, render_psf_stack
 

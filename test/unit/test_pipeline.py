@@ -9,11 +9,11 @@ import pytest
 from small_camera import CAMERA, DEPTH_M, FAR_M, NEAR_M, coded_wall
 
 from coded_aperture_ros import FramePipeline
-from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.imaging import KnownNoise, channel_noise
+from coded_aperture_ros.frames import KnownNoise, channel_noise
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.optics import camera_from_mapping
 from coded_aperture_ros.pipeline import LateFrameError
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from small_camera import CAMERA, DEPTH_M, FAR_M, NEAR_M, coded_wall
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import (
     DepthConfig,
@@ -15,6 +14,7 @@ from coded_aperture_ros.depth import (
     nearest_obstacle_m,
     points_of_depth,
 )
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask
 from coded_aperture_ros.optics.intrinsics import rays
 

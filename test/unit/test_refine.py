@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from coded_aperture_benchmarks.layered import random_scene
 
-from coded_aperture_ros.bank import LearnConfig, learn_bank, learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video
-from coded_aperture_ros.depth.refine import refinement_note, small_bank, untrained
-from coded_aperture_ros.depth.refine.cells import CELL_PX, HALVINGS, Cells
-from coded_aperture_ros.depth.refine.features import (
+from coded_aperture_ros.depth.decoders.network import refinement_note, small_bank, untrained
+from coded_aperture_ros.depth.decoders.network.cells import CELL_PX, HALVINGS, Cells
+from coded_aperture_ros.depth.decoders.network.features import (
     BLUR_SIZES_PX,
     COST_CHANNELS,
     Look,
@@ -21,11 +20,16 @@ from coded_aperture_ros.depth.refine.features import (
     frame_features,
     tried_sizes,
 )
-from coded_aperture_ros.depth.refine.focal import Folding
-from coded_aperture_ros.depth.refine.network import NEIGHBOURS, Logits, Network
-from coded_aperture_ros.depth.refine.probabilities import HalfCells, chosen_neighbours, drawn
-from coded_aperture_ros.depth.refine.small import SMALL_PX
-from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.depth.decoders.network.network import NEIGHBOURS, Logits, Network
+from coded_aperture_ros.depth.decoders.network.probabilities import (
+    HalfCells,
+    chosen_neighbours,
+    drawn,
+)
+from coded_aperture_ros.depth.decoders.network.small import SMALL_PX
+from coded_aperture_ros.depth.folding import Folding
+from coded_aperture_ros.frames import PatchGrid
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank, learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation import render_coded_frame
 

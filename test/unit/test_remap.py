@@ -10,7 +10,8 @@ from cli_scene import call, refused, wrong_usage
 from planes_scene import FOCUS_M, SLOPE_PX_M, WINDOW, plane
 from small_camera import CAMERA, FAR_M, NEAR_M, coded_wall
 
-from coded_aperture_ros.bank import (
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.likelihood.bank import (
     LearnConfig,
     LearnedPattern,
     learn_bank,
@@ -19,8 +20,7 @@ from coded_aperture_ros.bank import (
     load_bank,
     save_bank,
 )
-from coded_aperture_ros.bank.remap import refocused, remap_bank
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.likelihood.bank.remap import refocused, remap_bank
 from coded_aperture_ros.optics import Camera, Mask, load_camera, render_psf_stack
 
 CONFIG = LearnConfig(window_px=WINDOW, rank=32)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from coded_aperture_ros.bank import learn_bank_for_camera
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, refinement_note
-from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX
-from coded_aperture_ros.depth.refine.second import LEAST_ODDS, Pair, in_cells
+from coded_aperture_ros.depth.decoders.network.features import BLUR_SIZES_PX
+from coded_aperture_ros.depth.decoders.network.second import LEAST_ODDS, Pair, in_cells
+from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask
 from coded_aperture_ros.simulation import SensorModel
 

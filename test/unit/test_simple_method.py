@@ -13,15 +13,15 @@ from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.methods.two_pixel import (
+from coded_aperture_ros.likelihood.two_pixel import (
     SimpleConfig,
     find_holes,
     neighbour_lines,
     neighbour_model,
     neighbour_model_for_camera,
 )
-from coded_aperture_ros.methods.two_pixel.derivatives import channel_kernel
-from coded_aperture_ros.methods.two_pixel.likelihood import NeighbourEngine
+from coded_aperture_ros.likelihood.two_pixel.derivatives import channel_kernel
+from coded_aperture_ros.likelihood.two_pixel.likelihood import NeighbourEngine
 from coded_aperture_ros.optics import Mask, load_camera, render_psf, render_psf_stack
 
 BARE = DepthConfig(regularize="none", edge_correction=0.0, confidence_threshold=0.0, saturation=2.0)

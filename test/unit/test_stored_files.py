@@ -7,8 +7,8 @@ import pytest
 import yaml
 from textures import blurred_texture
 
-from coded_aperture_ros.bank import FilterBank, load_bank, save_bank
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.likelihood.bank import FilterBank, load_bank, save_bank
 from coded_aperture_ros.optics import Camera, Mask, PsfStack, load_camera, render_psf
 
 STORED = Path(__file__).parents[1] / "stored"

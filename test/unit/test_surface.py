@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from coded_aperture_ros.depth.surface import on_surfaces
+from coded_aperture_ros.depth.decoders.surface import on_surfaces
 
 LEVELS = 16
 CURVATURE = 4.0

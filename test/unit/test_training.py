@@ -140,7 +140,7 @@ def test_the_network_that_ships_can_be_fitted_further(training, checkout, monkey
     torch = pytest.importorskip("torch", reason="fitting needs torch")
     pytest.importorskip("onnx", reason="the file holds networks in its form")
     from coded_aperture_ros.core.archive import read_archive
-    from coded_aperture_ros.depth.refine.network import SCHEMA, SCHEMA_VERSION
+    from coded_aperture_ros.depth.decoders.network.network import SCHEMA, SCHEMA_VERSION
 
     names = ("batches", "shipped", "export")
     batches, shipped, export = (importlib.import_module(name) for name in names)

@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from coded_aperture_ros.bank import learn_bank
 from coded_aperture_ros.cli.main import main, make_parser
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import thread_count
 from coded_aperture_ros.depth import DepthEstimator
 from coded_aperture_ros.depth import tune as tuning
 from coded_aperture_ros.depth.tune import simulated_error, tune
+from coded_aperture_ros.likelihood.bank import learn_bank
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
 
@@ -83,7 +83,7 @@ def test_windows_that_the_blur_does_not_fit_are_left_out(monkeypatch):
 
 
 def test_simulated_error_tells_good_banks_from_bad(learn):
-    from coded_aperture_ros.bank import LearnConfig
+    from coded_aperture_ros.likelihood.bank import LearnConfig
 
     good = learn(LearnConfig(window_px=48, rank=64))
     crippled = dataclasses.replace(good, coefficients=good.coefficients[..., ::-1])

@@ -7,12 +7,17 @@ import pytest
 from cameras import STRAIGHT as STRAIGHT_FILE
 from cli_scene import texture
 
-from coded_aperture_ros.bank import learn_bank, learn_bank_for_camera, load_bank, save_bank
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.calibration.planes.wavefront import fit_wavefront
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.likelihood import Plan, new_engine
+from coded_aperture_ros.likelihood.bank import (
+    learn_bank,
+    learn_bank_for_camera,
+    load_bank,
+    save_bank,
+)
 from coded_aperture_ros.optics import Camera, FieldCurvature, Mask, View, Wavefront, render_psf
 from coded_aperture_ros.optics.camera import camera_from_mapping
 from coded_aperture_ros.optics.wavefront import NAMES, TERMS

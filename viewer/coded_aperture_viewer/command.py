@@ -12,13 +12,6 @@ from pathlib import Path
 import numpy as np
 from aiohttp import web
 
-from coded_aperture_ros.bank import (
-    DEFAULT_LEVEL_COUNT,
-    FilterBank,
-    check_setting,
-    learn_bank_for_camera,
-    load_bank,
-)
 from coded_aperture_ros.cli.options import (
     CommandParser,
     add_bits_option,
@@ -36,6 +29,13 @@ from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.depth.config import VIDEO_FRAMES
 from coded_aperture_ros.io.sources import SIMULATOR, PictureSource, open_source
+from coded_aperture_ros.likelihood.bank import (
+    DEFAULT_LEVEL_COUNT,
+    FilterBank,
+    check_setting,
+    learn_bank_for_camera,
+    load_bank,
+)
 from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.pipeline import FramePipeline
 from coded_aperture_viewer.live import Live, Stored

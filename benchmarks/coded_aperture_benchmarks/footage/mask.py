@@ -6,11 +6,11 @@ from collections.abc import Iterable, Iterator, Sequence
 import cv2
 import numpy as np
 
-from coded_aperture_ros.bank.field import nearest_part
 from coded_aperture_ros.calibration.scoring import Scoring, Windows, own_cost, spectra_of
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
+from coded_aperture_ros.likelihood.bank.field import nearest_part
 from coded_aperture_ros.optics import Camera, Mask, psf_width, render_psf
 from coded_aperture_ros.optics.wavefront import parts_of_field
 

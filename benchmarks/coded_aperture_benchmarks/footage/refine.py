@@ -8,11 +8,11 @@ import numpy as np
 from coded_aperture_benchmarks.footage.focus import FocusShift, fit_focus
 from coded_aperture_benchmarks.footage.mask import MaskState, fit_mask
 from coded_aperture_benchmarks.footage.tracks import Tracks, tracks_of
-from coded_aperture_ros.bank import learn_bank_for_camera
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Camera
 
 _OF_MASK = 40  # frames; more tell little more

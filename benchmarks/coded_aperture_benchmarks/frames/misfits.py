@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.imaging import SRGB, decode, encode
+from coded_aperture_ros.frames import SRGB, decode, encode
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf_stack
 
 # How much finer the outline of a changed PSF is drawn than the pixels.

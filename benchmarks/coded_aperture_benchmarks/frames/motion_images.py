@@ -17,11 +17,11 @@ from coded_aperture_benchmarks.fragmentation import (
     table_motions,
 )
 from coded_aperture_benchmarks.frames.stair import crops_generator, with_noise
-from coded_aperture_ros.bank import LearnConfig, learn_bank
 from coded_aperture_ros.depth.upsample import MapGrid
-from coded_aperture_ros.imaging.noise import NOISE_FLOOR
-from coded_aperture_ros.methods.motion import MotionConfig, blurred_psf, learn_motion_bank
-from coded_aperture_ros.methods.motion.engine import MotionEngine
+from coded_aperture_ros.frames.noise import NOISE_FLOOR
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank
+from coded_aperture_ros.likelihood.motion import MotionConfig, blurred_psf, learn_motion_bank
+from coded_aperture_ros.likelihood.motion.engine import MotionEngine
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
 # Size of the images, numbers of levels, directions and lengths of thesis 7.6.1.

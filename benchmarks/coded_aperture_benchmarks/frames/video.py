@@ -13,7 +13,7 @@ from scipy import ndimage
 from coded_aperture_benchmarks.frames.cameras import camera_for_blur
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import SRGB
+from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import read_depth, read_image
 from coded_aperture_ros.metrics.errors import RelativeError
 from coded_aperture_ros.optics import Camera, Mask

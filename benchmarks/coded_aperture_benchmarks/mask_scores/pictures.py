@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from coded_aperture_benchmarks.mask_scores.predict import SIGMAS, check_sigmas, check_two_colours
 from coded_aperture_benchmarks.mask_scores.spectra import SceneConfig, seen_spectra
-from coded_aperture_ros.bank.fourier import WindowedFourierBasis
-from coded_aperture_ros.bank.hypotheses import RATIOS
-from coded_aperture_ros.bank.prior import NaturalImagePrior, power_spectrum
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import transfer_function
+from coded_aperture_ros.frames import transfer_function
 from coded_aperture_ros.likelihood import plausible_ratios, take_logarithm
+from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
+from coded_aperture_ros.likelihood.bank.hypotheses import RATIOS
+from coded_aperture_ros.likelihood.bank.prior import NaturalImagePrior, power_spectrum
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE
 from coded_aperture_ros.optics import Mask, psf_width, render_psf_stack
 

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray
-from coded_aperture_ros.depth.refine import CELL_PX
-from coded_aperture_ros.depth.refine.features import BLUR_SIZES_PX, BLUR_STEP_PX
+from coded_aperture_ros.depth.decoders.network import CELL_PX
+from coded_aperture_ros.depth.decoders.network.features import BLUR_SIZES_PX, BLUR_STEP_PX
 
 BINS = len(BLUR_SIZES_PX)
 _WINDOW_PX, _EVERY = 48, 2  # pixels that are counted: one in so many, in both directions

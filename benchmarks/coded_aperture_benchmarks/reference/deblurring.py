@@ -20,7 +20,7 @@ from coded_aperture_benchmarks.reference.deconvolution import (
 )
 from coded_aperture_benchmarks.restoration import missing_scikit_image
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import transfer_function
+from coded_aperture_ros.frames import transfer_function
 from coded_aperture_ros.optics import PsfStack
 
 # A level that is found here and there is not worth deconvolving everything in between.

@@ -18,9 +18,9 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import power_spectrum
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import transfer_function
+from coded_aperture_ros.frames import transfer_function
+from coded_aperture_ros.likelihood.bank import power_spectrum
 
 _LUCY_ITERATIONS = 6
 # Less light, or less than one standard deviation of the noise, counts as that much.

@@ -8,9 +8,9 @@ import scipy.fft
 import scipy.linalg
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank.prior import power_spectrum
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.likelihood.bank.prior import power_spectrum
 from coded_aperture_ros.optics import Mask, render_psf
 
 _PATCH_PX = 33

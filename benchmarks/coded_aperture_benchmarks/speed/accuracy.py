@@ -10,9 +10,9 @@ import numpy as np
 from coded_aperture_benchmarks.frames.stair import LEVELS, blur_stack, level_error, make_stair
 from coded_aperture_benchmarks.speed.setting import MASK, Setting
 from coded_aperture_benchmarks.textures import load_textures
-from coded_aperture_ros.bank import FilterBank, learn_bank
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthEstimator
+from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank
 from coded_aperture_ros.optics import Mask
 
 # Behind an open aperture: a mask leaves more.

@@ -15,7 +15,7 @@ from coded_aperture_benchmarks.speed.frames import NOISE, moving_frames
 from coded_aperture_benchmarks.speed.machine import opencv_threads, seconds_in_threads
 from coded_aperture_benchmarks.speed.ratios import ratio
 from coded_aperture_benchmarks.speed.setting import Setting
-from coded_aperture_ros.imaging import PatchGrid
+from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.metrics.times import Times
 from coded_aperture_ros.optics import PsfStack
 

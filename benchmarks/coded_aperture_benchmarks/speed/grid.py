@@ -14,10 +14,10 @@ from coded_aperture_benchmarks.speed.machine import Rates
 from coded_aperture_benchmarks.speed.setting import MASK, Setting, Size
 from coded_aperture_benchmarks.speed.video import VideoRun
 from coded_aperture_benchmarks.speed.work import ENGINE_STAGES, flop_of_hypotheses, flop_of_spectra
-from coded_aperture_ros.bank import FilterBank, learn_bank
-from coded_aperture_ros.depth.refine import untrained
-from coded_aperture_ros.depth.regularize import LEARNED
+from coded_aperture_ros.depth.decoders.network import untrained
+from coded_aperture_ros.depth.decoders.regularize import LEARNED
 from coded_aperture_ros.likelihood import Plan
+from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
 # Smallest and largest blur, px, and the number of levels between.

@@ -28,8 +28,8 @@ from coded_aperture_benchmarks.speed.work import (
     FrameWork,
     fitted_slope,
 )
-from coded_aperture_ros.bank import FilterBank, learn_bank
 from coded_aperture_ros.core.workers import processors
+from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank
 from coded_aperture_ros.optics import Mask
 
 _TURNS = 4

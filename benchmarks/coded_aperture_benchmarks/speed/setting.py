@@ -2,8 +2,8 @@
 
 import dataclasses
 
-from coded_aperture_ros.bank import LearnConfig
 from coded_aperture_ros.depth import DepthConfig, map_size
+from coded_aperture_ros.likelihood.bank import LearnConfig
 
 MASK = "levin"
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from coded_aperture_benchmarks.speed.machine import opencv_threads
 from coded_aperture_benchmarks.speed.memory import Memory, forget_peak, memory_mib
 from coded_aperture_benchmarks.speed.setting import MASK, Setting, Size, published_size
-from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.depth import DepthEstimator
+from coded_aperture_ros.likelihood.bank import FilterBank
 from coded_aperture_ros.metrics.times import Times
 from coded_aperture_ros.optics import Camera, Mask
 

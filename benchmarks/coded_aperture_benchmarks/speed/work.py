@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from coded_aperture_benchmarks.speed.setting import Setting, Size
-from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.likelihood import Plan
+from coded_aperture_ros.likelihood.bank import FilterBank
 
 ENGINE_STAGES = ("spectra", "energies")
 TEMPORAL_STAGES = ("average", "temporal")

@@ -14,10 +14,10 @@ from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.rows import columns, grouped
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import load_textures
-from coded_aperture_ros.bank import learn_bank_for_camera
-from coded_aperture_ros.bank.learning import guarded_range
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.config import VIDEO_FRAMES
+from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
+from coded_aperture_ros.likelihood.bank.learning import guarded_range
 from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.simulation import SensorModel, render_coded_frame
 

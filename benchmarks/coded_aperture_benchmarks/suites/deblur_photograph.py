@@ -18,7 +18,7 @@ from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import training_textures
 from coded_aperture_ros.core.archive import read_archive
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import SRGB
+from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.optics import PsfStack
 

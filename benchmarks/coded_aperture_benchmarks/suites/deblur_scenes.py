@@ -18,7 +18,7 @@ from coded_aperture_benchmarks.rows import columns, or_dash, tables
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import training_textures
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.imaging import SRGB, decode
+from coded_aperture_ros.frames import SRGB, decode
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.optics import PsfStack
 from coded_aperture_ros.simulation import render_coded_frame

@@ -23,8 +23,6 @@ from coded_aperture_benchmarks.mask_search.search import (
 from coded_aperture_benchmarks.metrics.edges import edge_distance_px
 from coded_aperture_benchmarks.rows import columns, grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.bank import FilterBank, learn_bank_for_camera
-from coded_aperture_ros.bank.learning import guarded_range
 from coded_aperture_ros.cli.options import at_least, mask_of, written_name
 from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.arrays import FloatArray
@@ -37,6 +35,8 @@ from coded_aperture_ros.design.setting import resolutions_m
 from coded_aperture_ros.design.sheet import mask_sheet
 from coded_aperture_ros.design.sheet_files import svg_of
 from coded_aperture_ros.io import write_image
+from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank_for_camera
+from coded_aperture_ros.likelihood.bank.learning import guarded_range
 from coded_aperture_ros.optics import Camera, Mask, load_camera
 from coded_aperture_ros.simulation import SensorModel
 

@@ -21,10 +21,10 @@ from coded_aperture_benchmarks.frames.video import load_video
 from coded_aperture_benchmarks.metrics.published import COVERED, WRONG, published
 from coded_aperture_benchmarks.rows import columns, grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.bank import FilterBank, LearnConfig
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
 from coded_aperture_ros.io import read_image
+from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig
 
 _LEVELS, _WINDOW_PX, _NOISE, _TEMPORAL = 30, 48, 0.002, 5.0
 _PLANES, _META = "planes.json", "meta.json"

@@ -11,12 +11,12 @@ from coded_aperture_benchmarks.layered import LayeredScene, random_scene
 from coded_aperture_benchmarks.pictures import frames_and_depths
 from coded_aperture_benchmarks.rows import columns, grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.bank import learn_bank_for_camera
 from coded_aperture_ros.cli.options import mask_of
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
 from coded_aperture_ros.depth.focus_pair import FocusPair
 from coded_aperture_ros.io import write_image
+from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.simulation import SensorModel
 
 _LEVELS, _SIZE, _MARGIN = 30, (288, 384), 0.02

@@ -7,11 +7,11 @@ from coded_aperture_benchmarks.frames import moving_scenes as frames
 from coded_aperture_benchmarks.frames.motion_images import table_masks
 from coded_aperture_benchmarks.options import JSON, OUTPUT, Args, number, option
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.bank import FilterBank, learn_bank_for_camera
 from coded_aperture_ros.cli.options import mask_of, noise_level, table
 from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.methods.motion import MotionConfig, MotionModel, learn_motion_bank
+from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank_for_camera
+from coded_aperture_ros.likelihood.motion import MotionConfig, MotionModel, learn_motion_bank
 from coded_aperture_ros.optics import Mask
 
 _METHODS = ("none", "cg", "sparse")

@@ -12,9 +12,9 @@ from coded_aperture_benchmarks.options import JSON, OUTPUT, Args, frame_size, nu
 from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import load_textures
-from coded_aperture_ros.bank import learn_bank_for_camera
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.methods.motion import MotionConfig, MotionModel, learn_motion_bank
+from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
+from coded_aperture_ros.likelihood.motion import MotionConfig, MotionModel, learn_motion_bank
 from coded_aperture_ros.optics import Mask
 from coded_aperture_ros.optics.rotation import expected_motion
 

@@ -8,7 +8,7 @@ from coded_aperture_benchmarks.frames.motion_images import TABLE_7_1, identify_m
 from coded_aperture_benchmarks.rows import columns, tables
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import load_textures
-from coded_aperture_ros.methods.motion import MotionConfig
+from coded_aperture_ros.likelihood.motion import MotionConfig
 
 _MASKS = ("disc", "A", "B", "C")
 _PARAMETERS = ("defocus", "direction", "length")

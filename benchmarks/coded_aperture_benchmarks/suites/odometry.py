@@ -17,14 +17,14 @@ from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
 from coded_aperture_benchmarks.rows import columns, grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.trajectories import Tracker, tracked, write_tum
-from coded_aperture_ros.bank import learn_bank_for_camera
-from coded_aperture_ros.bank.learning import guarded_range
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.config import VIDEO_FRAMES
-from coded_aperture_ros.imaging import SRGB
+from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import depth_picture, write_image
+from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
+from coded_aperture_ros.likelihood.bank.learning import guarded_range
 from coded_aperture_ros.optics import MASK_NAMES, Mask
 from coded_aperture_ros.simulation import SensorModel
 

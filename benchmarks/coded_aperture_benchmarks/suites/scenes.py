@@ -28,11 +28,11 @@ from coded_aperture_benchmarks.identification import regularizations
 from coded_aperture_benchmarks.layered import SIDES
 from coded_aperture_benchmarks.rows import columns, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.bank import FilterBank, LearnConfig
 from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_planes
 from coded_aperture_ros.calibration.planes.folder import load_folder
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig
 from coded_aperture_ros.metrics import Reliability
 from coded_aperture_ros.metrics.figures import reliability_diagram
 from coded_aperture_ros.optics import Camera

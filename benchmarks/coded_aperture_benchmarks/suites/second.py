@@ -15,12 +15,12 @@ from coded_aperture_benchmarks.metrics.surfaces import Windows, at_middles, shar
 from coded_aperture_benchmarks.pictures import frames_and_depths
 from coded_aperture_benchmarks.rows import columns, grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.bank import FilterBank
 from coded_aperture_ros.cli.options import mask_of, noise_level
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.io import write_image
+from coded_aperture_ros.likelihood.bank import FilterBank
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.simulation import SensorModel
 

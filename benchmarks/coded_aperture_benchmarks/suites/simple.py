@@ -14,7 +14,7 @@ from coded_aperture_benchmarks.rows import grouped, mean_of, place, tables, uniq
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import load_textures
 from coded_aperture_ros.cli.options import mask_of, table
-from coded_aperture_ros.methods.two_pixel import find_holes
+from coded_aperture_ros.likelihood.two_pixel import find_holes
 
 _REFERENCES = "references"
 _METHODS = (identification.SIMPLE, identification.CONDITIONAL, identification.BANK, _REFERENCES)

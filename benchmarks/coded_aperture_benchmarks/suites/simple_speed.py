@@ -14,7 +14,7 @@ from coded_aperture_benchmarks.speed.setting import published_size
 from coded_aperture_ros.cli.options import mask_of
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.methods.two_pixel import SimpleConfig, find_holes, neighbour_model
+from coded_aperture_ros.likelihood.two_pixel import SimpleConfig, find_holes, neighbour_model
 from coded_aperture_ros.metrics.times import Times
 from coded_aperture_ros.optics import Mask
 

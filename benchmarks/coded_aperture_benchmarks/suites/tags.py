@@ -30,14 +30,19 @@ from coded_aperture_benchmarks.frames.tag_cards import (
 from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
 from coded_aperture_benchmarks.rows import columns, grouped, or_dash
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank, learn_bank_for_camera
-from coded_aperture_ros.bank.learning import guarded_range
 from coded_aperture_ros.cli.options import at_least, between
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.imaging import SRGB
+from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import write_image
+from coded_aperture_ros.likelihood.bank import (
+    FilterBank,
+    LearnConfig,
+    learn_bank,
+    learn_bank_for_camera,
+)
+from coded_aperture_ros.likelihood.bank.learning import guarded_range
 from coded_aperture_ros.optics import MASK_NAMES, Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation import SensorModel
 

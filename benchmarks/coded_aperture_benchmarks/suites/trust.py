@@ -22,12 +22,12 @@ from coded_aperture_benchmarks.metrics.published import COVERED, WRONG, publishe
 from coded_aperture_benchmarks.rows import mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.suites.deblur_photograph import photograph
-from coded_aperture_ros.bank import FilterBank, LearnConfig, learn_bank
-from coded_aperture_ros.bank.learning import psf_stack_for_camera
 from coded_aperture_ros.cli.options import table
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
+from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank
+from coded_aperture_ros.likelihood.bank.learning import psf_stack_for_camera
 from coded_aperture_ros.metrics import Reliability
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf
 from coded_aperture_ros.simulation.render import render_coded_frame

@@ -25,10 +25,10 @@ from coded_aperture_benchmarks.identification import regularizations
 from coded_aperture_benchmarks.pictures import WHITE, as_rgb, titled
 from coded_aperture_benchmarks.rows import columns, or_dash, place, unique
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.bank import FilterBank, LearnConfig
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video
-from coded_aperture_ros.imaging import SRGB
+from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import depth_picture, grey_picture, write_image
+from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig
 
 # The frame that is drawn, counted from the end: a filter that looks ahead still does so there.
 _SHOWN_FRAME = -4

@@ -13,15 +13,15 @@ from coded_aperture_benchmarks.layered.tracing import lens_samples, traced
 from coded_aperture_benchmarks.pictures import as_rgb, side_by_side
 from coded_aperture_benchmarks.rows import columns, grouped, mean_of, or_dash
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.bank import FilterBank, learn_bank_for_camera
-from coded_aperture_ros.bank.learning import guarded_range
 from coded_aperture_ros.cli.extension import VIEW
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, openings, view_through
 from coded_aperture_ros.deblur.blur_map import filled_blur_map
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.imaging import SRGB
+from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import write_image
+from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank_for_camera
+from coded_aperture_ros.likelihood.bank.learning import guarded_range
 from coded_aperture_ros.metrics import psnr_db
 from coded_aperture_ros.optics import MASK_NAMES, Camera, Mask
 from coded_aperture_ros.simulation import SensorModel

@@ -17,7 +17,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import WindowedFourierBasis
 from coded_aperture_ros.calibration.blind.config import BlindConfig
 from coded_aperture_ros.calibration.blind.grid_misfit import (
     BinaryGrid,
@@ -36,7 +35,8 @@ from coded_aperture_ros.calibration.planes.pictures import check_picture
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
-from coded_aperture_ros.imaging import channel_mean
+from coded_aperture_ros.frames import channel_mean
+from coded_aperture_ros.likelihood.bank import WindowedFourierBasis
 from coded_aperture_ros.optics import Mask
 
 FreeFit = MaskFit[FreeSizes]

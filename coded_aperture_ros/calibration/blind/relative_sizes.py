@@ -14,10 +14,10 @@ import scipy.fft
 import scipy.ndimage
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.calibration.mask.spectra import mean_by_contrast, window_powers
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
 
 _DIRECTIONS = 48
 # Of the logarithm of frequency.

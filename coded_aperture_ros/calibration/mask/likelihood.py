@@ -8,9 +8,9 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.calibration.mask.spectra import SLOPES, MaskSpectra
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
 
 _CONTRASTS = 10.0 ** np.arange(-5, -0.9, 0.25)
 # Weight that holds the textures to the power laws, relative to a likelihood of one per frequency.

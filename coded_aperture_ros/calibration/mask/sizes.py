@@ -8,8 +8,8 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank.pattern import ThinLens
 from coded_aperture_ros.core.arrays import DoubleArray
+from coded_aperture_ros.likelihood.bank.pattern import ThinLens
 
 # Curvatures of the likelihood differ: in these units a focus, or the logarithm of a size, is as
 # soft as the mask's cells.

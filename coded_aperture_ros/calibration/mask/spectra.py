@@ -12,10 +12,10 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank.fourier import WindowedFourierBasis
-from coded_aperture_ros.bank.prior import power_spectrum
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
-from coded_aperture_ros.imaging import channel_mean
+from coded_aperture_ros.frames import channel_mean
+from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
+from coded_aperture_ros.likelihood.bank.prior import power_spectrum
 from coded_aperture_ros.optics.psf import cell_shares, psf_width
 
 SLOPES = (1.6, 2.4, 3.2)

@@ -19,15 +19,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from coded_aperture_ros.bank import (
-    DEFAULT_LEVEL_COUNT,
-    FilterBank,
-    LearnConfig,
-    LearnedPattern,
-    NaturalImagePrior,
-    learn_bank_for_pattern,
-)
-from coded_aperture_ros.bank.learning import check_levels
 from coded_aperture_ros.calibration.mask.recognition import fitted_extent, recognised_mask
 from coded_aperture_ros.calibration.planes.checks import (
     Advice,
@@ -42,6 +33,15 @@ from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.calibration.planes.search import LensFit, MaskSearch, pattern_of
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
+from coded_aperture_ros.likelihood.bank import (
+    DEFAULT_LEVEL_COUNT,
+    FilterBank,
+    LearnConfig,
+    LearnedPattern,
+    NaturalImagePrior,
+    learn_bank_for_pattern,
+)
+from coded_aperture_ros.likelihood.bank.learning import check_levels
 from coded_aperture_ros.optics import MASK_NAMES, Mask
 
 # A bank may go this far beyond the planes, as a share of their range of blur sizes.

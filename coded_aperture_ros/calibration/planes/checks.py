@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
-from coded_aperture_ros.imaging import PatchGrid, channel_mean
-from coded_aperture_ros.imaging.noise import NOISE_FLOOR, high_power
+from coded_aperture_ros.frames import PatchGrid, channel_mean
+from coded_aperture_ros.frames.noise import NOISE_FLOOR, high_power
 
 _SATURATED = 0.995
 _SOME_SATURATED = 0.001

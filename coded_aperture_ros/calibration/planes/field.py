@@ -4,14 +4,14 @@ import dataclasses
 
 import numpy as np
 
-from coded_aperture_ros.bank import learn_bank
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.calibration.scoring import Scoring, Windows, spectra_of
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.imaging import grey_image
+from coded_aperture_ros.frames import grey_image
+from coded_aperture_ros.likelihood.bank import learn_bank
 from coded_aperture_ros.optics import Camera, FieldCurvature, render_psf, render_psf_stack
 
 # With less blur on the axis the corners may have none, or that of the other side of the focus.

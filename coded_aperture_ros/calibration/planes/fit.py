@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import ThinLens
 from coded_aperture_ros.calibration.planes.measure import LEAST_ERROR_PX, MeasuredPlane
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.arrays import DoubleArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.likelihood.bank import ThinLens
 
 # What lies farther from the line than this has another depth than it was said to have. Narrow blur
 # is often measured wrong by more, and tells little.

@@ -16,7 +16,7 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.core.options import has_type
-from coded_aperture_ros.imaging import Gamma
+from coded_aperture_ros.frames import Gamma
 from coded_aperture_ros.io import picture_files, read_image, write_image
 
 PLANES_JSON, PLANES_CSV = "planes.json", "planes.csv"

@@ -10,13 +10,13 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import LearnConfig, LearnedPattern, learn_bank
-from coded_aperture_ros.bank.learning import RANK_OF_ALL
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
-from coded_aperture_ros.depth.posterior import refine_level
-from coded_aperture_ros.imaging import PatchGrid, channel_mean
-from coded_aperture_ros.imaging.noise import estimate_noise, high_power
+from coded_aperture_ros.depth.decoders.posterior import refine_level
+from coded_aperture_ros.frames import PatchGrid, channel_mean
+from coded_aperture_ros.frames.noise import estimate_noise, high_power
+from coded_aperture_ros.likelihood.bank import LearnConfig, LearnedPattern, learn_bank
+from coded_aperture_ros.likelihood.bank.learning import RANK_OF_ALL
 from coded_aperture_ros.optics import render_psf_stack
 
 # Blur sizes to choose from: beyond those of all planes on either side.

@@ -6,7 +6,6 @@ import logging
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bank import LearnedPattern, WindowedFourierBasis
 from coded_aperture_ros.calibration.mask.cells import retrieved_masks
 from coded_aperture_ros.calibration.mask.fit import MaskFit, normalised, random_parts
 from coded_aperture_ros.calibration.mask.likelihood import MaskLikelihood
@@ -14,6 +13,7 @@ from coded_aperture_ros.calibration.mask.sizes import LensSizes
 from coded_aperture_ros.calibration.mask.spectra import window_powers
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.progress import Progress
+from coded_aperture_ros.likelihood.bank import LearnedPattern, WindowedFourierBasis
 from coded_aperture_ros.optics import Mask
 
 # Masks are sought up to this part of the window: a wider blur leaves too few independent

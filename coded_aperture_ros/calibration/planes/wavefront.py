@@ -5,12 +5,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from coded_aperture_ros.bank.field import COLUMNS, ROWS, nearest_part
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.calibration.scoring import Scoring, Windows, spectra_of
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.progress import Progress
-from coded_aperture_ros.imaging import grey_image
+from coded_aperture_ros.frames import grey_image
+from coded_aperture_ros.likelihood.bank.field import COLUMNS, ROWS, nearest_part
 from coded_aperture_ros.optics import Camera, FieldCurvature, Wavefront, psf_width
 from coded_aperture_ros.optics.wavefront import NAMES, TERMS, parts_of_field
 

@@ -19,7 +19,7 @@ from coded_aperture_ros.calibration.psf.fine import (
 from coded_aperture_ros.calibration.psf.lattice import find_lattice
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import channel_mean
+from coded_aperture_ros.frames import channel_mean
 from coded_aperture_ros.optics import Mask
 from coded_aperture_ros.optics.psf import cell_shares
 

@@ -11,7 +11,7 @@ from coded_aperture_ros.calibration.psf.dots import SATURATED
 from coded_aperture_ros.calibration.psf.fine import FinePsf, centres_of, extent_of
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import channel_mean
+from coded_aperture_ros.frames import channel_mean
 from coded_aperture_ros.optics import Mask, render_psf
 
 _MOST_SATURATED = 0.01

@@ -8,7 +8,7 @@ from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.deblur.inverse_basis import MODEL_ERRORS
 from coded_aperture_ros.deblur.inverse_filters import InverseFilters
-from coded_aperture_ros.imaging import periodic, periodic_shape
+from coded_aperture_ros.frames import periodic, periodic_shape
 
 # Of the closed forms: whose blur size is taken (see `sizes_of`), and which model error bounds
 # their gain. The frame itself is one more hypothesis: that nothing is gained by changing it.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.imaging import MOSAICS, decode_picture
+from coded_aperture_ros.frames import MOSAICS, decode_picture
 
 
 class MessageError(InputError):

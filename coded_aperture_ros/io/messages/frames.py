@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.imaging import (
+from coded_aperture_ros.frames import (
     Gamma,
     colour_from_mosaic,
     grey_from_mosaic,

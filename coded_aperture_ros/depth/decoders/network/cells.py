@@ -1,0 +1,94 @@
+"""The cells of a frame that depth is refined on: those of the patches, and more up to its edges."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+
+from coded_aperture_ros.core.arrays import FloatArray, IndexArray, Shape
+from coded_aperture_ros.frames import PatchGrid
+
+# Distance between cells, px; patches at other distances are interpolated.
+CELL_PX = 8
+# The network halves the cells' rows and columns so often.
+HALVINGS = 2
+
+
+@dataclasses.dataclass(frozen=True)
+class Cells:
+    """Square cells that cover a frame, one around every patch's centre where there are patches."""
+
+    # First pixel row and column of the first cell; 0 or less, as the cells cover the frame.
+    top: int
+    left: int
+    # Number of cells, a multiple of ``2**HALVINGS``.
+    rows: int
+    columns: int
+    frame_shape: Shape  # rows and columns of the frame
+    grid: PatchGrid  # where the patches lie
+
+    @classmethod
+    def covering(cls, frame_shape: tuple[int, ...], grid: PatchGrid) -> "Cells":
+        """Return the cells of a frame whose patches lie on `grid`."""
+        height, width = frame_shape[:2]
+        top, rows = _axis(int(grid.row_centres[0]), height)
+        left, columns = _axis(int(grid.column_centres[0]), width)
+        return cls(top, left, rows, columns, (height, width), grid)
+
+    def of_patches(self, values: FloatArray, grid: PatchGrid) -> tuple[FloatArray, FloatArray]:
+        """Return patches' values at the cells, and where there are any.
+
+        Takes those of a grid, float32 [..., grid rows, grid columns]. Returns [..., rows, columns],
+        where there is no patch those of the nearest, and 1 or 0 as float32 [rows, columns].
+        """
+        rows = _inside(grid.row_centres, self.top)
+        columns = _inside(grid.column_centres, self.left)
+        first = grid.row_centres[0] - self.top, grid.column_centres[0] - self.left
+        if grid.stride_px != CELL_PX or any(at % CELL_PX != CELL_PX // 2 for at in first):
+            across = _interpolation(grid.column_centres, self.left, columns)
+            down = _interpolation(grid.row_centres, self.top, rows)
+            values = np.asarray(down @ values @ across.T, np.float32)
+        at_cells = np.empty((*values.shape[:-2], self.rows, self.columns), np.float32)
+        within = at_cells[..., rows, :]
+        within[..., columns] = values
+        # Beyond the outermost patches their values go on.
+        within[..., : columns.start] = values[..., :1]
+        within[..., columns.stop :] = values[..., -1:]
+        at_cells[..., : rows.start, :] = within[..., :1, :]
+        at_cells[..., rows.stop :, :] = within[..., -1:, :]
+        known = np.zeros((self.rows, self.columns), np.float32)
+        known[rows, columns] = 1
+        return at_cells, known
+
+    def of_frame(self, picture: FloatArray) -> FloatArray:
+        """Return a picture [height, width] cut and mirrored to the cells' outline."""
+        height, width = self.frame_shape
+        bottom = self.top + self.rows * CELL_PX - height
+        right = self.left + self.columns * CELL_PX - width
+        margins = -self.top, bottom, -self.left, right
+        return np.asarray(cv2.copyMakeBorder(picture, *margins, cv2.BORDER_REFLECT))
+
+
+def _inside(centres: IndexArray, first: int) -> slice:
+    """Return the cells whose middles lie among patches' centres."""
+    before, after = (int(centre) - CELL_PX // 2 - first for centre in centres[[0, -1]])
+    start = -(-before // CELL_PX)
+    # A few patches close together may have no cell's middle among them: then the next one.
+    return slice(start, max(after // CELL_PX, start) + 1)
+
+
+def _axis(centre: int, length: int) -> tuple[int, int]:
+    """Return where the first cell of an axis begins, and how many cover the frame."""
+    start = centre - CELL_PX // 2
+    before = -(-start // CELL_PX)
+    top = start - before * CELL_PX
+    count = -(-(length - top) // CELL_PX)
+    multiple = 2**HALVINGS
+    return top, -(-count // multiple) * multiple
+
+
+def _interpolation(centres: IndexArray, first: int, cells: slice) -> FloatArray:
+    """Return the linear weight of every patch for every cell [cells, patches]."""
+    at = first + CELL_PX * np.arange(cells.start, cells.stop) + CELL_PX // 2
+    place = np.interp(at, centres, np.arange(len(centres)))
+    return np.maximum(1 - np.abs(place[:, None] - np.arange(len(centres))), 0).astype(np.float32)

@@ -1,0 +1,152 @@
+"""What the refinement looks at: the costs on a grid of blur sizes of its own, and the frame."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
+from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.depth.decoders.network.cells import Cells
+from coded_aperture_ros.depth.decoders.regularize import semi_global_cost
+from coded_aperture_ros.frames import PatchGrid, brightness_at
+from coded_aperture_ros.likelihood import Cost
+
+# The refinement's own grid of blur sizes, on one side of the focal plane.
+BLUR_STEP_PX = 0.5
+LARGEST_PX = 22.0
+BLUR_SIZES_PX = np.arange(0, LARGEST_PX + BLUR_STEP_PX / 2, BLUR_STEP_PX)
+# Every blur size has a channel of each kind: the logarithm of its cost, of small differences of
+# it, and of the cost that semi-global matching adds up; and what stands there if it was not tried.
+_UNTRIED = (5.0, 2.8, 5.0)
+UNTRIED = _UNTRIED[0]
+KINDS = len(_UNTRIED)
+_MOST_COST = 140.0
+# Where there is little texture costs differ little, but those of many patches tell something.
+_FINE_SCALE = 30.0
+# Patches of two sizes are looked at: those of the model, and smaller ones.
+LOOKS = 2
+COST_CHANNELS = LOOKS * KINDS * len(BLUR_SIZES_PX)
+# Beside them: the misfit of both, where there are patches of the model, texture over noise,
+# brightness, and the side of the focal plane.
+SCALARS = LOOKS + 4
+# The frame's texture is looked at in squares of so many pixels: its channels.
+FRAME_CELL_PX = 4
+_SMOOTH_PX = 9
+
+
+def tried_sizes(sizes_px: DoubleArray) -> BoolArray:
+    """Return which of `BLUR_SIZES_PX` lie among a model's blur sizes [L], of one side."""
+    sizes, margin = np.abs(sizes_px), BLUR_STEP_PX / 2
+    return (sizes.min() - margin <= BLUR_SIZES_PX) & (sizes.max() + margin >= BLUR_SIZES_PX)
+
+
+def resampling(sizes_px: DoubleArray) -> FloatArray:
+    """Return the linear weights of a model's levels for every tried blur size [L, tried]."""
+    sizes = np.abs(sizes_px)
+    order = np.argsort(sizes)
+    index = np.arange(len(sizes))
+    place = np.interp(BLUR_SIZES_PX[tried_sizes(sizes)], sizes[order], index)
+    weights = np.maximum(1 - np.abs(place - index[:, None]), 0)
+    return np.asarray(weights[np.argsort(order)], np.float32)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Look:
+    """What the patches of one size tell about a frame."""
+
+    volume: FloatArray  # [grid rows, grid columns, L]; cost of every level; see `Cost`
+    misfit: FloatArray  # [grid rows, grid columns]; see `Cost`
+    grid: PatchGrid  # where the patches lie
+
+    @classmethod
+    def of(cls, cost: Cost, grid: PatchGrid, volume: FloatArray | None = None) -> "Look":
+        """Return what patches tell by their cost, or by another volume."""
+        volume = cost.volume if volume is None else volume
+        misfit = np.zeros(volume.shape[:2], np.float32) if cost.misfit is None else cost.misfit
+        return cls(volume, misfit, grid)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Surroundings:
+    """Mean and variance of a frame around every pixel [height, width], and its noise."""
+
+    grey: FloatArray
+    mean: FloatArray
+    variance: FloatArray
+    noise: float
+
+    @classmethod
+    def of(cls, grey: FloatArray, noise: float) -> "Surroundings":
+        """Look at a frame with noise of a standard deviation."""
+        side = (2 * _SMOOTH_PX + 1,) * 2
+        mean = cv2.blur(grey, side)
+        difference = grey - mean
+        return cls(grey, mean, cv2.blur(difference * difference, side), noise)
+
+
+def cost_features(
+    looks: Sequence[Look],
+    around: Surroundings,
+    cells: Cells,
+    sizes_px: DoubleArray,
+    near: float,
+    workers: Workers | None = None,
+) -> FloatArray:
+    """Return what is known of every cell [COST_CHANNELS + SCALARS, rows, columns].
+
+    `looks` are with the model's patches and with smaller ones, `around` is of the frame, `sizes_px`
+    has the blur size of every level [L] of one side, and `near` is 1 for a scene before the focal
+    plane, 0 for one beyond it, 0.5 if that is not known. `workers` share the work.
+    """
+    tried = np.flatnonzero(tried_sizes(sizes_px))
+    start, stop = int(tried[0]), int(tried[-1]) + 1
+    to_sizes = resampling(sizes_px).T
+    features = np.empty((COST_CHANNELS + SCALARS, cells.rows, cells.columns), np.float32)
+    of_kinds = features[:COST_CHANNELS].reshape(LOOKS, KINDS, -1, cells.rows, cells.columns)
+    for kind, untried in enumerate(_UNTRIED):
+        of_kinds[:, kind, :start] = of_kinds[:, kind, stop:] = untried
+
+    def look_at(index: int, _: int) -> None:
+        look, count = looks[index], len(sizes_px)
+        added_up = semi_global_cost(look.volume, 1.0, brightness_at(around.grey, look.grid))
+        found = np.empty((KINDS, count, look.misfit.size), np.float32)
+        levels = np.moveaxis(look.volume, -1, 0).reshape(count, -1)
+        np.minimum(levels, np.float32(_MOST_COST), out=found[0])
+        np.multiply(found[0], np.float32(_FINE_SCALE), out=found[1])
+        found[2] = added_up.reshape(-1, count).T
+        found[2] -= found[2].min(axis=0)
+        found += np.float32(1)
+        np.log(found, out=found)
+        found[1] *= np.float32(1 / 3)
+        values = (to_sizes @ found).reshape(KINDS, -1, *look.misfit.shape)
+        of_kinds[index, :, start:stop] = cells.of_patches(values, look.grid)[0]
+        features[COST_CHANNELS + index], known = cells.of_patches(look.misfit, look.grid)
+        if index == 0:
+            features[COST_CHANNELS + LOOKS] = known
+
+    (workers or Workers()).each(look_at, range(LOOKS))
+    shape = cells.columns, cells.rows
+    mean, variance = (
+        cv2.resize(cells.of_frame(part), shape, interpolation=cv2.INTER_AREA)
+        for part in (around.mean, around.variance)
+    )
+    rest = features[COST_CHANNELS + LOOKS + 1 :]
+    rest[0] = np.log(variance / np.float32(around.noise**2) + 1) / 2
+    rest[1] = np.log(np.maximum(mean, np.float32(1e-3)))
+    rest[2] = near
+    return features
+
+
+def frame_features(around: Surroundings, cells: Cells) -> FloatArray:
+    """Return the frame's texture in squares of `FRAME_CELL_PX`, a channel for every pixel of them.
+
+    The texture is relative to its surroundings' and the noise; float32 [channels, rows, columns].
+    """
+    spread = np.sqrt(around.variance + np.float32(4 * around.noise**2))
+    whole = cells.of_frame((around.grey - around.mean) / spread)
+    side = FRAME_CELL_PX
+    rows, columns = (length // side for length in whole.shape)
+    squares = whole.reshape(rows, side, columns, side).transpose(1, 3, 0, 2)
+    return np.ascontiguousarray(squares.reshape(side * side, rows, columns))

@@ -1,0 +1,148 @@
+"""Runs the network that ships with the package."""
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.archive import read_shipped
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray, as_floats
+from coded_aperture_ros.core.networks import network_of
+from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.depth.decoders.network.features import (
+    BLUR_SIZES_PX,
+    COST_CHANNELS,
+    KINDS,
+    SCALARS,
+)
+from coded_aperture_ros.depth.decoders.network.layout import add_up, at_half_cells, put_in_squares
+
+WEIGHTS = "refinement.npz"
+# Neighbours around a half-cell, with itself, that a quarter of it may belong to.
+NEIGHBOURS = 9
+# The first and last layer are run for so many blur sizes, or rows of cells, at a time: few large
+# calls, but not much more than a core's cache holds.
+_SIZES, _ROWS = 4, 16
+SCHEMA, SCHEMA_VERSION = "coded-aperture refinement network", 3
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Logits:
+    """What the network says of every half-cell; float32."""
+
+    size: FloatArray  # [tried, rows, columns]; logits of the blur sizes that were tried
+    # [rows, columns]; logarithm of the mean error in px, if the likeliest blur size is about right.
+    log_width: FloatArray
+    # [4, rows, columns]; for each quarter of a half-cell, which of the nine half-cells around has
+    # its blur size; row by row, 4 is itself.
+    neighbour: NDArray[np.uint8]
+    cells: FloatArray  # [channels, rows, columns]; what the last layer is given of every cell
+
+
+class Network:
+    """Costs and frame in, logits out; see `training/network.py` for its layers.
+
+    A `runtime`, see `network_of`, runs all but the first layer of the blur sizes (see `_First`) and
+    the last layer, of which only the rows are computed that are needed.
+
+    Not for several threads at once; `workers` share its work. `tried` [blur sizes] says which of
+    `BLUR_SIZES_PX`, neighbours of each other, there are costs of.
+    """
+
+    def __init__(self, tried: BoolArray, workers: Workers, runtime: str = "auto") -> None:
+        arrays = read_shipped(__file__, WEIGHTS, SCHEMA, SCHEMA_VERSION)
+        self._workers = workers
+        self.of_level, self.of_cells = (
+            network_of(arrays, name, runtime, workers.threads) for name in ("levels", "cells")
+        )
+        # The last of the blur sizes' rows is the width; each is four, one of every half-cell.
+        rows = np.repeat(np.append(tried, True), 4)
+        self._weights, self._bias = (
+            np.concatenate([arrays[f"size_{name}"][rows], arrays[f"choice_{name}"]])
+            for name in ("weights", "bias")
+        )
+        first, last = np.flatnonzero(tried)[[0, -1]]
+        self._tried = slice(int(first), int(last) + 1)
+        self._trust = as_floats(arrays["trust"])
+        self._first = _First.of(arrays, self._tried)
+
+    def __call__(self, costs: FloatArray, frame: FloatArray) -> Logits:
+        """Return the logits of half-cells, from `cost_features` and `frame_features`."""
+        tried, shape = self._tried, costs.shape[1:]
+        # Logits of the half-cells of all squares, and one more channel for the other part.
+        of_level = self.of_level({"levels": self._first(costs, self._workers)})
+        levels = np.zeros((1, len(BLUR_SIZES_PX), *shape), np.float32)
+        levels[0, tried] = at_half_cells(of_level[:, -4:].reshape(-1, *of_level.shape[2:]))
+        cells = self.of_cells({"costs": costs[None], "frame": frame[None], "levels": levels})[0]
+        # What the costs say by themselves, to which the network adds.
+        of_kinds = costs[:COST_CHANNELS].reshape(len(self._trust), -1, *shape)[:, tried]
+        own = (self._trust @ of_kinds.reshape(len(of_kinds), -1)).reshape(-1, *shape)
+        count = len(of_level)
+        size = np.empty((count + 1, 2 * shape[0], 2 * shape[1]), np.float32)
+        neighbour = np.empty((4, *size.shape[1:]), np.uint8)
+
+        def last_layer(first: int, _: int) -> None:
+            some = cells[:, first : first + _ROWS]
+            found = self._weights @ some.reshape(len(some), -1)
+            found += self._bias[:, None]
+            found = found.reshape(-1, *some.shape[1:])
+            of_sizes, of_choices = np.split(found, [4 * (count + 1)])
+            add_up(of_sizes, of_level, own, first, size)
+            of_rows = np.s_[:, 2 * first : 2 * (first + _ROWS)]
+            size[count:][of_rows] = at_half_cells(of_sizes[-4:])
+            choice = _likeliest(of_choices.reshape(4, NEIGHBOURS, 4, *some.shape[1:]))
+            neighbour[of_rows] = at_half_cells(choice.reshape(-1, *some.shape[1:]))
+
+        self._workers.each(last_layer, range(0, shape[0], _ROWS))
+        return Logits(size[:count], size[count], neighbour, cells)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _First:
+    """The first layer of what is done to every blur size, in squares of 2 x 2 cells."""
+
+    channels: IndexArray  # [tried, n]; of the costs of each blur size, and of its two neighbours
+    weights: FloatArray  # [out, 4 n]; of these
+    scalars: FloatArray  # [out, 4 scalars]; weights of the rest
+    added: FloatArray  # [tried, out, 1]; what is added to every blur size
+
+    @classmethod
+    def of(cls, arrays: dict[str, FloatArray], tried: slice) -> "_First":
+        weights, count = arrays["first_weights"], len(BLUR_SIZES_PX)
+        weights, scalars, size = np.split(weights, -4 * np.array([SCALARS + 1, 1]), axis=1)
+        of_size = BLUR_SIZES_PX[tried, None] / 10 * size.sum(axis=1) + arrays["first_bias"]
+        sizes, of_kinds = np.arange(count)[tried], np.arange(COST_CHANNELS).reshape(-1, count)
+        beside = (of_kinds[::KINDS, np.clip(sizes + step, 0, count - 1)] for step in (-1, 1))
+        channels = np.concatenate([of_kinds[:, sizes], *beside]).T
+        return cls(channels, *map(as_floats, (weights, scalars, of_size[..., None])))
+
+    def __call__(self, costs: FloatArray, workers: Workers) -> FloatArray:
+        """Return the layer [tried, out, square rows, square columns] of `cost_features`."""
+        rows, columns = costs.shape[1] // 2, costs.shape[2] // 2
+        of_scalars = np.empty((SCALARS, 4, rows, columns), np.float32)
+        put_in_squares(costs, np.arange(COST_CHANNELS, len(costs)), of_scalars)
+        rest = self.scalars @ of_scalars.reshape(4 * SCALARS, -1)
+        found = np.empty((len(self.channels), *rest.shape), np.float32)
+
+        def of_sizes(first: int, _: int) -> None:
+            some = slice(first, first + _SIZES)
+            channels, layer = self.channels[some], found[some]
+            squares = np.empty((channels.size, 4, rows, columns), np.float32)
+            put_in_squares(costs, channels.ravel(), squares)
+            np.matmul(self.weights, squares.reshape(len(layer), -1, rows * columns), out=layer)
+            layer += rest
+            layer += self.added[some]
+
+        workers.each(of_sizes, range(0, len(found), _SIZES))
+        return found.reshape(*found.shape[:2], rows, columns)
+
+
+def _likeliest(logits: FloatArray) -> NDArray[np.uint8]:
+    """Return which along the second axis is the largest; `argmax` takes four times as long."""
+    best = logits[:, 0].copy()
+    which = np.zeros(best.shape, np.uint8)
+    for index in range(1, logits.shape[1]):
+        better = logits[:, index] > best
+        np.maximum(which, better * np.uint8(index), out=which)
+        np.maximum(best, logits[:, index], out=best)
+    return which

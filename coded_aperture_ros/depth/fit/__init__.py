@@ -1,3 +1,0 @@
-"""Does a frame fit its bank at all, and if not, why? See `FitCheck`."""
-
-from coded_aperture_ros.depth.fit.health import CAUSES, FitCheck, Health, can_be_checked

@@ -1,0 +1,257 @@
+"""How well a frame's windows are explained by the bank, and how much better by something else."""
+
+import dataclasses
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
+from coded_aperture_ros.core.compiled import Compiled
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth.quality.alternatives import (
+    NAMES,
+    alternatives,
+    levels_beyond,
+    own_levels,
+)
+from coded_aperture_ros.depth.quality.quantiles import quantiles
+from coded_aperture_ros.depth.quality.spectra import (
+    SLOPES,
+    WINDOW_PX,
+    Hypotheses,
+    frequencies,
+    powers,
+    surprise,
+)
+from coded_aperture_ros.frames.patches import PatchGrid, mean_at
+from coded_aperture_ros.optics import PsfStack
+
+# Windows are chosen one to a cell of the frame, those with the most texture.
+_STRIDE_PX, _FEWEST = 8, 4
+_BLUR_PX = 15
+_TOLERATED = 0.005
+# In hundredths of a unit of surprise: 1 is far more than chance for one window.
+_BETTER, _MOST, _EXTREME = 0.3, 6.0, 10.0
+_ABSENT = -2.0
+_LARGEST_RESIDUAL = 12.0
+_SIZE_UNIT_PX = 20.0
+_BANDS, _DIRECTIONS = (0.1, 0.2, 0.3, 0.4), 8
+_RINGS, _SECTORS = 12, 4
+_MAP_ROWS, _MAP_COLUMNS, _MAP_STEPS, _MAP_LEAST = 31, 15, 2.5, 30
+# Frequencies' radius, vertical and horizontal part, and sector; and what is added up by ring, map.
+_At = tuple[DoubleArray, DoubleArray, DoubleArray, IndexArray]
+_Sums = tuple[DoubleArray, DoubleArray]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Evidence:
+    """What the windows of a frame say."""
+
+    features: list[float]  # for the network
+    rows: IndexArray  # [n]; pixels at the windows' centres
+    columns: IndexArray
+    size_px: DoubleArray  # [n]; blur size of the level that explains each best, without sign
+    weight: DoubleArray  # [n]; how much each tells; the sum is 1
+
+
+class Witness:
+    """Compares the levels of a bank with what the lens may be instead; see `alternatives`.
+
+    With `guarded`, the ends of the bank stand for all that is beyond them, which is its own then.
+    """
+
+    def __init__(self, stack: PsfStack, guarded: bool = False) -> None:
+        own = own_levels(stack)
+        beyond, others = levels_beyond(own), alternatives(own)
+        if guarded:
+            own = own.with_others(beyond)
+        elif beyond.psfs:
+            others["beyond"] = Hypotheses.of(beyond.psfs)
+        self._sizes_px, self._own = own.sizes_px, Hypotheses.of(own.psfs)
+        groups = [others[name] for name in NAMES if name in others]
+        self._others = Hypotheses.joined(groups)
+        self._starts = np.cumsum([0, *(group.weights.shape[1] for group in groups[:-1])])
+        self._present = np.flatnonzero([name in others for name in NAMES])
+
+    def ask(
+        self, grey: FloatArray, noise: float, unusable: BoolArray | None, cells: int = 10
+    ) -> Evidence | None:
+        """Return what the windows of a frame say; None if there are too few.
+
+        The frame is linear light without NaN, and `noise` its standard deviation, > 0; `unusable`
+        are pixels that were filled in. There are at most `cells` windows along each side of the
+        frame.
+        """
+        tops, lefts = _chosen_windows(grey, unusable, cells)
+        if len(tops) < _FEWEST:
+            return None
+        cuts = [
+            np.s_[t : t + WINDOW_PX, x : x + WINDOW_PX] for t, x in zip(tops, lefts, strict=True)
+        ]
+        power = powers(np.stack([grey[cut] for cut in cuts])) / np.float32(noise**2)
+        surprises = surprise(power, self._own)
+        best = surprises.reshape(len(power), -1).argmin(axis=1)
+        contrast, kind = np.unravel_index(best, surprises.shape[1:])
+        level, slope = np.divmod(kind, len(SLOPES))
+        least = surprises[np.arange(len(power)), contrast, kind]
+        better = self._better(power, least, contrast)
+        # What the best hypothesis leaves: 1 on the mean, and scattered like the power of noise.
+        share = frequencies().share
+        own_noise = np.exp(least - self._own.log_determinants[contrast, kind])
+        residual = self._own.weights[contrast, kind] * power
+        residual /= share
+        residual /= own_noise[:, None]
+        scatter = -(np.log(np.maximum(residual, 1e-6)) @ share)
+        texture = np.log10(np.maximum(power @ share, 1.0))
+        weight = np.clip(texture - 0.15, 0.02, 1.5)
+        weight /= weight.sum()
+        sizes_px, logarithm = self._sizes_px, np.log(own_noise)
+        ordered = np.sort(better, axis=1)
+        clipped = np.clip(better, -_MOST, _MOST)
+        extreme = np.clip(better, -_EXTREME, _EXTREME)
+        features = [
+            *(weight @ clipped),
+            *quantiles(extreme, 0.25, 0.5, 0.75, 0.9).flat,
+            *(weight @ (better > _BETTER)),
+            *(weight @ (better < -_BETTER)),
+            *(weight @ np.clip(ordered[:, [-1, -2]], -_MOST, _MOST)),
+            weight @ scatter,
+            *quantiles(scatter, 0.25, 0.75),
+            weight @ logarithm,
+            *quantiles(logarithm, 0.25),
+            texture.mean(),
+            *quantiles(texture, 0.9),
+            weight @ (level == 0),
+            weight @ (level == len(sizes_px) - 1),
+            weight @ sizes_px[level] / _SIZE_UNIT_PX,
+            sizes_px.min() / _SIZE_UNIT_PX,
+            sizes_px.max() / _SIZE_UNIT_PX,
+            weight @ (slope == 0),
+            weight @ (contrast == len(self._own.weights) - 1),
+            *_residuals(np.minimum(residual, _LARGEST_RESIDUAL), sizes_px[level], weight),
+        ]
+        half = WINDOW_PX // 2
+        return Evidence(
+            [float(x) for x in features], tops + half, lefts + half, sizes_px[level], weight
+        )
+
+    def _better(self, power: FloatArray, least: FloatArray, contrast: IndexArray) -> FloatArray:
+        """Return by how much each alternative explains each window better [n, len(NAMES)].
+
+        With about the contrasts that explain windows best: others cost time, and tell nothing.
+        """
+        found = np.full((len(power), len(NAMES)), _ABSENT, np.float32)
+        each = surprise(power, self._others.about(contrast)).min(axis=1)
+        best = np.minimum.reduceat(each, self._starts, axis=1)
+        found[:, self._present] = 100 * (least[:, None] - best)
+        return found
+
+
+def _chosen_windows(
+    grey: FloatArray, unusable: BoolArray | None, cells: int
+) -> tuple[IndexArray, IndexArray]:
+    """Return the first row and column of the most textured window of every cell [n]."""
+    try:
+        grid = PatchGrid.covering(grey.shape, WINDOW_PX, _STRIDE_PX)
+    except InputError:
+        return np.zeros(0, np.intp), np.zeros(0, np.intp)
+    half = WINDOW_PX // 2
+    some = grey[::2]  # every other row tells as much as all
+    fine = cv2.absdiff(some, cv2.blur(some, (_BLUR_PX, _BLUR_PX // 2)))
+    blocks = [max(length // _STRIDE_PX, 1) for length in grey.shape[::-1]]
+    mean = cv2.blur(cv2.resize(fine, blocks, interpolation=cv2.INTER_AREA), (3, 3))
+    texture = grid.at_centres(mean, _STRIDE_PX)
+    if unusable is not None:
+        share = mean_at(unusable.astype(np.float32), grid, WINDOW_PX * 3 // 4)
+        texture[share > _TOLERATED] = -1
+    found = []
+    down, across = (
+        np.array_split(np.arange(length), min(cells, length)) for length in texture.shape
+    )
+    for rows in down:
+        for columns in across:
+            cell = texture[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+            row, column = divmod(int(cell.argmax()), len(columns))
+            if cell[row, column] > 0:
+                found.append((rows[row], columns[column]))
+    at_row, at_column = np.array(found, np.intp).reshape(-1, 2).T
+    return grid.row_centres[at_row] - half, grid.column_centres[at_column] - half
+
+
+def _residuals(residual: FloatArray, size_px: DoubleArray, weight: DoubleArray) -> list[float]:
+    """Return where in the spectrum the bank is wrong.
+
+    By frequency and direction: what motion and processing do. And by frequency in units of the PSF,
+    where another pattern leaves the same traces at all depths.
+    """
+    at = frequencies()
+    mean = np.maximum(weight @ residual, 1e-3)
+    band_sums, band_counts = (np.bincount(_band_cells(), values) for values in (mean, None))
+    of_rings = np.zeros((2, (_RINGS + 1) * _SECTORS))
+    of_map = np.zeros((3, _MAP_ROWS * _MAP_COLUMNS))
+    arrays = at.radius, at.vertical, at.horizontal, _sectors()
+    _tally(residual, size_px, weight, arrays, (of_rings, of_map))
+    enough = of_map[2] > min(_MAP_LEAST, of_map[2].max() - 1)
+    pattern = np.log(of_map[0, enough] / of_map[1, enough])
+    rings = of_rings.reshape(2, -1, _SECTORS)[:, :_RINGS]
+    rings = np.log((rings[0] + 0.002) / (rings[1] + 0.002))
+    ring_mean = rings.mean(axis=1)
+    return [
+        *np.log(band_sums / band_counts),
+        *ring_mean,
+        rings.std(),
+        np.abs(rings - ring_mean[:, None]).mean(),
+        np.sqrt(np.mean(pattern**2)),
+        *quantiles(pattern, 0.05, 0.95),
+        pattern.mean(),
+    ]
+
+
+@lru_cache(maxsize=1)
+def _band_cells() -> IndexArray:
+    at = frequencies()
+    return np.digitize(at.radius, _BANDS) * _DIRECTIONS + at.directions(_DIRECTIONS)
+
+
+@lru_cache(maxsize=1)
+def _sectors() -> IndexArray:
+    return frequencies().directions(_SECTORS)
+
+
+def _tally_loop(
+    residual: FloatArray, size_px: DoubleArray, weight: DoubleArray, at: _At, sums: _Sums
+) -> None:
+    """Add up residuals and weights by ring and sector, and in a map of the PSFs' frequencies."""
+    (radius, vertical, horizontal, sector), (of_rings, of_map) = at, sums
+    for i in range(len(residual)):
+        size = size_px[i]
+        for k in range(len(radius)):
+            share = weight[i] * residual[i, k]
+            cell = min(int(2 * size * radius[k]), _RINGS) * _SECTORS + sector[k]
+            of_rings[0, cell] += share
+            of_rings[1, cell] += weight[i]
+            column = min(int(size * horizontal[k] * _MAP_STEPS), _MAP_COLUMNS - 1)
+            row = int(size * vertical[k] * _MAP_STEPS + _MAP_ROWS // 2)
+            cell = column * _MAP_ROWS + min(max(row, 0), _MAP_ROWS - 1)
+            of_map[0, cell] += share
+            of_map[1, cell] += weight[i]
+            of_map[2, cell] += 1
+
+
+def _tally_plain(
+    residual: FloatArray, size_px: DoubleArray, weight: DoubleArray, at: _At, sums: _Sums
+) -> None:
+    (radius, vertical, horizontal, sector), (of_rings, of_map) = at, sums
+    weights = np.repeat(weight, len(radius))
+    values = weights * residual.ravel(), weights, None
+    ring = np.minimum(np.outer(2 * size_px, radius).astype(int), _RINGS)
+    column = np.minimum((np.outer(size_px, horizontal) * _MAP_STEPS).astype(int), _MAP_COLUMNS - 1)
+    row = (np.outer(size_px, vertical) * _MAP_STEPS + _MAP_ROWS // 2).astype(int)
+    in_map = column * _MAP_ROWS + np.clip(row, 0, _MAP_ROWS - 1)
+    for totals, cell in ((of_rings, ring * _SECTORS + sector), (of_map, in_map)):
+        for total, value in zip(totals, values, strict=False):
+            total += np.bincount(cell.ravel(), value, len(total))
+
+
+_tally = Compiled(_tally_loop, _tally_plain)

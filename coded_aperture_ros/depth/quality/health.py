@@ -1,0 +1,235 @@
+"""How well a frame fits its bank, as one number, and the likeliest cause where it does not."""
+
+import dataclasses
+from collections.abc import Iterator
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from coded_aperture_ros.core.archive import read_shipped
+from coded_aperture_ros.core.arrays import FloatArray, as_floats
+from coded_aperture_ros.depth.observation import Observation
+from coded_aperture_ros.depth.quality.evidence import Evidence, Witness
+from coded_aperture_ros.depth.quality.quantiles import quantiles
+from coded_aperture_ros.depth.quality.traces import traces
+from coded_aperture_ros.optics import PsfStack
+
+SCHEMA, SCHEMA_VERSION = "coded-aperture check of fit", 1
+# What a cause is called, what to say of it, and to do; in the order of the network's outputs.
+CAUSES = {
+    "mask": "another mask, inverted or dirty, or a lens that blurs otherwise: compare both with "
+    "the camera file",
+    "none": "no mask in the lens: put it in",
+    "turned": "the mask is turned or mirrored: put it in as the camera file has it",
+    "compression": "compressed pictures: record them without loss",
+    "motion": "motion blur: expose for less time, or use motion",
+    "clipped": "clipped light: expose for less time",
+    "noise": "noise unlike the camera file's, or with a pattern: measure it with calibrate noise",
+    "range": "nearer or farther than the bank's levels, or all in focus: learn the bank for more "
+    "depths, or focus as the camera file says",
+    "scale": "pictures that were enlarged, binned or cropped: record them as the sensor reads them "
+    "out",
+    "tone": "values are not linear light: set the gamma",
+    "processed": "pictures that were sharpened, denoised or demosaiced, or a raw mosaic: switch "
+    "that off in the camera, or say bayer",
+}
+# From here on a frame is said to fit.
+FITS = 0.5
+# Confidence falls from the first health to the second, down to what is right by chance where frames
+# do not fit. It is about as often right as it says, over frames that fit and others.
+_TRUSTED, WITHHELD, _BY_CHANCE = 0.7, 0.2, 0.2
+# What the network was trained for.
+LARGEST_PX = 22.5
+LIMIT, SCALED_LIMIT = 20.0, 5.0
+_LAYERS = 3
+# Of the largest frames that the network has learned from: what smaller ones say is less certain.
+_USUAL_PIXELS = 288 * 288
+_LEAST_NOISE, _CLEANEST, _DITHER = 2e-4, 3e-4, 6e-4
+_UNSURE_PX, _FAR_PX = 4.0, 1.5
+_CONFIDENT, _SPARSE = 0.55, 3
+# What is left out on either side of the middle, as shares of the frame.
+_AROUND_MIDDLE = 0.3
+# At most so many windows along a side at the first look, which is enough where confidence is left
+# as it is, and at the second.
+_CELLS = 5, 10
+# Of a video, one frame in so many is looked at, and counts by this share.
+_EVERY, _OF_NEW = 4, 0.4
+
+
+@dataclasses.dataclass(frozen=True)
+class Health:
+    """How well a frame fits its bank."""
+
+    # In [0, 1]: how likely what is sure of its depth is right by and large; from `FITS` on it fits.
+    value: float
+    cause: str = ""  # the likeliest of `CAUSES` if it does not fit; empty if it does
+
+    @property
+    def fits(self) -> bool:
+        """Whether the depth may be relied on."""
+        return self.value >= FITS
+
+    @property
+    def withheld(self) -> bool:
+        """Whether depth is so unlikely to be right that its confidence is next to nothing."""
+        return self.value < WITHHELD
+
+    def __str__(self) -> str:
+        """Say it in one line."""
+        if self.fits:
+            return f"fits ({self.value:.2f})"
+        return f"does not fit ({self.value:.2f}): {CAUSES[self.cause]}"
+
+    def trusted(self, confidence: FloatArray) -> FloatArray:
+        """Return what is left of a confidence."""
+        left = np.float32(np.clip((self.value - WITHHELD) / (_TRUSTED - WITHHELD), 0, 1))
+        if left >= 1:
+            return confidence
+        lowest = np.minimum(confidence, np.float32(_BY_CHANCE))
+        return np.asarray(left * confidence + (1 - left) * lowest, np.float32)
+
+
+@lru_cache(maxsize=1)
+def _weights() -> dict[str, FloatArray]:
+    """Return what small networks [members, ...] standardise by, and their weights and biases."""
+    arrays = read_shipped(__file__, "fit.npz", SCHEMA, SCHEMA_VERSION)
+    return {name: as_floats(array) for name, array in arrays.items() if array.ndim}
+
+
+def _outputs_of(features: FloatArray) -> FloatArray:
+    """Return the mean of what the networks say: health, then causes."""
+    of = _weights()
+    values = (np.clip(features, -LIMIT, LIMIT) - of["mean"]) / of["scale"]
+    values = np.clip(values, -SCALED_LIMIT, SCALED_LIMIT)[..., None]
+    for layer in range(_LAYERS):
+        values = of[f"weight{layer}"] @ values + of[f"bias{layer}"][..., None]
+        if layer < _LAYERS - 1:
+            np.maximum(values, 0, out=values)
+    return np.asarray(values[..., 0].mean(axis=0))
+
+
+def can_be_checked(stack: PsfStack) -> bool:
+    """Return whether the levels are such as the network was trained for."""
+    if not stack.in_pixels or len(stack) < 3:
+        return False
+    return float(np.abs(stack.blur_sizes_px).max()) <= LARGEST_PX
+
+
+class FitCheck:
+    """Checks the frames of a video, or single ones, against a bank's PSFs; see `can_be_checked`.
+
+    With `remembers`, frames are those of a video, in order: then only some are looked at, and what
+    they say is averaged. With `guarded`, the levels at the ends stand for what is beyond them. With
+    `middle_only`, the PSFs are those of the middle of the image, and only windows there tell.
+    """
+
+    def __init__(
+        self,
+        stack: PsfStack,
+        remembers: bool = False,
+        guarded: bool = False,
+        middle_only: bool = False,
+    ) -> None:
+        self._stack, self._remembers, self._guarded = stack, remembers, guarded
+        self._middle_only = middle_only
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the frames so far."""
+        self._frames = 0
+        self._outputs: FloatArray | None = None
+        self._health: Health | None = None
+
+    def __call__(
+        self, seen: Observation, misfit: FloatArray, level: FloatArray, confidence: FloatArray
+    ) -> Health | None:
+        """Return how well a frame fits; None if there is too little to see.
+
+        Takes the misfit of the patches, see `Cost`, the fractional level that was found of every
+        pixel, and how sure that is.
+        """
+        due = not self._remembers or self._frames % _EVERY == 0
+        self._frames += 1
+        if not due:
+            return self._health
+        outputs = None
+        for features in self.looks(seen, misfit, level, confidence):
+            outputs = _outputs_of(features)
+            if _health_of(outputs).value > _TRUSTED:
+                break
+        if outputs is None:
+            return self._health
+        if self._remembers and self._outputs is not None:
+            outputs = self._outputs + np.float32(_OF_NEW) * (outputs - self._outputs)
+        self._outputs, self._health = outputs, _health_of(outputs)
+        return self._health
+
+    def looks(
+        self, seen: Observation, misfit: FloatArray, level: FloatArray, confidence: FloatArray
+    ) -> Iterator[FloatArray]:
+        """Yield what the network is told of a frame: of few windows, and, if asked, of more.
+
+        Nothing if there is too little to see. Arguments are those of a call.
+        """
+        grey, noise = seen.grey, max(seen.noise.typical, _LEAST_NOISE)
+        if noise < _CLEANEST:  # as no camera's frames are: simulated ones
+            dither = np.random.default_rng(0).standard_normal(grey.shape, dtype=np.float32)
+            grey, noise = grey + np.float32(_DITHER) * dither, float(np.hypot(noise, _DITHER))
+        known = seen.noise.sigma if seen.noise.highest is None else 0.0
+        of_file = traces(grey, noise, known)
+        smaller = max(0.0, float(np.log(_USUAL_PIXELS / grey.size)))
+        top, left = (
+            int(_AROUND_MIDDLE * length) if self._middle_only else 0 for length in grey.shape
+        )
+        part = np.s_[top : grey.shape[0] - top, left : grey.shape[1] - left]
+        unusable = None if seen.unusable is None else seen.unusable[part]
+        for cells in _CELLS:
+            windows = self._witness.ask(grey[part], noise, unusable, cells)
+            if windows is not None:
+                at = windows.rows + top, windows.columns + left
+                windows = dataclasses.replace(windows, rows=at[0], columns=at[1])
+                of_maps = self._of_maps(windows, seen, misfit, level, confidence)
+                numbers = [*windows.features, *of_file, *of_maps, smaller]
+                yield np.nan_to_num(np.array(numbers, np.float32))
+
+    def _of_maps(
+        self,
+        windows: Evidence,
+        seen: Observation,
+        misfit: FloatArray,
+        level: FloatArray,
+        confidence: FloatArray,
+    ) -> list[float]:
+        """Return what was made of the windows by the estimate, for the network."""
+        telling = misfit[seen.usable] if seen.usable.any() else misfit
+        of_map = (
+            centres * length // whole
+            for centres, length, whole in zip(
+                (windows.rows, windows.columns), level.shape, seen.grey.shape, strict=True
+            )
+        )
+        # What one window says by itself, and what became of it among its neighbours.
+        sizes_px, own_px = self._stack.blur_sizes_px, windows.size_px
+        if self._guarded:
+            own_px = np.clip(own_px, np.abs(sizes_px).min(), np.abs(sizes_px).max())
+        found_px = np.interp(level[tuple(of_map)], np.arange(len(sizes_px)), sizes_px)
+        apart = np.abs(np.abs(found_px) - own_px)
+        some = np.ascontiguousarray(confidence[::_SPARSE, ::_SPARSE])
+        return [
+            *quantiles(telling.ravel(), 0.1, 0.25, 0.5, 0.75, 0.9),
+            some.mean(),
+            (some >= _CONFIDENT).mean(),
+            np.median(apart),
+            windows.weight @ np.minimum(apart, _UNSURE_PX),
+            (apart > _FAR_PX).mean(),
+        ]
+
+    @cached_property
+    def _witness(self) -> Witness:
+        return Witness(self._stack, self._guarded)
+
+
+def _health_of(outputs: FloatArray) -> Health:
+    value = float(1 / (1 + np.exp(-outputs[0])))
+    cause = list(CAUSES)[int(outputs[1:].argmax())]
+    return Health(value, "" if value >= FITS else cause)

@@ -1,5 +1,0 @@
-"""Refinement of the cost volume by a small network that was trained on random scenes."""
-
-from coded_aperture_ros.depth.refine.cells import CELL_PX
-from coded_aperture_ros.depth.refine.refine import Refined, refinement_note, untrained
-from coded_aperture_ros.depth.refine.small import small_bank, small_cost

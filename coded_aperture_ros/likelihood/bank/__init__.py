@@ -1,0 +1,20 @@
+"""The filter bank: learned once for a mask, applied to every frame."""
+
+from coded_aperture_ros.likelihood.bank.empirical import EmpiricalPrior
+from coded_aperture_ros.likelihood.bank.file import load_bank, save_bank
+from coded_aperture_ros.likelihood.bank.fitting import check_frame_size, check_setting
+from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
+from coded_aperture_ros.likelihood.bank.learning import (
+    DEFAULT_LEVEL_COUNT,
+    LearnConfig,
+    learn_bank,
+    learn_bank_for_camera,
+    learn_bank_for_pattern,
+    psf_stack_for_camera,
+    relearned,
+    textures_of,
+    with_all_frequencies,
+)
+from coded_aperture_ros.likelihood.bank.model import DEFAULT_STRIDE_PX, FilterBank
+from coded_aperture_ros.likelihood.bank.pattern import LearnedPattern, ThinLens
+from coded_aperture_ros.likelihood.bank.prior import NaturalImagePrior, image_prior, power_spectrum

@@ -1,0 +1,189 @@
+"""The likelihood of depth and motion together (thesis chapter 7)."""
+
+import dataclasses
+
+import numpy as np
+
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray, PerPatch
+from coded_aperture_ros.core.stages import Stages
+from coded_aperture_ros.likelihood import Cost, MotionField, relative_cost
+from coded_aperture_ros.likelihood.motion.bank import MotionBank
+from coded_aperture_ros.likelihood.motion.config import MotionConfig
+from coded_aperture_ros.likelihood.motion.engine import MotionEngine
+from coded_aperture_ros.likelihood.motion.joint import Separated, separate, separate_expected
+from coded_aperture_ros.optics import PsfStack
+from coded_aperture_ros.optics.rotation import ExpectedMotion
+
+# A motion is as good as another that is so near, px, or so near for its length.
+_AGREEMENT_PX, _AGREEMENT_SHARE = 1.0, 0.2
+# Motions that are expected to be this much longer than the longest are no such motions.
+_LONGER = 1.1
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MotionModel:
+    """A `LikelihoodModel` with motions as further hypotheses; see `separate`.
+
+    The bank says which motions there are, the configuration how they are chosen.
+    """
+
+    bank: MotionBank
+    config: MotionConfig = dataclasses.field(default_factory=MotionConfig)
+
+    @property
+    def stack(self) -> PsfStack:
+        """The L levels of defocus."""
+        return self.bank.defocus.stack
+
+    @property
+    def window_px(self) -> int:
+        """Side of the patches."""
+        return self.bank.defocus.window_px
+
+    @property
+    def stride_px(self) -> int:
+        """Distance between patches."""
+        return self.bank.defocus.stride_px
+
+    @property
+    def fattening(self) -> float:
+        """See `LikelihoodModel`."""
+        return self.bank.defocus.fattening
+
+    @property
+    def noise(self) -> float:
+        """See `LikelihoodModel`."""
+        return self.bank.defocus.noise
+
+    @property
+    def mask_digest(self) -> str:
+        """Digest of the mask's pattern."""
+        return self.bank.defocus.mask_digest
+
+    @property
+    def learned_from(self) -> str:
+        """How the bank came to be."""
+        return self.bank.product.learned_from
+
+    def plan(
+        self, shape: tuple[int, ...], stride_px: int, backend: str = "numpy", threads: int = 1
+    ) -> "MotionLikelihood":
+        """Plan for frames of one size; the processor computes, whatever the backend."""
+        engine = MotionEngine(self.bank, shape, stride_px, threads, self.config.finalists)
+        return MotionLikelihood(self, engine, shape[1])
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Expectation:
+    """Which motions to try: few, near a field that is expected, or all."""
+
+    candidates: IndexArray | None = None
+    field_px: DoubleArray | None = None
+    searched: str = ""
+
+
+class MotionLikelihood:
+    """Cost volumes of frames of one size, whatever the motion, and the motion; see `Likelihood`."""
+
+    def __init__(self, model: MotionModel, engine: MotionEngine, image_width: int) -> None:
+        self._engine, self._config, self.grid = engine, model.config, engine.grid
+        self._motions = model.bank.motions
+        self._window_correlation = model.bank.defocus.window_correlation
+        self._image_width = image_width
+        self._apart_px = self._motions.distances_px(self._motions.vectors_px)
+        self._nearest_motions = np.argsort(self._apart_px, axis=1, kind="stable")
+
+    def cost(
+        self,
+        grey: FloatArray,
+        noise: PerPatch,
+        usable: BoolArray | None = None,
+        prior: ExpectedMotion | None = None,
+    ) -> Cost:
+        """Return the cost volume of a frame and its motion; see `Likelihood.cost`.
+
+        With a `prior` only motions near it are tried; where it is not known, all are.
+        """
+        stages = Stages()
+        if usable is None:
+            usable = np.ones((self.grid.rows, self.grid.columns), np.bool_)
+        self._engine.project(grey)
+        stages.lap("spectra")
+        expected = self._expectation(prior)
+        if expected.candidates is not None:
+            energies = self._engine.of_some(noise, expected.candidates)
+            pairs = self._relative(energies, usable)
+            stages.lap("energies")
+            separated = separate_expected(pairs, expected.candidates, self._motions)
+        else:
+            pairs = self._of_all_motions(noise, usable)
+            stages.lap("energies")
+            overlap = self.grid.window_px / self.grid.stride_px
+            separated = separate(pairs, self._motions, self._config, overlap)
+            if self._config.refinement_px:
+                separated = self._refined(separated, noise, usable)
+        motion = self._field(separated, expected, usable)
+        stages.lap("motion")
+        return Cost(separated.level_cost, motion=motion, seconds=stages.seconds)
+
+    def close(self) -> None:
+        """End the engine's threads."""
+        self._engine.close()
+
+    def _of_all_motions(self, noise: PerPatch, usable: BoolArray) -> FloatArray:
+        """Return the cost of every pair of motion and level [M, L, rows, columns]."""
+        pairs = self._relative(self._engine.of_all(noise), usable)
+        static = np.flatnonzero(np.hypot(*self._motions.vectors_px.T) == 0)
+        if static.size:
+            alone = self._relative(self._engine.of_static(noise)[None], usable)[0]
+            pairs[static] = alone + pairs[static].min(axis=1, keepdims=True)
+        return pairs
+
+    def _relative(self, energies: FloatArray, usable: BoolArray) -> FloatArray:
+        """Return the cost of pairs of motion and level, of the shape of their energies."""
+        pairs = energies.reshape(-1, *energies.shape[2:])
+        cost = relative_cost(np.moveaxis(pairs, 0, -1), self._window_correlation, usable)
+        return np.moveaxis(cost, -1, 0).reshape(energies.shape)
+
+    def _expectation(self, prior: ExpectedMotion | None) -> _Expectation:
+        if prior is None:
+            return _Expectation(searched="nothing expected")
+        if prior.angle_rad is None:
+            return _Expectation(searched=prior.reason)
+        grid, motions = self.grid, self._motions
+        field = prior.at(grid.row_centres, grid.column_centres, self._image_width)
+        longest = float(np.hypot(*np.moveaxis(field, -1, 0)).max())
+        if longest > _LONGER * motions.longest_px:
+            return _Expectation(
+                searched=f"expected motion of {longest:.3g} px is longer than "
+                f"{motions.longest_px:.3g} px"
+            )
+        # As the middle of all that are nearest to the same one, so that there are few sets.
+        nearest = motions.distances_px(field).argmin(axis=-1)
+        count = min(self._config.prior_motions, len(motions))
+        return _Expectation(np.asarray(self._nearest_motions[:, :count][nearest]), field)
+
+    def _refined(self, separated: Separated, noise: PerPatch, usable: BoolArray) -> Separated:
+        """Search for what exactly the motions are that occur."""
+        vectors = separated.vectors_px.copy()
+        for index in np.unique(separated.motion):
+            here = (separated.motion == index) & usable
+            if vectors[index].any() and here.any():
+                tolerance_px = self._config.refinement_px
+                vectors[index] = self._engine.refined(noise, here, vectors[index], tolerance_px)
+        return dataclasses.replace(separated, vectors_px=vectors)
+
+    def _field(
+        self, separated: Separated, expected: _Expectation, usable: BoolArray
+    ) -> MotionField:
+        vectors = separated.vectors_px[separated.motion]
+        if expected.field_px is not None:
+            # Blur does not tell which way round: it is the way that is expected.
+            against = np.sum(vectors * expected.field_px, axis=-1, keepdims=True) < 0
+            vectors = np.where(against, -vectors, vectors)
+        length = np.hypot(*self._motions.vectors_px.T)
+        near = self._apart_px <= np.maximum(_AGREEMENT_PX, _AGREEMENT_SHARE * length[:, None])
+        agree = near[separated.motion[None], separated.candidates]
+        confidence = np.asarray((separated.probability * agree).sum(axis=0), np.float32)
+        vectors[~usable], confidence[~usable] = np.nan, 0
+        return MotionField(vectors.astype(np.float32), confidence, expected.searched)

@@ -1,1 +1,0 @@
-"""Likelihoods other than the filter bank's: two-pixel matching, and motion."""

@@ -1,6 +1,0 @@
-"""Depth and motion together: blur by defocus and by what moves during the exposure."""
-
-from coded_aperture_ros.methods.motion.bank import learn_motion_bank
-from coded_aperture_ros.methods.motion.config import MotionConfig
-from coded_aperture_ros.methods.motion.kernels import Motions, blurred_psf, motion_kernel
-from coded_aperture_ros.methods.motion.likelihood import MotionModel

@@ -1,7 +1,0 @@
-"""Depth for masks of a few equal holes: a pixel and its neighbours at the holes' offsets."""
-
-from coded_aperture_ros.methods.two_pixel.config import SimpleConfig
-from coded_aperture_ros.methods.two_pixel.holes import find_holes
-from coded_aperture_ros.methods.two_pixel.likelihood import NeighbourModel
-from coded_aperture_ros.methods.two_pixel.lines import neighbour_lines
-from coded_aperture_ros.methods.two_pixel.model import neighbour_model, neighbour_model_for_camera
