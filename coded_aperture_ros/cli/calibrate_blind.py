@@ -51,7 +51,7 @@ def add_parser(subparsers: Any) -> None:
     add_level_count_option(parser, _LEVEL_COUNT, f"levels of the bank (default {_LEVEL_COUNT})")
     add_options(parser, {"--json": "print the numbers as JSON"})
     settings = {"calibration.blind.config.BlindConfig": "search"}
-    settings |= {"bank.LearnConfig": "filters of the bank"}
+    settings |= {"likelihood.bank.LearnConfig": "filters of the bank"}
     parser.add_late_options = settings_of(settings)
 
 

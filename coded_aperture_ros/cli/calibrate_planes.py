@@ -84,7 +84,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("-o", metavar="FILE", dest="bank", help="bank (.npz)")
     add_options(parser, {"--output DIR": f"folder for {_REPORT} and, with --camera, {_CAMERA}"})
     add_options(parser, {"--json": "print the numbers as JSON"})
-    parser.add_late_options = settings_of({"bank.LearnConfig": "filters"})
+    parser.add_late_options = settings_of({"likelihood.bank.LearnConfig": "filters"})
 
 
 def run(args: argparse.Namespace) -> int:

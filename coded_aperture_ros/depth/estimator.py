@@ -23,11 +23,11 @@ from coded_aperture_ros.depth.decoders.network import (
 )
 from coded_aperture_ros.depth.decoders.posterior import is_unsure
 from coded_aperture_ros.depth.decoders.regularize import LEARNED, Regularizer, regularizer
+from coded_aperture_ros.depth.decoders.sides import FocalSides
 from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.quality import FitCheck, Health, can_be_checked
-from coded_aperture_ros.depth.sides import FocalSides
 from coded_aperture_ros.depth.temporal import TemporalFilter
 from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.frames import KnownNoise, StaticAverage, frames_of_patches, grey_image
@@ -47,6 +47,22 @@ class _Planned:
     small: Likelihood | None  # of the small patches
     decide: Regularized | Refined
     workers: Workers
+
+
+def refinement_note(model: LikelihoodModel, config: DepthConfig) -> str | None:
+    """Return one line if the configuration asks for the network and another stands in for it."""
+    if config.regularize != LEARNED:
+        return None
+    why = untrained(model, config.stride_px or model.stride_px)
+    if not why:
+        if config.second_surface and model.stack.has_both_sides:
+            return "second_surface: nothing is told with levels on both sides of the focal plane"
+        return None
+    return (
+        "regularize: semiglobal in place of learned, which was not trained for this model: "
+        f"{why}{'; it tells of no free space' if config.free_space_risk else ''}"
+        f"{'; it tells of no second surface' if config.second_surface else ''}"
+    )
 
 
 class DepthEstimator:

@@ -13,7 +13,12 @@ from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, side_warning
-from coded_aperture_ros.depth.sides import SideFinder, far_log_odds, given_side, side_confidence
+from coded_aperture_ros.depth.decoders.sides import (
+    SideFinder,
+    far_log_odds,
+    given_side,
+    side_confidence,
+)
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera

@@ -8,8 +8,8 @@ from coded_aperture_benchmarks.layered import random_scene
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video
-from coded_aperture_ros.depth.decoders.network import refinement_note, small_bank, untrained
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video, refinement_note
+from coded_aperture_ros.depth.decoders.network import small_bank, untrained
 from coded_aperture_ros.depth.decoders.network.cells import CELL_PX, HALVINGS, Cells
 from coded_aperture_ros.depth.decoders.network.features import (
     BLUR_SIZES_PX,

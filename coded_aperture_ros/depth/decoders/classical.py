@@ -18,9 +18,9 @@ from coded_aperture_ros.depth.decoders.posterior import (
     nearest_plausible_level,
 )
 from coded_aperture_ros.depth.decoders.regularize import Regularizer
+from coded_aperture_ros.depth.decoders.sides import FocalSides
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
-from coded_aperture_ros.depth.sides import FocalSides
 from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.likelihood import Cost
 

@@ -1,5 +1,5 @@
 """Refinement of the cost volume by a small network that was trained on random scenes."""
 
 from coded_aperture_ros.depth.decoders.network.cells import CELL_PX
-from coded_aperture_ros.depth.decoders.network.refine import Refined, refinement_note, untrained
+from coded_aperture_ros.depth.decoders.network.refine import Refined, untrained
 from coded_aperture_ros.depth.decoders.network.small import small_bank, small_cost

@@ -8,7 +8,6 @@ import numpy as np
 from coded_aperture_ros.core.arrays import FloatArray, Shape, as_floats
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.decoders.classical import Decision
 from coded_aperture_ros.depth.decoders.network.cells import CELL_PX, Cells
 from coded_aperture_ros.depth.decoders.network.features import (
@@ -30,12 +29,11 @@ from coded_aperture_ros.depth.decoders.network.probabilities import (
 )
 from coded_aperture_ros.depth.decoders.network.second import SecondSurface
 from coded_aperture_ros.depth.decoders.network.small import SMALL_PX
-from coded_aperture_ros.depth.decoders.regularize import LEARNED
+from coded_aperture_ros.depth.decoders.sides import FocalSides
 from coded_aperture_ros.depth.folding import Folding
 from coded_aperture_ros.depth.free_space import POWER, SHARE, near_ends
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
-from coded_aperture_ros.depth.sides import FocalSides
 from coded_aperture_ros.depth.temporal import bounded
 from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.frames import PatchGrid
@@ -87,22 +85,6 @@ def untrained(model: LikelihoodModel, stride_px: int) -> str:
         if not low <= value <= high:
             return f"its {name} of {value} px is not within {low} to {high} px"
     return ""
-
-
-def refinement_note(model: LikelihoodModel, config: DepthConfig) -> str | None:
-    """Return one line if the configuration asks for the network and another stands in for it."""
-    if config.regularize != LEARNED:
-        return None
-    why = untrained(model, config.stride_px or model.stride_px)
-    if not why:
-        if config.second_surface and model.stack.has_both_sides:
-            return "second_surface: nothing is told with levels on both sides of the focal plane"
-        return None
-    return (
-        "regularize: semiglobal in place of learned, which was not trained for this model: "
-        f"{why}{'; it tells of no free space' if config.free_space_risk else ''}"
-        f"{'; it tells of no second surface' if config.second_surface else ''}"
-    )
 
 
 class Refined:
