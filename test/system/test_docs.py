@@ -2,7 +2,6 @@
 
 import argparse
 import re
-import runpy
 import shlex
 import textwrap
 
@@ -94,19 +93,6 @@ def test_files_that_the_documents_name_exist(documents, checkout):
                 root = checkout if first in folders and (checkout / path).exists() else None
                 there = root or checkout / "coded_aperture_ros"
                 assert (there / path).exists(), f"{name}: {path}"
-
-
-def test_the_reading_path_is_short(checkout, capsys):
-    script = runpy.run_path(str(checkout / "scripts/count_reading_path.py"))
-    assert "scripts/count_reading_path.py" in (checkout / "docs/architecture.md").read_text()
-    assert script["main"]() == 0, capsys.readouterr().out
-
-
-def test_lines_of_code_are_counted_without_comments_and_docstrings(checkout):
-    count = runpy.run_path(str(checkout / "scripts/count_reading_path.py"))["lines_of_code"]
-    source = '"""Title.\n\nMore.\n"""\n\n# why\nx = (\n    1,\n)\n"""Of x."""\n\ndef f():\n'
-    source += '    """Do."""\n    return """a\nb"""\n'
-    assert count(source) == 3 + 1 + 2
 
 
 def test_the_architecture_names_every_room(checkout, documents):

@@ -130,6 +130,17 @@ def test_order_of_the_package(sources):
     assert [line for path, text in sources.items() for line in violations(text, path)] == []
 
 
+@pytest.mark.parametrize("beside", ["coded_aperture_benchmarks", "coded_aperture_viewer"])
+def test_the_package_imports_nothing_of_those_beside_it(checkout, beside):
+    """The program looks for them when it is asked to run one."""
+    naming = {
+        path.relative_to(checkout / PACKAGE).as_posix()
+        for path in (checkout / PACKAGE).rglob("*.py")
+        if beside in path.read_text()
+    }
+    assert naming == {"cli/extension.py"}
+
+
 def test_no_circles_among_files_and_folders(sources):
     assert circles(sources) == []
 
