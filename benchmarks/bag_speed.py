@@ -20,9 +20,8 @@ import numpy as np
 import yaml
 from coded_aperture_benchmarks.frames.video import CodedVideo, load_video
 
-from coded_aperture_ros.core.workers import processors
-from coded_aperture_ros.io.bags import bag_output
-from coded_aperture_ros.io.bags.codec import (
+from coded_aperture_ros.bags import bag_output
+from coded_aperture_ros.bags.codec import (
     CAMERA_INFO,
     IMAGE,
     camera_info_data,
@@ -30,6 +29,7 @@ from coded_aperture_ros.io.bags.codec import (
     info_of,
     new_topic,
 )
+from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.io.messages import millimetres_from_depth, pixels_from_frame
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera, save_bank
 

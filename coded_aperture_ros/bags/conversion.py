@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from coded_aperture_ros.bags.codec import read_picture
 from coded_aperture_ros.bags.frames import FrameProcessor
 from coded_aperture_ros.bags.messages import (
     Batch,
@@ -16,18 +17,11 @@ from coded_aperture_ros.bags.messages import (
     warm_up,
 )
 from coded_aperture_ros.bags.page import PAGE, write_report
+from coded_aperture_ros.bags.reading import Bag
 from coded_aperture_ros.bags.record import Record
+from coded_aperture_ros.bags.recorded import Topic
 from coded_aperture_ros.bags.score import References
-from coded_aperture_ros.bags.workers import Wait, frame_workers, in_order
-from coded_aperture_ros.core.errors import InputError, naming
-from coded_aperture_ros.core.figures import new_figure
-from coded_aperture_ros.core.workers import processors
-from coded_aperture_ros.depth import map_size
-from coded_aperture_ros.frames import Gamma
-from coded_aperture_ros.io.bags.codec import read_picture
-from coded_aperture_ros.io.bags.reading import Bag
-from coded_aperture_ros.io.bags.recorded import Topic
-from coded_aperture_ros.io.bags.topics import (
+from coded_aperture_ros.bags.topics import (
     Outputs,
     camera_info_topic,
     check_outputs,
@@ -35,7 +29,13 @@ from coded_aperture_ros.io.bags.topics import (
     image_topic,
     namespace_of,
 )
-from coded_aperture_ros.io.bags.writing import bag_output
+from coded_aperture_ros.bags.workers import Wait, frame_workers, in_order
+from coded_aperture_ros.bags.writing import bag_output
+from coded_aperture_ros.core.errors import InputError, naming
+from coded_aperture_ros.core.figures import new_figure
+from coded_aperture_ros.core.workers import processors
+from coded_aperture_ros.depth import map_size
+from coded_aperture_ros.frames import Gamma
 from coded_aperture_ros.io.messages import MessageError, view_of
 from coded_aperture_ros.likelihood.bank import check_frame_size
 from coded_aperture_ros.likelihood.choose import bank_of

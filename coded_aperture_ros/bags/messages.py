@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from coded_aperture_ros.bags import codec
 from coded_aperture_ros.bags.frames import ProcessedFrame
-from coded_aperture_ros.io.bags import codec
-from coded_aperture_ros.io.bags.reading import Bag
-from coded_aperture_ros.io.bags.recorded import Recorded, Topic
-from coded_aperture_ros.io.bags.topics import Outputs
+from coded_aperture_ros.bags.reading import Bag
+from coded_aperture_ros.bags.recorded import Recorded, Topic
+from coded_aperture_ros.bags.topics import Outputs
 from coded_aperture_ros.io.messages import MessageError, view_of
 from coded_aperture_ros.optics import Camera, View
 

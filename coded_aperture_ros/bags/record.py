@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.bags.codec import read_picture
 from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
+from coded_aperture_ros.bags.recorded import Recorded
 from coded_aperture_ros.bags.score import FrameScore, summary
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames import Gamma
-from coded_aperture_ros.io.bags.codec import read_picture
-from coded_aperture_ros.io.bags.recorded import Recorded
 from coded_aperture_ros.io.messages import frame_from_pixels, stamp_ns
 from coded_aperture_ros.metrics.errors import median
 from coded_aperture_ros.metrics.times import Times

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.bags.codec import read_depth_image
 from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
+from coded_aperture_ros.bags.recorded import Recorded
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.io.bags.codec import read_depth_image
-from coded_aperture_ros.io.bags.recorded import Recorded
 from coded_aperture_ros.io.messages import MessageError, depth_from_pixels, stamp_ns
 from coded_aperture_ros.metrics import Reliability
 from coded_aperture_ros.metrics.errors import RelativeError

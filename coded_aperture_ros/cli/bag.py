@@ -118,9 +118,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _convert(args: argparse.Namespace, source: Path, target: Path) -> dict[str, Any]:
+    from coded_aperture_ros.bags import check_bag_output
     from coded_aperture_ros.bags.conversion import BagConversion
     from coded_aperture_ros.deblur import DeblurConfig
-    from coded_aperture_ros.io.bags import check_bag_output
     from coded_aperture_ros.optics import load_camera
 
     check_bag_output(target, [source, *inputs_of(args, "bank", "camera")], args.overwrite)

@@ -111,7 +111,7 @@ def _frames(args: argparse.Namespace, report: Callable[[str, InputError], None])
     """Yield input, name, light and hidden noise of every frame; report what cannot be read."""
     from coded_aperture_ros.frames import hidden_noise
     from coded_aperture_ros.io.messages import frame_from_pixels
-    from coded_aperture_ros.io.sources import captures, open_files
+    from coded_aperture_ros.sources import captures, open_files
 
     for given, source in [(given, open_files(given)) for given in args.inputs]:
         for capture in captures(source, partial(report, given)):

@@ -97,7 +97,7 @@ def named_frames(
     cannot be written or would overwrite an input. Of several pictures, those that cannot be read
     are left to `unusable`.
     """
-    from coded_aperture_ros.io.sources import PictureSource, captures, open_files
+    from coded_aperture_ros.sources import PictureSource, captures, open_files
 
     with ExitStack() as opened:
         sources = [opened.enter_context(closing(open_files(given))) for given in args.inputs]
@@ -164,7 +164,7 @@ def named_frames(
 
 def single_frame(path: str, args: argparse.Namespace) -> tuple[Any, float]:
     """Return the light of the only frame of a file, read as inputs are, and its hidden noise."""
-    from coded_aperture_ros.io.sources import captures, open_files
+    from coded_aperture_ros.sources import captures, open_files
 
     with closing(open_files(path)) as source, naming(path):
         found = [light_of(capture, args) for capture in captures(source)]

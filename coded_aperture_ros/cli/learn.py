@@ -280,8 +280,8 @@ def _resolution(camera: Any, bank: Any) -> dict[str, float | None]:
 
 def _prior(args: argparse.Namespace) -> Any:
     from coded_aperture_ros.frames import linear_from_pixels
-    from coded_aperture_ros.io.sources import captures, open_files
     from coded_aperture_ros.likelihood.bank import EmpiricalPrior, NaturalImagePrior
+    from coded_aperture_ros.sources import captures, open_files
 
     if args.images is None:
         return NaturalImagePrior()

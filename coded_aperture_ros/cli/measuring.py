@@ -80,7 +80,7 @@ def check_size(path: str, camera: Any, planes: Any) -> None:
 
 def pictures_in(inputs: list[str]) -> list[str]:
     """Return the pictures, or those of the one folder."""
-    from coded_aperture_ros.io.sources import open_files
+    from coded_aperture_ros.sources import open_files
 
     if len(inputs) > 1 or not Path(inputs[0]).is_dir():
         return inputs

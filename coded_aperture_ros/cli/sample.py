@@ -99,7 +99,7 @@ def _made(folder: Path) -> Iterator[list[str]]:
 
 def _record(path: Path, camera: Any, views: list[Any]) -> list[str]:
     """Write a bag of the views; return its name."""
-    from coded_aperture_ros.io.bags import bag_output, codec
+    from coded_aperture_ros.bags import bag_output, codec
     from coded_aperture_ros.io.messages import pixels_from_frame
 
     info = codec.info_of(camera.intrinsics)

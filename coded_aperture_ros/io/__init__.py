@@ -1,4 +1,4 @@
-"""Pictures and depth maps on disk; in `sources`, whatever gives frames."""
+"""Pictures and depth maps on disk, and conversion between image messages and arrays."""
 
 from coded_aperture_ros.io.depth_picture import (
     confidence_picture,

@@ -14,14 +14,6 @@ from std_msgs.msg import Header
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.io.messages import frame_from_pixels, pixels_from_frame
-from coded_aperture_ros.io.sources import (
-    SIMULATOR,
-    Capture,
-    DeviceConfig,
-    DeviceSource,
-    Source,
-    open_source,
-)
 from coded_aperture_ros.ros.camera_info_store import CameraInfoStore
 from coded_aperture_ros.ros.camera_model import required_camera
 from coded_aperture_ros.ros.diagnostics import (
@@ -36,6 +28,14 @@ from coded_aperture_ros.ros.pace import Pace
 from coded_aperture_ros.ros.rgbd_source import RGBD, RgbdSource
 from coded_aperture_ros.ros.static_transform import broadcast_static, optical_transform
 from coded_aperture_ros.ros.topics import LocalTopics, Outputs
+from coded_aperture_ros.sources import (
+    SIMULATOR,
+    Capture,
+    DeviceConfig,
+    DeviceSource,
+    Source,
+    open_source,
+)
 
 _IDLE_S = 0.05
 _RETRY_S = (0.5, 10.0)

@@ -15,12 +15,12 @@ from coded_aperture_ros.io.messages import (
     depth_pixels,
     frame_from_image,
 )
-from coded_aperture_ros.io.sources import Capture
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.ros.messages import stamp_ns as stamp_of
 from coded_aperture_ros.ros.pairing import StampPairs
 from coded_aperture_ros.ros.topics import Inputs
 from coded_aperture_ros.simulation import SensorModel, render_coded_frame
+from coded_aperture_ros.sources import Capture
 
 RGBD = "rgbd"
 _IMAGE, _DEPTH = "rgbd/image", "rgbd/depth"

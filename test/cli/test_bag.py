@@ -34,12 +34,12 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import CompressionMode
 
+from coded_aperture_ros.bags import Recorded
+from coded_aperture_ros.bags.codec import read_picture
 from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
 from coded_aperture_ros.bags.record import Record
 from coded_aperture_ros.cli.main import make_parser
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.bags import Recorded
-from coded_aperture_ros.io.bags.codec import read_picture
 from coded_aperture_ros.io.messages import MessageError, array_from_image
 
 RESULTS = ("depth/image", "depth/confidence", "depth/std_dev", "depth/camera_info")

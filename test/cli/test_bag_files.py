@@ -35,12 +35,12 @@ from hypothesis import strategies as st
 from rosbags.rosbag2 import CompressionMode
 from waiting import wait_until
 
+from coded_aperture_ros.bags import Bag, bag_output, is_bag
 from coded_aperture_ros.bags.workers import in_order
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import processors
-from coded_aperture_ros.io.bags import Bag, bag_output, is_bag
-from coded_aperture_ros.io.sources import BagSource, PictureSource, open_source
 from coded_aperture_ros.optics import load_camera
+from coded_aperture_ros.sources import BagSource, PictureSource, open_source
 
 STORAGES = ("mcap", "sqlite3")
 

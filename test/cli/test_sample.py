@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from cli_scene import call
 
+from coded_aperture_ros.bags import Bag
 from coded_aperture_ros.cli.main import main
 from coded_aperture_ros.io import read_depth, read_image
-from coded_aperture_ros.io.bags import Bag
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.simulation import render_coded_frame
 

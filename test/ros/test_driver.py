@@ -14,11 +14,11 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.messages import array_from_image
-from coded_aperture_ros.io.sources import DeviceSource, PictureSource, SimulatorSource, open_source
-from coded_aperture_ros.io.sources.device import changed_by_itself
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.messages import stamp_ns
+from coded_aperture_ros.sources import DeviceSource, PictureSource, SimulatorSource, open_source
+from coded_aperture_ros.sources.device import changed_by_itself
 
 WIDTH, HEIGHT = 64, 48
 CAMERA = {

@@ -25,6 +25,7 @@ ROOMS = (
     "pipeline",
     "__init__",
     "bags",
+    "sources",
     "ros",
     "cli",
     "__main__",

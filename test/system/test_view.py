@@ -26,12 +26,12 @@ from coded_aperture_viewer.refocus import refocused  # noqa: E402
 from coded_aperture_viewer.settings import LookConfig, Settings  # noqa: E402
 from live_page import CHROMIUM, page_at  # noqa: E402
 
+from coded_aperture_ros.bags import Bag  # noqa: E402
 from coded_aperture_ros.cli.main import main  # noqa: E402
 from coded_aperture_ros.core.errors import InputError  # noqa: E402
 from coded_aperture_ros.deblur import DeblurConfig  # noqa: E402
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate  # noqa: E402
 from coded_aperture_ros.io import read_depth, read_image, write_image  # noqa: E402
-from coded_aperture_ros.io.bags import Bag  # noqa: E402
 from coded_aperture_ros.optics import Camera, Mask  # noqa: E402
 
 TOKEN = re.compile(r"http://\S+")

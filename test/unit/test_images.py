@@ -16,7 +16,7 @@ from coded_aperture_ros.io import (
 )
 from coded_aperture_ros.io.depth_picture import UNKNOWN_RGB
 from coded_aperture_ros.io.picture_file import read_compressed
-from coded_aperture_ros.io.sources import captures, open_files
+from coded_aperture_ros.sources import captures, open_files
 
 
 @pytest.fixture

@@ -28,7 +28,6 @@ from coded_aperture_ros.core.share import share_directory
 from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.depth.config import VIDEO_FRAMES
-from coded_aperture_ros.io.sources import SIMULATOR, PictureSource, open_source
 from coded_aperture_ros.likelihood.bank import (
     DEFAULT_LEVEL_COUNT,
     FilterBank,
@@ -38,6 +37,7 @@ from coded_aperture_ros.likelihood.bank import (
 )
 from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.pipeline import FramePipeline
+from coded_aperture_ros.sources import SIMULATOR, PictureSource, open_source
 from coded_aperture_viewer.live import Live, Stored
 from coded_aperture_viewer.server import Server
 from coded_aperture_viewer.settings import LookConfig, Settings

@@ -13,8 +13,8 @@ from coded_aperture_ros.depth.points import points_of_frame
 from coded_aperture_ros.io import confidence_picture, depth_picture, write_depth, write_image
 from coded_aperture_ros.io.messages import pixels_from_frame
 from coded_aperture_ros.io.points_file import write_points
-from coded_aperture_ros.io.sources import Capture
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.sources import Capture
 from coded_aperture_viewer.live import Shown
 
 _TOPIC, _INFO_TOPIC, _FRAME_ID = "/image_raw", "/camera_info", "camera_optical_frame"
@@ -65,8 +65,8 @@ class Recording:
     """
 
     def __init__(self, path: Path, camera: Camera) -> None:
-        from coded_aperture_ros.io.bags import bag_output
-        from coded_aperture_ros.io.bags.codec import CAMERA_INFO, IMAGE, info_of, new_topic
+        from coded_aperture_ros.bags import bag_output
+        from coded_aperture_ros.bags.codec import CAMERA_INFO, IMAGE, info_of, new_topic
 
         self.path, self.count = path, 0
         self._info = info_of(camera.intrinsics)
@@ -77,7 +77,7 @@ class Recording:
 
     def add(self, capture: Capture, mosaic: str) -> None:
         """Write a frame, with its stamp or the time of this computer."""
-        from coded_aperture_ros.io.bags.codec import camera_info_data, image_data
+        from coded_aperture_ros.bags.codec import camera_info_data, image_data
 
         time_ns = time.time_ns() if capture.stamp_ns is None else capture.stamp_ns
         stamp = dataclasses.replace(

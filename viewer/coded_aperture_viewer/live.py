@@ -12,11 +12,11 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthEstimate
 from coded_aperture_ros.frames import Gamma, hidden_noise
 from coded_aperture_ros.io.messages import frame_from_pixels
-from coded_aperture_ros.io.sources import Capture, Source
 from coded_aperture_ros.likelihood.bank import check_frame_size
 from coded_aperture_ros.likelihood.choose import bank_of
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.pipeline import FramePipeline
+from coded_aperture_ros.sources import Capture, Source
 from coded_aperture_viewer.refocus import refocused
 from coded_aperture_viewer.settings import LookConfig, Settings
 

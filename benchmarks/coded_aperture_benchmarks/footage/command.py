@@ -27,9 +27,9 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.files import atomic_outputs
 from coded_aperture_ros.frames import grey_image
-from coded_aperture_ros.io.sources import captures, open_files
 from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.optics.camera import camera_entries, camera_files
+from coded_aperture_ros.sources import captures, open_files
 
 _EPILOG = """example:
     coded_aperture calibrate refine bag:drive --camera camera.yaml -o refined.yaml

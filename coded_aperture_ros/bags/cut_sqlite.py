@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from urllib.parse import quote
 
-from coded_aperture_ros.io.bags.recorded import Recorded, Topic
+from coded_aperture_ros.bags.recorded import Recorded, Topic
 
 
 class CutSqlite:

@@ -4,20 +4,15 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+from coded_aperture_ros.bags import is_bag
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.bags import is_bag
 from coded_aperture_ros.io.picture_file import picture_files
-from coded_aperture_ros.io.sources.bag import BagSource
-from coded_aperture_ros.io.sources.device import DeviceConfig, DeviceSource
-from coded_aperture_ros.io.sources.files import (
-    VIDEO_SUFFIXES,
-    FileSource,
-    PictureSource,
-    VideoSource,
-)
-from coded_aperture_ros.io.sources.simulator import SimulatorSource
-from coded_aperture_ros.io.sources.source import Source
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.sources.bag import BagSource
+from coded_aperture_ros.sources.device import DeviceConfig, DeviceSource
+from coded_aperture_ros.sources.files import VIDEO_SUFFIXES, FileSource, PictureSource, VideoSource
+from coded_aperture_ros.sources.simulator import SimulatorSource
+from coded_aperture_ros.sources.source import Source
 
 SIMULATOR = "simulator"
 _BAG = "bag:"

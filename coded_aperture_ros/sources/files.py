@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.picture_file import read_compressed
-from coded_aperture_ros.io.sources.source import Capture
+from coded_aperture_ros.sources.source import Capture
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm", ".mpg", ".mpeg", ".mjpeg")
 

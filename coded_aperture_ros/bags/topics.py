@@ -3,9 +3,9 @@
 import dataclasses
 from collections.abc import Iterable, Mapping
 
+from coded_aperture_ros.bags.codec import CAMERA_INFO, COMPRESSED, IMAGE
+from coded_aperture_ros.bags.recorded import Topic
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.bags.codec import CAMERA_INFO, COMPRESSED, IMAGE
-from coded_aperture_ros.io.bags.recorded import Topic
 
 _RAW = "image_raw"
 _COMPRESSED_RAW = "image_raw/compressed"

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 
+from coded_aperture_ros.bags.recorded import METADATA, SUFFIXES, Recorded, Topic
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.bags.recorded import METADATA, SUFFIXES, Recorded, Topic
 
 
 def is_bag(path: str | os.PathLike[str]) -> bool:
@@ -44,7 +44,7 @@ class Bag(AbstractContextManager["Bag"]):
                 f"{self.path}: no bag: expected a folder with {METADATA}, or a .mcap or .db3 file"
             )
         check_rosbags()
-        from coded_aperture_ros.io.bags.opening import open_parts
+        from coded_aperture_ros.bags.opening import open_parts
 
         self._parts, damage = open_parts(self.path, _storage_files(self.path))
         self.damage = "; ".join(damage)
@@ -60,7 +60,7 @@ class Bag(AbstractContextManager["Bag"]):
 
         In the order of their recording; behind a cut nothing comes, and `damage` says so.
         """
-        from coded_aperture_ros.io.bags.complete import DAMAGE, in_a_line
+        from coded_aperture_ros.bags.complete import DAMAGE, in_a_line
 
         for part in self._parts:
             try:

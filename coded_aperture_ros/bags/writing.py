@@ -7,10 +7,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from coded_aperture_ros.bags.reading import check_rosbags
+from coded_aperture_ros.bags.recorded import METADATA, Topic
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import temporary_folder
-from coded_aperture_ros.io.bags.reading import check_rosbags
-from coded_aperture_ros.io.bags.recorded import METADATA, Topic
 
 # Of bags as ROS 2 Jazzy writes them.
 _VERSION = 9

@@ -4,12 +4,12 @@ import os
 from collections.abc import Generator
 from pathlib import Path
 
+from coded_aperture_ros.bags import Bag, Recorded
+from coded_aperture_ros.bags.codec import read_picture
+from coded_aperture_ros.bags.topics import image_topic
 from coded_aperture_ros.core.errors import InputError, naming
-from coded_aperture_ros.io.bags import Bag, Recorded
-from coded_aperture_ros.io.bags.codec import read_picture
-from coded_aperture_ros.io.bags.topics import image_topic
-from coded_aperture_ros.io.sources.files import FileSource
-from coded_aperture_ros.io.sources.source import Capture
+from coded_aperture_ros.sources.files import FileSource
+from coded_aperture_ros.sources.source import Capture
 
 
 class BagSource(FileSource[tuple[int, Recorded]]):

@@ -10,7 +10,7 @@ from typing import Any
 
 from rosbags.rosbag2 import Reader, ReaderError
 
-from coded_aperture_ros.io.bags.recorded import SUFFIXES, Recorded, Topic
+from coded_aperture_ros.bags.recorded import SUFFIXES, Recorded, Topic
 
 # What rosbags itself depends on.
 _apsw: Any = import_module("apsw")

@@ -16,8 +16,8 @@ from typing import IO
 
 from rosbags.rosbag2.storage_mcap import decompress, get_qos, read_bytes, read_string
 
-from coded_aperture_ros.io.bags.complete import DAMAGE
-from coded_aperture_ros.io.bags.recorded import Recorded, Topic
+from coded_aperture_ros.bags.complete import DAMAGE
+from coded_aperture_ros.bags.recorded import Recorded, Topic
 
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")

@@ -3,11 +3,11 @@
 import re
 from pathlib import Path
 
+from coded_aperture_ros.bags.complete import DAMAGE, CompleteBag, in_a_line
+from coded_aperture_ros.bags.cut_mcap import CutMcap
+from coded_aperture_ros.bags.cut_sqlite import CutSqlite
+from coded_aperture_ros.bags.recorded import METADATA, SUFFIXES
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.bags.complete import DAMAGE, CompleteBag, in_a_line
-from coded_aperture_ros.io.bags.cut_mcap import CutMcap
-from coded_aperture_ros.io.bags.cut_sqlite import CutSqlite
-from coded_aperture_ros.io.bags.recorded import METADATA, SUFFIXES
 
 _CUT: dict[str, type] = {"mcap": CutMcap, "sqlite3": CutSqlite}
 # A complete bag, or one file of it; the attributes are those of `Bag`.

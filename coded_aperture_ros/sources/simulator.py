@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from coded_aperture_ros.io.sources.source import Capture
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.simulation import PanningScene, motorcycle_scene
+from coded_aperture_ros.sources.source import Capture
 
 _SCENE_SCALE = 1.2
 _NOISE_MARGIN_PX = 128

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.bags.recorded import Topic
 from coded_aperture_ros.frames.decoding import lost_by_compression
-from coded_aperture_ros.io.bags.recorded import Topic
 from coded_aperture_ros.io.messages import (
     MessageError,
     array_from_compressed,

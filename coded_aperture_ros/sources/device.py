@@ -6,7 +6,7 @@ import cv2
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
-from coded_aperture_ros.io.sources.source import Capture
+from coded_aperture_ros.sources.source import Capture
 
 # What drivers of cameras on Linux (V4L2) take for "by hand" and "automatic".
 _MANUAL_EXPOSURE, _AUTO_EXPOSURE = 1, 3
