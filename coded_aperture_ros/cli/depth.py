@@ -31,13 +31,7 @@ from coded_aperture_ros.cli.frames import (
     suitable,
 )
 from coded_aperture_ros.cli.measuring import rounded
-from coded_aperture_ros.cli.options import (
-    add_deprecated_alias,
-    add_gamma_option,
-    add_options,
-    between,
-    written_name,
-)
+from coded_aperture_ros.cli.options import add_gamma_option, add_options, between, written_name
 from coded_aperture_ros.core.errors import InputError, naming
 
 _SUFFIXES = (".npy", ".tif", ".tiff", ".png")
@@ -100,7 +94,7 @@ def add_parser(subparsers: Any) -> None:
     }
     as_levels = {"--as-levels": "write fractional level indices instead of metres"}
     add_options(parser, look_ahead)
-    add_deprecated_alias(parser, "--levels", add_options(parser, as_levels))
+    add_options(parser, as_levels)
     second = {"--refocused-frame FILE": "a frame of the same view with the lens focused elsewhere"}
     add_options(parser, second)
     focus = {"--refocused-to M": "with --refocused-frame and --camera: distance of its focus, m"}

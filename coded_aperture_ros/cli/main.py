@@ -44,7 +44,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     _set_up_libraries()
     _replace_closed_streams()
-    # Before parsing, which warns of former names.
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format=f"{PROGRAM}: %(message)s")
     try:
         try:

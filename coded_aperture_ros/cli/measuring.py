@@ -8,13 +8,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.options import (
-    add_deprecated_alias,
-    add_options,
-    at_least,
-    checked,
-    config_from,
-)
+from coded_aperture_ros.cli.options import add_options, at_least, checked, config_from
 from coded_aperture_ros.core.errors import InputError
 
 MASK_FILE = "mask.npy"
@@ -37,10 +31,9 @@ def _numbers(text: str) -> list[float]:
 def add_level_count_option(
     parser: argparse.ArgumentParser, default: int | None, what: str, least: int = 2
 ) -> None:
-    """Add `--level-count`, which was called `--levels`."""
+    """Add `--level-count`."""
     written = {"--level-count N": what}
-    option = add_options(parser, written, type=at_least(least), default=default)
-    add_deprecated_alias(parser, "--levels", option)
+    add_options(parser, written, type=at_least(least), default=default)
 
 
 def add_depths_option(parser: argparse.ArgumentParser, what: str) -> None:

@@ -1,7 +1,6 @@
 """Command-line options that several sub-commands share."""
 
 import argparse
-import logging
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import import_module
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.options import Option, check_option, options_of, renamed
+from coded_aperture_ros.core.options import Option, check_option, options_of
 from coded_aperture_ros.core.workers import processors
 
 
@@ -78,38 +77,6 @@ def add_commands(
         command.add_parser(subparsers)
 
 
-class _FormerName(argparse.Action):
-    """An option under the name that it had: does what the present one does, and warns."""
-
-    def __init__(self, option_strings: Sequence[str], dest: str, present: argparse.Action) -> None:
-        super().__init__(
-            option_strings,
-            dest,
-            nargs=present.nargs,
-            default=argparse.SUPPRESS,  # that of the present name counts
-            type=present.type,  # type: ignore[arg-type]
-            choices=present.choices,
-            help=argparse.SUPPRESS,
-        )
-        self._present = present
-
-    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: Any = None) -> None:
-        name = self._present.option_strings[-1]
-        logging.warning(renamed(option_string or self.option_strings[0], name))
-        self._present(parser, namespace, values, name)
-
-
-def add_deprecated_alias(
-    parser: argparse.ArgumentParser, former: str, present: argparse.Action
-) -> None:
-    """Let an option go by its former name too, which is not shown, and warns when it is used.
-
-    `present` is what `parser.add_argument` has returned for the present name, which must not be
-    required.
-    """
-    parser.add_argument(former, action=_FormerName, dest=present.dest, present=present)
-
-
 def add_config_options(
     parser: argparse.ArgumentParser, config: type, title: str, **defaults: Any
 ) -> argparse._ArgumentGroup:
@@ -117,14 +84,14 @@ def add_config_options(
 
     A setting `confidence_threshold` becomes `--confidence-threshold`, with the dataclass's
     help and range, and its default unless `defaults` has another one; None, where it matters
-    whether it was given. Its former names work too; see `add_deprecated_alias`.
+    whether it was given.
     """
     group = parser.add_argument_group(title)
     for name, (field, described) in options_of(config).items():
         default = defaults.get(name, field.default)
         shown = field.default if default is None else default
         allowed = f"{described.allowed}; " if described.allowed and not described.choices else ""
-        present = group.add_argument(
+        group.add_argument(
             written_name(name),
             type=_parser_of(type(field.default), described),
             choices=described.choices,
@@ -132,8 +99,6 @@ def add_config_options(
             metavar=None if described.choices else type(field.default).__name__.upper(),
             help=f"{described.description} ({allowed}default {shown})",
         )
-        for former in described.formerly:
-            add_deprecated_alias(parser, written_name(former), present)
     return group
 
 

@@ -1,16 +1,9 @@
 """Settings described once: defaults, units, ranges and help live in frozen dataclasses.
 
 ROS parameters, command-line options and YAML files are all derived from these dataclasses, so
-that a default or a range is written in one place only.
+that a default or a range is written in one place only:
 
-A setting that gets a new name keeps its old one for a release. This too is written once, at the
-setting itself:
-
-    edge_correction: float = option(0.28, "...", formerly="rim")
     temporal_frames: float = option(0.0, "...", parameter="temporal.frames")
-
-The command line looks old names up in `Option.formerly`, ROS in `former_parameters`; both use the
-value, and warn with `renamed`.
 """
 
 import dataclasses
@@ -31,7 +24,7 @@ class Option:
     maximum: float | None = None
     choices: tuple[str, ...] | None = None  # the only values allowed
     read_only: bool = False  # whether a running node cannot change it
-    formerly: tuple[str, ...] = ()  # names that the field had in earlier releases
+    daily: bool = False  # whether `--help` shows it; `--help-all` shows every option
     # Name of the ROS parameter, such as ``regularize.method``; empty: see `parameter_names`.
     parameter: str = ""
 
@@ -51,24 +44,16 @@ class Option:
 
 
 def option(
-    default: Any,
-    description: str,
-    *,
-    within: tuple[float, float] | None = None,
-    formerly: str | tuple[str, ...] = (),
-    **described: Any,
+    default: Any, description: str, *, within: tuple[float, float] | None = None, **described: Any
 ) -> Any:
     """Declare a dataclass field that carries its `Option`.
 
-    The arguments after `default` are the attributes of `Option`; `within` are both bounds, and a
-    single former name need not be in a tuple. An unknown one is a TypeError where the class is
-    defined.
+    The arguments after `default` are the attributes of `Option`; `within` are both bounds. An
+    unknown one is a TypeError where the class is defined.
     """
-    if isinstance(formerly, str):
-        formerly = (formerly,)
     if within is not None:
         described["minimum"], described["maximum"] = within
-    known = Option(description, formerly=formerly, **described)
+    known = Option(description, **described)
     return dataclasses.field(default=default, metadata={"option": known})
 
 
@@ -98,24 +83,6 @@ def parameter_names(config: Any) -> dict[str, str]:
         name: described.parameter or group + name.removeprefix(group.replace(".", "_"))
         for name, (_, described) in options_of(config).items()
     }
-
-
-def former_parameters(config: Any) -> dict[str, str]:
-    """Return `{former ROS parameter: present one}` of a configuration dataclass.
-
-    Former ones are a field's former names, and its name where the parameter now has another one.
-    """
-    return {
-        former: present
-        for name, present in parameter_names(config).items()
-        for former in (name, *options_of(config)[name][1].formerly)
-        if former != present
-    }
-
-
-def renamed(former: str, present: str) -> str:
-    """Return the warning for whoever uses a former name; the names as the user writes them."""
-    return f"{former} is now called {present}: use this, {former} goes in the next release"
 
 
 def check_options(config: Any) -> None:

@@ -45,7 +45,6 @@ class DepthConfig:
         "nothing. Learned needs none.",
         within=(0.0, 1.0),
         parameter="regularize.edge_correction",
-        formerly="rim",
     )
     noise: float = option(
         0.0,

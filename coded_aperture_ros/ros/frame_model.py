@@ -59,7 +59,6 @@ class ModelConfig:
         "Blur levels to learn, if no bank is given",
         within=(2, 500),
         read_only=True,
-        formerly="levels",
         parameter="learn.level_count",
     )
 

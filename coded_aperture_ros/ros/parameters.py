@@ -16,14 +16,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.options import (
-    Option,
-    check_option,
-    former_parameters,
-    options_of,
-    parameter_names,
-    renamed,
-)
+from coded_aperture_ros.core.options import Option, check_option, options_of, parameter_names
 
 Config = TypeVar("Config")
 
@@ -45,7 +38,7 @@ class NodeParameters:
     A bad value is refused with the reason and the old one stays. A good one replaces the whole
     (frozen) configuration, so that a worker thread that took one at the start of a frame keeps a
     consistent one, and can tell by identity that something has changed since. An integer is good
-    for a number that may have a fraction. Former names of parameters are accepted, with a warning.
+    for a number that may have a fraction.
 
     `configs` are instances with the defaults, made with `core.options.option`, whose parameters'
     names must differ; `fixed` are further ones that cannot change while the node runs, by the
@@ -56,16 +49,14 @@ class NodeParameters:
     def __init__(
         self, node: Node, *configs: Any, fixed: Mapping[str, Any] = MappingProxyType({})
     ) -> None:
-        self._logger = node.get_logger()
         self._configs: dict[type, Any] = {}
         self._settings: dict[str, _Setting] = {}
-        self._former: dict[str, str] = {}
         for config in configs:
             self._declare(node, config, "", read_only=False)
         for prefix, config in fixed.items():
             self._declare(node, config, prefix, read_only=True)
         self._listeners: dict[type, tuple[Callable[[Any], None], Callable[[Any], None]]] = {}
-        node.add_pre_set_parameters_callback(self._present)
+        node.add_pre_set_parameters_callback(self._with_types)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
 
@@ -92,8 +83,6 @@ class NodeParameters:
 
     def _declare(self, node: Node, config: Any, prefix: str, read_only: bool) -> None:
         values = {}
-        for former, present in former_parameters(config).items():
-            self._former[prefix + former] = prefix + present
         options, names = options_of(config), parameter_names(config)
         for field, (declared, described) in options.items():
             if read_only:
@@ -108,30 +97,22 @@ class NodeParameters:
         """Declare a parameter, and return what it was started with."""
         setting = self._settings[name]
         value = _given(node, name)
-        for former in [old for old, new in self._former.items() if new == name]:
-            said = _given(node, former)
-            if said is not None:
-                self._logger.warning(renamed(former, name))
-                value = said if value is None else value
         value = _suiting(default if value is None else value, setting.kind)
         check_option(f"parameter {name}", value, setting.kind, setting.described)
         descriptor = descriptor_of(value, setting.described)
         return node.declare_parameter(name, value, descriptor, ignore_override=True).value
 
-    def _present(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Return what is to be set with present names, and of the parameters' types."""
-        present = []
+    def _with_types(self, parameters: list[Parameter]) -> list[Parameter]:
+        """Return what is to be set, with values of the parameters' types."""
+        suiting = []
         for parameter in parameters:
-            name = self._former.get(parameter.name, parameter.name)
-            if name != parameter.name:
-                self._logger.warning(renamed(parameter.name, name))
-            if name in self._settings:
-                value = _suiting(parameter.value, self._settings[name].kind)
+            if setting := self._settings.get(parameter.name):
+                value = _suiting(parameter.value, setting.kind)
                 # An empty array does not show its type.
                 kept = parameter.type_ if value is parameter.value else None
-                parameter = Parameter(name, kept, value)
-            present.append(parameter)
-        return present
+                parameter = Parameter(parameter.name, kept, value)
+            suiting.append(parameter)
+        return suiting
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
         try:

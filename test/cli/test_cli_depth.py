@@ -836,20 +836,6 @@ def test_smoothness_counts_where_classical_regularisation_stands_in(scene, tmp_p
     assert not np.array_equal(*maps, equal_nan=True)
 
 
-def test_the_former_name_of_levels_works_and_warns(scene, tmp_path, capsys, caplog):
-    arguments = ("--bank", scene.index_bank, scene.coded_npy, "-o")
-    assert call(capsys, "depth", *arguments, tmp_path / "a.npy", "--as-levels").status == 0
-    (refined_by,) = caplog.messages
-    assert "semiglobal in place of learned" in refined_by
-    caplog.clear()
-    assert call(capsys, "depth", *arguments, tmp_path / "b.npy", "--levels").status == 0
-    assert caplog.messages == [
-        "--levels is now called --as-levels: use this, --levels goes in the next release",
-        refined_by,
-    ]
-    np.testing.assert_array_equal(np.load(tmp_path / "a.npy"), np.load(tmp_path / "b.npy"))
-
-
 @pytest.fixture(params=["bank", "motion", "simple"])
 def method(request, scene, tmp_path, capsys):
     """Options for every method, and a frame that it can use."""

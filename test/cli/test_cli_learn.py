@@ -16,25 +16,6 @@ from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 SMALL = ("--window-px", 16, "--rank", 8)
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        ("learn", "--camera", "camera.yaml", "--depth-range", 1.5, 3),
-        ("calibrate", "planes", "planes"),
-        ("calibrate", "blind", "planes"),
-        ("calibrate", "psf", "a.png", "b.png"),
-    ],
-)
-def test_the_former_name_of_the_level_count(tmp_path, capsys, caplog, monkeypatch, command):
-    monkeypatch.chdir(tmp_path)
-    result = call(capsys, *command, "--levels", 5, "-o", "new.npz")
-    assert result.status == 1  # nothing is there to learn from
-    (warning,) = caplog.messages
-    assert "--levels is now called --level-count" in warning
-    result = call(capsys, *command, "--levels", "few", "-o", "new.npz")
-    assert (result.status, "--levels: invalid int value: 'few'" in result.err) == (2, True)
-
-
 def test_from_a_camera(scene, tmp_path, capsys):
     bank_file = tmp_path / "new folder" / "bank.npz"
     result = call(

@@ -1,7 +1,6 @@
 """Exit status, messages and streams of the program `coded_aperture`."""
 
 import argparse
-import dataclasses
 import errno
 import os
 import platform
@@ -17,10 +16,8 @@ import pytest
 
 import coded_aperture_ros
 from coded_aperture_ros.cli import main as program
-from coded_aperture_ros.cli.options import add_config_options, add_deprecated_alias, config_from
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
-from coded_aperture_ros.core.options import check_options, option
 
 
 def call(arguments, module="coded_aperture_ros.cli.main"):
@@ -264,48 +261,3 @@ def test_commands_are_listed_in_the_order_of_use():
             "bench",
         )
     ]
-
-
-@dataclasses.dataclass(frozen=True)
-class Config:
-    edge_width: float = option(0.5, "Width of edges", within=(0.0, 1.0), formerly="rim")
-    kind: str = option("a", "Kind", choices=("a", "b"), formerly=("sort", "class"))
-
-    def __post_init__(self):
-        check_options(self)
-
-
-def test_former_names_of_options_work_and_warn(caplog):
-    parser = argparse.ArgumentParser(prog="act")
-    flag = parser.add_argument("--as-levels", action="store_true")
-    count = parser.add_argument("-n", "--level-count", type=int, default=33)
-    add_deprecated_alias(parser, "--levels", flag)
-    add_deprecated_alias(parser, "--number", count)
-    add_config_options(parser, Config, "settings", edge_width=0.25)
-
-    args = parser.parse_args([])
-    assert (args.as_levels, args.level_count) == (False, 33)
-    assert config_from(args, Config) == Config(0.25, "a")
-    assert caplog.messages == []
-
-    args = parser.parse_args(["--levels", "--number", "9", "--rim", ".75", "--sort", "b"])
-    assert (args.as_levels, args.level_count) == (True, 9)
-    assert config_from(args, Config) == Config(0.75, "b")
-    assert [message.partition(":")[0] for message in caplog.messages] == [
-        "--levels is now called --as-levels",
-        "--number is now called --level-count",
-        "--rim is now called --edge-width",
-        "--sort is now called --kind",
-    ]
-    for former in ("--levels", "--number", "--rim", "--sort", "--class"):
-        assert former not in parser.format_help()
-
-
-@pytest.mark.parametrize("wrong", [["--rim", "2"], ["--rim", "wide"], ["--class", "c"]])
-def test_a_former_name_refuses_what_the_present_one_does(capsys, wrong):
-    parser = argparse.ArgumentParser(prog="act")
-    add_config_options(parser, Config, "settings")
-    with pytest.raises(SystemExit) as ended:
-        parser.parse_args(wrong)
-    assert ended.value.code == 2
-    assert f"argument {wrong[0]}: " in capsys.readouterr().err

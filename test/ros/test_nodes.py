@@ -344,17 +344,16 @@ def test_motion_is_offered_only_by_the_method_that_finds_it(ros, model, coded):
 
 
 def test_parameters_are_set_as_by_ros2_param_set(ros, model):
-    """`ros2 param set /depth_node temporal_frames 4`: a former name, and an integer."""
+    """`ros2 param set /depth_node temporal.frames 4`: an integer is good for a float."""
     node = Chain(ros, model, subscribe=()).node
     client = ros.probe.create_client(SetParameters, "depth_node/set_parameters")
     assert wait_until(client.service_is_ready)
-    for name in ("temporal_frames", "temporal.frames"):
-        value = ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=len(name))
-        request = SetParameters.Request(parameters=[ParameterMessage(name=name, value=value)])
-        answer = client.call_async(request)
-        assert wait_until(answer.done)
-        assert answer.result().results[0].successful, answer.result().results[0].reason
-        assert node.get_parameter("temporal.frames").value == float(len(name))
+    value = ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=6)
+    parameter = ParameterMessage(name="temporal.frames", value=value)
+    answer = client.call_async(SetParameters.Request(parameters=[parameter]))
+    assert wait_until(answer.done)
+    assert answer.result().results[0].successful, answer.result().results[0].reason
+    assert node.get_parameter("temporal.frames").value == 6.0
     for kind in (ParameterType.PARAMETER_DOUBLE_ARRAY, ParameterType.PARAMETER_INTEGER_ARRAY):
         empty = ParameterMessage(name="lazy", value=ParameterValue(type=kind))
         answer = client.call_async(SetParameters.Request(parameters=[empty]))

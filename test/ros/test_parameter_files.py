@@ -71,17 +71,6 @@ def test_parameter_files_say_the_defaults(checkout, started, node):
     assert given == {name: node.get_parameter(name).value for name in given}
 
 
-@pytest.mark.parametrize("node", NODES)
-def test_the_documentation_names_all_present_and_former_parameters(checkout, started, node):
-    rows = {}
-    for line in (checkout / "docs" / "robot.md").read_text().splitlines():
-        cells = [cell.strip().strip("`") for cell in line.strip("|").split("|")]
-        if len(cells) == 3 and NODES.keys() & set(cells[2].split(", ")):
-            rows.update({(cells[0], of): cells[1] for of in cells[2].split(", ")})
-    named = {former: present for (former, of), present in rows.items() if of == node}
-    assert named == dict(started(node).configs._former)
-
-
 def test_obstacle_avoidance_settings_agree_with_each_other(checkout):
     content = yaml.safe_load((checkout / "config" / "obstacle_avoidance.yaml").read_text())
     values = {name: part["ros__parameters"] for name, part in content.items()}

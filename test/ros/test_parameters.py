@@ -21,7 +21,7 @@ class Config:
     kind: str = option("fast", "A method", choices=("fast", "slow"))
     weight: float = option(0.5, "A weight", unit="m", within=(0.0, 1.0))
     size: int = option(8, "A size", minimum=1)
-    free: float = option(1.0, "Any number", parameter="group.free", formerly="unbound")
+    free: float = option(1.0, "Any number", parameter="group.free")
     on: bool = option(True, "A switch")
 
     def __post_init__(self):
@@ -177,29 +177,9 @@ def warned(monkeypatch):
     return said
 
 
-@pytest.mark.parametrize("former", ["free", "unbound"])
-def test_former_names_are_taken_with_a_warning(make, warned, former):
-    node, parameters = make(**{former: 3})
-    assert parameters[Config].free == 3.0
-    assert node.get_parameter("group.free").value == 3.0
-    assert not node.has_parameter(former)
-    assert len(warned) == 1
-    assert former in warned[0] and "group.free" in warned[0]
-    assert change(node, **{former: 4}).successful
-    assert parameters[Config].free == 4.0
-    assert len(warned) == 2
-    assert not change(node, **{former: float("inf")}).successful
-    assert parameters[Config].free == 4.0
-
-
-def test_a_present_name_comes_before_a_former_one(make, warned):
-    _, parameters = make(free=3.0, **{"group.free": 5.0})
-    assert parameters[Config].free == 5.0
-    assert len(warned) == 1
-
-
-def test_present_names_are_taken_without_a_warning(make, warned):
+def test_a_parameter_goes_by_the_name_of_its_group(make, warned):
     node, parameters = make(**{"group.free": 5.0})
     assert change(node, **{"group.free": 6.0}).successful
     assert parameters[Config].free == 6.0
     assert warned == []
+    assert not node.has_parameter("free")

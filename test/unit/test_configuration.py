@@ -11,7 +11,6 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import (
     Option,
     check_options,
-    former_parameters,
     option,
     options_of,
     parameter_names,
@@ -113,22 +112,10 @@ def test_huge_integers_are_out_of_range_and_not_an_overflow():
         Config(levels=10**400)
 
 
-def test_former_names_of_settings_and_of_their_parameters():
+def test_names_of_parameters():
     @dataclasses.dataclass(frozen=True)
-    class Renamed:
+    class Grouped:
         plain: float = option(0.0, "As ever")
         moved: float = option(0.0, "In a group of parameters", parameter="group.moved")
-        later: float = option(0.0, "Renamed", formerly="early")
-        both: float = option(0.0, "Both", formerly=("old", "older"), parameter="group.both")
 
-    assert parameter_names(Renamed()) == {
-        "plain": "plain",
-        "moved": "group.moved",
-        "later": "later",
-        "both": "group.both",
-    }
-    assert former_parameters(Renamed) == {
-        "moved": "group.moved",
-        "early": "later",
-        **dict.fromkeys(("both", "old", "older"), "group.both"),
-    }
+    assert parameter_names(Grouped()) == {"plain": "plain", "moved": "group.moved"}

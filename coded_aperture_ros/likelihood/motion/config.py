@@ -63,7 +63,6 @@ class MotionConfig:
         "How much less (natural logarithm) any motion must cost than none, for a patch to count as "
         "moving.",
         within=(0.0, 100.0),
-        formerly="stillness",
     )
     prior_motions: int = option(
         3,
