@@ -280,7 +280,7 @@ def test_a_bank_that_exists_survives_a_failure(scene, tmp_path, capsys):
 def test_impossible_outputs_are_refused_before_learning(
     scene, tmp_path, capsys, monkeypatch, output, phrase
 ):
-    forbid_work(monkeypatch, "bank.learn_bank_for_camera")
+    forbid_work(monkeypatch, "likelihood.bank.learn_bank_for_camera")
     (tmp_path / "file").write_text("")
     (tmp_path / "folder.npz").mkdir()
     before = everything(tmp_path)
