@@ -2,7 +2,7 @@
 
     python training/calibrate.py --scenes DIR --costs DIR --shards 0 4 80 84
 
-Prints the constant of `depth/decoders/network/refine.py`, and how well its confidence,
+Prints the constant `deviation` of `refinement.npz`, and how well its confidence,
 which `calibrate_frames.py` fits, holds on these small frames with the flaws of cameras.
 """
 
@@ -13,28 +13,35 @@ import numpy as np
 from batches import Frame, load, true_blur_px
 from shards import shards_of
 
+from coded_aperture_ros.core.archive import read_archive
 from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.depth.decoders.network import network as network_module
+from coded_aperture_ros.depth.decoders.network.calibration import Calibration
 from coded_aperture_ros.depth.decoders.network.features import BLUR_SIZES_PX
-from coded_aperture_ros.depth.decoders.network.network import Network
+from coded_aperture_ros.depth.decoders.network.network import (
+    SCHEMA,
+    SCHEMA_VERSION,
+    WEIGHTS,
+    Network,
+)
 from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells
-from coded_aperture_ros.depth.decoders.network.refine import _calibrated, _log_odds
 
+_WEIGHTS = Path(network_module.__file__).with_name(WEIGHTS)
 _PUBLISHED = 0.55
 _LEAST_PX = 1e-3
 
 
 def measured(frame: Frame) -> dict[str, np.ndarray]:
     """Return for every half-cell in the frame what was found and how wrong it is."""
-    logits = Network(frame.tried, Workers())(
-        *(v.astype(np.float32) for v in (frame.costs, frame.frame))
-    )
+    network = Network(frame.tried, Workers())
+    logits = network(*(v.astype(np.float32) for v in (frame.costs, frame.frame)))
     found = HalfCells.of(logits, BLUR_SIZES_PX[frame.tried].astype(np.float32))
     truth = true_blur_px(frame)[2::4, 2::4]
     tolerance = 0.05 * np.abs(frame.infinity_px - np.sign(truth) * found.size_px)
-    odds = _log_odds(found.right_within(np.nan_to_num(tolerance).astype(np.float32)))
+    probability = found.right_within(np.nan_to_num(tolerance).astype(np.float32))
     known = np.isfinite(truth)
     return {
-        "odds": odds[known],
+        "probability": probability[known],
         "size": found.size_px[known],
         "error": np.abs(found.size_px - np.abs(truth))[known],
         "tolerance": tolerance[known],
@@ -55,11 +62,13 @@ def main() -> None:
     each = [measured(frame) for frame in frames]
     found = {name: np.concatenate([one[name] for one in each]) for name in each[0]}
     right = found["error"] <= found["tolerance"]
-    odds, size, tolerance = (found[name] for name in ("odds", "size", "tolerance"))
-    confidence = _calibrated(odds, size, np.maximum(tolerance, _LEAST_PX))
+    calibration = Calibration.from_weights(read_archive(_WEIGHTS, SCHEMA, SCHEMA_VERSION))
+    confidence = calibration.confidence(
+        found["probability"], found["size"], np.maximum(found["tolerance"], _LEAST_PX)
+    )
     published = confidence >= _PUBLISHED
     factor = np.quantile((found["error"] / found["deviation"])[published], 0.68)
-    print(f"_DEVIATION = {factor:.3f}")
+    print(f"deviation = {factor:.3f}")
     twice = found["error"] <= 2 * found["tolerance"]
     print(f"right to 5 %: {right.mean():.3f}, to 10 %: {twice.mean():.3f}")
     print(f"published {published.mean():.3f}, of these to 10 %: {twice[published].mean():.3f}")

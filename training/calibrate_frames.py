@@ -5,7 +5,7 @@
     python training/calibrate_frames.py --fit build/training/sure_*.npz
 
 Looks at frames as a robot's are: the bank is learned from the camera, and in a third of the frames
-its blur is wrong by 0.6 %. Prints the constants of `depth/decoders/network/refine.py`,
+its blur is wrong by 0.6 %. Prints the constants `calibration` of `refinement.npz`,
 and, for each kind of scene, how well a fit on the other kinds does.
 """
 
@@ -24,6 +24,7 @@ from coded_aperture_ros.cli.options import mask_of
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.decoders.network import refine
+from coded_aperture_ros.depth.decoders.network.calibration import Calibration, log_odds
 from coded_aperture_ros.depth.decoders.network.cells import CELL_PX, Cells
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
@@ -119,18 +120,18 @@ def _within(first: int, count: int, length: int) -> tuple[np.ndarray, np.ndarray
 def _told(estimator: DepthEstimator, seen: Observation) -> tuple[np.ndarray, ...]:
     """Return what the package would calibrate the confidence of a frame from."""
     taken: list[tuple[np.ndarray, ...]] = []
-    usual = refine._calibrated
+    usual = Calibration.confidence
 
-    def take(*told: np.ndarray) -> np.ndarray:
-        taken.append(told)
-        return usual(*told)
+    def take(own: Calibration, probability: np.ndarray, *told: np.ndarray) -> np.ndarray:
+        taken.append((log_odds(probability), *told))
+        return usual(own, probability, *told)
 
-    refine._calibrated = take
+    Calibration.confidence = take
     try:
         own = estimator.cost(seen, seen.grey)
         estimator.decide(seen, own.volume, own)
     finally:
-        refine._calibrated = usual
+        Calibration.confidence = usual
     return taken[0]
 
 
@@ -150,7 +151,7 @@ def report(places: np.ndarray) -> None:
     error, kind = places[3:]
     right = error < _RIGHT
     constants = ", ".join(f"{value:.3g}" for value in fitted(told, right))
-    print(f"_CALIBRATION = ({constants})")
+    print(f"calibration = ({constants})")
     for number, name in enumerate(_KINDS):
         left_out = kind == number
         if left_out.all() or not left_out.any():

@@ -13,6 +13,7 @@ from coded_aperture_ros.core.networks import network_of
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.decoders.network import network as refinement
+from coded_aperture_ros.depth.decoders.network.calibration import Calibration, log_odds
 from coded_aperture_ros.likelihood.bank import learn_bank
 from coded_aperture_ros.metrics import psnr_db
 from coded_aperture_ros.optics import Mask, render_psf_stack
@@ -101,6 +102,38 @@ def test_what_is_installed_decides_unless_one_is_named(monkeypatch):
         assert asked == ([] if installed is None else [3])
         network_of(arrays, "levels", "opencv", 1)
     assert asked == [3]
+
+
+def test_the_calibration_is_in_the_weights_file(bank, seen, monkeypatch):
+    arrays = read_shipped(
+        refinement.__file__, "refinement.npz", refinement.SCHEMA, refinement.SCHEMA_VERSION
+    )
+    former = Calibration.from_weights({})  # files that state none
+    assert former.coefficients.dtype == np.float32 and former.deviation.dtype == np.float32
+    for name, values in former.to_arrays().items():
+        np.testing.assert_array_equal(arrays[name], values)
+
+    scene, frame = seen
+    found = []
+    other = {"calibration": former.coefficients - np.float32([1, 0, 0, 0]), "deviation": 1.56}
+    for changed in ({}, other):
+        monkeypatch.setattr(refinement, "read_shipped", lambda *_, new=changed: arrays | new)
+        config = DepthConfig(noise=NOISE, confidence_threshold=0, check_fit=False)
+        estimator = DepthEstimator(bank, config, scene.camera)
+        found.append(estimator.estimate(frame))
+        estimator.close()
+    sure, less_sure = found
+    assert less_sure.confidence.mean() < sure.confidence.mean() - 0.05
+    assert np.nanmedian(less_sure.std_dev_m / sure.std_dev_m) == pytest.approx(2, rel=1e-3)
+
+
+def test_the_confidence_is_logistic_in_the_odds():
+    calibration = Calibration(np.float32([0.5, 2, 0.1, -1]), np.float32(1))
+    probability = np.float32([0, 0.3, 0.9, 1])
+    confidence = calibration.confidence(probability, np.float32([4] * 4), np.float32([2] * 4))
+    expected = 0.5 + 2 * log_odds(probability) + 0.4 - np.log(2)
+    np.testing.assert_allclose(log_odds(confidence)[1:3], expected[1:3], rtol=1e-4)
+    assert np.isfinite(confidence).all() and (np.diff(confidence) > 0).all()
 
 
 @pytest.mark.parametrize("config", [DepthConfig, DeblurConfig])

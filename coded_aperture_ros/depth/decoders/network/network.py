@@ -9,6 +9,7 @@ from coded_aperture_ros.core.archive import read_shipped
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray, as_floats
 from coded_aperture_ros.core.networks import network_of
 from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.depth.decoders.network.calibration import Calibration
 from coded_aperture_ros.depth.decoders.network.features import (
     BLUR_SIZES_PX,
     COST_CHANNELS,
@@ -64,6 +65,7 @@ class Network:
         first, last = np.flatnonzero(tried)[[0, -1]]
         self._tried = slice(int(first), int(last) + 1)
         self._trust = as_floats(arrays["trust"])
+        self.calibration = Calibration.from_weights(arrays)
         self._first = _First.of(arrays, self._tried)
 
     def __call__(self, costs: FloatArray, frame: FloatArray) -> Logits:

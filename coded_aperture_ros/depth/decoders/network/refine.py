@@ -52,12 +52,6 @@ _PLAUSIBLE = 0.05
 _OF_THE_PAST = 0.5
 # Costs that differ by less are those of a frame without any texture.
 _ALIKE = 1e-3
-# How likely a depth is right, fitted on random scenes kept apart: the logarithm of the odds, from
-# that of what the network says, the blur size in px and the logarithm of the tolerance in px. The
-# network doubts wide blur too much, and too little what may be wrong by many pixels.
-_CALIBRATION = (-0.58, 1.45, 0.071, -0.5)
-_DEVIATION = 0.78
-_SURE = 1e-3
 
 
 def untrained(model: LikelihoodModel, stride_px: int) -> str:
@@ -153,10 +147,11 @@ class Refined:
             of_side = np.maximum(far, 1 - far)
             # Where both sides' depths are about the same, either is right.
             possible *= np.where(self._sides.agree(level), 1, of_side)
-        odds = _log_odds(found.right_within(tolerance_px))
-        right = possible * _calibrated(odds, found.size_px, tolerance_px)
+        calibration = self._network.calibration
+        probability = found.right_within(tolerance_px)
+        right = possible * calibration.confidence(probability, found.size_px, tolerance_px)
         half_px = CELL_PX // 2
-        deviation = found.deviation_px() * (self._per_px * np.float32(_DEVIATION))
+        deviation = found.deviation_px() * (self._per_px * calibration.deviation)
         quarters = chosen_neighbours(logits.neighbour)
         stages.lap("refine")
 
@@ -260,14 +255,3 @@ def _tolerance_px(levels: Levels) -> FloatArray:
     tolerance = np.full(len(sizes), step_px)
     finite = np.isfinite(levels.depths_m) & (per_px > 0)
     return np.divide(0.05 * inverse, per_px, out=tolerance, where=finite).astype(np.float32)
-
-
-def _log_odds(probability: FloatArray) -> FloatArray:
-    certain = np.clip(probability, _SURE, 1 - _SURE)
-    return np.asarray(np.log(certain / (1 - certain)), np.float32)
-
-
-def _calibrated(odds: FloatArray, size_px: FloatArray, tolerance_px: FloatArray) -> FloatArray:
-    offset, of_odds, of_size, of_tolerance = map(np.float32, _CALIBRATION)
-    found = offset + of_odds * odds + of_size * size_px + of_tolerance * np.log(tolerance_px)
-    return np.asarray(1 / (1 + np.exp(-found)), np.float32)

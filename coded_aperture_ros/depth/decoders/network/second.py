@@ -17,8 +17,7 @@ SCHEMA, SCHEMA_VERSION = "coded-aperture second surface network", 1
 # Of every cell: logits of the blur sizes of the less and of the more blurred surface, of there
 # being two, and of the share of the former.
 CHANNELS = 2 * len(BLUR_SIZES_PX) + 2
-# The logarithm of the odds above which there are two: at this 1.9 % of the windows on plain walls,
-# floors and slanted planes of 108 random rooms pass for two.
+# Logarithm of the odds above which there are two, of weights' files that state none.
 LEAST_ODDS = 0.6
 # A blur size is the mean over so many bins on either side of the likeliest, as those of pixels.
 _REACH = 2
@@ -32,17 +31,26 @@ class Pair:
     less_px: FloatArray  # blur sizes, without sign, of the less and of the more blurred one
     more_px: FloatArray
     share: FloatArray  # of the window, 0 to 1, that the less blurred one takes
+    least_odds: float = LEAST_ODDS  # above which there are two
 
     def mapped(self, draw: Callable[[FloatArray], FloatArray]) -> "Pair":
         """Return what a function makes of each map."""
-        return Pair(*(draw(part) for part in (self.odds, self.less_px, self.more_px, self.share)))
+        return dataclasses.replace(
+            self,
+            odds=draw(self.odds),
+            less_px=draw(self.less_px),
+            more_px=draw(self.more_px),
+            share=draw(self.share),
+        )
 
     def beside(self, size_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return blur size and share of the surface beside one of these sizes; NaN without one."""
         is_less = np.abs(size_px - self.less_px) < np.abs(size_px - self.more_px)
         found_px = np.where(is_less, self.more_px, self.less_px)
         share = np.where(is_less, 1 - self.share, self.share)
-        found_px[self.odds < LEAST_ODDS] = share[self.odds < LEAST_ODDS] = np.nan
+        one = self.odds < np.float32(self.least_odds)
+        found_px[one] = np.nan
+        share[one] = np.nan
         return found_px, share
 
 
@@ -57,6 +65,7 @@ class SecondSurface:
         arrays = read_shipped(__file__, WEIGHTS, SCHEMA, SCHEMA_VERSION)
         self._network = network_of(arrays, "second", "opencv", 1)
         self._tried = tried
+        self._least_odds = float(arrays.get("least_odds", np.array(LEAST_ODDS)))
 
     def __call__(self, logits: Logits, scalars: FloatArray) -> Pair:
         """Return the pairs, from logits and the last of `cost_features` [n, rows, columns]."""
@@ -65,7 +74,11 @@ class SecondSurface:
         told = at_half_cells(told)  # of squares of 16 px
         less, more, (odds, share) = np.split(told, len(BLUR_SIZES_PX) * np.arange(1, 3))
         return Pair(
-            odds, _mean_around_best(less), _mean_around_best(more), 1 / (1 + np.exp(-share))
+            odds,
+            _mean_around_best(less),
+            _mean_around_best(more),
+            1 / (1 + np.exp(-share)),
+            self._least_odds,
         )
 
 
