@@ -171,7 +171,7 @@ def render_frames(camera_file: Path) -> NDArray[np.uint8]:
 
     panning = PanningScene(motorcycle_scene(), load_camera(camera_file), period_s=2.0 * FRAMES)
     sensor, random = SensorModel(NOISE), np.random.default_rng(0)
-    views = (luminance(panning.view(float(time_s)).coded) for time_s in range(FRAMES))
+    views = (luminance(panning.frame(float(time_s)).coded) for time_s in range(FRAMES))
     return np.stack([pixels_from_frame(sensor.expose(view, random), "mono8") for view in views])
 
 

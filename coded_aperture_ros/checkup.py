@@ -9,7 +9,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimate, DepthEstimator
-from coded_aperture_ros.design.setting import resolutions_m, setting_of
+from coded_aperture_ros.design.setting import design_setting, resolutions_m
 from coded_aperture_ros.likelihood.bank import FilterBank, check_frame_size, check_setting
 from coded_aperture_ros.optics import Camera
 
@@ -39,7 +39,7 @@ def camera_findings(camera: Camera, near_m: float, far_m: float) -> list[Finding
 
     Raises `InputError` if the range is not one of the camera's.
     """
-    setting = setting_of(camera, near_m, far_m)
+    setting = design_setting(camera, near_m, far_m)
     told_apart = resolutions_m(camera, near_m, far_m)
     numbers = {f"{name}_m": step for name, (_, step) in told_apart.items()}
     steps = ", ".join(
@@ -115,7 +115,7 @@ class FrameCheckup:
         height, width = frame.shape[:2]
         try:
             check_frame_size(self._bank, width, height)
-            camera = self._camera.fitted(width, height)
+            camera = self._camera.resized(width, height)
         except InputError as error:
             return [_failed("size", error)]
         found = [Finding("size", OK, f"{width}x{height}"), _saturation(frame)]

@@ -14,7 +14,7 @@ from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.core.stamp_order import StampOrder
-from coded_aperture_ros.deblur import DeblurConfig, deblurrer_of
+from coded_aperture_ros.deblur import DeblurConfig, make_deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator, estimate_video
 from coded_aperture_ros.frames import KnownNoise, channel_noise
 from coded_aperture_ros.likelihood import LikelihoodModel
@@ -83,7 +83,7 @@ class FramePipeline:
         progress: Progress = iter,
     ) -> None:
         self.estimator, self._progress = DepthEstimator(model, depth, camera), progress
-        self._deblurrer = None if deblur is None else deblurrer_of(model, deblur, progress)
+        self._deblurrer = None if deblur is None else make_deblurrer(model, deblur, progress)
         self._order = StampOrder()
 
     @property
@@ -181,7 +181,7 @@ class FramePipeline:
         if deblurrer is not None and deblurrer.stack is stack:
             deblurrer.reconfigure(config)
             return
-        self._deblurrer = deblurrer_of(self.estimator.model, config, self._progress)
+        self._deblurrer = make_deblurrer(self.estimator.model, config, self._progress)
         if deblurrer is not None:
             deblurrer.close()
 

@@ -42,7 +42,7 @@ def main() -> None:
     pipeline = FramePipeline(bank, camera, DepthConfig(temporal_frames=4.0))
     pictures = []
     for index in range(FRAMES):
-        view = scene.view(index * PERIOD_S / FRAMES)
+        view = scene.frame(index * PERIOD_S / FRAMES)
         result = pipeline(view.coded)
         rows = [
             [

@@ -20,11 +20,11 @@ from shards import add_shard_options, compute
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blend.features import (
     CELL_PX,
-    in_cells,
-    level_and_scale,
-    maps_in_cells,
+    cell_maps,
+    mean_and_contrast,
+    pack_cells,
 )
-from coded_aperture_ros.deblur.blend.hypotheses import Hypotheses, sizes_of
+from coded_aperture_ros.deblur.blend.hypotheses import InverseHypotheses, hypothesis_blur_sizes
 from coded_aperture_ros.deblur.blur_map import filled_blur_map
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.frames import KnownNoise, channel_noise
@@ -55,13 +55,13 @@ class Camera:
     ----------
     estimators : dict of str to DepthEstimator
         By how they decide: `DepthConfig.regularize`.
-    hypotheses : Hypotheses
+    hypotheses : InverseHypotheses
     sign : float
         Of the camera's blur sizes: -1 if they are of what is nearer than the plane in focus.
     """
 
     estimators: dict[str, DepthEstimator]
-    hypotheses: Hypotheses
+    hypotheses: InverseHypotheses
     sign: float
 
 
@@ -76,13 +76,13 @@ def camera_of(mask: str, side: str, bank: int, folder: Path) -> Camera:
     }
     # Spectra do not tell the sides, pictures do.
     stack = render_psf_stack(mask_of(mask), sign * of_side.blur_sizes_px)
-    return Camera(estimators, Hypotheses(stack, _RANK, Workers()), sign)
+    return Camera(estimators, InverseHypotheses(stack, _RANK, Workers()), sign)
 
 
 def pictures_of(number: int, folder: Path) -> dict[str, np.ndarray]:
     """Return frame `number` as the network is shown it, for each of the `DEPTHS`.
 
-    All but the noise is in cells; `level_and_scale` says what mean is taken away from them, and
+    All but the noise is in cells; `mean_and_contrast` says what mean is taken away from them, and
     what they are divided by.
 
     Returns
@@ -110,7 +110,7 @@ def pictures_of(number: int, folder: Path) -> dict[str, np.ndarray]:
     estimator = camera.estimators["learned" if learned else "semiglobal"]
     true = filled_blur_map(scene.blur_size_px().astype(np.float32), frame)
     estimated = estimator.estimate(frame).blur_size_px * np.float32(camera.sign)
-    sharp = in_cells(scene.all_in_focus()[None])
+    sharp = pack_cells(scene.all_in_focus()[None])
     shown = [
         _shown(frame, sharp, blur if np.isfinite(blur).any() else true, camera)
         for blur in (estimated, _measured(true, random))
@@ -129,12 +129,12 @@ def _shown(
 ) -> dict[str, np.ndarray]:
     """Return what the network is shown of a frame with a blur map that may have holes."""
     noise = float(channel_noise(frame, KnownNoise()))
-    sizes = sizes_of(filled_blur_map(blur_px, frame))
-    steps = np.stack([camera.hypotheses.steps_of(each) for each in sizes])
-    cells = in_cells(camera.hypotheses.of(frame, steps, noise))
+    sizes = hypothesis_blur_sizes(filled_blur_map(blur_px, frame))
+    steps = np.stack([camera.hypotheses.table_steps(each) for each in sizes])
+    cells = pack_cells(camera.hypotheses.compute(frame, steps, noise))
     # The last hypothesis is the frame.
-    mean, scale = level_and_scale(cells[-(CELL_PX**2) :], noise)
-    maps = maps_in_cells(sizes, np.isfinite(blur_px), scale, noise)
+    mean, scale = mean_and_contrast(cells[-(CELL_PX**2) :], noise)
+    maps = cell_maps(sizes, np.isfinite(blur_px), scale, noise)
     return {
         "cells": ((cells - mean) / scale).astype(np.float16),
         "maps": maps.astype(np.float16),

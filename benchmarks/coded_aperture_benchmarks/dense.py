@@ -91,7 +91,7 @@ def score(
     known = np.isfinite(relative)
     sure = confidence >= CONFIDENT
     published = confidence >= threshold
-    reliability = Reliability.of(confidence[known], relative[known] <= RIGHT_WITHIN)
+    reliability = Reliability.from_estimates(confidence[known], relative[known] <= RIGHT_WITHIN)
     result = {
         "pixels": int(np.count_nonzero(with_truth)),
         "near_edge_pixels": int(np.count_nonzero(with_truth & near_edge)),

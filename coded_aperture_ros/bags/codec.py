@@ -16,10 +16,10 @@ from coded_aperture_ros.io.messages import (
     array_from_image,
     check_pixels,
     depth_pixels,
-    encoding_of,
+    output_encoding,
+    parse_encoding,
     scaled_matrices,
     stamp_ns,
-    written_encoding,
 )
 from coded_aperture_ros.optics import Intrinsics
 
@@ -52,7 +52,10 @@ def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
     """Read a raw or compressed image; a `MessageError`, of kind "message" if it is none at all."""
     message = _read(data, type_name)
     if type_name == IMAGE:
-        encoding, mosaic = written_encoding(message.encoding), encoding_of(message.encoding).mosaic
+        encoding, mosaic = (
+            output_encoding(message.encoding),
+            parse_encoding(message.encoding).mosaic,
+        )
         return Picture(message.header, array_from_image(message), encoding, mosaic)
     pixels, encoding = array_from_compressed(message)  # first: it refuses what is cut off
     lost = lost_by_compression(bytes(message.data))

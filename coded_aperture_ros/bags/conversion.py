@@ -36,7 +36,7 @@ from coded_aperture_ros.core.figures import new_figure
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import map_size
 from coded_aperture_ros.frames import Gamma
-from coded_aperture_ros.io.messages import MessageError, view_of
+from coded_aperture_ros.io.messages import MessageError, view_from_camera_info
 from coded_aperture_ros.likelihood.bank import check_frame_size
 from coded_aperture_ros.likelihood.choose import bank_of
 from coded_aperture_ros.optics import Camera, View
@@ -93,7 +93,7 @@ class BagConversion:
         pipeline = self.new_pipeline(camera)
         if (bank := bank_of(pipeline.estimator.model)) is not None:
             check_frame_size(bank, view.whole_width, view.whole_height)
-        cut, kind = camera.cut(view), image.type_name
+        cut, kind = camera.for_view(view), image.type_name
         pipeline.reconfigure(camera=cut)
         processor = FrameProcessor(
             pipeline, kind, size, depth_size, self.gamma, self.prior(cut), self.bits
@@ -181,8 +181,10 @@ def first_frame(bag: Bag, topic: Topic, camera: Camera) -> tuple[bytes, View, Ca
     for message in bag.messages(topic.name):
         try:
             height, width = read_picture(message.data, topic.type_name).pixels.shape[:2]
-            view = (info and view_of(info, width, height, camera)) or View.whole(width, height)
-            return message.data, view, camera.fitted(view.whole_width, view.whole_height)
+            view = (info and view_from_camera_info(info, width, height, camera)) or View.whole(
+                width, height
+            )
+            return message.data, view, camera.resized(view.whole_width, view.whole_height)
         except InputError as error:
             reason = reason or str(error)
     reason = reason or "there is none"

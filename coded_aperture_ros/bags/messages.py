@@ -12,7 +12,7 @@ from coded_aperture_ros.bags.frames import ProcessedFrame
 from coded_aperture_ros.bags.reading import Bag
 from coded_aperture_ros.bags.recorded import Recorded, Topic
 from coded_aperture_ros.bags.topics import Outputs
-from coded_aperture_ros.io.messages import MessageError, view_of
+from coded_aperture_ros.io.messages import MessageError, view_from_camera_info
 from coded_aperture_ros.optics import Camera, View
 
 # Messages that are copied wait for the next frame, but not more of them than this.
@@ -38,7 +38,7 @@ def batches(
 
     The camera file's model counts until the bag has one of the frames. `view` is theirs.
     """
-    info = codec.info_of(camera.intrinsics.cut(view))
+    info = codec.info_of(camera.intrinsics.for_view(view))
     copies: list[Recorded] = []
     waiting, frames = 0, 0
     for message in bag.messages():
@@ -68,7 +68,7 @@ def _usable_info(data: bytes, view: View, camera: Camera) -> Any:
     """Return a camera model of the bag; None if it is empty or not of the frames."""
     with suppress(MessageError):
         info = codec.read_camera_info(data)
-        if view_of(info, view.width, view.height, camera) is not None:
+        if view_from_camera_info(info, view.width, view.height, camera) is not None:
             return info
     return None
 

@@ -156,7 +156,7 @@ class Record:
             "recorded_s": recorded_s,
             "times_real_time": recorded_s and recorded_s / seconds,
             "stages": {
-                stage: dataclasses.asdict(Times.of(times))
+                stage: dataclasses.asdict(Times.from_seconds(times))
                 for stage in _STAGES
                 if (times := [row[f"{stage}_s"] for row in rows if f"{stage}_s" in row])
             },

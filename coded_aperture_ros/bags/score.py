@@ -48,8 +48,8 @@ def frame_score(
     both = np.flatnonzero(known & np.isfinite(depth_m))
     found, true, sure = (np.take(values, both) for values in (depth_m, reference_m, confidence))
     errors = np.abs((found - true) / true)
-    reliability = Reliability.of(sure, errors <= RIGHT_WITHIN)
-    error = RelativeError.of_known(errors, int(np.count_nonzero(known)))
+    reliability = Reliability.from_estimates(sure, errors <= RIGHT_WITHIN)
+    error = RelativeError.from_errors(errors, int(np.count_nonzero(known)))
     return FrameScore(error, apart_ns, reliability, reference_m)
 
 

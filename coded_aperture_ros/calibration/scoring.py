@@ -41,7 +41,7 @@ class Textures:
     power: DoubleArray  # [T, K]; their sum
 
 
-def spectra_of(grey: FloatArray, stride_px: int) -> tuple[DoubleArray, float, IndexArray]:
+def window_spectra(grey: FloatArray, stride_px: int) -> tuple[DoubleArray, float, IndexArray]:
     """Return the power of the windows of an image [n, K], its noise's variance, and their middles.
 
     The middles [n, 2] are rows and columns, in px.
@@ -53,7 +53,7 @@ def spectra_of(grey: FloatArray, stride_px: int) -> tuple[DoubleArray, float, In
     return counted, noise, middles.reshape(-1, 2)
 
 
-def own_cost(powers: DoubleArray) -> DoubleArray:
+def saturated_cost(powers: DoubleArray) -> DoubleArray:
     """Return what windows [n, K] would cost, see `Scoring.costs`, if they were as expected [n]."""
     return np.asarray((1 + np.log(np.maximum(powers, 1e-30))) @ _COUNTS)
 

@@ -94,11 +94,11 @@ def run(args: argparse.Namespace) -> int:
         check_output(results, inputs_of(args, "camera"))
     camera = load_camera(args.camera)
     with naming(args.camera):
-        setting = design.setting_of(camera, near_m, far_m, config)
+        setting = design.design_setting(camera, near_m, far_m, config)
         focus_range_m = args.focus_range or design.default_focus_range_m(camera, near_m, far_m)
         extent_range_mm = args.mask_range or design.default_extent_range_mm(camera)
         best = design.best_settings(camera, near_m, far_m, config, focus_range_m, extent_range_mm)
-    openings = design.openings_of(camera.mask)
+    openings = design.mask_openings(camera.mask)
     warnings = _warnings(args, setting)
     summary = {
         "camera": args.camera,
@@ -146,13 +146,13 @@ def _write_files(
 ) -> None:
     """Write all files of the output folder, or none."""
     from coded_aperture_ros.core.files import atomic_outputs
-    from coded_aperture_ros.design import curves_of
+    from coded_aperture_ros.design import design_curves
     from coded_aperture_ros.design.figures import draw_design, has_matplotlib
     from coded_aperture_ros.design.page import finite, write_page
 
     near_m, far_m = args.depth_range
     ranges = summary["focus_range_m"], summary["mask_range_mm"]
-    curves = curves_of(camera, near_m, far_m, config, args.focus_range)
+    curves = design_curves(camera, near_m, far_m, config, args.focus_range)
     lists = {name: values.tolist() for name, values in vars(curves).items()}
     folder = Path(args.output)
     with atomic_outputs() as output:

@@ -90,7 +90,7 @@ def field_summary(found: Any, camera: Any) -> dict[str, Any]:
     curvature = camera.field_curvature or found.curvature
     columns = found.depths_m, found.found_m, found.errors_without, found.errors
     shape = camera.image_height, camera.image_width
-    corner = float(curvature.dioptres(camera.intrinsics, shape)[0, 0])
+    corner = float(curvature.defocus_map(camera.intrinsics, shape)[0, 0])
     return {
         "mask_extent_mm": camera.mask_extent_mm,
         "field_curvature": [curvature.second, curvature.fourth],

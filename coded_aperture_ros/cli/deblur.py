@@ -125,7 +125,7 @@ def _restorer(
     args: argparse.Namespace, bank: Any, camera: Any
 ) -> tuple[Callable[[NamedFrame], tuple[Any, Any]], Callable[[], None], Callable[..., Any]]:
     """Return what makes pictures and maps of blur sizes, what begins a video, what tells errors."""
-    from coded_aperture_ros.deblur import DeblurConfig, covers_frame, deblurrer_of
+    from coded_aperture_ros.deblur import DeblurConfig, covers_frame, make_deblurrer
     from coded_aperture_ros.depth import DepthConfig, blur_sizes_px
     from coded_aperture_ros.frames import KnownNoise
     from coded_aperture_ros.likelihood.bank import check_setting
@@ -136,7 +136,7 @@ def _restorer(
     noise = dataclasses.asdict(KnownNoise.of(config, camera, bank))
     config = dataclasses.replace(config, **noise)
     iterations = partial(progress, unit="iteration")
-    deblurrer = deblurrer_of(bank, config, iterations)
+    deblurrer = make_deblurrer(bank, config, iterations)
     if camera is not None:
         with naming(args.camera):
             camera = check_setting(bank, camera)

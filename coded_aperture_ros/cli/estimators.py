@@ -144,7 +144,7 @@ def fit_camera(args: argparse.Namespace, pipeline: Any, camera: Any, image: Any)
     """Make a pipeline that for an image's size; return the camera, if any, of such images."""
     if camera is None:
         return None
-    fitted = camera.fitted(*image.shape[1::-1])
+    fitted = camera.resized(*image.shape[1::-1])
     if pipeline is not None and fitted != pipeline.estimator.camera:
         model = None if args.bank else pipeline_of(args, fitted).estimator.model
         pipeline.reconfigure(model=model, camera=fitted)

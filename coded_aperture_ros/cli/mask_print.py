@@ -57,11 +57,11 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the sub-command; return its exit status."""
     from coded_aperture_ros.core.files import atomic_output
-    from coded_aperture_ros.design import openings_of
+    from coded_aperture_ros.design import mask_openings
     from coded_aperture_ros.design.diffraction import airy_width_px, diffraction_warning
     from coded_aperture_ros.design.openings import narrowest_bar
     from coded_aperture_ros.design.sheet import loose_parts_note, mask_sheet
-    from coded_aperture_ros.design.sheet_files import dxf_of, pdf_of, svg_of
+    from coded_aperture_ros.design.sheet_files import sheet_dxf, sheet_pdf, sheet_svg
     from coded_aperture_ros.optics import load_camera
 
     _check_usage(args)
@@ -72,11 +72,15 @@ def run(args: argparse.Namespace) -> int:
     camera = camera and dataclasses.replace(camera, mask_extent_mm=extent_mm)
     with naming(args.camera or f"mask {args.mask}"):
         sheet = mask_sheet(mask, extent_mm, args.outer_mm, args.label, args.kerf_mm)
-    written = {".pdf": pdf_of, ".dxf": dxf_of, ".svg": lambda sheet: svg_of(sheet).encode()}
+    written = {
+        ".pdf": sheet_pdf,
+        ".dxf": sheet_dxf,
+        ".svg": lambda sheet: sheet_svg(sheet).encode(),
+    }
     data = written[Path(args.output).suffix.lower()](sheet)
     with atomic_output(args.output) as path:
         path.write_bytes(data)
-    openings = openings_of(mask)
+    openings = mask_openings(mask)
     if openings.loose_parts:
         logging.warning("mask %s: %s", mask.name, loose_parts_note(openings.loose_parts))
     hole_mm, bar_mm = (extent_mm * one for one in (openings.smallest_width, narrowest_bar(mask)))

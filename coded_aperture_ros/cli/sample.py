@@ -74,7 +74,7 @@ def _made(folder: Path) -> Iterator[list[str]]:
     shutil.copy(share_directory() / "config" / "demo_camera.yaml", folder / "camera.yaml")
     camera, sensor = load_camera(folder / "camera.yaml"), SensorModel(_NOISE, 12)
     scene = PanningScene(motorcycle_scene(), camera, sensor)
-    views = [scene.view(index / _RATE_HZ) for index in range(_FRAMES)]
+    views = [scene.frame(index / _RATE_HZ) for index in range(_FRAMES)]
     write_image(folder / "coded.png", views[0].coded)
     write_image(folder / "sharp.png", views[0].sharp)
     write_depth(folder / "depth.png", views[0].depth_m)

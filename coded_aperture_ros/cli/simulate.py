@@ -163,7 +163,7 @@ def _given(args: argparse.Namespace, sensor: Any) -> int:
     (height, width), whole = image.shape[:2], (camera.image_width, camera.image_height)
     if (width, height) != whole:
         margins = (whole[0] - width) / 2, (whole[1] - height) / 2
-        camera = camera.cut(View(width, height, *whole, *margins))
+        camera = camera.for_view(View(width, height, *whole, *margins))
     start = time.perf_counter()
     with naming(f"{args.image} with {args.depth}"):
         coded = render_coded_frame(image, depth_m, camera)

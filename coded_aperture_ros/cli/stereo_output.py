@@ -49,7 +49,7 @@ class StereoOutput:
     """What `--anaglyph`, `--views` and so on ask for, of a bank with the PSFs `stack`."""
 
     def __init__(self, args: argparse.Namespace, stack: Any, camera: Any) -> None:
-        from coded_aperture_ros.deblur import openings
+        from coded_aperture_ros.deblur import opening_centres
 
         names = *_PICTURES, _VIEWS, _MOVIE
         self._given = {name: getattr(args, name) for name in names if getattr(args, name)}
@@ -61,7 +61,7 @@ class StereoOutput:
         if (args.views or args.parallax_movie) and not stack.in_pixels:
             raise InputError(f"{args.bank}: --views and --parallax-movie need blur sizes in pixels")
         self._args = args
-        found = openings(camera.mask) if args.views else {}
+        found = opening_centres(camera.mask) if args.views else {}
         self._places = {f"view_{row:02}_{col:02}.png": found[row, col] for row, col in found}
         self._direction = _direction(stack)
         self._parallax: Any = None  # of the first frame, which the others share
@@ -87,7 +87,7 @@ class StereoOutput:
 
         farness = self._direction * blur_size_px
         if self._paired:
-            how = self._parallax or deblur.Parallax.of_scene(farness, self._shift_px(sharp))
+            how = self._parallax or deblur.Parallax.from_scene(farness, self._shift_px(sharp))
             self._parallax, pair = how, deblur.stereo_pair(sharp, farness, how)
         # Unlike the all-in-focus picture these are to be looked at, not to be computed with.
         encoding: Any = {"bits": 8, "gamma": SRGB if self._args.gamma == 1 else self._args.gamma}
@@ -131,7 +131,7 @@ def _write_turn(path: Path, sharp: Any, blur_size_px: Any, encoding: Any) -> Non
     from coded_aperture_ros.frames import pixels_from_linear
     from coded_aperture_ros.io.movie_file import movie
 
-    relief_px = blur_size_px - Parallax.of_scene(blur_size_px, 1).screen_px
+    relief_px = blur_size_px - Parallax.from_scene(blur_size_px, 1).screen_px
     with movie(path) as add:
         for angle in (2 * pi * turn / _MOVIE_FRAMES for turn in range(_MOVIE_FRAMES)):
             view = view_through(sharp, relief_px, sin(angle) / 2, cos(angle) / 2)

@@ -1,9 +1,9 @@
 """All-in-focus frames from coded frames and their depth."""
 
 from coded_aperture_ros.deblur.blur_map import covers_frame
-from coded_aperture_ros.deblur.by_parts import AnyDeblurrer, deblurrer_of
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.deblurrer import Deblurrer
+from coded_aperture_ros.deblur.field import AnyDeblurrer, make_deblurrer
 from coded_aperture_ros.deblur.levels import blur_levels
 from coded_aperture_ros.deblur.stereo import (
     Parallax,
@@ -13,4 +13,4 @@ from coded_aperture_ros.deblur.stereo import (
     stereo_pair,
 )
 from coded_aperture_ros.deblur.uncertainty import FILLED, SEEN, UNCERTAIN, Uncertainty
-from coded_aperture_ros.deblur.views import openings, view_through
+from coded_aperture_ros.deblur.views import opening_centres, view_through

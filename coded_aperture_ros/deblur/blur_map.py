@@ -54,7 +54,7 @@ def filled_blur_map(blur_size_px: FloatArray, frame: FloatArray, reduction: int 
     if not known.any():
         raise InputError("blur map: no pixel has a known depth, so there is nothing to deblur by")
     if not known.all():
-        blur = np.where(known, blur, blur[known][nearest_of(known)])
+        blur = np.where(known, blur, blur[known][nearest_index(known)])
     if blur.shape == (rows, columns):
         return blur
     guide = cv2.resize(frame, (columns, rows), interpolation=cv2.INTER_AREA)
@@ -71,7 +71,7 @@ def _reduced(blur: FloatArray, size: tuple[int, int]) -> FloatArray:
     return np.divide(total, share, out=np.full_like(total, np.nan), where=share > 0)
 
 
-def nearest_of(source: BoolArray) -> IndexArray:
+def nearest_index(source: BoolArray) -> IndexArray:
     """Return for every pixel the number of the nearest `source`, as a mask of them counts."""
     # A tenth of the time of an exact distance transform; the distances are good to a few per cent.
     _, labels = cv2.distanceTransformWithLabels(
@@ -123,10 +123,10 @@ def safe_blur_map(blur: FloatArray, reach_px: int, reduction: int) -> FloatArray
     """
     if not reach_px:
         return blur
-    return sharper_near_edges(without_specks(blur, reduction), round(reach_px / reduction))
+    return sharpen_edges(remove_specks(blur, reduction), round(reach_px / reduction))
 
 
-def without_specks(blur: FloatArray, reduction: int = 1) -> FloatArray:
+def remove_specks(blur: FloatArray, reduction: int = 1) -> FloatArray:
     """Return blur sizes without small spots that are sharper than all around them."""
     amount = np.abs(blur)
     side = _SPECK_PX // reduction | 1
@@ -135,7 +135,7 @@ def without_specks(blur: FloatArray, reduction: int = 1) -> FloatArray:
     return np.where(closed - amount > DEPTH_EDGE_PX, np.copysign(closed, blur), blur)
 
 
-def sharper_near_edges(blur: FloatArray, reach_px: int) -> FloatArray:
+def sharpen_edges(blur: FloatArray, reach_px: int) -> FloatArray:
     """Return blur sizes that near a depth edge are those of its sharper side.
 
     Where the edge is off, a pixel is deblurred with the PSF of the other side. One that is too

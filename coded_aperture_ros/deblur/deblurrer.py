@@ -8,7 +8,7 @@ from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.core.workers import Workers, thread_count
-from coded_aperture_ros.deblur.blend import Blend, untrained
+from coded_aperture_ros.deblur.blend import Blend, unsupported_reason
 from coded_aperture_ros.deblur.blur_map import (
     filled_blur_map,
     known_pixels,
@@ -18,18 +18,18 @@ from coded_aperture_ros.deblur.blur_map import (
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fast import ClosedForm, Fast, Inverse
 from coded_aperture_ros.deblur.iterative import Iterative, blur_operator
-from coded_aperture_ros.deblur.least_squares import in_few_steps, until_little_changes
+from coded_aperture_ros.deblur.least_squares import solve_least_squares, solve_sparse
 from coded_aperture_ros.deblur.operator import frame_within
 from coded_aperture_ros.deblur.problem import (
     Method,
     Problem,
     VideoState,
+    full_resolution_motion,
     measured_pixels,
-    motion_of_frame,
     opponents,
 )
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
-from coded_aperture_ros.deblur.uncertainty import Uncertainty, kinds_of, uncertainty_of
+from coded_aperture_ros.deblur.uncertainty import Uncertainty, classify_pixels, estimate_uncertainty
 from coded_aperture_ros.frames import KnownNoise, channel_noise, check_frame
 from coded_aperture_ros.optics import PsfStack
 
@@ -52,7 +52,7 @@ class Deblurrer:
         self, stack: PsfStack, config: DeblurConfig | None = None, progress: Progress = iter
     ) -> None:
         self.stack, self.config, self._progress = stack, config or DeblurConfig(), progress
-        self._basis = cache(lambda: PsfBasis.of(stack))
+        self._basis = cache(lambda: PsfBasis.from_stack(stack))
         self._workers = Workers(thread_count(self.config.threads))
         self._closed_form = self._new_closed_form()
         self._blend = self._new_blend()
@@ -135,7 +135,7 @@ class Deblurrer:
             small for its noise to be estimated, or `fast` or `inverse` is to remove motion.
         """
         check_frame(frame)
-        motion = motion_of_frame(motion_px, frame.shape)
+        motion = full_resolution_motion(motion_px, frame.shape)
         if motion is not None and not self._method.removes_motion:
             method = self.config.method
             raise InputError(f"motion: method {method} removes no motion, use cg or sparse")
@@ -186,8 +186,8 @@ class Deblurrer:
         operator = blur_operator(self._basis(), blur, self._workers, self.config.occlusion)
         seen = frame_within(operator.adjoint(measured.astype(np.float32))[0], operator)
         known = known_pixels(blur_size_px, frame.shape)
-        kind = kinds_of(blur, known, seen, self.stack.in_pixels)
-        return uncertainty_of(frame, np.asarray(sharp, np.float32), measured, kind, noise)
+        kind = classify_pixels(blur, known, seen, self.stack.in_pixels)
+        return estimate_uncertainty(frame, np.asarray(sharp, np.float32), measured, kind, noise)
 
     def _blur_map(self, blur_size_px: FloatArray, frame: FloatArray, moves: bool) -> FloatArray:
         """Return the blur sizes to deblur by, as much smaller as the method wants them."""
@@ -204,7 +204,7 @@ class Deblurrer:
     def _new_blend(self) -> Blend | None:
         method, band = self.config.method, self.config.band
         closed = method == "inverse" or (method == "fast" and band == "half")
-        if closed or untrained(self.stack):
+        if closed or unsupported_reason(self.stack):
             return None
         return Blend(self.stack, self.config.rank, self._workers, self.config.network)
 
@@ -214,6 +214,6 @@ class Deblurrer:
             if blends and self._blend is not None:
                 return Fast(self.config, self._blend)
             return Inverse(self.config, self._closed_form)
-        minimise = {"cg": in_few_steps, "sparse": until_little_changes}[self.config.method]
+        minimise = {"cg": solve_least_squares, "sparse": solve_sparse}[self.config.method]
         filters = self._closed_form, self._blend, self._basis
         return Iterative(minimise, self.config, *filters, self._workers)

@@ -9,9 +9,9 @@ from coded_aperture_ros.deblur.blend import Blend
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.inverse_filters import (
     COLOUR_NOISE,
-    ForOpponents,
     HalfBandFilters,
     InverseFilters,
+    OpponentFilters,
 )
 from coded_aperture_ros.deblur.problem import Problem, VideoState, from_opponents
 from coded_aperture_ros.optics import PsfStack
@@ -20,7 +20,7 @@ from coded_aperture_ros.optics import PsfStack
 _FEW = 0.1
 
 
-class ClosedForm(ForOpponents[InverseFilters]):
+class ClosedForm(OpponentFilters[InverseFilters]):
     """The inverse filters of a camera, for brightness and for colour differences."""
 
     def __init__(self, stack: PsfStack, rank: int, band: str, workers: Workers) -> None:
@@ -32,10 +32,10 @@ class ClosedForm(ForOpponents[InverseFilters]):
         self, channels: list[FloatArray], blur_size_px: FloatArray, noise: float
     ) -> list[FloatArray]:
         """Deblur the `opponents` of a frame, by a map that is smaller by `reduction`."""
-        places = self._of_brightness.places(blur_size_px)
-        restored = self._of_brightness.apply(channels[:1], places, noise)
+        places = self._brightness.places(blur_size_px)
+        restored = self._brightness.apply(channels[:1], places, noise)
         if len(channels) > 1:
-            restored += self._of_colour.apply(channels[1:], places, COLOUR_NOISE * noise)
+            restored += self._colour.apply(channels[1:], places, COLOUR_NOISE * noise)
         return restored
 
 

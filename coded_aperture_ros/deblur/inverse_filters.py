@@ -71,12 +71,12 @@ class InverseFilters:
         least = float(self.model_errors[0])
         log_error = _log_model_error(blur, self.reduction, least)
         error = _index_among(np.log(self.model_errors), log_error)
-        place = self.steps_of(blur).astype(np.float32)
+        place = self.table_steps(blur).astype(np.float32)
         place *= self.steps_per_error * (len(self.model_errors) - 1) + 1
         place += np.rint(error * self.steps_per_error)
         return place.astype(np.intp)
 
-    def steps_of(self, blur: FloatArray) -> IndexArray:
+    def table_steps(self, blur: FloatArray) -> IndexArray:
         """Return the step of every signed blur size among those of the tables."""
         level = _index_among(self._stack.blur_sizes_px[self._order], blur)
         return np.rint(level * _STEPS_PER_LEVEL).astype(np.int32)
@@ -208,14 +208,14 @@ def _share(frequency: NDArray[np.floating]) -> NDArray[np.floating]:
 Filters = TypeVar("Filters", bound=InverseFilters)
 
 
-class ForOpponents(Generic[Filters]):
+class OpponentFilters(Generic[Filters]):
     """The filters of a camera for the brightness of frames, and for their colour differences."""
 
     def __init__(self, make: type[Filters], stack: PsfStack, rank: int, workers: Workers) -> None:
-        self._of_brightness = make(stack, rank, workers)
-        self._of_colour = make(stack, max(rank // 2, 2), workers)
+        self._brightness = make(stack, rank, workers)
+        self._colour = make(stack, max(rank // 2, 2), workers)
 
     def prepare(self, shape: Shape) -> None:
         """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
-        self._of_brightness.prepare(shape)
-        self._of_colour.prepare(shape)
+        self._brightness.prepare(shape)
+        self._colour.prepare(shape)

@@ -50,13 +50,13 @@ _LEAST_WEIGHT = 1e-3
 _HELD, _HELD_PX = np.float32(0.003), 9
 
 
-def in_few_steps(fit: Fit) -> list[FloatArray]:
+def solve_least_squares(fit: Fit) -> list[FloatArray]:
     """Restore a frame in a few steps from the closed forms."""
     wary = fit.operator.hidden is not None
     return restore_sparse(fit, fit.config.iterations or _FEW[1], _FEW[0], wary)
 
 
-def until_little_changes(fit: Fit) -> list[FloatArray]:
+def solve_sparse(fit: Fit) -> list[FloatArray]:
     """Restore a frame until the prior of sharp edges changes little."""
     between, iterations = _MANY if fit.operator.hidden is not None else _LOOKING
     return restore_sparse(fit, fit.config.iterations or iterations, between)

@@ -9,7 +9,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.deblur.blur_map import nearest_of
+from coded_aperture_ros.deblur.blur_map import nearest_index
 from coded_aperture_ros.deblur.operator import BlurOperator, frame_within, scene_around
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.deblur.visibility import NOTHING, least_towards, rays
@@ -43,13 +43,13 @@ class OccludedBlur(BlurOperator):
         rows, columns = self.shape
         surfaces = _Surfaces.of(scene_around(blur_size_px, self), self.margin_px)
         self.hidden, self._origin = surfaces.hidden, surfaces.origin
-        self._steps = basis.steps_of(surfaces.front)
+        self._steps = basis.table_steps(surfaces.front)
         self._offsets, taps = _taps(basis)
         # Where each of them lies in the scene for the frame's first pixel.
         self._first = self._offsets + self.margin_px
         self._weights = np.empty((len(taps), rows, columns), np.uint8)
         self._scale = np.empty(self.shape, np.float32)
-        light = _Light(self, surfaces, taps, basis.steps_of(surfaces.behind))
+        light = _Light(self, surfaces, taps, basis.table_steps(surfaces.behind))
         bands = range(0, rows, _BAND_ROWS)
         of_band: dict[int, tuple[IndexArray, ...]] = {}
 
@@ -131,7 +131,7 @@ class _Surfaces:
         least = cv2.erode(front, around)
         farther = front - least > _EDGE_PX  # beside something nearer
         if farther.any():
-            origin = np.flatnonzero(farther)[nearest_of(farther)]
+            origin = np.flatnonzero(farther)[nearest_index(farther)]
             away = cv2.distanceTransform((~farther).astype(np.uint8), cv2.DIST_L2, 5)
             hidden = (front.ravel()[origin] > front + _EDGE_PX) & (away <= reach_px + 1)
         else:

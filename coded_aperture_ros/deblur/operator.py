@@ -30,7 +30,7 @@ class BlurOperator(abc.ABC):
     """
 
     hidden: BoolArray | None = None  # where the second plane has something [*scene_shape]
-    _steps: IndexArray  # of the scene, see `PsfBasis.steps_of`
+    _steps: IndexArray  # of the scene, see `PsfBasis.table_steps`
 
     def __init__(
         self, basis: PsfBasis, shape: tuple[int, ...], margin_px: int, workers: Workers | None
@@ -132,7 +132,7 @@ class SpreadingBlur(BlurOperator):
         reach_px = max((len(trace) // 2 for trace in traces), default=0)
         super().__init__(basis, blur_size_px.shape, basis.margin_px + reach_px, workers)
         self._transforms = basis.transforms(self.scene_shape)
-        self._steps = basis.steps_of(scene_around(blur_size_px, self))
+        self._steps = basis.table_steps(scene_around(blur_size_px, self))
         self._shares = [np.take(of_kernel, self._steps) for of_kernel in basis.table]
         self._traces = [transfer_function(trace, self.scene_shape) for trace in traces]
         self._parts: list[FloatArray] = []

@@ -57,7 +57,9 @@ def _wide(mask: BoolArray) -> BoolArray:
     return mask & (cv2.dilate(core, square) > 0)
 
 
-def motion_of_frame(motion_px: FloatArray | None, shape: tuple[int, ...]) -> FloatArray | None:
+def full_resolution_motion(
+    motion_px: FloatArray | None, shape: tuple[int, ...]
+) -> FloatArray | None:
     """Return a map of motion in the size of the frame; None where nothing moves.
 
     An `InputError` if it is not [rows, columns, 2], or not of a floating type.

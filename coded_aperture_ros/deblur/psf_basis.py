@@ -31,7 +31,7 @@ class PsfBasis:
     in_pixels: bool = True  # and not mere indices of levels
 
     @classmethod
-    def of(cls, stack: PsfStack, tolerance: float = _TOLERANCE) -> "PsfBasis":
+    def from_stack(cls, stack: PsfStack, tolerance: float = _TOLERANCE) -> "PsfBasis":
         """Factor a stack: the smallest basis that blurs photographs as well as is asked for.
 
         Between two levels PSFs are interpolated linearly. What a blurred photograph lacks has a
@@ -75,7 +75,7 @@ class PsfBasis:
         """How far a PSF reaches from its centre."""
         return self.kernels.shape[-1] // 2
 
-    def steps_of(self, blur_size_px: FloatArray) -> IndexArray:
+    def table_steps(self, blur_size_px: FloatArray) -> IndexArray:
         """Return the column of `table` for every blur size; sizes beyond get the last ones."""
         steps = np.arange(len(self.table_sizes_px))
         return np.rint(np.interp(blur_size_px, self.table_sizes_px, steps)).astype(np.intp)

@@ -33,7 +33,7 @@ class Parallax:
     largest_px: float
 
     @classmethod
-    def of_scene(cls, blur_size_px: FloatArray, shift_px: float) -> "Parallax":
+    def from_scene(cls, blur_size_px: FloatArray, shift_px: float) -> "Parallax":
         """Put the median of a scene at the screen, and give what is farthest from it `shift_px`.
 
         This is the largest distance between the two views of one point, > 0. A scene that is almost
@@ -69,7 +69,7 @@ def stereo_pair(
         Signed blur sizes, as of `Camera.blur_size_px`: the larger, the farther. The map covers the
         whole frame, may be smaller, and is not finite where the depth is unknown.
     parallax : Parallax or float
-        A number stands for `Parallax.of_scene` of it. A video keeps its scale if all frames share
+        A number stands for `Parallax.from_scene` of it. A video keeps its scale if all frames share
         one `Parallax`.
 
     Returns
@@ -86,7 +86,7 @@ def stereo_pair(
     check_frame(sharp)
     blur = filled_blur_map(blur_size_px, sharp)
     if not isinstance(parallax, Parallax):
-        parallax = Parallax.of_scene(blur_size_px, parallax)
+        parallax = Parallax.from_scene(blur_size_px, parallax)
     check_parallax(parallax.largest_px, sharp.shape[1])
     # As from both sides of an aperture that makes such blur.
     farness = -parallax.disparity_px(blur)

@@ -7,7 +7,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.deblur.blend.hypotheses import FARTHER, NEARER, sizes_of
+from coded_aperture_ros.deblur.blend.hypotheses import FARTHER, NEARER, hypothesis_blur_sizes
 
 # What became of a pixel: no light of it was measured, or next to none, and it was made up from
 # what is beside it; its depth is not known, or another surface is near; neither.
@@ -35,7 +35,7 @@ class Uncertainty:
     kind: IndexArray  # `FILLED`, `UNCERTAIN` or `SEEN`
 
 
-def kinds_of(
+def classify_pixels(
     blur_size_px: FloatArray, known: BoolArray, seen: FloatArray, in_pixels: bool
 ) -> IndexArray:
     """Return what became of every pixel: `FILLED`, `UNCERTAIN` or `SEEN`.
@@ -44,14 +44,14 @@ def kinds_of(
     and how much of the aperture sees a pixel: 0 where the frame has no light of it, 1 where all
     does.
     """
-    around = sizes_of(blur_size_px)
+    around = hypothesis_blur_sizes(blur_size_px)
     relief = around[FARTHER] - around[NEARER]
     kind = np.where(known & (relief <= (_OTHER_PX if in_pixels else _OTHER_LEVEL)), SEEN, UNCERTAIN)
     kind[seen < _LEAST_SEEN] = FILLED
     return kind
 
 
-def uncertainty_of(
+def estimate_uncertainty(
     frame: FloatArray, sharp: FloatArray, measured: BoolArray, kind: IndexArray, noise: float
 ) -> Uncertainty:
     """Return it for a frame and what deblurring has made of it, with `noise` in a channel."""

@@ -18,7 +18,7 @@ _TEAR_PX = 1.0
 _MIXED_PX = 2
 
 
-def openings(mask: Mask, most: int = 11) -> dict[tuple[int, int], tuple[float, float]]:
+def opening_centres(mask: Mask, most: int = 11) -> dict[tuple[int, int], tuple[float, float]]:
     """Return the places of a mask's openings, as `view_through` takes them, by row and column.
 
     Where a mask is more than `most` cells high or wide, the middles of the light of groups of them.

@@ -50,7 +50,7 @@ class Levels:
         level = np.linspace(0, count - 1, (count - 1) * _STEPS + 1)
         size = np.interp(level, np.arange(count), stack.blur_sizes_px)
         if by_camera is None:
-            depth = stack.depth_at(level)
+            depth = stack.interpolate_depth(level)
         else:
             depth = by_camera.depth_m(size).astype(np.float32)
         per_level = None if depth is None else _metres_per_level(depth)
@@ -100,7 +100,7 @@ class Levels:
         if self._depth_table is None:
             return found, size_px, None, None
         if self._bends is not None:
-            axial_m, depth_m = depth_m, self._bends.depth_in_field(depth_m)
+            axial_m, depth_m = depth_m, self._bends.field_corrected_depth(depth_m)
             # What is at infinity on the axis has no deviation that could be carried over.
             std_dev_m = std_dev_m * np.square(np.where(np.isinf(axial_m), 1, depth_m / axial_m))
         return found, size_px, depth_m, std_dev_m
@@ -119,7 +119,7 @@ def blur_sizes_px(
     From whoever knows the depths of the levels best, as in `Levels`.
     """
     if camera is None or depths_are_measured(model):
-        return model.stack.blur_size_at(depth_m)
+        return model.stack.interpolate_blur_size(depth_m)
     return np.asarray(camera.blur_map_px(depth_m), np.float32)
 
 

@@ -33,7 +33,7 @@ def points_of_depth(
     confidence, std_dev_m : ndarray, float32 [rows, columns]
     colours : ndarray, uint8 [rows, columns, RGB]
     rays : ndarray, float32 [rows, columns, 2]
-        See `optics.intrinsics.rays`.
+        See `optics.intrinsics.pixel_rays`.
     near_m, far_m : float, optional
         Where to put what is too near and what is beyond the range, metres; 0: it has no point.
 

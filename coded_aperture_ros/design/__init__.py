@@ -2,9 +2,9 @@
 
 from coded_aperture_ros.design.curves import (
     best_settings,
-    curves_of,
     default_extent_range_mm,
     default_focus_range_m,
+    design_curves,
 )
-from coded_aperture_ros.design.openings import openings_of
-from coded_aperture_ros.design.setting import DesignConfig, setting_of
+from coded_aperture_ros.design.openings import mask_openings
+from coded_aperture_ros.design.setting import DesignConfig, design_setting

@@ -7,13 +7,13 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError, naming
-from coded_aperture_ros.design.openings import openings_of
+from coded_aperture_ros.design.openings import mask_openings
 from coded_aperture_ros.design.setting import (
     DesignConfig,
     Setting,
+    design_setting,
     mean_blur_size_px,
     resolution_m,
-    setting_of,
 )
 from coded_aperture_ros.optics import Camera
 
@@ -39,7 +39,7 @@ class Curves:
     level_edges_m: DoubleArray
 
 
-def curves_of(
+def design_curves(
     camera: Camera,
     near_m: float,
     far_m: float,
@@ -49,7 +49,7 @@ def curves_of(
     """Compute the curves of a camera over a depth range on its side of the focus.
 
     The focus distances are by default `default_focus_range_m`, with the camera's own. An
-    `InputError` as of `setting_of`; also for a focus range that lies within the depth range.
+    `InputError` as of `design_setting`; also for a focus range that lies within the depth range.
     """
     config = config or DesignConfig()
     near_px, far_px = camera.blur_range_px(near_m, far_m)
@@ -57,7 +57,7 @@ def curves_of(
         low_m, high_m = default_focus_range_m(camera, near_m, far_m)
         focus_m = camera.focus_distance_m
         focus_range_m = min(low_m, focus_m), max(high_m, focus_m)
-    share = openings_of(camera.mask).smallest_width
+    share = mask_openings(camera.mask).smallest_width
     cameras = refocused_cameras(camera, near_m, far_m, focus_range_m)
     levels = [one.number_of_levels(near_m, far_m, config.resolution_px) for one in cameras]
     mean_px = [mean_blur_size_px(one, near_m, far_m) for one in cameras]
@@ -170,7 +170,7 @@ def best_settings(
         extent_mm = min(extent_range_mm[1], config.largest_blur_px / max(per_mm))
         if extent_mm >= extent_range_mm[0] and extent_mm * min(per_mm) >= config.smallest_blur_px:
             candidate = dataclasses.replace(focused, mask_extent_mm=extent_mm)
-            found[focused.side].append(setting_of(candidate, near_m, far_m, config))
+            found[focused.side].append(design_setting(candidate, near_m, far_m, config))
     best = []
     for settings in filter(None, found.values()):
         most = max(setting.levels for setting in settings)

@@ -1,6 +1,6 @@
 """Openings of a mask that are too small for their shape to reach the sensor."""
 
-from coded_aperture_ros.design.openings import Opening, openings_of
+from coded_aperture_ros.design.openings import Opening, mask_openings
 from coded_aperture_ros.optics import Camera
 
 # Diameter of the Airy disc to its first dark ring, in wavelengths times the f-number.
@@ -17,7 +17,7 @@ def diffraction_warning(camera: Camera, blur_size_px: float) -> str:
 
     `blur_size_px` is the largest blur of the whole mask that the camera is used with.
     """
-    openings = sorted(openings_of(camera.mask).each, key=lambda opening: opening.width)
+    openings = sorted(mask_openings(camera.mask).each, key=lambda opening: opening.width)
     size = abs(blur_size_px)
     lost = [one for one in openings if airy_width_px(camera, one) > one.width * size]
     if not lost:

@@ -51,7 +51,7 @@ def open_cells(mask: Mask) -> BoolArray:
 
 
 @functools.lru_cache(maxsize=16)  # a search asks for the same mask hundreds of times
-def openings_of(mask: Mask) -> Openings:
+def mask_openings(mask: Mask) -> Openings:
     """Measure the openings of a mask; see `open_cells`."""
     cells = open_cells(mask)
     framed = np.pad(cells, 1)  # the mask's rim is closed, and holds what touches it
@@ -128,7 +128,7 @@ def recut(mask: Mask, change: float) -> Mask:
     return Mask(mask.name, still_open.astype(np.float32))
 
 
-def outlines_of(mask: Mask) -> list[Outline]:
+def mask_outlines(mask: Mask) -> list[Outline]:
     """Trace the openings of a mask: closed outlines as corners `(x, y)`.
 
     x goes to the right and y down, in units of the mask's extent, with the centre of the grid at

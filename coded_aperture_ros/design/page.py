@@ -7,7 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.design.openings import openings_of
+from coded_aperture_ros.design.openings import mask_openings
 from coded_aperture_ros.design.setting import DesignConfig, Setting
 from coded_aperture_ros.optics import Camera
 
@@ -44,7 +44,7 @@ def write_page(
         "lens_mask_distance_mm": camera.lens_mask_distance_mm,
         "image_px": [camera.image_width, camera.image_height],
         "mask": camera.mask.name,
-        "hole_share": openings_of(camera.mask).smallest_width,
+        "hole_share": mask_openings(camera.mask).smallest_width,
         "open_fraction": camera.mask.open_fraction,
         "resolution_px": config.resolution_px,
         "wavelength_nm": config.wavelength_nm,

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
-from coded_aperture_ros.design.openings import openings_of
+from coded_aperture_ros.design.openings import mask_openings
 from coded_aperture_ros.optics import Camera
 
 # First zero of the Airy pattern, in wavelengths times the f-number.
@@ -89,7 +89,7 @@ class Setting:
         return self.airy_radius_px <= 1.0
 
 
-def setting_of(
+def design_setting(
     camera: Camera, near_m: float, far_m: float, config: DesignConfig | None = None
 ) -> Setting:
     """Compute the numbers of a camera as it is.
@@ -110,7 +110,7 @@ def setting_of(
         raise InputError(
             f"depth range {near_m:g} to {far_m:g} m: it has to end somewhere, say at 1000 m"
         )
-    share = openings_of(camera.mask).smallest_width
+    share = mask_openings(camera.mask).smallest_width
     open_fraction = camera.mask.open_fraction
     hole_mm = share * camera.mask_extent_mm
     resolutions_m = resolution_m(camera, [near_m, far_m], config.resolution_px)

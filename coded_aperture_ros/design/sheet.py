@@ -4,7 +4,7 @@ import dataclasses
 import math
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.design.openings import Outline, Point, openings_of, outlines_of, recut
+from coded_aperture_ros.design.openings import Outline, Point, mask_openings, mask_outlines, recut
 from coded_aperture_ros.optics import Mask
 
 # A4, and what of it every printer reaches.
@@ -73,7 +73,7 @@ def mask_sheet(
     if not 0 < extent_mm < math.inf:
         raise InputError(f"mask size: expected more than 0 mm, got {extent_mm:g} mm")
     cut = recut(mask, -kerf_mm / extent_mm) if kerf_mm else mask
-    outlines = [[(x * extent_mm, y * extent_mm) for x, y in one] for one in outlines_of(cut)]
+    outlines = [[(x * extent_mm, y * extent_mm) for x, y in one] for one in mask_outlines(cut)]
     reach_mm = max(math.hypot(x, y) for outline in outlines for x, y in outline)
     if outer_mm is None:
         outer_mm = math.ceil(2 * (reach_mm + _MARGIN_MM))
@@ -87,7 +87,7 @@ def mask_sheet(
             f"the mask with its rim is {outer_mm:.4g} mm wide and does not fit on an A4 page: use "
             f"at most {_LARGEST_MM:g} mm"
         )
-    openings = openings_of(mask)
+    openings = mask_openings(mask)
     count = "1 opening" if openings.count == 1 else f"{openings.count} openings"
     title = f"Mask {mask.name}, {extent_mm:g} mm"
     notes = [

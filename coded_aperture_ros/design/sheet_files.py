@@ -13,7 +13,7 @@ _POINTS_PER_MM = 72 / 25.4
 _WIDTH_OF_A_CHARACTER = 0.556
 
 
-def svg_of(sheet: Sheet) -> str:
+def sheet_svg(sheet: Sheet) -> str:
     """Return the sheet as the text of an SVG file whose user unit is 1 mm."""
     size = f'width="{WIDTH_MM:g}mm" height="{HEIGHT_MM:g}mm"'
     lines = [
@@ -54,7 +54,7 @@ def _clean(text: str) -> str:
     return escape(re.sub("[^\t\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "?", text))
 
 
-def pdf_of(sheet: Sheet) -> bytes:
+def sheet_pdf(sheet: Sheet) -> bytes:
     """Return the sheet as the bytes of a PDF file."""
     content = "\n".join([*map(_pdf_shape, sheet.shapes), *map(_pdf_text, sheet.texts)])
     stream = content.encode("cp1252", "replace")
@@ -79,7 +79,7 @@ def pdf_of(sheet: Sheet) -> bytes:
     return data + b"startxref\n%d\n%%%%EOF\n" % start_of_table
 
 
-def dxf_of(sheet: Sheet) -> bytes:
+def sheet_dxf(sheet: Sheet) -> bytes:
     """Return the lines to be cut, in mm, as a DXF file: layers `hole` and `rim`.
 
     An `InputError` where ezdxf is not installed.

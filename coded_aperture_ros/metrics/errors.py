@@ -91,7 +91,7 @@ class RelativeError:
     pixels: int  # number of pixels with a true depth
 
     @staticmethod
-    def of_known(errors: NDArray[np.floating], pixels: int) -> "RelativeError":
+    def from_errors(errors: NDArray[np.floating], pixels: int) -> "RelativeError":
         """Summarise the errors, without sign, of those of so many pixels that have a depth."""
         if not errors.size:
             nothing = float("nan")

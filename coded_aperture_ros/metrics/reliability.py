@@ -26,7 +26,7 @@ class Reliability:
     right: NDArray[np.int64]  # [bins]; how many of them are right
 
     @classmethod
-    def of(
+    def from_estimates(
         cls, confidence: NDArray[np.floating], right: BoolArray, bins: int = BINS
     ) -> "Reliability":
         """Sort estimates by their confidence, in [0, 1]; `right` says which of them are right.

@@ -16,7 +16,7 @@ class Times:
     worst_ms: float
 
     @classmethod
-    def of(cls, seconds: Sequence[float], factor: float = 1.0) -> "Times":
+    def from_seconds(cls, seconds: Sequence[float], factor: float = 1.0) -> "Times":
         """Summarise times in seconds, each multiplied by a factor."""
         p50, p99, worst = 1000 * factor * np.quantile(seconds, [0.5, 0.99, 1.0])
         return cls(len(seconds), float(p50), float(p99), float(worst))

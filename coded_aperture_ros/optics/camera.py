@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.options import Option, check_option
-from coded_aperture_ros.optics.diffraction import scattering_px
+from coded_aperture_ros.optics.diffraction import scatter_length_px
 from coded_aperture_ros.optics.field import FieldCurvature
 from coded_aperture_ros.optics.intrinsics import Intrinsics, load_intrinsics, read_yaml
 from coded_aperture_ros.optics.mask import Mask
@@ -128,7 +128,7 @@ class Camera:
                 check_option(name, getattr(self, name), expected, described)
         if self.focal_length_mm is not None:
             check_option("focal_length_mm", self.focal_length_mm, *_NUMBERS["focal_length_mm"])
-            check_focus_is_possible(self.focal_length_mm, self.focus_distance_m)
+            check_focus_distance(self.focal_length_mm, self.focus_distance_m)
             _check_f_number(self.focal_length_mm, self.mask_extent_mm)
         check_option("side", self.side, str, _SIDE)
         if not (self.diffraction is None or isinstance(self.diffraction, bool)):
@@ -159,7 +159,7 @@ class Camera:
         check_option("focal_length_mm", focal_length_mm, *_NUMBERS["focal_length_mm"])
         check_option("pixel_pitch_um", pixel_pitch_um, *_NUMBERS["pixel_pitch_um"])
         check_option("focus_distance_m", focus_distance_m, *_NUMBERS["focus_distance_m"])
-        check_focus_is_possible(focal_length_mm, focus_distance_m)
+        check_focus_distance(focal_length_mm, focus_distance_m)
         distance_mm = image_distance(focal_length_mm, focus_distance_m * 1e3)
         return Camera(
             distance_mm * 1e3 / pixel_pitch_um,
@@ -209,7 +209,7 @@ class Camera:
         They are unless the camera asks for diffraction, and where less than 0.5 % of the light goes
         farther than a pixel from where rays go.
         """
-        if not self.diffraction or scattering_px(self.mask, self.diffraction_px) < _INVISIBLE:
+        if not self.diffraction or scatter_length_px(self.mask, self.diffraction_px) < _INVISIBLE:
             return 0.0
         return self.diffraction_px
 
@@ -249,26 +249,26 @@ class Camera:
         size = self.blur_size_px(depth_m)
         if self.field_curvature is None:
             return size
-        missing = self.field_curvature.dioptres(self.intrinsics, depth_m.shape)
+        missing = self.field_curvature.defocus_map(self.intrinsics, depth_m.shape)
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = self.blur_per_dioptre_px / (1 - self._lens_mask_distance_m / depth_m)
         return np.asarray(size - slope * missing)
 
-    def depth_in_field(self, axial_m: FloatArray) -> FloatArray:
+    def field_corrected_depth(self, axial_m: FloatArray) -> FloatArray:
         """Return the depth map [rows, columns] of blur that on the axis would mean `axial_m`.
 
         +inf where the blur is that of infinity, or more; NaN stays.
         """
         if self.field_curvature is None:
             return axial_m
-        missing = self.field_curvature.dioptres(self.intrinsics, axial_m.shape)
+        missing = self.field_curvature.defocus_map(self.intrinsics, axial_m.shape)
         mask_m = self._lens_mask_distance_m
         with np.errstate(divide="ignore"):
             inverse = 1 / axial_m
             inverse -= missing * (1 - mask_m * inverse) / (1 - mask_m / self.focus_distance_m)
             return np.asarray(np.where(inverse <= 0, np.inf, 1 / inverse), np.float32)
 
-    def psf_at(
+    def field_psf(
         self, mask: Mask, blur_size_px: float, tangent: DoubleArray, width: int = 0
     ) -> FloatArray:
         """Return the PSF of a mask at a place where its mean blur size is `blur_size_px`.
@@ -279,17 +279,19 @@ class Camera:
         assert self.wavefront is not None
         unit, size_px = self.blur_per_dioptre_px, blur_size_px
         if self.field_curvature is not None:
-            size_px += unit * float(self.field_curvature.at(tangent @ tangent))
+            size_px += unit * float(self.field_curvature.defocus(tangent @ tangent))
         width = width or psf_width(_WIDER * abs(size_px) + _MORE_PX)
         return self.wavefront.psf(mask, size_px, unit, tangent, width)
 
-    def field_range_px(self, near_m: float, far_m: float) -> tuple[float, float]:
+    def field_blur_range_px(self, near_m: float, far_m: float) -> tuple[float, float]:
         """Return `blur_range_px` over the whole image, as far as it is on one side of the focus."""
         smallest, largest = self.blur_range_px(near_m, far_m)
         if self.field_curvature is None:
             return smallest, largest
         shape = (self.image_height, self.image_width)
-        missing = self.field_curvature.dioptres(self.intrinsics, shape) * self.blur_per_dioptre_px
+        missing = (
+            self.field_curvature.defocus_map(self.intrinsics, shape) * self.blur_per_dioptre_px
+        )
         low, high = smallest - max(missing.max(), 0), largest - min(missing.min(), 0)
         if high > 0:  # nothing is more blurred, behind the focus, than infinity on the axis
             high = min(high, max(largest, (largest + self.blur_at_infinity_px) / 2))
@@ -348,7 +350,7 @@ class Camera:
         """
         focal_length_px = self.focal_length_px
         if self.focal_length_mm is not None:
-            check_focus_is_possible(self.focal_length_mm, focus_distance_m)
+            check_focus_distance(self.focal_length_mm, focus_distance_m)
             before = image_distance(self.focal_length_mm, self.focus_distance_m * 1e3)
             focal_length_px *= image_distance(self.focal_length_mm, focus_distance_m * 1e3) / before
         return dataclasses.replace(
@@ -362,9 +364,9 @@ class Camera:
         width, height = (
             max(1, round(length * factor)) for length in (self.image_width, self.image_height)
         )
-        return self._resized(factor, width, height)
+        return self._with_size(factor, width, height)
 
-    def fitted(self, width: int, height: int) -> "Camera":
+    def resized(self, width: int, height: int) -> "Camera":
         """Return the camera for frames of this size, which show the same view.
 
         An `InputError` if their proportions are others.
@@ -376,9 +378,9 @@ class Camera:
                 f"frames of {width}x{height} are not the camera file's "
                 f"{self.image_width}x{self.image_height} resized: give a camera file of such frames"
             )
-        return self._resized(width / self.image_width, width, height)
+        return self._with_size(width / self.image_width, width, height)
 
-    def cut(self, view: View) -> "Camera":
+    def for_view(self, view: View) -> "Camera":
         """Return the camera of frames that are a part of its view: depth and blur are the same."""
         if (view.width, view.height) == (self.image_width, self.image_height):
             return self
@@ -386,16 +388,16 @@ class Camera:
             self,
             image_width=view.width,
             image_height=view.height,
-            measured=self.intrinsics.cut(view),
+            measured=self.intrinsics.for_view(view),
         )
 
-    def _resized(self, factor: float, width: int, height: int) -> "Camera":
+    def _with_size(self, factor: float, width: int, height: int) -> "Camera":
         return dataclasses.replace(
             self,
             focal_length_px=self.focal_length_px * factor,
             image_width=width,
             image_height=height,
-            measured=self.measured and self.measured.scaled(width, height),
+            measured=self.measured and self.measured.resized(width, height),
         )
 
 
@@ -417,7 +419,7 @@ def _check_f_number(focal_length_mm: float, extent_mm: float) -> None:
         )
 
 
-def check_focus_is_possible(focal_length_mm: float, focus_distance_m: float) -> None:
+def check_focus_distance(focal_length_mm: float, focus_distance_m: float) -> None:
     """Refuse, by an `InputError`, to focus a lens where it has no image."""
     if focus_distance_m * 1e3 <= focal_length_mm:
         raise InputError(
@@ -471,9 +473,9 @@ def camera_from_mapping(
         values = dict(mapping)
         values["mask"] = _mask_from(values["mask"], Path(folder))
         if "field_curvature" in values:
-            values["field_curvature"] = FieldCurvature.of_entry(values["field_curvature"])
+            values["field_curvature"] = FieldCurvature.from_entry(values["field_curvature"])
         if "wavefront" in values:
-            values["wavefront"] = Wavefront.of_entry(values["wavefront"])
+            values["wavefront"] = Wavefront.from_entry(values["wavefront"])
         info = values.pop("camera_info", None)
         if info is not None:
             if not isinstance(info, str):

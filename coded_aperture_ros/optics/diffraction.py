@@ -25,7 +25,7 @@ _LOST, _FARTHEST_PX = 0.02, 8
 _MORE_POINTS = 5
 
 
-def scattering_px(mask: Mask, diffraction_px: float) -> float:
+def scatter_length_px(mask: Mask, diffraction_px: float) -> float:
     """Return how far a mask's edges throw light, px: beyond d px falls this divided by d of it.
 
     It is ``q P / (2 pi^2 A)`` of perimeter P and area A of the openings, the tail of every
@@ -38,12 +38,12 @@ def scattering_px(mask: Mask, diffraction_px: float) -> float:
     return float(diffraction_px * per_area / (2 * np.pi**2))
 
 
-def tail_px(mask: Mask, diffraction_px: float) -> int:
+def diffraction_tail_px(mask: Mask, diffraction_px: float) -> int:
     """Return how many pixels beyond the geometric one a PSF is wide on each side."""
-    return min(int(np.ceil(scattering_px(mask, diffraction_px) / _LOST)), _FARTHEST_PX)
+    return min(int(np.ceil(scatter_length_px(mask, diffraction_px) / _LOST)), _FARTHEST_PX)
 
 
-def diffracted(
+def diffracted_psf(
     mask: Mask,
     blur_size_px: float,
     width_px: int,

@@ -35,7 +35,7 @@ class FieldCurvature:
                 raise InputError(f"field_curvature: {value!r} is not a number up to {_MOST:g}")
 
     @classmethod
-    def of_entry(cls, entry: Any) -> "FieldCurvature":
+    def from_entry(cls, entry: Any) -> "FieldCurvature":
         """Read the entry of a camera file: two numbers."""
         if not isinstance(entry, (list, tuple)) or len(entry) != 2:
             raise InputError(
@@ -43,12 +43,12 @@ class FieldCurvature:
             )
         return cls(*entry)
 
-    def at(self, tangent2: ArrayLike) -> DoubleArray:
+    def defocus(self, tangent2: ArrayLike) -> DoubleArray:
         """Return what is missing of 1 / z_focus where the square of the tangent is `tangent2`."""
         squared = np.asarray(tangent2, np.float64)
         return squared * (self.second + self.fourth * squared)
 
-    def dioptres(self, intrinsics: Intrinsics, shape: tuple[int, ...]) -> FloatArray:
+    def defocus_map(self, intrinsics: Intrinsics, shape: tuple[int, ...]) -> FloatArray:
         """Return what is missing of 1 / z_focus at every pixel of a map of the whole image.
 
         Distortion is left out: it moves pixels by much less than curvature changes over.
@@ -60,7 +60,7 @@ class FieldCurvature:
 def _dioptres(
     curvature: FieldCurvature, intrinsics: Intrinsics, rows: int, columns: int
 ) -> FloatArray:
-    k = intrinsics.scaled(columns, rows).camera_matrix
+    k = intrinsics.resized(columns, rows).camera_matrix
     across = ((np.arange(columns) - k[2]) / k[0]) ** 2
     tangent2 = across + ((np.arange(rows) - k[5])[:, None] / k[4]) ** 2
-    return curvature.at(tangent2).astype(np.float32)
+    return curvature.defocus(tangent2).astype(np.float32)

@@ -106,15 +106,15 @@ class Intrinsics:
 
     def rays(self, rows: int, columns: int) -> FloatArray:
         """Return `rays` through the pixels of the same view in a picture of this size."""
-        model = self.scaled(columns, rows)
+        model = self.resized(columns, rows)
         distorted = model.distortion_model, model.camera_matrix, model.distortion_coefficients
-        return rays(*distorted, rows, columns)
+        return pixel_rays(*distorted, rows, columns)
 
-    def scaled(self, width: int, height: int) -> "Intrinsics":
+    def resized(self, width: int, height: int) -> "Intrinsics":
         """Return the model of the same view resized; distortion acts on normalised coordinates."""
         return self._placed(width, height, width / self.image_width, height / self.image_height)
 
-    def cut(self, view: View) -> "Intrinsics":
+    def for_view(self, view: View) -> "Intrinsics":
         """Return the model of a part of the view, of which this is the whole."""
         return self._placed(view.width, view.height, 1.0, 1.0, view.left, view.top)
 
@@ -161,7 +161,7 @@ def scaled_matrix(
 
 
 @lru_cache(maxsize=4)
-def rays(
+def pixel_rays(
     model: str, k: tuple[float, ...], d: tuple[float, ...], rows: int, columns: int
 ) -> FloatArray:
     """Return x / z and y / z of what every pixel sees, float32 [rows, columns, 2].

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from coded_aperture_ros.core.archive import read_archive, write_archive
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics.diffraction import diffracted, tail_px
+from coded_aperture_ros.optics.diffraction import diffracted_psf, diffraction_tail_px
 from coded_aperture_ros.optics.mask import Mask
 
 _SCHEMA = "coded-aperture PSF stack"
@@ -30,7 +30,7 @@ def render_psf(
 
     A pixel's value is the mask's transmission integrated over the pixel's square, divided by the
     sum. Cells and pixels are both rectangles, so the integral is the exact overlap, separable
-    into `A @ T @ B.T`, and smooth in the blur size. With diffraction see `diffracted`.
+    into `A @ T @ B.T`, and smooth in the blur size. With diffraction see `diffracted_psf`.
 
     Parameters
     ----------
@@ -59,8 +59,8 @@ def render_psf(
     if not np.isfinite(size):
         raise InputError(f"blur size: expected a finite number of pixels, got {blur_size_px!r}")
     if diffraction_px:
-        width_px = width_px or psf_width(size) + 2 * tail_px(mask, diffraction_px)
-        psf = diffracted(mask, blur_size_px, width_px, diffraction_px, centre_px)
+        width_px = width_px or psf_width(size) + 2 * diffraction_tail_px(mask, diffraction_px)
+        psf = diffracted_psf(mask, blur_size_px, width_px, diffraction_px, centre_px)
         return (psf / psf.sum()).astype(np.float32)
     cells = mask.transmission.astype(np.float64)
     if blur_size_px < 0:
@@ -147,7 +147,7 @@ class PsfStack:
         sizes = self.blur_sizes_px
         return bool(self.in_pixels and (sizes < 0).any() and (sizes > 0).any())
 
-    def depth_at(self, level: NDArray[np.floating]) -> FloatArray | None:
+    def interpolate_depth(self, level: NDArray[np.floating]) -> FloatArray | None:
         """Depth in metres at fractional levels; None if the stack does not know depths.
 
         Between levels the inverse depth is linear, as it is in the blur size of a thin lens.
@@ -157,7 +157,7 @@ class PsfStack:
         inverse = np.interp(level, np.arange(len(self)), 1 / self.depths_m)
         return (1 / inverse).astype(np.float32)
 
-    def blur_size_at(self, depth_m: NDArray[np.floating]) -> FloatArray | None:
+    def interpolate_blur_size(self, depth_m: NDArray[np.floating]) -> FloatArray | None:
         """Blur size in px at depths in metres (NaN stays); None if the stack knows no depths.
 
         Depths beyond the first or last level get that level's blur size.

@@ -33,7 +33,7 @@ class ExpectedMotion:
     image_width: int
     reason: str = ""
 
-    def at(self, rows: ArrayLike, columns: ArrayLike, image_width: int) -> DoubleArray:
+    def motion_px(self, rows: ArrayLike, columns: ArrayLike, image_width: int) -> DoubleArray:
         """Return the way of the picture during the exposure, to the right and down, px [r, c, 2].
 
         In a grid of places, rows [r] and columns [c] of a picture of `image_width`, px; zeros if
@@ -54,8 +54,8 @@ def expected_motion(
     angular_velocity_rad_s: Sequence[float] | None,
     exposure_s: float,
     intrinsics: Intrinsics,
-    late_s: float = 0.0,
-    latest_s: float = 0.05,
+    delay_s: float = 0.0,
+    max_delay_s: float = 0.05,
 ) -> ExpectedMotion:
     """Predict the motion of the picture from a gyroscope.
 
@@ -69,9 +69,9 @@ def expected_motion(
         `sensor_msgs/Imu` has it in the frame of its own header. None if there is no measurement.
     exposure_s : float
         Time of the exposure, s.
-    late_s : float, optional
+    delay_s : float, optional
         How far in time the measurement is from the exposure, s, before or after.
-    latest_s : float, optional
+    max_delay_s : float, optional
         From where on that is too far.
 
     Returns
@@ -91,13 +91,13 @@ def expected_motion(
         return known(None, "angular velocity is not finite")
     if not (math.isfinite(exposure_s) and exposure_s > 0):
         return known(None, f"exposure of {exposure_s:g} s is not known")
-    if not abs(late_s) <= latest_s:  # a NaN is late too
-        return known(None, f"angular velocity is {abs(late_s):.3g} s late")
+    if not abs(delay_s) <= max_delay_s:  # a NaN is late too
+        return known(None, f"angular velocity is {abs(delay_s):.3g} s late")
     x, y, z = (float(rate) * exposure_s for rate in angular_velocity_rad_s)
     return known((x, y, z))
 
 
-def rotation_of(axes: str) -> tuple[tuple[int, int], ...]:
+def parse_imu_axes(axes: str) -> tuple[tuple[int, int], ...]:
     """Return for each axis of the camera the index of the gyroscope's axis, and its sign.
 
     An `InputError` if the text does not name each axis once, or means a mirror and no rotation.

@@ -22,7 +22,7 @@ TERMS = (
     *((0, 4, 0), (2, 4, 0), (4, 4, 0), (2, 4, 2), (4, 4, 2)),  # spherical
     *((0, 6, 0), (2, 6, 0), (2, 6, 2)),
 )
-NAMES = tuple("W{}{}{}".format(*term) for term in TERMS)
+TERM_NAMES = tuple("W{}{}{}".format(*term) for term in TERMS)
 _MOST = 100.0
 # Rays to the pixel, along either side, and in the smallest PSF.
 _RAYS_PER_PX, _FEWEST_RAYS = 12, 96
@@ -62,9 +62,9 @@ class Wavefront:
             raise InputError("wavefront: the corner and the radii of rims must be more than 0")
 
     @classmethod
-    def of_entry(cls, entry: Any) -> "Wavefront":
+    def from_entry(cls, entry: Any) -> "Wavefront":
         """Read the entry of a camera file, as `entry` gives it; terms left out are 0."""
-        names = {"corner", "rims", *NAMES}
+        names = {"corner", "rims", *TERM_NAMES}
         if not isinstance(entry, Mapping) or "corner" not in entry or not set(entry) <= names:
             raise InputError(
                 "wavefront: expected corner, rims and terms such as W222, as calibrate field gives"
@@ -72,12 +72,12 @@ class Wavefront:
         rims = entry.get("rims", cls.rims)
         if not isinstance(rims, (list, tuple)) or len(rims) != 4:
             raise InputError("wavefront: rims: expected four numbers")
-        return cls(entry["corner"], tuple(entry.get(name, 0.0) for name in NAMES), tuple(rims))
+        return cls(entry["corner"], tuple(entry.get(name, 0.0) for name in TERM_NAMES), tuple(rims))
 
     @property
     def entry(self) -> dict[str, Any]:
         """What a camera file says of it."""
-        terms = {k: round(v, 5) for k, v in zip(NAMES, self.coefficients, strict=True) if v}
+        terms = {k: round(v, 5) for k, v in zip(TERM_NAMES, self.coefficients, strict=True) if v}
         return {"corner": round(self.corner, 5), "rims": [round(v, 4) for v in self.rims], **terms}
 
     def psf(
@@ -101,7 +101,7 @@ class Wavefront:
         """
         rays = _FEWEST_RAYS + math.ceil(_RAYS_PER_PX * abs(blur_size_px))
         places, light = _pupil(mask, rays)
-        moved, passed = self.rays(places, blur_size_px, per_dioptre_px, np.asarray(tangent, float))
+        moved, passed = self.trace(places, blur_size_px, per_dioptre_px, np.asarray(tangent, float))
         pixel = np.floor(moved + width / 2).astype(np.intp)
         seen = ((pixel >= 0) & (pixel < width)).all(axis=0)
         index = np.ravel_multi_index(tuple(pixel[:, seen]), (width, width))
@@ -110,21 +110,21 @@ class Wavefront:
             raise InputError("wavefront: the rims leave no light: check rims and corner")
         return (psf / psf.sum()).astype(np.float32)
 
-    def passed(self, mask: Mask, tangent: ArrayLike) -> float:
+    def transmitted_share(self, mask: Mask, tangent: ArrayLike) -> float:
         """Return which share of the light of a mask, or a part of one, passes the rims."""
         places, light = _pupil(mask, _FEWEST_RAYS)
-        _, passed = self.rays(places, 0.0, 1.0, np.asarray(tangent, float))
+        _, passed = self.trace(places, 0.0, 1.0, np.asarray(tangent, float))
         return float(np.average(passed, weights=light))
 
     def defocus(self, mask: Mask, tangent: float) -> float:
         """Return how many dioptres of defocus fit the rays best, away from the axis."""
         places, light = _pupil(mask, _FEWEST_RAYS)
-        moved, passed = self.rays(places, 0.0, 1.0, np.array([0.0, tangent]))
+        moved, passed = self.trace(places, 0.0, 1.0, np.array([0.0, tangent]))
         light *= passed
         apart = places - np.average(places, axis=1, weights=light)[:, None]
         return float(2 * np.sum(light * apart * moved) / np.sum(light * apart * apart))
 
-    def curvature(self, mask: Mask) -> FieldCurvature:
+    def field_curvature(self, mask: Mask) -> FieldCurvature:
         """Return the field curvature that is most like the `defocus` up to the corner."""
         tangents = np.linspace(0, self.corner, 32)[1:]
         missing = [-self.defocus(mask, tangent) for tangent in tangents]
@@ -132,7 +132,7 @@ class Wavefront:
         second, fourth = np.linalg.lstsq(bends, np.array(missing), rcond=None)[0]
         return FieldCurvature(round(float(second), 4), round(float(fourth), 4))
 
-    def rays(
+    def trace(
         self, places: DoubleArray, blur_size_px: float, per_dioptre_px: float, tangent: DoubleArray
     ) -> tuple[DoubleArray, DoubleArray]:
         """Return where rays through places [2, n] of the mask come out, and what passes the rims.
@@ -175,7 +175,7 @@ def _pupil(mask: Mask, rays: int) -> tuple[DoubleArray, DoubleArray]:
     return places, light[open_].astype(np.float64)
 
 
-def parts_of_field(frames: Intrinsics, rows: int, columns: int) -> DoubleArray:
+def field_tangents(frames: Intrinsics, rows: int, columns: int) -> DoubleArray:
     """Return the tangents (down, right) of the middles of the parts of an image [n, 2]."""
     k = frames.camera_matrix
     down = ((np.arange(rows) + 0.5) * frames.image_height / rows - 0.5 - k[5]) / k[4]

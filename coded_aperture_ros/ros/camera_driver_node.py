@@ -292,7 +292,7 @@ class CameraDriverNode(ManagedNode):
     def _publish_camera_info(self, width: int, height: int, header: Header) -> None:
         try:
             model = self._store and self._store.fitted(width, height)
-            model = model or self._camera.fitted(width, height).intrinsics
+            model = model or self._camera.resized(width, height).intrinsics
         except InputError as error:
             self.get_logger().warning(f"no camera_info: {error}", throttle_duration_sec=10.0)
             return

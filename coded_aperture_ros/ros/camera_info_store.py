@@ -133,4 +133,4 @@ def _fitted(model: Intrinsics, width: int, height: int) -> Intrinsics:
             f"the calibration is for {model.image_width}x{model.image_height}, which does not have "
             f"the proportions of the {width}x{height} frames: calibrate with such frames",
         )
-    return model.scaled(width, height)
+    return model.resized(width, height)

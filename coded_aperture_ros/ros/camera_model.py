@@ -7,7 +7,7 @@ from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.messages import view_of
+from coded_aperture_ros.io.messages import view_from_camera_info
 from coded_aperture_ros.optics import Camera, View, load_camera
 from coded_aperture_ros.ros.messages import camera_info_from_camera, scaled_camera_info, stamp_ns
 
@@ -98,7 +98,7 @@ class CameraModel:
 
     def _view(self, camera: Camera, frame_size: tuple[int, int]) -> View | None:
         height, width = frame_size
-        return self._received and view_of(self._received, width, height, camera)
+        return self._received and view_from_camera_info(self._received, width, height, camera)
 
 
 def _check(info: CameraInfo) -> None:

@@ -15,7 +15,7 @@ from coded_aperture_ros.deblur import (
     DeblurConfig,
     blur_levels,
     covers_frame,
-    deblurrer_of,
+    make_deblurrer,
 )
 from coded_aperture_ros.frames import KnownNoise, channel_noise
 from coded_aperture_ros.io.messages import (
@@ -23,8 +23,8 @@ from coded_aperture_ros.io.messages import (
     array_from_image,
     compressed_picture,
     frame_from_image,
+    output_encoding,
     pixels_from_frame,
-    written_encoding,
 )
 from coded_aperture_ros.likelihood import BlurLevels
 from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
@@ -116,7 +116,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
             deblurrer.reset()
         noise = channel_noise(frame, KnownNoise.of(config, camera, self._model.model))
         sharp = deblurrer.deblur(frame, blur_size_px, noise)
-        encoding = written_encoding(image.encoding)
+        encoding = output_encoding(image.encoding)
         compressed = self.wants("deblurred/image/compressed")
         if compressed or self.wants("deblurred/image"):
             pixels = pixels_from_frame(sharp, encoding, gamma)
@@ -155,7 +155,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         return made
 
     def _new_deblurrer(self) -> AnyDeblurrer:
-        deblurrer = deblurrer_of(self._model.model, self.configs[DeblurConfig])
+        deblurrer = make_deblurrer(self._model.model, self.configs[DeblurConfig])
         camera = self._model.camera
         deblurrer.prepare((camera.image_height, camera.image_width))
         return deblurrer

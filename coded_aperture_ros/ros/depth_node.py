@@ -42,7 +42,7 @@ from coded_aperture_ros.likelihood.bank import LearnConfig
 from coded_aperture_ros.likelihood.choose import METHODS, new_model, with_settings
 from coded_aperture_ros.likelihood.motion import MotionConfig
 from coded_aperture_ros.likelihood.two_pixel import SimpleConfig
-from coded_aperture_ros.optics.intrinsics import rays
+from coded_aperture_ros.optics.intrinsics import pixel_rays
 from coded_aperture_ros.pipeline import FramePipeline, LateFrameError
 from coded_aperture_ros.ros.diagnostics import Complaint
 from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
@@ -233,7 +233,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         info = driver.info(self._model.whole, frame_size, size, header)
         self.send("depth/camera_info", info)
         if wanted := list(filter(self.wants, clouds)):
-            through = rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
+            through = pixel_rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
             small = cv2.resize(frame, size[::-1], interpolation=cv2.INTER_AREA)
             maps = estimate.confidence, std_dev_m, pixels_from_frame(small, "rgb8", gamma), through
             for topic in wanted:

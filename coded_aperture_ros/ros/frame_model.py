@@ -106,7 +106,7 @@ class FrameModel(Generic[Model]):
     @property
     def camera(self) -> Camera:
         """The camera of the frames."""
-        return self.whole if self._view is None else self.whole.cut(self._view)
+        return self.whole if self._view is None else self.whole.for_view(self._view)
 
     @property
     def whole(self) -> Camera:
@@ -155,7 +155,7 @@ class FrameModel(Generic[Model]):
         try:
             # Before a bank is learned in vain for what is smaller than a window.
             PatchGrid.covering((view.height, view.width), self.model.window_px, 1)
-            camera = file_camera.fitted(*size)
+            camera = file_camera.resized(*size)
             if bank is not None and not view.is_binned:
                 check_frame_size(bank, *size)
         except InputError as error:
@@ -184,9 +184,9 @@ class FrameModel(Generic[Model]):
         """Return the camera for the frames so far, or else for those that the bank is for."""
         view, bank = self._view, self._bank
         if view is not None:
-            return file_camera.fitted(view.whole_width, view.whole_height)
+            return file_camera.resized(view.whole_width, view.whole_height)
         if bank is not None and bank.image_width:
-            return file_camera.fitted(bank.image_width, bank.image_height)
+            return file_camera.resized(bank.image_width, bank.image_height)
         return file_camera
 
     def _made(self, file_camera: Camera, camera: Camera, config: ModelConfig) -> Model:
@@ -200,7 +200,7 @@ class FrameModel(Generic[Model]):
             if near_m is None:
                 depths_m = bank.stack.depths_m
                 if depths_m is None:
-                    own = file_camera.fitted(bank.image_width, bank.image_height)
+                    own = file_camera.resized(bank.image_width, bank.image_height)
                     depths_m = own.depth_m(bank.blur_sizes_px)
                 near_m, far_m = float(depths_m.min()), float(depths_m.max())
             bank = remap_bank(bank, camera, near_m, far_m)

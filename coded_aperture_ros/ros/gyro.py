@@ -9,7 +9,7 @@ from std_msgs.msg import Header
 
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.optics import Intrinsics
-from coded_aperture_ros.optics.rotation import ExpectedMotion, expected_motion, rotation_of
+from coded_aperture_ros.optics.rotation import ExpectedMotion, expected_motion, parse_imu_axes
 from coded_aperture_ros.ros.messages import stamp_ns
 
 # A second of a fast gyroscope: frames are worked on a little after they were taken.
@@ -32,7 +32,7 @@ class GyroConfig:
 
     def __post_init__(self) -> None:
         check_options(self)
-        rotation_of(self.imu_axes)
+        parse_imu_axes(self.imu_axes)
 
 
 class Gyro:
@@ -62,7 +62,7 @@ class Gyro:
             nearest = min(self._lately, key=lambda said: abs(said[0] - stamp), default=None)
         if nearest is None:
             return expected_motion(None, config.exposure_s, intrinsics)
-        axes = rotation_of(config.imu_axes)
+        axes = parse_imu_axes(config.imu_axes)
         rates = tuple(sign * nearest[1][index] for index, sign in axes)
-        late_s = (nearest[0] - stamp) * 1e-9
-        return expected_motion(rates, config.exposure_s, intrinsics, late_s)
+        delay_s = (nearest[0] - stamp) * 1e-9
+        return expected_motion(rates, config.exposure_s, intrinsics, delay_s)

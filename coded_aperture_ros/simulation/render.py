@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera, Mask, psf_width, render_psf
-from coded_aperture_ros.optics.diffraction import diffracted, tail_px
-from coded_aperture_ros.optics.wavefront import parts_of_field
+from coded_aperture_ros.optics.diffraction import diffracted_psf, diffraction_tail_px
+from coded_aperture_ros.optics.wavefront import field_tangents
 from coded_aperture_ros.simulation.hidden import Surface, fill_unknown, hidden_surface
 
 # Layers closer than this in blur size belong to one surface and do not occlude one another. It
@@ -78,7 +78,7 @@ def render_coded_frame(
         return frame.reshape(image.shape)
     frame, (rows, columns) = np.empty_like(colours), depth_m.shape
     margin = psf_width(np.abs(blur_size_px).max()) + _SURFACE_MARGIN_PX
-    tangents = parts_of_field(camera.intrinsics.scaled(columns, rows), _ROWS, _COLUMNS)
+    tangents = field_tangents(camera.intrinsics.resized(columns, rows), _ROWS, _COLUMNS)
     for tangent, (row, column) in zip(tangents, np.ndindex(_ROWS, _COLUMNS), strict=True):
         top, bottom = row * rows // _ROWS, (row + 1) * rows // _ROWS
         left, right = column * columns // _COLUMNS, (column + 1) * columns // _COLUMNS
@@ -111,7 +111,7 @@ def _compose(
     for block in _blocks(camera.mask, blocks):
         passed = 1.0
         if tangent is not None and camera.wavefront is not None:
-            passed = camera.wavefront.passed(block, tangent)
+            passed = camera.wavefront.transmitted_share(block, tangent)
         if passed > _LEAST_COVERAGE:
             psf = partial(_kernel, block, camera, tangent=tangent)
             share = passed * block.open_fraction / camera.mask.open_fraction
@@ -252,12 +252,12 @@ def _kernel(
 ) -> FloatArray:
     """Return the PSF of a block; with diffraction what it adds to that of the whole mask."""
     if tangent is not None:
-        return camera.psf_at(block, blur_size_px, tangent)
+        return camera.field_psf(block, blur_size_px, tangent)
     q = camera.psf_diffraction_px
     if not q:
         return render_psf(block, blur_size_px)
-    width = psf_width(blur_size_px) + 2 * tail_px(camera.mask, q)
-    psf = diffracted(camera.mask, blur_size_px, width, q, part=block)
+    width = psf_width(blur_size_px) + 2 * diffraction_tail_px(camera.mask, q)
+    psf = diffracted_psf(camera.mask, blur_size_px, width, q, part=block)
     return (psf / psf.sum()).astype(np.float32)
 
 

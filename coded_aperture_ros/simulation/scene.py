@@ -85,7 +85,7 @@ def motorcycle_scene(scale: float = 1.2) -> Scene:
 
 
 @dataclasses.dataclass(frozen=True)
-class View:
+class SimulatedFrame:
     """What the simulated camera records at one time, and the truth behind it."""
 
     coded: FloatArray  # the frame [h, w, 3], with noise
@@ -122,11 +122,11 @@ class PanningScene:
         # Two blocks a side: the demo should not wait for the last tenth of the accuracy.
         self._coded = render_coded_frame(scene.image, scene.depth_m, camera, aperture_blocks=2)
 
-    def view(self, time_s: float) -> View:
+    def frame(self, time_s: float) -> SimulatedFrame:
         """Return what the camera sees at a time (zero or later)."""
         window = self._window(time_s)
         rng = np.random.default_rng([self._seed, round(abs(time_s) * 1e6)])
-        return View(
+        return SimulatedFrame(
             self._sensor.expose(self._coded[window], rng),
             self._scene.image[window],
             self._scene.depth_m[window],

@@ -114,7 +114,7 @@ class DeviceSource:
     @staticmethod
     def _changes(device: cv2.VideoCapture) -> tuple[str, ...]:
         settings = cv2.CAP_PROP_AUTOFOCUS, cv2.CAP_PROP_AUTO_EXPOSURE
-        return changed_by_itself(*map(device.get, settings))
+        return automatic_controls(*map(device.get, settings))
 
     @staticmethod
     def _set(device: cv2.VideoCapture, wanted: dict[str, tuple[int, float]]) -> tuple[str, ...]:
@@ -123,7 +123,7 @@ class DeviceSource:
         )
 
 
-def changed_by_itself(autofocus: float, auto_exposure: float) -> tuple[str, ...]:
+def automatic_controls(autofocus: float, auto_exposure: float) -> tuple[str, ...]:
     """Return what a device changes by itself, from what it says of these settings.
 
     One that does not know a setting says 0 or less.

@@ -34,7 +34,7 @@ class SimulatorSource:
 
     def read(self) -> Capture | None:
         """Return the next view."""
-        view = self._scene.view(self._frames / self._rate_hz)
+        view = self._scene.frame(self._frames / self._rate_hz)
         self._frames += 1
         height, width = view.depth_m.shape
         top, left = self._random.integers(_NOISE_MARGIN_PX, size=2)

@@ -157,7 +157,7 @@ def test_roofline_is_the_longer_of_computing_and_copying(gflop, mb, bound_ms, li
 
 
 def test_times_are_quantiles_in_milliseconds():
-    times = Times.of(np.arange(101) / 1000, factor=2)
+    times = Times.from_seconds(np.arange(101) / 1000, factor=2)
     assert (times.samples, times.p50_ms, times.worst_ms) == (101, 100, 200)
     assert times.p99_ms == pytest.approx(198)
     assert ratio(times, Times(3, 10, 99, 100)) == pytest.approx({"p50": 10, "p99": 2})

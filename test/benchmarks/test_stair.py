@@ -253,16 +253,16 @@ def test_the_numbers_of_the_thesis_by_our_names():
 def test_a_confidence_that_keeps_its_promise_has_no_calibration_error():
     random = np.random.default_rng(0)
     confidence = random.random(200_000)
-    honest = Reliability.of(confidence, random.random(200_000) < confidence)
+    honest = Reliability.from_estimates(confidence, random.random(200_000) < confidence)
     assert honest.expected_calibration_error < 0.01
     np.testing.assert_allclose(honest.share_right, honest.mean_confidence, atol=0.02)
-    boaster = Reliability.of(confidence, random.random(200_000) < confidence / 2)
+    boaster = Reliability.from_estimates(confidence, random.random(200_000) < confidence / 2)
     assert boaster.expected_calibration_error == pytest.approx(0.25, abs=0.01)
 
 
 def test_too_timid_and_too_bold_do_not_cancel():
     confidence = np.repeat([0.25, 0.75], 4)
-    mixed = Reliability.of(confidence, np.tile([True, False], 4))
+    mixed = Reliability.from_estimates(confidence, np.tile([True, False], 4))
     assert mixed.expected_calibration_error == pytest.approx(0.25)
 
 
@@ -271,9 +271,10 @@ def test_too_timid_and_too_bold_do_not_cancel():
 )
 def test_diagrams_add_up(estimates, cut):
     confidence, right = (np.array(column) for column in zip(*estimates, strict=True))
-    whole = Reliability.of(confidence, right)
+    whole = Reliability.from_estimates(confidence, right)
     parts = [
-        Reliability.of(confidence[part], right[part]) for part in (slice(cut), slice(cut, None))
+        Reliability.from_estimates(confidence[part], right[part])
+        for part in (slice(cut), slice(cut, None))
     ]
     total = Reliability.total(parts)
     np.testing.assert_array_equal(total.count, whole.count)
@@ -286,9 +287,9 @@ def test_diagrams_add_up(estimates, cut):
 def test_confidences_outside_their_range_are_refused():
     for confidence in (1.1, -0.1, np.nan):
         with pytest.raises(InputError, match="confidence"):
-            Reliability.of(np.array([confidence]), np.array([True]))
+            Reliability.from_estimates(np.array([confidence]), np.array([True]))
     with pytest.raises(InputError, match="shape"):
-        Reliability.of(np.zeros(2), np.zeros(3, bool))
+        Reliability.from_estimates(np.zeros(2), np.zeros(3, bool))
 
 
 def test_levels_are_blur_sizes_from_7_to_30_px():

@@ -174,7 +174,7 @@ def test_a_region_of_interest_turns_around_the_axis_of_the_whole_view(
     options = ("--motion", *FEW_MOTIONS, "--angular-velocity", 0, 0, 1, "--exposure", 0.01)
     refused(call(capsys, *command(scene, bag, tmp_path / "out", *options)), "that is enough")
     middle = (HEIGHT - 1) / 2 - top, (WIDTH - 1) / 2 - left
-    still = priors[0].at([middle[0]], [middle[1]], columns)
+    still = priors[0].motion_px([middle[0]], [middle[1]], columns)
     np.testing.assert_allclose(still, 0, atol=1e-9)
 
 

@@ -16,7 +16,7 @@ from cameras import THESIS
 from cli_scene import call, everything, refused, wrong_usage
 
 from coded_aperture_ros.cli.main import main
-from coded_aperture_ros.design import setting_of
+from coded_aperture_ros.design import design_setting
 from coded_aperture_ros.optics import camera_from_mapping, load_camera
 
 CONTRACT = {
@@ -52,7 +52,7 @@ def test_table_of_the_thesis(tmp_path, capsys, changes, depth_range, levels):
     found = numbers(capsys, "--camera", camera, "--depth-range", *depth_range)
     assert found.keys() >= CONTRACT
     assert found["levels"] == pytest.approx(levels, abs=0.1)
-    setting = setting_of(load_camera(camera), *depth_range)
+    setting = design_setting(load_camera(camera), *depth_range)
     for name in CONTRACT:
         assert found[name] == getattr(setting, name)
     table = call(capsys, "calibrate", "--camera", camera, "--depth-range", *depth_range).out
@@ -250,7 +250,7 @@ PINHOLE = {"focal_length_mm": None, "pixel_pitch_um": None, "focal_length_px": 2
 
 
 def assert_equal_to_python(values, camera, near_m, far_m):
-    setting = setting_of(camera, near_m, far_m)
+    setting = design_setting(camera, near_m, far_m)
     assert values.keys() >= CONTRACT
     for name, value in values.items():
         expected = getattr(setting, name)

@@ -9,13 +9,13 @@ import pytest
 from bad_frames import names
 from cli_scene import HEIGHT, WIDTH, call, everything, forbid_work, json_of, refused, wrong_usage
 
-from coded_aperture_ros.deblur import openings, view_through
+from coded_aperture_ros.deblur import opening_centres, view_through
 from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import read_image
 from coded_aperture_ros.likelihood.bank import load_bank, save_bank
 from coded_aperture_ros.optics import Mask, load_camera
 
-PLACES = openings(Mask.named("levin"))
+PLACES = opening_centres(Mask.named("levin"))
 
 
 def frames_of(path):

@@ -182,7 +182,7 @@ def test_rims_of_the_foreground_move_with_it(square):
 
 def test_parallax_of_a_scene():
     blur = np.linspace(2, 12, 1001, dtype=np.float32).reshape(7, 143)
-    parallax = Parallax.of_scene(blur, 20.0)
+    parallax = Parallax.from_scene(blur, 20.0)
     assert parallax.screen_px == pytest.approx(7.0)
     disparity = parallax.disparity_px(blur)
     assert disparity.dtype == np.float32
@@ -191,9 +191,9 @@ def test_parallax_of_a_scene():
     assert np.median(disparity) == pytest.approx(0, abs=0.1)
     one_wrong = blur.copy()
     one_wrong[3, 3], one_wrong[4, 4] = 1000.0, np.nan
-    assert Parallax.of_scene(one_wrong, 20.0).scale == pytest.approx(parallax.scale, rel=0.01)
+    assert Parallax.from_scene(one_wrong, 20.0).scale == pytest.approx(parallax.scale, rel=0.01)
     flat = 7 + 1e-3 * (blur - 7)
-    assert np.abs(Parallax.of_scene(flat, 20.0).disparity_px(flat)).max() < 0.2
+    assert np.abs(Parallax.from_scene(flat, 20.0).disparity_px(flat)).max() < 0.2
 
 
 def test_anaglyph_of_colour(square):
@@ -243,7 +243,7 @@ def test_wrong_input_is_refused(square):
     with pytest.raises(InputError, match="no pixel has a known depth"):
         stereo_pair(sharp, np.full_like(blur, np.nan), 8.0)
     with pytest.raises(InputError, match="no pixel has a known depth"):
-        Parallax.of_scene(np.full_like(blur, np.inf), 8.0)
+        Parallax.from_scene(np.full_like(blur, np.inf), 8.0)
     with pytest.raises(InputError, match="floating values"):
         stereo_pair((255 * sharp).astype(np.uint8), blur, 8.0)
     for bad in (0.0, -1.0, np.nan, np.inf):

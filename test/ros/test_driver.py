@@ -18,7 +18,7 @@ from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.messages import stamp_ns
 from coded_aperture_ros.sources import DeviceSource, PictureSource, SimulatorSource, open_source
-from coded_aperture_ros.sources.device import changed_by_itself
+from coded_aperture_ros.sources.device import automatic_controls
 
 WIDTH, HEIGHT = 64, 48
 CAMERA = {
@@ -214,8 +214,8 @@ def test_a_missing_device_is_an_input_error():
 
 def test_what_a_camera_changes_by_itself_is_told(tmp_path):
     """V4L2 says 1 for an exposure by hand and 3 for an automatic one; a file says nothing."""
-    assert changed_by_itself(1.0, 3.0) == ("focus", "exposure")
-    assert changed_by_itself(-1.0, 1.0) == changed_by_itself(0.0, 0.0) == ()
+    assert automatic_controls(1.0, 3.0) == ("focus", "exposure")
+    assert automatic_controls(-1.0, 1.0) == automatic_controls(0.0, 0.0) == ()
     write_video(tmp_path / "stream.avi")
     source = DeviceSource(f"file://{tmp_path}/stream.avi")
     assert source.read() is not None and source.automatic == ()

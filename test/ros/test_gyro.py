@@ -15,7 +15,7 @@ from std_msgs.msg import Header
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.messages import array_from_image, pixels_from_frame
 from coded_aperture_ros.optics import Intrinsics, load_camera
-from coded_aperture_ros.optics.rotation import rotation_of
+from coded_aperture_ros.optics.rotation import parse_imu_axes
 from coded_aperture_ros.ros.depth_node import DepthNode
 from coded_aperture_ros.ros.gyro import Gyro, GyroConfig
 from coded_aperture_ros.ros.messages import image_from_array
@@ -44,7 +44,7 @@ def test_the_message_nearest_in_time_counts_and_its_axes_are_turned():
     expected = gyro.expected(frame(50_000_000), GyroConfig(exposure_s=0.02), CAMERA)
     # Turning left, around the axis that points up, by 0.01 rad: the picture moves to the right.
     assert expected.angle_rad == pytest.approx((0.0, -0.01, 0.0))
-    right, down = expected.at([240], [320], 640)[0, 0]
+    right, down = expected.motion_px([240], [320], 640)[0, 0]
     assert (right, abs(down)) == (pytest.approx(5.0, rel=0.01), pytest.approx(0, abs=0.1))
     aligned = GyroConfig(exposure_s=0.02, imu_axes="x y z")
     assert gyro.expected(frame(50_000_000), aligned, CAMERA).angle_rad == pytest.approx(
@@ -159,4 +159,4 @@ def test_motion_with_the_nearest_depth_where_it_is_unknown(ros, tmp_path):
 @pytest.mark.parametrize("axes", ["x y", "x y y", "x y w", "x y z z", "", "xy z x", "x y -z"])
 def test_axes_that_are_no_rotation_are_refused(axes):
     with pytest.raises(InputError, match="imu_axes"):
-        rotation_of(axes)
+        parse_imu_axes(axes)

@@ -37,7 +37,7 @@ from coded_aperture_ros.likelihood.bank import (
 )
 from coded_aperture_ros.likelihood.bank.learning import guarded_range
 from coded_aperture_ros.optics import load_camera, render_psf
-from coded_aperture_ros.optics.intrinsics import rays
+from coded_aperture_ros.optics.intrinsics import pixel_rays
 from coded_aperture_ros.ros import frame_node
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
@@ -109,7 +109,7 @@ def test_the_bound_comes_as_points_too_as_the_lens_distorts(ros, model, coded):
     assert wait_until(lambda: clouds)
     points = np.frombuffer(clouds[-1].data, np.float32).reshape(HEIGHT, WIDTH, 6)
     np.testing.assert_array_equal(points[..., 2], bound)
-    through = rays("plumb_bob", tuple(info.k), tuple(info.d), HEIGHT, WIDTH)
+    through = pixel_rays("plumb_bob", tuple(info.k), tuple(info.d), HEIGHT, WIDTH)
     np.testing.assert_allclose(points[..., :2], bound[..., None] * through, atol=1e-5)
 
 

@@ -21,7 +21,7 @@ def levin_stack() -> PsfStack:
 @cache
 def levin_basis() -> PsfBasis:
     """The kernels of `levin_stack`."""
-    return PsfBasis.of(levin_stack())
+    return PsfBasis.from_stack(levin_stack())
 
 
 @cache

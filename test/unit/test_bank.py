@@ -192,10 +192,10 @@ def test_bank_of_a_camera_has_equally_spaced_sizes_and_knows_depths():
     bank = learn_bank_for_camera(camera, 1.0, 2.5, 7, LearnConfig(window_px=32))
     assert np.ptp(np.diff(bank.blur_sizes_px)) < 1e-9
     assert bank.stack.depths_m[[0, -1]] == pytest.approx([1.0, 2.5])
-    halfway = bank.stack.depth_at(np.array([2.5]))
+    halfway = bank.stack.interpolate_depth(np.array([2.5]))
     middle = bank.blur_sizes_px[2:4].mean()
     assert halfway == pytest.approx([float(camera.depth_m(middle))], rel=1e-6)
-    assert bank.stack.blur_size_at(halfway) == pytest.approx([middle], rel=1e-6)
+    assert bank.stack.interpolate_blur_size(halfway) == pytest.approx([middle], rel=1e-6)
     assert "levin" in bank.learned_from
 
 
@@ -218,7 +218,10 @@ def test_unusable_levels_are_refused():
         LearnConfig(window_px=33)
     with pytest.raises(InputError, match="prior slopes"):
         NaturalImagePrior(slopes=())
-    assert PsfStack(np.arange(2.0), stack.psfs.repeat(2, axis=0)).depth_at(np.zeros(1)) is None
+    assert (
+        PsfStack(np.arange(2.0), stack.psfs.repeat(2, axis=0)).interpolate_depth(np.zeros(1))
+        is None
+    )
 
 
 def test_levels_out_of_order_are_refused():

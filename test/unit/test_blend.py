@@ -7,8 +7,8 @@ from coded_aperture_benchmarks.layered import random_scene
 from deblur_scene import blurred, edges_and_texture, levin_stack, relief
 
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
-from coded_aperture_ros.deblur.blend import untrained
-from coded_aperture_ros.deblur.blend.features import in_cells, out_of_cells
+from coded_aperture_ros.deblur.blend import unsupported_reason
+from coded_aperture_ros.deblur.blend.features import pack_cells, unpack_cells
 from coded_aperture_ros.deblur.blend.hypotheses import combined
 from coded_aperture_ros.metrics import psnr_db
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf_stack
@@ -109,11 +109,11 @@ def test_saturated_spots_stay_as_they_are_and_do_not_ring():
 
 def test_psfs_that_were_not_trained_for_take_the_closed_form(stack):
     frame = edges_and_texture((12, 14), 10)
-    assert not untrained(stack)
+    assert not unsupported_reason(stack)
     large = render_psf_stack(Mask.named("levin"), np.arange(10, 30.0))
-    assert "29 px is above 22 px" in untrained(large)
+    assert "29 px is above 22 px" in unsupported_reason(large)
     unknown = PsfStack(np.arange(3.0), levin_stack().psfs[:3], in_pixels=False)
-    assert "not known in pixels" in untrained(unknown)
+    assert "not known in pixels" in unsupported_reason(unknown)
     blur = np.full(frame.shape, 20.0, np.float32)
     found = [
         Deblurrer(large, DeblurConfig(method=method, noise=NOISE)).deblur(frame, blur)
@@ -124,9 +124,9 @@ def test_psfs_that_were_not_trained_for_take_the_closed_form(stack):
 
 def test_cells_and_back():
     image = np.random.default_rng(0).random((1, 37, 50)).astype(np.float32)
-    cells = in_cells(image)
+    cells = pack_cells(image)
     assert cells.shape == (16, 10, 14)
-    assert np.array_equal(out_of_cells(cells, (37, 50)), image[0])
+    assert np.array_equal(unpack_cells(cells, (37, 50)), image[0])
 
 
 def test_both_forms_combine_the_same():

@@ -57,8 +57,8 @@ def misfit(pictures):
     likelihood = MaskLikelihood(means, fourier, 14)
     sizes = FreeSizes(SIZES_PX, 14)
     fit = MaskFit(CELLS[None] / CELLS.sum(), sizes, likelihood.first_log_noise)
-    fit = fit.climb(likelihood, 20, masks=False)
-    return GridMisfit(likelihood, FoundSpectra.of_fit(fit, likelihood), 5, SIZES_PX / 5)
+    fit = fit.optimise(likelihood, 20, masks=False)
+    return GridMisfit(likelihood, FoundSpectra.from_fit(fit, likelihood), 5, SIZES_PX / 5)
 
 
 def turned_alike(cells, true):
@@ -120,28 +120,28 @@ def test_periodograms_of_white_noise_have_its_variance():
 
 def test_the_true_grid_has_the_least_misfit(misfit):
     assert np.array_equal(misfit.lags, half_plane(4))
-    least = misfit.of_grid(CELLS)
-    assert misfit.of_grid(CELLS[::-1, ::-1]) == pytest.approx(least)
-    assert misfit.of_flips(CELLS).min() > least
+    least = misfit.value(CELLS)
+    assert misfit.value(CELLS[::-1, ::-1]) == pytest.approx(least)
+    assert misfit.flip_values(CELLS).min() > least
     random = np.random.default_rng(1)
     for _ in range(20):
-        assert misfit.of_grid(random.integers(0, 2, (5, 5)) + np.eye(5)) > least
+        assert misfit.value(random.integers(0, 2, (5, 5)) + np.eye(5)) > least
 
 
 def test_misfit_of_flips_and_its_gradient(misfit):
     grid = np.random.default_rng(2).integers(0, 2, (5, 5)).astype(float)
-    flips = misfit.of_flips(grid)
+    flips = misfit.flip_values(grid)
     for cell in (0, 7, 24):
         flipped = grid.copy()
         flipped.flat[cell] = 1 - flipped.flat[cell]
-        assert flips[cell] == pytest.approx(misfit.of_grid(flipped), rel=1e-6)
+        assert flips[cell] == pytest.approx(misfit.value(flipped), rel=1e-6)
     grey = np.random.default_rng(3).random(25)
     value, gradient = misfit.value_and_gradient(grey)
-    assert value == pytest.approx(misfit.of_grid(grey.reshape(5, 5)), rel=1e-9)
+    assert value == pytest.approx(misfit.value(grey.reshape(5, 5)), rel=1e-9)
     for cell in (3, 12):
         step = np.zeros(25)
         step[cell] = 1e-5
-        ends = [misfit.of_grid((grey + sign * step).reshape(5, 5)) for sign in (1, -1)]
+        ends = [misfit.value((grey + sign * step).reshape(5, 5)) for sign in (1, -1)]
         assert gradient[cell] == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-3)
 
 

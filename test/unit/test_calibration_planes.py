@@ -12,9 +12,9 @@ from coded_aperture_ros.calibration.planes.checks import (
     advice_on_pictures,
     check_pictures,
 )
-from coded_aperture_ros.calibration.planes.fit import leave_one_out, signed_fit
+from coded_aperture_ros.calibration.planes.fit import fit_signed_lens, leave_one_out
 from coded_aperture_ros.calibration.planes.folder import add_plane, listed_depths_m, load_planes
-from coded_aperture_ros.calibration.planes.measure import MeasuredPlane, measured_planes
+from coded_aperture_ros.calibration.planes.measure import MeasuredPlane, measure_planes
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io import read_image, write_image
@@ -80,11 +80,11 @@ def test_the_pattern_is_kept_in_the_bank_file(found, tmp_path):
 
 
 def test_each_plane_is_measured_by_itself(planes, true_pattern):
-    measured = measured_planes(planes, true_pattern, CONFIG)
+    measured = measure_planes(planes, true_pattern, CONFIG)
     sizes = np.array([one.size_px for one in measured])
     assert np.abs(sizes - blur_size_px(DEPTHS_M)).max() < 0.5
     assert not any(one.is_tilted for one in measured)
-    fit = signed_fit(planes, measured)
+    fit = fit_signed_lens(planes, measured)
     assert 1 / fit.inverse_focus == pytest.approx(FOCUS_M, rel=0.03)
     left_out = leave_one_out(planes, measured, fit)
     assert np.median(left_out.errors) < 0.04
@@ -95,7 +95,7 @@ def test_each_plane_is_measured_by_itself(planes, true_pattern):
 def test_a_tilted_plane_is_seen(planes, true_pattern):
     tilted = plane(DEPTHS_M[5], 5, size=120, tilt_px=3.0)
     images = (*planes.images[:5], tilted, *planes.images[6:])
-    measured = measured_planes(dataclasses.replace(planes, images=images), true_pattern, CONFIG)
+    measured = measure_planes(dataclasses.replace(planes, images=images), true_pattern, CONFIG)
     assert [one.is_tilted for one in measured] == [i == 5 for i in range(len(DEPTHS_M))]
     assert measured[5].tilt_px[0] == pytest.approx(2.3, abs=0.9)
     assert abs(measured[5].tilt_px[1]) < 0.5
@@ -105,7 +105,7 @@ def test_a_tilted_plane_is_seen(planes, true_pattern):
 def test_both_sides_are_fitted_with_their_sign(focus_m):
     sizes = blur_size_px(DEPTHS_M, focus_m)
     planes, measured = with_sizes(sizes)
-    fit = signed_fit(planes, measured)
+    fit = fit_signed_lens(planes, measured)
     assert 1 / fit.inverse_focus == pytest.approx(focus_m, rel=1e-6)
     assert fit.blur_size_px(DEPTHS_M) == pytest.approx(sizes)
     assert leave_one_out(planes, measured, fit).errors == pytest.approx(0, abs=1e-6)
@@ -115,26 +115,26 @@ def test_swapped_depths_are_named():
     sizes = blur_size_px(DEPTHS_M)
     sizes[[2, 5]] = sizes[[5, 2]]
     with pytest.raises(InputError, match=r"2.png and 5.png: .*seem to be swapped"):
-        signed_fit(*with_sizes(sizes))
+        fit_signed_lens(*with_sizes(sizes))
 
 
 def test_one_wrong_depth_is_named():
     sizes = blur_size_px(DEPTHS_M)
     sizes[4] = blur_size_px(3.0)
     with pytest.raises(InputError, match=r"^4.png: blurred as at 3 m, not as at [0-9.]+ m"):
-        signed_fit(*with_sizes(sizes))
+        fit_signed_lens(*with_sizes(sizes))
 
 
 def test_blur_without_order_is_refused():
     sizes = np.array([5, 9, 3, 8, 2, 10, 1, 7.0])
     with pytest.raises(InputError, match=r"does not grow with depth"):
-        signed_fit(*with_sizes(sizes))
+        fit_signed_lens(*with_sizes(sizes))
 
 
 def test_planes_on_both_sides_of_the_focus_are_named():
     depths = 1 / np.linspace(1.5, 0.4, 9)
     with pytest.raises(InputError, match=r"0.png.*in front of the focus at about 1 m"):
-        signed_fit(*with_sizes(blur_size_px(depths), depths))
+        fit_signed_lens(*with_sizes(blur_size_px(depths), depths))
 
 
 def test_a_range_far_beyond_the_planes_is_refused(planes, monkeypatch):
@@ -261,8 +261,8 @@ def test_ray_traced_planes_are_measured(data_dir):
     pattern = LearnedPattern(
         slope, 1 / 0.75, Mask.named("levin"), cells[None] / cells.sum(), 1.0, 320
     )
-    measured = measured_planes(planes, pattern, LearnConfig(window_px=48))
-    fit = signed_fit(planes, measured)
+    measured = measure_planes(planes, pattern, LearnConfig(window_px=48))
+    fit = fit_signed_lens(planes, measured)
     assert 1 / fit.inverse_focus == pytest.approx(0.75, rel=0.01)
     error_px = fit.blur_size_px(planes.depths_m) - pattern.blur_size_px(planes.depths_m)
     assert np.sqrt(np.mean(error_px**2)) < 0.15

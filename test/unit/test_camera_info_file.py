@@ -85,7 +85,7 @@ def test_the_pinhole_has_its_centre_in_the_middle():
 
 
 def test_the_scaled_model_sees_the_same_rays():
-    info = Intrinsics.pinhole(400.0, 320, 240).scaled(160, 120)
+    info = Intrinsics.pinhole(400.0, 320, 240).resized(160, 120)
     assert info == Intrinsics.pinhole(200.0, 160, 120)
 
 
@@ -156,7 +156,7 @@ def test_a_camera_file_may_name_a_calibration(tmp_path):
     assert plain.intrinsics == Intrinsics.pinhole(438.0, 640, 480)
     assert camera.blur_size_px(2.0) == plain.blur_size_px(2.0)
     half = camera.scaled(0.5)
-    assert half.intrinsics == camera.intrinsics.scaled(320, 240)
+    assert half.intrinsics == camera.intrinsics.resized(320, 240)
     assert dataclasses.replace(half, measured=None) == plain.scaled(0.5)
 
 

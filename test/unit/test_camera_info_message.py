@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from coded_aperture_ros.io.messages import scaled_matrices, view_of
+from coded_aperture_ros.io.messages import scaled_matrices, view_from_camera_info
 from coded_aperture_ros.optics import Camera, Mask, View
 
 
@@ -36,13 +36,13 @@ def camera():
 
 @pytest.mark.parametrize("offset", [{"x_offset": 100}, {"y_offset": 60}])
 def test_a_region_without_a_size_is_all_of_the_view_whatever_its_offset(camera, offset):
-    assert view_of(info(**offset), 640, 480, camera) == View.whole(640, 480)
+    assert view_from_camera_info(info(**offset), 640, 480, camera) == View.whole(640, 480)
     assert scaled_matrices(info(**offset), 320, 240) == scaled_matrices(info(), 320, 240)
 
 
 def test_a_region_is_a_part_of_the_view(camera):
     region = {"x_offset": 100, "y_offset": 60, "width": 320, "height": 240}
-    view = view_of(info(**region), 320, 240, camera)
+    view = view_from_camera_info(info(**region), 320, 240, camera)
     assert (view.left, view.top) == (100, 60)
     k, p = scaled_matrices(info(**region), 320, 240)
     assert (k[2], k[5]) == (p[2], p[6]) == (320 - 100, 240 - 60)

@@ -14,11 +14,11 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design import (
     DesignConfig,
     best_settings,
-    curves_of,
     default_extent_range_mm,
     default_focus_range_m,
-    openings_of,
-    setting_of,
+    design_curves,
+    design_setting,
+    mask_openings,
 )
 from coded_aperture_ros.design.figures import draw_design
 from coded_aperture_ros.io import read_image
@@ -38,7 +38,7 @@ def thesis_camera(focus_m=3.0, side="far", **changes):
     ("focus_m", "side", "near_m", "far_m", "levels"), [CORRIDOR_A, CORRIDOR_B, REINDEER]
 )
 def test_levels_of_the_thesis(focus_m, side, near_m, far_m, levels):
-    setting = setting_of(thesis_camera(focus_m, side), near_m, far_m)
+    setting = design_setting(thesis_camera(focus_m, side), near_m, far_m)
     assert setting.levels == pytest.approx(levels, abs=0.1)
 
 
@@ -47,24 +47,24 @@ def test_the_arm_of_the_teddy_bear_is_four_levels_away():
     camera = thesis_camera(1.6, "near")
     nearest, arm = camera.blur_size_px([0.83, 0.93])
     assert arm - nearest == pytest.approx(4, abs=0.1)
-    edges = curves_of(camera, 0.83, 1.33).level_edges_m
+    edges = design_curves(camera, 0.83, 1.33).level_edges_m
     assert edges[4] == pytest.approx(0.93, abs=0.0025)
 
 
 def test_smallest_opening_of_the_thesis():
     """Eq. 3.21: 50 mm, 750 nm and pixels of 8.2 um need holes of 2.79 mm radius."""
     camera = thesis_camera(1e5, "near", pixel_pitch_um=8.2)
-    limit_mm = setting_of(camera, 6, 28).diffraction_limit_mm
+    limit_mm = design_setting(camera, 6, 28).diffraction_limit_mm
     assert limit_mm / 2 == pytest.approx(2.79, abs=0.005)
 
 
 def test_the_airy_disc_is_one_pixel_at_the_limit():
     camera = thesis_camera()
-    limit_mm = setting_of(camera, 6, 28).diffraction_limit_mm
-    share = openings_of(camera.mask).smallest_width
+    limit_mm = design_setting(camera, 6, 28).diffraction_limit_mm
+    share = mask_openings(camera.mask).smallest_width
     for factor, negligible in ((1.01, True), (0.99, False)):
         changed = dataclasses.replace(camera, mask_extent_mm=factor * limit_mm / share)
-        setting = setting_of(changed, 6, 28)
+        setting = design_setting(changed, 6, 28)
         assert setting.airy_radius_px == pytest.approx(1 / factor)
         assert setting.diffraction_is_negligible == negligible
         assert setting.hole_width_mm == pytest.approx(factor * limit_mm)
@@ -72,7 +72,7 @@ def test_the_airy_disc_is_one_pixel_at_the_limit():
 
 def test_numbers_by_hand():
     # S = 0.03 m * 800 px * (1/0.9 - 1/z): 2.6667 px at 1 m, 14.6667 px at 2 m; Levin has 11 cells.
-    setting = setting_of(pinhole(), 1.0, 2.0)
+    setting = design_setting(pinhole(), 1.0, 2.0)
     assert setting.blur_size_near_px == pytest.approx(2.66667, abs=1e-5)
     assert setting.blur_size_far_px == pytest.approx(14.66667, abs=1e-5)
     assert setting.levels == pytest.approx(13)
@@ -87,16 +87,16 @@ def test_numbers_by_hand():
 
 def test_f_numbers():
     disc = thesis_camera(mask={"name": "disc"}, mask_extent_mm=25)
-    setting = setting_of(disc, 6, 28)
+    setting = design_setting(disc, 6, 28)
     assert setting.f_number == pytest.approx(2)
     assert setting.f_number_of_light == pytest.approx(2, rel=1e-3)  # it is a round aperture
-    four_holes = setting_of(thesis_camera(mask_extent_mm=25), 6, 28)
+    four_holes = design_setting(thesis_camera(mask_extent_mm=25), 6, 28)
     area = 4 * (25 * 4 / 17) ** 2
     assert four_holes.f_number_of_light == pytest.approx(50 / math.sqrt(4 * area / math.pi))
 
 
 def test_blur_in_front_of_the_focus_is_negative_and_its_width_is_not():
-    setting = setting_of(thesis_camera(1.6, "near"), 0.83, 1.33)
+    setting = design_setting(thesis_camera(1.6, "near"), 0.83, 1.33)
     assert setting.blur_size_near_px < setting.blur_size_far_px < 0
     assert setting.hole_blur_near_px > setting.hole_blur_far_px > 0
 
@@ -107,14 +107,14 @@ def test_mean_blur_is_the_mean_over_depths(mask_at_mm, focus_m, side):
     camera = pinhole(focus_distance_m=focus_m, side=side, lens_mask_distance_mm=mask_at_mm)
     depths = 1.0 + 2.0 * (np.arange(20_000) + 0.5) / 20_000
     expected = np.abs(camera.blur_size_px(depths)).mean() / 11
-    assert setting_of(camera, 1.0, 3.0).hole_blur_mean_px == pytest.approx(expected, rel=1e-6)
+    assert design_setting(camera, 1.0, 3.0).hole_blur_mean_px == pytest.approx(expected, rel=1e-6)
 
 
 @given(depth=st.floats(1.0, 20.0), resolution_px=st.floats(0.1, 2.0), mask_at_mm=st.floats(-40, 40))
 def test_the_next_depth_is_one_step_of_blur_away(depth, resolution_px, mask_at_mm):
     camera = pinhole(lens_mask_distance_mm=mask_at_mm)
     config = DesignConfig(resolution_px=resolution_px)
-    step_m = setting_of(camera, depth, 30.0, config).resolution_near_m
+    step_m = design_setting(camera, depth, 30.0, config).resolution_near_m
     if math.isinf(step_m):
         assert camera.blur_at_infinity_px - camera.blur_size_px(depth) <= resolution_px
     else:
@@ -123,7 +123,7 @@ def test_the_next_depth_is_one_step_of_blur_away(depth, resolution_px, mask_at_m
 
 
 def test_where_no_farther_depth_can_be_told_apart():
-    assert setting_of(pinhole(), 1.0, 1000.0).resolution_far_m == math.inf
+    assert design_setting(pinhole(), 1.0, 1000.0).resolution_far_m == math.inf
 
 
 def test_moving_the_focus_moves_the_image():
@@ -156,33 +156,33 @@ OPENINGS = {  # number, width over extent, closed parts that fall out; counted b
 @pytest.mark.parametrize("name", MASK_NAMES)
 def test_openings(name):
     count, width, loose = OPENINGS[name]
-    openings = openings_of(Mask.named(name))
+    openings = mask_openings(Mask.named(name))
     assert (openings.count, openings.loose_parts) == (count, loose)
     tolerance = 0.02 if name in ("disc", "annulus") else 1e-9  # curves are stored as cells
     assert openings.smallest_width == pytest.approx(width, abs=tolerance)
 
 
 def test_openings_that_touch_at_a_corner_are_two():
-    openings = openings_of(Mask.from_rows(["10", "01"]))
+    openings = mask_openings(Mask.from_rows(["10", "01"]))
     assert (openings.count, openings.smallest_width) == (2, 0.5)
-    ring = openings_of(Mask.from_rows(["111", "101", "111"]))
+    ring = mask_openings(Mask.from_rows(["111", "101", "111"]))
     assert (ring.count, ring.loose_parts) == (1, 1)
     assert ring.smallest_width == pytest.approx(1 / 3)
 
 
 def test_curves_agree_with_the_numbers_of_each_setting():
     camera = thesis_camera()
-    curves = curves_of(camera, 6, 28)
+    curves = design_curves(camera, 6, 28)
     assert curves.focus_m.min() < 3 < curves.focus_m.max()
     assert not ((curves.focus_m > 6) & (curves.focus_m < 28)).any()
     assert (np.diff(curves.focus_m) > 0).all()
     for k in (0, 100, 250, 399):
         focus_m = curves.focus_m[k]
-        setting = setting_of(thesis_camera(focus_m, "far" if focus_m <= 6 else "near"), 6, 28)
+        setting = design_setting(thesis_camera(focus_m, "far" if focus_m <= 6 else "near"), 6, 28)
         assert curves.levels[k] == pytest.approx(setting.levels)
         assert curves.hole_blur_mean_px[k] == pytest.approx(setting.hole_blur_mean_px)
         assert curves.hole_blur_far_px[k] == pytest.approx(setting.hole_blur_far_px)
-    setting = setting_of(camera, 6, 28)
+    setting = design_setting(camera, 6, 28)
     assert curves.resolution_m[[0, -1]] == pytest.approx(
         [setting.resolution_near_m, setting.resolution_far_m]
     )
@@ -215,7 +215,7 @@ def test_the_best_setting_is_the_best_of_a_brute_force_search():
         assert extents[0] <= one.mask_extent_mm <= extents[1]
         # And its numbers are those of the camera that it describes.
         rebuilt = thesis_camera(one.focus_distance_m, one.side, mask_extent_mm=one.mask_extent_mm)
-        assert setting_of(rebuilt, 1.5, 4.0).levels == pytest.approx(one.levels)
+        assert design_setting(rebuilt, 1.5, 4.0).levels == pytest.approx(one.levels)
 
 
 def test_of_settings_with_as_many_levels_the_sharpest_is_best():
@@ -223,7 +223,7 @@ def test_of_settings_with_as_many_levels_the_sharpest_is_best():
     (best,) = best_settings(thesis_camera(), 6, 28)
     assert best.mask_extent_mm == 22
     for focus_m in (2.5, 3.5):
-        other = setting_of(thesis_camera(focus_m, mask_extent_mm=22), 6, 28)
+        other = design_setting(thesis_camera(focus_m, mask_extent_mm=22), 6, 28)
         assert other.levels == pytest.approx(best.levels, rel=0.02)
         assert other.hole_blur_mean_px > best.hole_blur_mean_px > 1
 
@@ -261,9 +261,9 @@ def test_impossible_ranges_of_the_search(ranges, reason):
 
 def test_ranges_of_depth_that_are_refused():
     with pytest.raises(InputError, match="inside the depth range"):
-        setting_of(thesis_camera(10.0), 6, 28)
+        design_setting(thesis_camera(10.0), 6, 28)
     with pytest.raises(InputError, match="has to end somewhere"):
-        setting_of(thesis_camera(), 6, math.inf)
+        design_setting(thesis_camera(), 6, math.inf)
 
 
 def test_settings_of_the_search_are_checked():
@@ -281,24 +281,26 @@ def test_the_example_cameras_have_sensible_defaults(checkout):
         thesis_camera(focal_length_mm=400, focus_distance_m=0.9),
     ):
         assert isinstance(camera, Camera)
-        curves_of(camera, 1.0 if camera.focus_distance_m < 1 else 6.0, 30.0)
+        design_curves(camera, 1.0 if camera.focus_distance_m < 1 else 6.0, 30.0)
 
 
 def test_figure(tmp_path):
     pytest.importorskip("matplotlib")
     camera = thesis_camera()
     path = tmp_path / "a.png"
-    draw_design(setting_of(camera, 6, 28), curves_of(camera, 6, 28), 6, 28, path)
+    draw_design(design_setting(camera, 6, 28), design_curves(camera, 6, 28), 6, 28, path)
     picture = read_image(path, 1)
     assert picture.shape == (380, 1300, 3)
     assert picture.std() > 0.05
     missing = tmp_path / "no" / "a.png"
     with pytest.raises(InputError, match="cannot write"):
-        draw_design(setting_of(camera, 6, 28), curves_of(camera, 6, 28), 6, 28, missing)
+        draw_design(design_setting(camera, 6, 28), design_curves(camera, 6, 28), 6, 28, missing)
 
 
 def test_figure_without_matplotlib(monkeypatch, tmp_path):
     camera = thesis_camera()
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(InputError, match="pip install matplotlib"):
-        draw_design(setting_of(camera, 6, 28), curves_of(camera, 6, 28), 6, 28, tmp_path / "a.png")
+        draw_design(
+            design_setting(camera, 6, 28), design_curves(camera, 6, 28), 6, 28, tmp_path / "a.png"
+        )

@@ -10,7 +10,7 @@ from cli_scene import call, camera_file
 from scipy import signal, special
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.design import openings_of
+from coded_aperture_ros.design import mask_openings
 from coded_aperture_ros.design.diffraction import airy_width_px, diffraction_warning
 from coded_aperture_ros.likelihood.bank import load_bank
 from coded_aperture_ros.likelihood.bank.learning import psf_stack_for_camera
@@ -23,7 +23,11 @@ from coded_aperture_ros.optics import (
     render_psf,
     render_psf_stack,
 )
-from coded_aperture_ros.optics.diffraction import diffracted, scattering_px, tail_px
+from coded_aperture_ros.optics.diffraction import (
+    diffracted_psf,
+    diffraction_tail_px,
+    scatter_length_px,
+)
 from coded_aperture_ros.simulation import render_coded_frame
 
 SQUARE = Mask("square", np.ones((1, 1)))
@@ -50,7 +54,7 @@ def minima(profile):
 def test_a_round_aperture_in_focus_has_the_airy_pattern():
     """First dark ring at 1.22 wavelengths times the f-number; the whole profile is Airy's."""
     q, width = 20.0, 121
-    psf = diffracted(Mask.named("disc"), 0.0, width, q)
+    psf = diffracted_psf(Mask.named("disc"), 0.0, width, q)
     across = psf[width // 2, width // 2 :]
     assert minima(across)[0] == pytest.approx(1.2197 * q, rel=0.005)
     x = np.pi * np.arange(1, width // 2 + 1) / q
@@ -58,7 +62,7 @@ def test_a_round_aperture_in_focus_has_the_airy_pattern():
     assert across[1:] / across[0] == pytest.approx(airy, abs=0.003)
     # Of a hole half as wide the disc is twice as wide.
     hole = np.pad(Mask.named("disc").transmission, 48)
-    half = diffracted(Mask("hole", hole), 0.0, width, q)
+    half = diffracted_psf(Mask("hole", hole), 0.0, width, q)
     assert minima(half[width // 2, width // 2 :])[0] == pytest.approx(2 * 1.2197 * q, rel=0.005)
 
 
@@ -67,7 +71,7 @@ def test_two_slits_have_fringes_at_wavelength_over_distance(closed):
     q, width, cells = 40.0, 201, closed + 2
     slits = np.zeros((cells, cells))
     slits[:, 0] = slits[:, -1] = 1
-    profile = diffracted(Mask("slits", slits), 0.0, width, q).sum(axis=0)
+    profile = diffracted_psf(Mask("slits", slits), 0.0, width, q).sum(axis=0)
     distance = (cells - 1) / cells  # between their middles, as a share of the extent
     dark = minima(profile) - width // 2
     nearest = dark[np.abs(dark) < 2 * q / distance]
@@ -81,7 +85,7 @@ def test_defocus_agrees_with_the_integral_as_a_sum(name, size):
     """Another way to compute it; masks that are not symmetric tell both sides of the focus."""
     mask, q = Mask.named(name), 0.4
     expected = by_sums(mask, size, 21, q)
-    found = diffracted(mask, size, 21, q)
+    found = diffracted_psf(mask, size, 21, q)
     assert found / found.sum() == pytest.approx(expected / expected.sum(), abs=3e-5)
 
 
@@ -90,10 +94,10 @@ def test_defocus_agrees_with_the_integral_as_a_sum(name, size):
 def test_no_light_is_lost_but_beyond_the_width(name, size):
     mask, q = Mask.named(name), 0.2
     beyond = 30.0
-    found = diffracted(mask, size, psf_width(size) + 2 * int(beyond), q).sum()
+    found = diffracted_psf(mask, size, psf_width(size) + 2 * int(beyond), q).sum()
     assert found < 1 + 1e-9
     # The tail of a pattern is that of its edges; those of round ones are softened by grey cells.
-    tail = scattering_px(mask, q) / beyond
+    tail = scatter_length_px(mask, q) / beyond
     assert (0.3 if name in ("disc", "annulus") else 0.65) < (1 - found) / tail < 1.35
     assert render_psf(mask, size, diffraction_px=q).sum() == pytest.approx(1, abs=3e-5)
 
@@ -121,9 +125,9 @@ def test_a_negative_size_is_turned_and_an_offset_moves():
     turned = render_psf(mask, -9.0, diffraction_px=0.2)[::-1, ::-1]
     # Phases of defocus of both signs, of a mask and the same turned, have the same intensity.
     np.testing.assert_allclose(turned, render_psf(mask, 9.0, diffraction_px=0.2), atol=1e-7)
-    moved = diffracted(mask, 9.0, 31, 0.2, (2.0, -3.0))
+    moved = diffracted_psf(mask, 9.0, 31, 0.2, (2.0, -3.0))
     np.testing.assert_allclose(
-        moved[4:-2, :-6], diffracted(mask, 9.0, 31, 0.2)[2:-4, 3:-3], atol=1e-12
+        moved[4:-2, :-6], diffracted_psf(mask, 9.0, 31, 0.2)[2:-4, 3:-3], atol=1e-12
     )
 
 
@@ -133,8 +137,8 @@ def test_parts_of_a_mask_add_up_with_the_light_that_is_theirs():
         cells = np.zeros_like(mask.transmission)
         cells[:, number::3] = mask.transmission[:, number::3]
         parts.append(Mask("part", cells))
-    whole = diffracted(mask, 9.0, 25, 0.1)
-    of_parts = [diffracted(mask, 9.0, 25, 0.1, part=part) for part in parts]
+    whole = diffracted_psf(mask, 9.0, 25, 0.1)
+    of_parts = [diffracted_psf(mask, 9.0, 25, 0.1, part=part) for part in parts]
     np.testing.assert_allclose(np.sum(of_parts, axis=0), whole, atol=1e-12)
     for part, light in zip(parts, of_parts, strict=True):
         assert light.sum() == pytest.approx(part.open_fraction / mask.open_fraction, rel=0.02)
@@ -178,7 +182,7 @@ def test_diffraction_is_left_out_where_it_does_not_matter():
 @pytest.mark.parametrize("name", MASK_NAMES)
 def test_what_is_left_out_by_default_is_below_the_stated_bound(name):
     mask = Mask.named(name)
-    q = 0.03 / scattering_px(mask, 1.0)
+    q = 0.03 / scatter_length_px(mask, 1.0)
     apart = []
     for size in (3.0, 5.5, 7.0, 11.0, 13.0, 17.3, 24.0, 30.0):
         width = psf_width(size) + 2
@@ -197,7 +201,7 @@ def test_learn_takes_the_camera_s_diffraction(tmp_path, capsys):
     with_it, without = (load_bank(tmp_path / f"{name}.npz").stack for name in ("with", "without"))
     np.testing.assert_array_equal(with_it.blur_sizes_px, without.blur_sizes_px)
     assert 0.5 * np.abs(with_it.psfs[-1]).sum() == pytest.approx(0.5, abs=1e-3)
-    assert with_it.psfs.shape[1] == without.psfs.shape[1] + 2 * tail_px(
+    assert with_it.psfs.shape[1] == without.psfs.shape[1] + 2 * diffraction_tail_px(
         Mask.named("levin"), 550e-6 * 1200 / 8
     )
 
@@ -225,7 +229,7 @@ def test_every_opening_has_its_place_and_its_airy_width():
     cells[0:8, 0:8] = 1
     cells[32:34, 13:21] = 1
     camera = Camera(1200, 1.9, 640, 480, Mask("two", cells), 34)
-    large, small = openings_of(camera.mask).each
+    large, small = mask_openings(camera.mask).each
     assert (large.width * 34, large.x * 34, large.y * 34) == pytest.approx((8, -13, -13))
     assert (small.width * 34, small.x * 34, small.y * 34) == pytest.approx((2, 0, 16))
     # 2.44 wavelengths times the f-number of the opening, in pixels.

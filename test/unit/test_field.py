@@ -58,7 +58,7 @@ def test_depth_and_blur_of_the_field_are_inverses(depth_m, second, fourth, mask_
     depth = np.full((6, 8), depth_m, np.float32)
     axial_m = camera.depth_m(camera.blur_map_px(depth)).astype(np.float32)
     seen = np.isfinite(axial_m)
-    np.testing.assert_allclose(camera.depth_in_field(axial_m)[seen], depth_m, rtol=1e-3)
+    np.testing.assert_allclose(camera.field_corrected_depth(axial_m)[seen], depth_m, rtol=1e-3)
 
 
 def test_curvature_is_of_angles():
@@ -66,28 +66,28 @@ def test_curvature_is_of_angles():
     bent = dataclasses.replace(
         STRAIGHT, image_width=501, image_height=1, field_curvature=FieldCurvature(2.0, -4.0)
     )
-    missing = bent.field_curvature.dioptres(bent.intrinsics, (1, 501))
+    missing = bent.field_curvature.defocus_map(bent.intrinsics, (1, 501))
     assert missing[0, [0, 250, 500]] == pytest.approx([0.25, 0, 0.25])
-    half = bent.field_curvature.dioptres(bent.intrinsics, (1, 251))
+    half = bent.field_curvature.defocus_map(bent.intrinsics, (1, 251))
     assert half[0, 125] == pytest.approx(0, abs=1e-5)
     straight = dataclasses.replace(bent, field_curvature=None).blur_map_px(np.full((1, 501), 2.0))
     assert (straight - bent.blur_map_px(np.full((1, 501), 2.0)))[0, 0] == pytest.approx(
         0.25 * 0.036 * 500
     )
     # A region has its own part of the curvature.
-    cut = bent.cut(View(101, 1, 501, 1, left=400.0))
-    assert cut.field_curvature.dioptres(cut.intrinsics, (1, 101))[0, -1] == pytest.approx(0.25)
+    cut = bent.for_view(View(101, 1, 501, 1, left=400.0))
+    assert cut.field_curvature.defocus_map(cut.intrinsics, (1, 101))[0, -1] == pytest.approx(0.25)
 
 
 def test_levels_reach_as_far_as_the_blur_of_the_field():
-    low, high = BENT.field_range_px(1.25, 3.2)
+    low, high = BENT.field_blur_range_px(1.25, 3.2)
     sizes = BENT.blur_map_px(np.full(SHAPE, 1.25)), BENT.blur_map_px(np.full(SHAPE, 3.2))
     assert low == pytest.approx(sizes[0].min(), abs=0.05)
     assert high == pytest.approx(sizes[1].max(), abs=0.05)
     bank = learn_bank_for_camera(BENT, 1.25, 3.2, 12)
     assert bank.blur_sizes_px[[0, -1]] == pytest.approx([low, high])
     # Next to the focus it ends before there is next to no blur.
-    assert BENT.field_range_px(1.0, 3.2)[0] == 1.5
+    assert BENT.field_blur_range_px(1.0, 3.2)[0] == 1.5
 
 
 @pytest.mark.parametrize("entry", [3, [1], [1, 2, 3], [1, "2"], [1, float("nan")], [1, 1e9]])
@@ -117,7 +117,9 @@ def test_planes_show_the_curvature_and_the_extent_of_the_mask(planes):
     wide = dataclasses.replace(STRAIGHT, mask_extent_mm=37.5)
     found = fit_field(wide, planes)
     assert found.mask_extent_mm == pytest.approx(36, rel=0.015)
-    is_, was = (c.dioptres(BENT.intrinsics, SHAPE) for c in (found.curvature, BENT.field_curvature))
+    is_, was = (
+        c.defocus_map(BENT.intrinsics, SHAPE) for c in (found.curvature, BENT.field_curvature)
+    )
     assert np.abs(is_ - was).max() < 0.02
     assert found.errors.max() < 0.04
     assert found.errors.max() < 0.5 * found.errors_without.max()

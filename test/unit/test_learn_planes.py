@@ -49,7 +49,7 @@ def test_new_planes_are_put_where_they_are(learned):
     for seed, depth in ((100, 1.5), (101, 2.2), (102, 3.1)):
         image = plane(depth, seed)
         energies = learned.energies(image, 6, 1.1 * NOISE)
-        found = learned.stack.depth_at(energies.argmin(axis=-1).astype(float))
+        found = learned.stack.interpolate_depth(energies.argmin(axis=-1).astype(float))
         spacing = np.interp(depth, learned.stack.depths_m[:-1], np.diff(learned.stack.depths_m))
         assert np.median(np.abs(found - depth)) < 0.75 * spacing
 

@@ -15,9 +15,9 @@ from cameras import THESIS
 from cli_scene import call, everything, refused, wrong_usage
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.design.openings import outlines_of, recut
+from coded_aperture_ros.design.openings import mask_outlines, recut
 from coded_aperture_ros.design.sheet import mask_sheet
-from coded_aperture_ros.design.sheet_files import pdf_of, svg_of
+from coded_aperture_ros.design.sheet_files import sheet_pdf, sheet_svg
 from coded_aperture_ros.optics import MASK_NAMES, Mask
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -33,7 +33,7 @@ def area(outline):
 @pytest.mark.parametrize("name", MASK_NAMES)
 def test_outlines_enclose_what_is_open(name):
     mask = Mask.named(name)
-    outlines = outlines_of(mask)
+    outlines = mask_outlines(mask)
     assert sum(map(area, outlines)) == pytest.approx(mask.open_fraction, rel=2e-3)
     fine = 990
     grid = np.zeros((fine, fine), np.uint8)
@@ -46,24 +46,24 @@ def test_outlines_enclose_what_is_open(name):
 
 
 def test_openings_that_touch_at_a_corner_are_cut_one_by_one():
-    outlines = outlines_of(Mask.from_rows(["10", "01"]))
+    outlines = mask_outlines(Mask.from_rows(["10", "01"]))
     assert sorted(map(sorted, outlines)) == [
         [(-0.5, -0.5), (-0.5, 0.0), (0.0, -0.5), (0.0, 0.0)],
         [(0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5)],
     ]
-    ring = outlines_of(Mask.from_rows(["111", "101", "111"]))
+    ring = mask_outlines(Mask.from_rows(["111", "101", "111"]))
     assert sorted(map(area, ring)) == pytest.approx([-1 / 9, 1])
 
 
 def test_a_mask_wider_than_high_is_centred_and_keeps_its_width():
-    (outline,) = outlines_of(Mask.from_rows(["1111", "1111"]))
+    (outline,) = mask_outlines(Mask.from_rows(["1111", "1111"]))
     assert sorted(outline) == [(-0.5, -0.25), (-0.5, 0.25), (0.5, -0.25), (0.5, 0.25)]
 
 
 def test_grey_masks_cannot_be_cut(tmp_path):
     grey = Mask("soft.png", np.tile(np.linspace(0, 1, 20, dtype=np.float32) ** 3, (20, 1)))
     with pytest.raises(InputError, match=r"mask soft.png: it has grey cells"):
-        outlines_of(grey)
+        mask_outlines(grey)
 
 
 def test_openings_cut_wider_and_narrower():
@@ -78,7 +78,7 @@ def test_openings_cut_wider_and_narrower():
     assert recut(levin, 0.0).open_fraction == pytest.approx(levin.open_fraction)
     # At the grid's edge openings lose as much as elsewhere, and gain nothing.
     for change, size in ((-0.02, 0.98), (-0.0012, 0.9988), (0.02, 1.0)):
-        cut = [np.array(one) for one in outlines_of(recut(levin, change))]
+        cut = [np.array(one) for one in mask_outlines(recut(levin, change))]
         assert extent_of(cut)[0] == pytest.approx([size, size], abs=6e-4)
     # Curves stay as fine as they are printed.
     disc = Mask.named("disc")
@@ -128,8 +128,8 @@ def paths_of_pdf(data):
 
 
 READERS = {
-    "svg": lambda sheet: paths_of_svg(svg_of(sheet)),
-    "pdf": lambda sheet: paths_of_pdf(pdf_of(sheet)),
+    "svg": lambda sheet: paths_of_svg(sheet_svg(sheet)),
+    "pdf": lambda sheet: paths_of_pdf(sheet_pdf(sheet)),
 }
 
 
@@ -200,7 +200,7 @@ def test_printed_side_to_the_sensor_gives_the_psf_as_stored():
 
 def test_text_of_the_page():
     sheet = mask_sheet(Mask.named("annulus"), 30.0, label="50 mm (f/1.4) \\ \x07<b>")
-    svg, pdf = svg_of(sheet), pdf_of(sheet).decode("cp1252")
+    svg, pdf = sheet_svg(sheet), sheet_pdf(sheet).decode("cp1252")
     text = "".join(element.text for element in ElementTree.fromstring(svg).iter(f"{SVG}text"))
     assert "50 mm (f/1.4) \\ ?<b>" in text
     assert r"(50 mm \(f/1.4\) \\ ?<b>) Tj" in pdf
@@ -212,7 +212,7 @@ def test_text_of_the_page():
 
 
 def test_the_pdf_is_whole():
-    data = pdf_of(mask_sheet(Mask.named("zhou"), 30.0, label="Привет €"))
+    data = sheet_pdf(mask_sheet(Mask.named("zhou"), 30.0, label="Привет €"))
     assert data.startswith(b"%PDF-1.4\n")
     table = int(re.search(rb"startxref\n(\d+)\n%%EOF\n$", data)[1])
     assert data[table:].startswith(b"xref\n0 7\n")
@@ -229,7 +229,7 @@ def test_the_pdf_is_whole():
 def test_the_rendered_pdf_is_the_mask(tmp_path):
     """By a PDF reader that shares nothing with the writer."""
     mask = Mask.named("zhou")
-    (tmp_path / "a.pdf").write_bytes(pdf_of(mask_sheet(mask, 55.0, 90.0)))
+    (tmp_path / "a.pdf").write_bytes(sheet_pdf(mask_sheet(mask, 55.0, 90.0)))
     subprocess.run(
         ["pdftoppm", "-r", "254", "-png", "-gray", "a.pdf", "a"], cwd=tmp_path, check=True
     )
@@ -293,7 +293,7 @@ def test_command(tmp_path, capsys, suffix):
     assert (result.status, result.err) == (0, "")
     assert result.out.startswith(f"{output}: mask levin, 26 mm, on a round piece of 41 mm; ")
     sheet = mask_sheet(Mask.named("levin"), 26)
-    expected = pdf_of(sheet) if suffix == ".pdf" else svg_of(sheet).encode()
+    expected = sheet_pdf(sheet) if suffix == ".pdf" else sheet_svg(sheet).encode()
     assert output.read_bytes() == expected
 
 

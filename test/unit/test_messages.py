@@ -92,7 +92,7 @@ def test_yuv_comes_out_as_rgb_and_goes_on_as_rgb(encoding, luma):
     rgb = messages.array_from_image(message)
     expected = [[[0] * 3, [255] * 3] * 2, [[255, 0, 0]] * 2 + [[0, 255, 0]] * 2]
     np.testing.assert_allclose(rgb, expected, atol=2)
-    written = messages.written_encoding(encoding)
+    written = messages.output_encoding(encoding)
     assert written == "rgb8"
     again = messages.pixels_from_frame(messages.frame_from_image(message), written)
     np.testing.assert_array_equal(again, rgb)

@@ -171,11 +171,11 @@ def test_a_motion_that_does_not_fit_the_window_is_refused(bank):
 def test_expected_motion_is_that_of_a_turning_camera():
     # A point ahead, seen by a camera that turns to the right, moves to the left.
     turning = expected_motion((0.0, 0.5, 0.0), 0.02, INTRINSICS)
-    middle = turning.at([(HEIGHT - 1) / 2], [(WIDTH - 1) / 2], WIDTH)[0, 0]
+    middle = turning.motion_px([(HEIGHT - 1) / 2], [(WIDTH - 1) / 2], WIDTH)[0, 0]
     assert middle == pytest.approx((-200 * 0.5 * 0.02, 0), abs=1e-9)
     # One that rolls clockwise turns the picture the other way round.
     rolling = expected_motion((0.0, 0.0, 1.0), 0.02, INTRINSICS)
-    right_of_it = rolling.at([(HEIGHT - 1) / 2], [(WIDTH - 1) / 2 + 50], WIDTH)[0, 0]
+    right_of_it = rolling.motion_px([(HEIGHT - 1) / 2], [(WIDTH - 1) / 2 + 50], WIDTH)[0, 0]
     assert right_of_it == pytest.approx((0, -50 * 0.02), abs=1e-9)
     # Against rotating points exactly: x' = K R^-1 K^-1 x.
     from scipy.spatial.transform import Rotation
@@ -185,10 +185,12 @@ def test_expected_motion_is_that_of_a_turning_camera():
     ray = np.array([(column - (WIDTH - 1) / 2) / 200, (row - (HEIGHT - 1) / 2) / 200, 1.0])
     ends = [Rotation.from_rotvec(share * exposure * rate).inv().apply(ray) for share in (-0.5, 0.5)]
     way = np.subtract(*[200 * end[:2] / end[2] for end in ends[::-1]])
-    found = expected_motion(rate, exposure, INTRINSICS).at([row], [column], WIDTH)[0, 0]
+    found = expected_motion(rate, exposure, INTRINSICS).motion_px([row], [column], WIDTH)[0, 0]
     assert found == pytest.approx(way, abs=1e-4)
     # In a picture of half the size, half as far.
-    half = expected_motion(rate, exposure, INTRINSICS).at([(row - 0.5) / 2], [64.75], WIDTH // 2)
+    half = expected_motion(rate, exposure, INTRINSICS).motion_px(
+        [(row - 0.5) / 2], [64.75], WIDTH // 2
+    )
     assert half[0, 0] == pytest.approx(way / 2, abs=1e-2)
 
 

@@ -19,7 +19,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.deblur.blur_map import smoothed_over_surfaces
 from coded_aperture_ros.deblur.operator import SpreadingBlur, frame_within, motion_parts
-from coded_aperture_ros.deblur.problem import motion_of_frame
+from coded_aperture_ros.deblur.problem import full_resolution_motion
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.likelihood.motion import Motions, blurred_psf, motion_kernel
@@ -27,7 +27,7 @@ from coded_aperture_ros.optics import Camera, Mask, render_psf, render_psf_stack
 from coded_aperture_ros.simulation import render_coded_frame
 
 STACK = render_psf_stack(Mask.named("levin"), np.linspace(3, 11, 9))
-BASIS = PsfBasis.of(STACK)
+BASIS = PsfBasis.from_stack(STACK)
 SHAPE = (72, 96)
 SCENE_CAMERA = Camera(**{**CAMERA, "mask": Mask.named("levin")})
 OBJECT_M, SCENE_M = 1.7, 2.8
@@ -53,13 +53,13 @@ def test_the_adjoint_is_the_transpose(seed):
 
 def test_motion_is_brought_to_the_size_of_the_frame():
     _, motion_px = fields()
-    large = motion_of_frame(motion_px[::2, ::2], SHAPE)
+    large = full_resolution_motion(motion_px[::2, ::2], SHAPE)
     assert np.array_equal(large, motion_px)
-    assert motion_of_frame(np.zeros_like(motion_px), SHAPE) is None
+    assert full_resolution_motion(np.zeros_like(motion_px), SHAPE) is None
 
 
 def test_a_plane_that_moves_is_convolved_with_both():
-    basis = PsfBasis.of(STACK, 1e-5)
+    basis = PsfBasis.from_stack(STACK, 1e-5)
     blur = np.full(SHAPE, STACK.blur_sizes_px[4], np.float32)
     motion = np.broadcast_to(np.float32([5.0, -3.0]), (*SHAPE, 2))
     operator = moving_blur(basis, blur, motion)

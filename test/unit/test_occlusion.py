@@ -23,7 +23,7 @@ def traced(request):
     blur = scene.blur_size_px()
     blur = np.where(np.isfinite(blur), blur, np.nanmedian(blur)).astype(np.float32)
     sizes = np.arange(blur.min() - 0.3, blur.max() + 0.6, 0.3)
-    basis = PsfBasis.of(render_psf_stack(mask, sizes))
+    basis = PsfBasis.from_stack(render_psf_stack(mask, sizes))
     return scene.coded(), scene.all_in_focus(), blur, basis
 
 

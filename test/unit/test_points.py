@@ -16,7 +16,7 @@ from coded_aperture_ros.depth import (
 )
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask
-from coded_aperture_ros.optics.intrinsics import rays
+from coded_aperture_ros.optics.intrinsics import pixel_rays
 
 K = (100.0, 0.0, 1.0, 0.0, 50.0, 2.0, 0.0, 0.0, 1.0)
 WIDE = (420.0, 0.0, 310.0, 0.0, 430.0, 235.0, 0.0, 0.0, 1.0)
@@ -27,7 +27,7 @@ def test_points_lie_on_the_rays_of_their_pixels():
     confidence = np.linspace(0, 1, 6, dtype=np.float32).reshape(2, 3)
     std_dev = depth / 50
     colours = np.arange(18, dtype=np.uint8).reshape(2, 3, 3) * 13
-    through = rays("plumb_bob", K, (0.0,) * 5, 2, 3)
+    through = pixel_rays("plumb_bob", K, (0.0,) * 5, 2, 3)
     points = points_of_depth(depth, confidence, std_dev, colours, through)
     np.testing.assert_allclose(points[0, 0, :3], [-0.02, -0.08, 2.0], rtol=1e-6)
     np.testing.assert_allclose(points[0, 2, :3], [0.04, -0.16, 4.0], rtol=1e-6)
@@ -54,7 +54,7 @@ def test_points_lie_on_the_rays_of_their_pixels():
 )
 def test_distortion_is_undone(model, d):
     """Points on the rays are seen where OpenCV's own projection sees them."""
-    through = rays(model, WIDE, d, 480, 640)
+    through = pixel_rays(model, WIDE, d, 480, 640)
     seen = np.dstack([through, np.ones((480, 640), np.float32)]).reshape(-1, 1, 3)
     k, none = np.reshape(WIDE, (3, 3)), np.zeros(3)
     if model == "equidistant":
@@ -70,7 +70,7 @@ def test_rectified_depth_suits_a_pinhole_as_points_suit_the_lens():
     d, size = (-0.3, 0.1, 0.001, -0.002, 0.0), (480, 640)
     wall = np.float32([0.3, -0.2, 0.5])  # times a point of it: 1
     lens, pinhole = (
-        np.dstack([rays("plumb_bob", WIDE, each, *size), np.ones(size, np.float32)])
+        np.dstack([pixel_rays("plumb_bob", WIDE, each, *size), np.ones(size, np.float32)])
         for each in (d, (0.0,) * 5)
     )
     depth = 1 / (lens @ wall)
@@ -91,7 +91,7 @@ def test_rectified_depth_suits_a_pinhole_as_points_suit_the_lens():
 @pytest.mark.parametrize(("model", "count"), [("plumb_bob", 3), ("equidistant", 5)])
 def test_coefficients_that_no_model_has_are_refused(model, count):
     with pytest.raises(InputError, match=f"{count} coefficients do not suit {model}"):
-        rays(model, WIDE, (0.1,) * count, 4, 5)
+        pixel_rays(model, WIDE, (0.1,) * count, 4, 5)
 
 
 def test_the_nearest_obstacle_is_not_a_speck():

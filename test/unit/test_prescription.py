@@ -65,9 +65,9 @@ def test_the_traced_camera_has_the_blur_of_the_lens(files, capsys):
             # Across the field, where rays of the mask's edge come out.
             tangent = np.array([0.0, share * camera.wavefront.corner])
             edge = np.array([[-1.0, 1.0], [0.0, 0.0]])
-            rays, _ = camera.wavefront.rays(edge, size_px, camera.blur_per_dioptre_px, tangent)
+            rays, _ = camera.wavefront.trace(edge, size_px, camera.blur_per_dioptre_px, tangent)
             assert np.ptp(rays[0]) * scale == pytest.approx(true_px, abs=0.9)
-    assert camera.wavefront.passed(camera.mask, [0.0, 0.3156]) < 0.85
+    assert camera.wavefront.transmitted_share(camera.mask, [0.0, 0.3156]) < 0.85
 
 
 def zemax_of(table):

@@ -51,7 +51,7 @@ def bank():
 
 def found_depth_m(bank, image):
     energies = bank.energies(image, 6, 0.0011).mean(axis=(0, 1))
-    return float(bank.stack.depth_at(np.array([float(energies.argmin())]))[0])
+    return float(bank.stack.interpolate_depth(np.array([float(energies.argmin())]))[0])
 
 
 def test_another_focus_gives_the_same_filters_other_depths(bank):

@@ -20,8 +20,8 @@ from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.deblur.blur_map import (
     filled_blur_map,
     model_weight,
-    sharper_near_edges,
-    without_specks,
+    remove_specks,
+    sharpen_edges,
 )
 from coded_aperture_ros.deblur.iterative import Fit, conjugate_gradients
 from coded_aperture_ros.deblur.least_squares import restore_sparse
@@ -65,11 +65,11 @@ def fit(operator, coded, start, tolerance, iterations):
 def test_basis_gives_back_psfs_of_fractional_size(stack, basis):
     """It has fewer kernels than levels, and what it leaves out is hardly seen in photographs."""
     dense = render_psf_stack(Mask.named("levin"), np.linspace(1, 11, 41))
-    assert len(PsfBasis.of(dense).kernels) < 0.6 * len(dense)
-    exact = PsfBasis.of(stack, tolerance=1e-6)
+    assert len(PsfBasis.from_stack(dense).kernels) < 0.6 * len(dense)
+    exact = PsfBasis.from_stack(stack, tolerance=1e-6)
     psfs = exact.psfs()
     assert psfs.sum(axis=(1, 2)) == pytest.approx(1, abs=1e-4)
-    steps = exact.steps_of(np.array([-3, 4, 4.5, 99], np.float32))
+    steps = exact.table_steps(np.array([-3, 4, 4.5, 99], np.float32))
     assert psfs[steps[0]] == pytest.approx(stack.psfs[0], abs=1e-4)
     assert psfs[steps[1]] == pytest.approx(stack.psfs[3], abs=1e-4)
     assert psfs[steps[2]] == pytest.approx(stack.psfs[3:5].mean(axis=0), abs=1e-4)
@@ -88,7 +88,7 @@ def test_adjoint_passes_the_dot_product_test(operator, basis, threads, sharp):
 
 @OPERATORS
 def test_plane_is_convolved_with_its_psf_and_nothing_wraps_around(operator, stack, sharp):
-    blur = operator(PsfBasis.of(stack, 1e-6), np.full(sharp.shape, 7.0, np.float32))
+    blur = operator(PsfBasis.from_stack(stack, 1e-6), np.full(sharp.shape, 7.0, np.float32))
     plane = np.random.default_rng(2).random(blur.scene_shape).astype(np.float32)
     scene = blur.around(sharp)
     scene[0] = plane
@@ -304,13 +304,13 @@ def test_specks_are_taken_out_and_edges_lean_to_the_sharper_side():
     blur = np.full((60, 80), 9.0, np.float32)
     blur[20:24, 30:34] = 2.0
     blur[:, 60:] = 4.0
-    cleaned = without_specks(blur)
+    cleaned = remove_specks(blur)
     assert (cleaned[:, :60] == 9).all()
     assert (cleaned[:, 60:] == 4).all()
-    safe = sharper_near_edges(cleaned, 10)
+    safe = sharpen_edges(cleaned, 10)
     assert (safe[:, 50:] == 4).all()
     assert (safe[:, :49] == 9).all()
-    assert sharper_near_edges(-cleaned, 10) == pytest.approx(-safe)
+    assert sharpen_edges(-cleaned, 10) == pytest.approx(-safe)
     weight = model_weight(cleaned, 0.002)
     assert weight[30, 58] < 0.6 < 0.99 < weight[30, 10]
 

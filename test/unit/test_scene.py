@@ -60,19 +60,19 @@ def test_views_pan_over_the_scene_with_their_truth():
     scene, camera = small_scene(), small_camera()
     panning = PanningScene(scene, camera, period_s=10.0)
     coded = render_coded_frame(scene.image, scene.depth_m, camera)
-    start, middle = panning.view(0.0), panning.view(5.0)
+    start, middle = panning.frame(0.0), panning.frame(5.0)
     assert start.coded.shape == (48, 64, 3)
     assert start.coded == pytest.approx(coded[:48, :64], abs=1e-5)
     assert np.array_equal(start.sharp, scene.image[:48, :64])
     assert np.array_equal(middle.sharp, scene.image[6:54, 26:])
     assert middle.coded == pytest.approx(coded[6:54, 26:], abs=1e-5)
     assert start.depth_m.shape == (48, 64)
-    assert np.array_equal(panning.view(20.0).sharp, start.sharp)
+    assert np.array_equal(panning.frame(20.0).sharp, start.sharp)
 
 
 def test_view_noise_is_fresh_but_repeatable():
     panning = PanningScene(small_scene(), small_camera(), SensorModel(noise=0.01), seed=3)
-    one, again, other = panning.view(0.0), panning.view(0.0), panning.view(20 * 12.0)
+    one, again, other = panning.frame(0.0), panning.frame(0.0), panning.frame(20 * 12.0)
     assert np.array_equal(one.coded, again.coded)
     assert np.array_equal(one.sharp, other.sharp)
     assert (one.coded - other.coded).std() == pytest.approx(0.01 * np.sqrt(2), rel=0.05)

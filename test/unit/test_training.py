@@ -200,13 +200,13 @@ def test_errors_of_depth_are_drawn_for_each_frame(training):
 
 
 def test_pictures_are_turned_with_the_pixels_of_their_cells(blend):
-    from coded_aperture_ros.deblur.blend.features import in_cells
+    from coded_aperture_ros.deblur.blend.features import pack_cells
 
     random = np.random.default_rng(0)
     pixels = random.random((2, 32, 24)).astype(np.float32)
 
     def picture(pixels):
-        cells = in_cells(pixels)
+        cells = pack_cells(pixels)
         whole = cells.mean(axis=0)
         return blend["blend_fit"].Picture(cells, whole[None], cells[:16], whole)
 
@@ -260,7 +260,7 @@ def assert_the_package_runs_what_was_fitted(blend, monkeypatch, path):
     from coded_aperture_ros.core.workers import Workers
     from coded_aperture_ros.deblur.blend import Blend
     from coded_aperture_ros.deblur.blend import blend as package
-    from coded_aperture_ros.deblur.blend.features import in_cells, out_of_cells
+    from coded_aperture_ros.deblur.blend.features import pack_cells, unpack_cells
     from coded_aperture_ros.optics import Mask, render_psf_stack
 
     # As after a longer fit: the last layer begins with zeros.
@@ -282,18 +282,20 @@ def assert_the_package_runs_what_was_fitted(blend, monkeypatch, path):
     )
     (found,) = of_package.restore([frame], blur, known, noise)
 
-    hypotheses = of_package._of_brightness
-    sizes = package.sizes_of(blur)
-    cells = in_cells(hypotheses.of(frame, np.stack([*map(hypotheses.steps_of, sizes)]), noise))
-    mean, scale = package.level_and_scale(cells[-16:], noise)
-    maps = package.maps_in_cells(sizes, known, scale, noise)
+    hypotheses = of_package._brightness
+    sizes = package.hypothesis_blur_sizes(blur)
+    cells = pack_cells(
+        hypotheses.compute(frame, np.stack([*map(hypotheses.table_steps, sizes)]), noise)
+    )
+    mean, scale = package.mean_and_contrast(cells[-16:], noise)
+    maps = package.cell_maps(sizes, known, scale, noise)
     cells, maps = (torch.from_numpy(each)[None] for each in ((cells - mean) / scale, maps))
     network = blend["blend_network"].Blend().eval()
 
     def of_torch():
         with torch.no_grad():
             blended = blend["blend_network"].blended(network(torch.cat([cells, maps], 1)), cells)
-        return out_of_cells(blended[0].numpy() * scale + mean, frame.shape)
+        return unpack_cells(blended[0].numpy() * scale + mean, frame.shape)
 
     of_start = of_torch()
     network.load_state_dict(state["average"])

@@ -9,7 +9,7 @@ from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur import FILLED, SEEN, UNCERTAIN
 from coded_aperture_ros.deblur.iterative import blur_operator
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
-from coded_aperture_ros.deblur.uncertainty import kinds_of
+from coded_aperture_ros.deblur.uncertainty import classify_pixels
 
 SHAPE = (96, 128)
 
@@ -18,7 +18,7 @@ SHAPE = (96, 128)
 def scene():
     """A frame with a square before a slant, its blur sizes, and the truth."""
     sharp, blur = edges_and_texture((12, 16), 8), relief(SHAPE)
-    operator = blur_operator(PsfBasis.of(levin_stack()), blur, Workers(), "yes")
+    operator = blur_operator(PsfBasis.from_stack(levin_stack()), blur, Workers(), "yes")
     coded = operator.forward(operator.around(sharp))
     noise = np.random.default_rng(0).normal(0, NOISE, SHAPE)
     return (coded + noise).astype(np.float32), blur, sharp
@@ -68,7 +68,9 @@ def test_a_picture_of_another_frame_is_refused(scene):
 def test_levels_without_sizes_are_different_surfaces():
     blur, everywhere = np.zeros(SHAPE, np.float32), np.ones(SHAPE, bool)
     blur[:, 64:] = 1
-    kinds = [kinds_of(blur, everywhere, everywhere.astype(np.float32), px) for px in (True, False)]
+    kinds = [
+        classify_pixels(blur, everywhere, everywhere.astype(np.float32), px) for px in (True, False)
+    ]
     assert (kinds[0] == SEEN).all()
     assert (kinds[1][:, 56:72] == UNCERTAIN).all() and (kinds[1][:, :50] == SEEN).all()
 

@@ -6,7 +6,7 @@ from scipy import ndimage
 from square_scene import red_square
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.deblur import openings, view_through
+from coded_aperture_ros.deblur import opening_centres, view_through
 from coded_aperture_ros.metrics import psnr_db
 from coded_aperture_ros.optics import MASK_NAMES, Mask, render_psf
 
@@ -30,7 +30,7 @@ def test_a_point_is_seen_where_the_psf_of_that_opening_alone_has_it(cell, blur_p
     """All light of a point goes where an opening's image lies, on either side of the focus."""
     grid = np.zeros((7, 7))
     grid[cell] = 1
-    ((found, place),) = openings(Mask("one", grid)).items()
+    ((found, place),) = opening_centres(Mask("one", grid)).items()
     assert found == cell
     psf = render_psf(Mask("one", grid), 70 * blur_px)  # on finer pixels
     expected = (centroid(psf) - (np.array(psf.shape) - 1) / 2) / 70
@@ -133,7 +133,7 @@ def test_wrong_input_is_refused():
 @pytest.mark.parametrize("name", MASK_NAMES)
 def test_openings_lie_where_a_mask_lets_light_pass(name):
     mask = Mask.named(name)
-    found = openings(mask)
+    found = opening_centres(mask)
     assert found
     assert max(max(at) for at in found) < 11
     side = max(mask.transmission.shape)
@@ -147,14 +147,16 @@ def test_openings_lie_where_a_mask_lets_light_pass(name):
 
 def test_fine_and_oblong_masks():
     mask = Mask("oblong", np.repeat([[1.0, 0.0, 1.0]], 2, axis=0))
-    assert list(openings(mask)) == [(0, 0), (0, 2), (1, 0), (1, 2)]
-    assert openings(mask)[0, 2] == pytest.approx((-1 / 6, 1 / 3))
+    assert list(opening_centres(mask)) == [(0, 0), (0, 2), (1, 0), (1, 2)]
+    assert opening_centres(mask)[0, 2] == pytest.approx((-1 / 6, 1 / 3))
     fine = np.zeros((40, 40))
     fine[:3, 36:] = 1
     fine[20, 20] = 0.1  # next to nothing
     # Groups of four cells, of the first of which a quarter is shut.
-    assert openings(Mask("fine", fine)) == {(0, 9): pytest.approx((1.5 / 40 - 0.5, 38 / 40 - 0.5))}
-    assert len(openings(Mask("fine", fine), most=40)) == 12
+    assert opening_centres(Mask("fine", fine)) == {
+        (0, 9): pytest.approx((1.5 / 40 - 0.5, 38 / 40 - 0.5))
+    }
+    assert len(opening_centres(Mask("fine", fine), most=40)) == 12
 
 
 @pytest.mark.parametrize("side", ["far", "near", "both"])

@@ -20,7 +20,7 @@ from coded_aperture_ros.likelihood.bank import (
 )
 from coded_aperture_ros.optics import Camera, FieldCurvature, Mask, View, Wavefront, render_psf
 from coded_aperture_ros.optics.camera import camera_from_mapping
-from coded_aperture_ros.optics.wavefront import NAMES, TERMS
+from coded_aperture_ros.optics.wavefront import TERM_NAMES, TERMS
 from coded_aperture_ros.simulation.render import render_coded_frame
 
 SHAPE = (192, 256)
@@ -30,7 +30,7 @@ CORNER = float(np.hypot(96, 128) / 500)
 
 
 def wavefront(**terms):
-    return Wavefront(CORNER, tuple(terms.pop(name, 0.0) for name in NAMES), **terms)
+    return Wavefront(CORNER, tuple(terms.pop(name, 0.0) for name in TERM_NAMES), **terms)
 
 
 LENS = dataclasses.replace(
@@ -86,7 +86,7 @@ def test_a_rim_cuts_off_the_side_that_is_away_from_it():
 def test_an_entry_of_a_camera_file_comes_back():
     assert LENS.wavefront is not None
     entry = LENS.wavefront.entry
-    again = Wavefront.of_entry(entry)
+    again = Wavefront.from_entry(entry)
     assert np.allclose(again.coefficients, LENS.wavefront.coefficients, atol=1e-5)
     assert again.rims == LENS.wavefront.rims
     assert camera_from_mapping({**STRAIGHT_FILE, "wavefront": entry}).wavefront == again
@@ -148,7 +148,7 @@ def test_a_part_of_the_view_has_the_psfs_of_its_place(bank):
     """A region of interest in the corner is not taken for the middle."""
     view = View(96, 96, 256, 192)
     estimator = DepthEstimator(
-        bank, DepthConfig(confidence_threshold=0.0, check_fit=False), LENS.cut(view)
+        bank, DepthConfig(confidence_threshold=0.0, check_fit=False), LENS.for_view(view)
     )
     own = Plan.of(estimator.model, (96, 96), 8)
     estimator.close()
@@ -203,14 +203,14 @@ def test_planes_show_how_the_psf_changes(monkeypatch):
     found = fit_wavefront(first, planes, [1, 3], iter)
     assert found.mask_extent_mm == pytest.approx(36, rel=0.03)
     true, told = (
-        camera.psf_at(LEVIN, 12.0, np.array([0.13, 0.18]), 31) for camera in (LENS, found)
+        camera.field_psf(LEVIN, 12.0, np.array([0.13, 0.18]), 31) for camera in (LENS, found)
     )
     assert unlike(told, true) < 0.5 * unlike(render_psf(LEVIN, 12.0, 31), true)
-    assert len(TERMS) == len(NAMES)
+    assert len(TERMS) == len(TERM_NAMES)
 
 
 def test_deblurring_goes_by_the_parts_of_the_image():
-    from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, blur_levels, deblurrer_of
+    from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, blur_levels, make_deblurrer
 
     bent = dataclasses.replace(
         LENS, wavefront=wavefront(W222=-0.3, W131=0.15, rims=(1.1, 0.5, 1.1, -0.4))
@@ -222,7 +222,7 @@ def test_deblurring_goes_by_the_parts_of_the_image():
     bank = learn_bank_for_camera(bent, 1.5, 3.0, 8)
     blur = np.asarray(bent.blur_map_px(depth_m), np.float32)
     config = DeblurConfig(method="cg")
-    made = deblurrer_of(bank, config), Deblurrer(bank.stack, config)
+    made = make_deblurrer(bank, config), Deblurrer(bank.stack, config)
     corner = np.s_[12:60, 12:60]
     by_parts, by_axis = (
         float(np.sqrt(np.mean((each.deblur(frame, blur) - sharp)[corner] ** 2))) for each in made
@@ -240,10 +240,10 @@ def test_deblurring_goes_by_the_parts_of_the_image():
     for each in made:
         each.close()
     # What a node renders of a camera file does as well as a bank.
-    rendered = deblurrer_of(
+    rendered = make_deblurrer(
         blur_levels(camera=bent, depth_range_m=(1.5, 3.0), level_count=8), config
     )
     as_well = (rendered.deblur(frame, blur) - sharp)[corner]
     assert float(np.sqrt(np.mean(as_well**2))) == pytest.approx(by_parts, rel=0.05)
     rendered.close()
-    assert isinstance(deblurrer_of(learn_bank_for_camera(STRAIGHT, 1.5, 3.0, 8)), Deblurrer)
+    assert isinstance(make_deblurrer(learn_bank_for_camera(STRAIGHT, 1.5, 3.0, 8)), Deblurrer)

@@ -183,7 +183,7 @@ class Live:
         height, width = frame.shape[:2]
         if bank := bank_of(self._pipeline.estimator.model):
             check_frame_size(bank, width, height)
-        return self._camera and self._camera.fitted(width, height)
+        return self._camera and self._camera.resized(width, height)
 
 
 def _looked_at(sharp: FloatArray, estimate: DepthEstimate, look: LookConfig) -> FloatArray:

@@ -74,7 +74,7 @@ def _refine(args: argparse.Namespace) -> int:
     with closing(open_files(args.frames)) as source, naming(args.frames):
         for capture in progress(islice(captures(source), args.most_frames), None, "frame"):
             grey, _ = grey_image(light_of(capture, args)[0], 1.0)
-            camera = camera.fitted(grey.shape[1], grey.shape[0])
+            camera = camera.resized(grey.shape[1], grey.shape[0])
             frames.append(grey)
         if len(frames) < 2:
             raise InputError("expected the frames of a video")

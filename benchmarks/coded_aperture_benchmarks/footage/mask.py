@@ -6,13 +6,13 @@ from collections.abc import Iterable, Iterator, Sequence
 import cv2
 import numpy as np
 
-from coded_aperture_ros.calibration.scoring import Scoring, Windows, own_cost, spectra_of
+from coded_aperture_ros.calibration.scoring import Scoring, Windows, saturated_cost, window_spectra
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.likelihood.bank.field import nearest_part
 from coded_aperture_ros.optics import Camera, Mask, psf_width, render_psf
-from coded_aperture_ros.optics.wavefront import parts_of_field
+from coded_aperture_ros.optics.wavefront import field_tangents
 
 # Of a real lens, windows of the middle of the frame, where it is at its best; in parts of one PSF.
 _STRIDE_PX, _MIDDLE, _PARTS = 32, 0.25, (2, 2)
@@ -198,18 +198,18 @@ class _Fitted:
         if self.camera.wavefront is None:
             return render_psf(mask, size_px)
         width = psf_width(1.25 * size_px + 4)
-        return self.camera.psf_at(mask, size_px, windows.tangent, width)
+        return self.camera.field_psf(mask, size_px, windows.tangent, width)
 
 
 def _windows(camera: Camera, frames: Iterable[FloatArray]) -> Iterator[Windows]:
     """Yield the windows of every frame and every part of its middle."""
     k = camera.intrinsics.camera_matrix
-    parts = parts_of_field(camera.intrinsics, *_PARTS) / 2
+    parts = field_tangents(camera.intrinsics, *_PARTS) / 2
     left_out = _MIDDLE if camera.wavefront or camera.field_curvature else 0.0
     for grey in frames:
         rows, columns = (int(left_out * length) for length in grey.shape)
         middle = grey[rows : grey.shape[0] - rows, columns : grey.shape[1] - columns]
-        powers, noise, middles = spectra_of(np.ascontiguousarray(middle), _STRIDE_PX)
+        powers, noise, middles = window_spectra(np.ascontiguousarray(middle), _STRIDE_PX)
         places = (middles - [k[5] - rows, k[2] - columns]) / [k[4], k[0]]
         part = nearest_part(places[None], parts)[0]
         for number, tangent in enumerate(parts):
@@ -228,7 +228,7 @@ def _sorted(
         here = [Windows(float(s), np.array(tangent), powers, noise) for s in sizes_px]
         costs = np.stack([scoring.costs(state, each).min(axis=1) for each in here])
         best, least = costs.argmin(axis=0), costs.min(axis=0)
-        misfit = least - own_cost(powers)
+        misfit = least - saturated_cost(powers)
         kept = misfit <= np.quantile(misfit, _KEPT)
         left += float(least[kept].sum())
         for level, each in enumerate(here):

@@ -140,7 +140,7 @@ def _moves(lens: Wavefront | None, view: Intrinsics, unit_px: float, seen: bytes
     for square in np.ndindex(shape):
         middle = (np.array(square) + 0.5) * _SQUARE_PX - 0.5
         tangent = (middle - [k[5], k[2]]) / [k[4], k[0]]
-        moved, passed = lens.rays(places, 0.0, unit_px, tangent)
+        moved, passed = lens.trace(places, 0.0, unit_px, tangent)
         moves[square] = np.stack([*moved, passed], axis=1)
     return moves
 

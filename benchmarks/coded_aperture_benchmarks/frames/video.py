@@ -326,7 +326,7 @@ def score_video(
 
     def error_of(part: NDArray[np.bool_]) -> RelativeError:
         errors = np.abs(relative[part])
-        return RelativeError.of_known(errors[np.isfinite(errors)], int(np.count_nonzero(part)))
+        return RelativeError.from_errors(errors[np.isfinite(errors)], int(np.count_nonzero(part)))
 
     def error_in(part: NDArray[np.bool_] | None) -> RelativeError | None:
         return None if part is None else error_of(part[warm_up:] & known)

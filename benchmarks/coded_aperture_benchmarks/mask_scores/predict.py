@@ -23,7 +23,7 @@ from coded_aperture_benchmarks.mask_scores.spectra import (
 )
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.design import openings_of
+from coded_aperture_ros.design import mask_openings
 from coded_aperture_ros.optics import Mask
 
 SIGMAS = (0.001, 0.005)
@@ -113,7 +113,7 @@ class MaskScorer:
         light = np.array([mask.open_fraction for mask in masks])
         power = np.array([expected_spectra(mask, self.scene, self.frequencies) for mask in masks])
         if self.scene.diffraction_px > 0:
-            widths = np.array([openings_of(mask).smallest_width for mask in masks])
+            widths = np.array([mask_openings(mask).smallest_width for mask in masks])
             power *= diffraction_loss(widths, self.scene, self.frequencies)[:, None]
         return self._predict(power, light)
 

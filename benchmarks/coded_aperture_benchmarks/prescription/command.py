@@ -81,9 +81,9 @@ def _trace(args: argparse.Namespace) -> int:
         "entrance_pupil_mm": round(lens.pupil_mm, 3),
         **changed,
         "corner_px": round(
-            float(curvature.at(at_corner @ at_corner)) * found.blur_per_dioptre_px, 2
+            float(curvature.defocus(at_corner @ at_corner)) * found.blur_per_dioptre_px, 2
         ),
-        "corner_light": round(found.wavefront.passed(found.mask, at_corner), 3),
+        "corner_light": round(found.wavefront.transmitted_share(found.mask, at_corner), 3),
         "left_px": round(left_px, 3),
         "output": str(output),
     }

@@ -80,7 +80,7 @@ def traced_camera(
         mask_extent_mm=float(per_dioptre / focal_px * 1e3),
         lens_mask_distance_mm=0.0,
         measured=None,
-        field_curvature=wavefront.curvature(camera.mask),
+        field_curvature=wavefront.field_curvature(camera.mask),
         wavefront=wavefront,
     )
     return found, left
@@ -125,7 +125,7 @@ def _solve(bundles: list[_Bundle], pitch_mm: float) -> tuple[DoubleArray, float]
         light = each.light * each.passed
         columns = [each.places, each.places * each.inverse_m]
         columns += [
-            term.rays(each.places, 0.0, 4.0, np.array([each.field, 0]))[0] for term in terms
+            term.trace(each.places, 0.0, 4.0, np.array([each.field, 0]))[0] for term in terms
         ]
         rows = np.stack(columns, axis=-1)
         seen = each.moved_px / pitch_mm

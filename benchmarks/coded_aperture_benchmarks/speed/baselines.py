@@ -79,10 +79,10 @@ class ThesisFilters:
         places = _PLACES[0] * _PLACES[1] * setting.threads
         grid = PatchGrid.covering(setting.size, setting.window_px, setting.stride_px)
         density = pixels / (grid.rows * grid.columns)
-        unfactored = Times.of(self._filter_s, filters / tried)
+        unfactored = Times.from_seconds(self._filter_s, filters / tried)
         basis_s = np.multiply(self._filter_s, _BASIS / tried)
         levels_s = np.multiply(self._place_s, pixels / places)
-        factored = Times.of((basis_s + levels_s).tolist())
+        factored = Times.from_seconds((basis_s + levels_s).tolist())
 
         def against(times: Times) -> dict[str, Any]:
             slower = ratio(times, engine)
@@ -138,7 +138,7 @@ class NonLocalMeans:
         """Compare with the times of the temporal stages."""
         rows = []
         for count, seconds in self._seconds.items():
-            times = Times.of(seconds)
+            times = Times.from_seconds(seconds)
             rows.append(
                 {"frames": count, "times": dataclasses.asdict(times), "ratio": ratio(times, own)}
             )

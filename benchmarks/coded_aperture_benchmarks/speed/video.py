@@ -78,11 +78,11 @@ class VideoRun:
 
     def times(self) -> Times:
         """Return the times of whole frames."""
-        return Times.of(self.totals)
+        return Times.from_seconds(self.totals)
 
     def stage_times(self, *stages: str) -> Times:
         """Return the times of some stages together."""
-        return Times.of(np.sum([self.stages[stage] for stage in stages], axis=0).tolist())
+        return Times.from_seconds(np.sum([self.stages[stage] for stage in stages], axis=0).tolist())
 
     def close(self) -> None:
         """End the threads, and let go of the frames."""

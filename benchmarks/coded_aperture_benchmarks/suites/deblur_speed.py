@@ -73,7 +73,7 @@ def measure(cell: Cell) -> Row:
             seconds.append(time.perf_counter() - start)
     deblurrer.close()
     # The first frame has to wait for what is made once.
-    times = Times.of(seconds[1:])
+    times = Times.from_seconds(seconds[1:])
     return {"method": cell.config.method, "channels": cell.channels, **dataclasses.asdict(times)}
 
 

@@ -30,10 +30,10 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.design.diffraction import airy_width_px
-from coded_aperture_ros.design.openings import narrowest_bar, openings_of, outlines_of, recut
+from coded_aperture_ros.design.openings import mask_openings, mask_outlines, narrowest_bar, recut
 from coded_aperture_ros.design.setting import resolutions_m
 from coded_aperture_ros.design.sheet import mask_sheet
-from coded_aperture_ros.design.sheet_files import svg_of
+from coded_aperture_ros.design.sheet_files import sheet_svg
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank_for_camera
 from coded_aperture_ros.likelihood.bank.learning import guarded_range
@@ -130,7 +130,7 @@ def _cells(args: argparse.Namespace) -> list[Cell]:
     for mask in masks:
         if names.count(mask.name) > 1:
             raise InputError(f"mask {mask.name}: another one has this name too")
-        outlines_of(mask)  # refuses what cannot be cut
+        mask_outlines(mask)  # refuses what cannot be cut
     # The frames have the noise of this light, and no other errors of a lens.
     camera = dataclasses.replace(
         camera, noise=0.0, noise_gain=0.0, field_curvature=None, diffraction=None
@@ -257,7 +257,7 @@ def _results(args: argparse.Namespace, measured: list[Measured], seconds: float)
 
 def _row(measured: Sequence[Measured]) -> Row:
     camera, light = measured[0].cell.camera, measured[0].cell.light
-    mask, openings = camera.mask, openings_of(camera.mask)
+    mask, openings = camera.mask, mask_openings(camera.mask)
     extent_mm = camera.mask_extent_mm
     bar_mm = extent_mm * narrowest_bar(mask)
     return {
@@ -368,7 +368,7 @@ def _draw(args: options.Args, measured: list[Measured], folder: Path) -> None:
             write_image(folder / f"{row['mask']}.png", camera.mask.transmission)
             sheet = mask_sheet(camera.mask, camera.mask_extent_mm)
             with atomic_output(folder / f"{row['mask']}.svg") as path:
-                path.write_text(svg_of(sheet))
+                path.write_text(sheet_svg(sheet))
 
 
 SUITE = Suite(

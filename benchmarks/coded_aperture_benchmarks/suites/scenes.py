@@ -133,7 +133,7 @@ class Maps:
         known = np.isfinite(self.depth_m) & np.isfinite(self.truth_m)
         truth = self.truth_m[known]
         right = np.abs(self.depth_m[known] - truth) <= RIGHT_WITHIN * truth
-        return Reliability.of(self.confidence[known], right)
+        return Reliability.from_estimates(self.confidence[known], right)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -96,7 +96,7 @@ def measure(cell: Cell) -> Row:
         for stage, taken in estimate.seconds.items():
             stages.setdefault(stage, []).append(taken)
     estimator.close()
-    times = Times.of(seconds)
+    times = Times.from_seconds(seconds)
     return {
         **cell.names,
         "lines": len(model.lines),
@@ -104,7 +104,9 @@ def measure(cell: Cell) -> Row:
         "p50_ms": round(times.p50_ms, 2),
         "p99_ms": round(times.p99_ms, 2),
         "frames_per_second": round(1000 / times.p50_ms, 1),
-        "stages_ms": {stage: round(Times.of(taken).p50_ms, 2) for stage, taken in stages.items()},
+        "stages_ms": {
+            stage: round(Times.from_seconds(taken).p50_ms, 2) for stage, taken in stages.items()
+        },
     }
 
 

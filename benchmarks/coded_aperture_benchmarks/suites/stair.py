@@ -101,7 +101,7 @@ def _measure(cell: Cell, texture: str) -> Measured:
         if found.confidence is not None:
             known = np.isfinite(found.level)
             right = np.abs(found.level[known] - stair.level[known]) <= 1
-            reliabilities.append(Reliability.of(found.confidence[known], right))
+            reliabilities.append(Reliability.from_estimates(found.confidence[known], right))
     means, deviations = (np.array(part) for part in zip(*spreads, strict=True))
     mean = means.mean(axis=0)
     deviation = np.sqrt((deviations**2 + (means - mean) ** 2).mean(axis=0))

@@ -148,7 +148,7 @@ def measure(cell: Cell) -> Measured:
         error = _error(estimate, one)
         known = np.isfinite(error)
         right = error[known] <= _RIGHT
-        reliability.append(Reliability.of(estimate.confidence[known], right))
+        reliability.append(Reliability.from_estimates(estimate.confidence[known], right))
         rows.append(_row(cell, strength, estimate, error))
     return Measured(rows, Reliability.total(reliability) if reliability else None)
 

@@ -15,7 +15,7 @@ from coded_aperture_benchmarks.rows import columns, grouped, mean_of, or_dash
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.cli.extension import VIEW
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, openings, view_through
+from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, opening_centres, view_through
 from coded_aperture_ros.deblur.blur_map import filled_blur_map
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.frames import SRGB
@@ -96,7 +96,7 @@ def measure(cell: Cell) -> Measured:
     }
     here = {"scene": cell.scene}
     # The view through the middle is the frame itself.
-    places = [place for place in openings(scene.camera.mask).values() if any(place)]
+    places = [place for place in opening_centres(scene.camera.mask).values() if any(place)]
     seen = [true_view(scene, *place) for place in places]
     rows: list[Row] = []
     for name in _OF_VIEWS:

@@ -1,7 +1,7 @@
 """The mask of a camera from pictures of planes at unknown distances (thesis 10.2).
 
 1. Spectra are matched with one another: the blur sizes but for a common factor.
-2. A mixture of masks, whose autocorrelation is easy to climb to, is fitted together with the
+2. A mixture of masks, whose autocorrelation is easy to optimise to, is fitted together with the
    sizes; where it ends is the largest blur in pixels.
 3. Grids of cells of all widths are tried: the binary one that explains the spectra best is the
    mask.
@@ -151,7 +151,7 @@ class _Search:
         if extent < _ROOMY:
             fit = self._mixture(fit.sizes_px * min(extent * _MARGIN, 1))
             extent = _extent(fit)
-        found, least = FoundSpectra.of_fit(fit, self.likelihood), self._value(fit)
+        found, least = FoundSpectra.from_fit(fit, self.likelihood), self._value(fit)
         tried = self._tried(fit, found, extent)
         # The quadratic function is right near the mixture only: the likelihood itself decides.
         refined = [self._refined(fit, found, *one) for one in self.progress(tried)]
@@ -192,12 +192,12 @@ class _Search:
         parts = random_parts(_COARSE_PARTS, _COARSE_CELLS)
         fit = self._fit(parts, sizes_px, self.likelihood.first_log_noise)
         for _ in range(2):
-            fit = fit.climb(self.likelihood, _COARSE_STEPS // 2)
+            fit = fit.optimise(self.likelihood, _COARSE_STEPS // 2)
         cells = min(_FINE_CELLS, int(np.ceil(sizes_px.max())))
         # Afresh: the coarse ones' cells would stay visible.
         fit = dataclasses.replace(fit, parts=random_parts(_FINE_PARTS, cells))
         for _ in range(2):
-            fit = fit.climb(self.likelihood, _FINE_STEPS // 2)
+            fit = fit.optimise(self.likelihood, _FINE_STEPS // 2)
         return fit
 
     def _tried(
@@ -224,7 +224,7 @@ class _Search:
     def _resized(self, fit: FreeFit, cells: NDArray) -> FreeFit:
         """Fit sizes, textures and noise to a grid."""
         fit = dataclasses.replace(fit, parts=normalised(cells[None]))
-        return fit.climb(self.likelihood, _SIZE_STEPS, masks=False)
+        return fit.optimise(self.likelihood, _SIZE_STEPS, masks=False)
 
     def _refined(
         self, mixture: FreeFit, found: FoundSpectra, cells: NDArray, width: float
@@ -252,7 +252,7 @@ class _Search:
         value = self._value(fit)
         for _ in range(_FLIPS):
             cells = _cells(fit)
-            misfits = self._misfit(fit, found, len(cells)).of_flips(cells)
+            misfits = self._misfit(fit, found, len(cells)).flip_values(cells)
             changed = []
             for cell in sorted({*np.argsort(misfits)[:_LIKELY_FLIPS], *_alone(cells)}):
                 flipped = cells.copy()
@@ -262,7 +262,7 @@ class _Search:
             if min(values) >= value:
                 break
             value, fit = min(values), changed[int(np.argmin(values))]
-        return fit.climb(self.likelihood, _SIZE_STEPS, masks=False)
+        return fit.optimise(self.likelihood, _SIZE_STEPS, masks=False)
 
     def _value(self, fit: FreeFit) -> float:
         """Return twice the negative log-likelihood of one window of each group."""
@@ -281,11 +281,11 @@ class _Search:
         opened = np.zeros_like(cells)
         opened[_bounds(cells)] = 1
         misfit = self._misfit(fit, found, len(cells))
-        return 1 - misfit.of_grid(cells) / misfit.of_grid(opened)
+        return 1 - misfit.value(cells) / misfit.value(opened)
 
     def _spectra(self, fit: FreeFit) -> NDArray:
         """Return measured and explained spectra, of the windows of least contrast."""
-        found = FoundSpectra.of_fit(fit, self.likelihood)
+        found = FoundSpectra.from_fit(fit, self.likelihood)
         _, first = np.unique(found.groups.plane, return_index=True)
         powers = np.stack([found.groups.mean, found.signal + found.noise], axis=1)[first]
         n = self.config.window_px

@@ -41,7 +41,7 @@ class FoundSpectra:
     noise: DoubleArray
 
     @classmethod
-    def of_fit(cls, fit: MaskFit, likelihood: MaskLikelihood) -> "FoundSpectra":
+    def from_fit(cls, fit: MaskFit, likelihood: MaskLikelihood) -> "FoundSpectra":
         """Take the spectra of a fit, with the textures that suit it best."""
         groups = likelihood.group(fit.parts, fit.sizes_px, fit.log_noise)
         power = likelihood.spectra.expected(fit.parts, fit.sizes_px).power
@@ -129,11 +129,11 @@ class GridMisfit:
         error = (autocorrelation / light[..., None]) @ self._root.T - self._target
         return np.asarray(np.sum(error**2, axis=-1))
 
-    def of_grid(self, grid: NDArray) -> float:
+    def value(self, grid: NDArray) -> float:
         """Return the misfit of a grid [n, n]."""
         return float(self.misfit(self.autocorrelation(grid)))
 
-    def of_flips(self, grid: NDArray) -> DoubleArray:
+    def flip_values(self, grid: NDArray) -> DoubleArray:
         """Return the misfit of a binary grid with each of its cells changed [n * n].
 
         Not finite where no cell would be open.
@@ -203,17 +203,17 @@ def _grey(misfit: GridMisfit, start: NDArray) -> NDArray:
 def _thresholded(misfit: GridMisfit, grey: NDArray) -> NDArray:
     thresholds = np.sort(grey.ravel())[::-1][_FEWEST_OPEN - 1 :]
     grids = [(grey >= threshold).astype(np.float64) for threshold in np.unique(thresholds)]
-    return min(grids, key=misfit.of_grid)
+    return min(grids, key=misfit.value)
 
 
 def improved(misfit: GridMisfit, grid: DoubleArray, random: np.random.Generator) -> BinaryGrid:
     """Improve a binary grid by opening and closing single cells."""
     cells = grid.copy()
-    best = BinaryGrid(cells.copy(), misfit.of_grid(cells))
+    best = BinaryGrid(cells.copy(), misfit.value(cells))
     resting = np.zeros(cells.size, int)
     last = 0
     for step in range(_FLIPS):
-        misfits = misfit.of_flips(cells)
+        misfits = misfit.flip_values(cells)
         allowed = np.isfinite(misfits) & ((resting <= step) | (misfits < best.misfit))
         if not allowed.any() or step - last > _PATIENCE:
             break

@@ -34,7 +34,7 @@ def autocorrelation(parts: DoubleArray) -> DoubleArray:
     return scipy.fft.irfft2((np.abs(scipy.fft.rfft2(parts, torus)) ** 2).sum(axis=0), torus)
 
 
-def retrieved_masks(parts: DoubleArray, count: int) -> list[DoubleArray]:
+def retrieve_masks(parts: DoubleArray, count: int) -> list[DoubleArray]:
     """Find masks whose autocorrelations are about the sum of those of the parts.
 
     Phase retrieval for a non-negative mask of limited support, the best of many random starts.

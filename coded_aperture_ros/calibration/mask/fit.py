@@ -30,7 +30,9 @@ class MaskFit(Generic[Sizes]):
         """Unsigned blur size of every plane [I]."""
         return self.sizes.px
 
-    def climb(self, likelihood: MaskLikelihood, steps: int, masks: bool = True) -> "MaskFit[Sizes]":
+    def optimise(
+        self, likelihood: MaskLikelihood, steps: int, masks: bool = True
+    ) -> "MaskFit[Sizes]":
         """Choose hypotheses for the windows, then make masks, sizes and noise likelier.
 
         Without `masks` these stay as they are.
@@ -50,7 +52,7 @@ class MaskFit(Generic[Sizes]):
 
 
 class Variables(Generic[Sizes]):
-    """What `MaskFit.climb` varies: masks, sizes, textures and noise, in one vector.
+    """What `MaskFit.optimise` varies: masks, sizes, textures and noise, in one vector.
 
     `start` are the variables of the fit, float64 [V], and `bounds` the least and most of each.
     """

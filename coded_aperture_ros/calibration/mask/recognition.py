@@ -25,7 +25,7 @@ _EVERY = 3
 _CLEARLY_BETTER = 0.6
 
 
-def recognised_mask(
+def recognise_mask(
     likelihood: MaskLikelihood, fit: MaskFit[LensSizes], masks: Sequence[Mask]
 ) -> tuple[Mask, float] | None:
     """Return the mask that explains the planes nearly as well as a free fit, and its extent.
@@ -34,7 +34,7 @@ def recognised_mask(
     better than the others.
     """
     coarse = [_scores(likelihood, fit, mask, _EVERY).min() for mask in masks]
-    found = {int(i): fitted_extent(likelihood, fit, masks[i]) for i in np.argsort(coarse)[:2]}
+    found = {int(i): fit_extent(likelihood, fit, masks[i]) for i in np.argsort(coarse)[:2]}
     best, second = sorted(found, key=lambda i: found[i][1])
     shortfall, second_shortfall = (found[i][1] - fit.score for i in (best, second))
     if shortfall > _CLEARLY_BETTER * second_shortfall:
@@ -42,7 +42,7 @@ def recognised_mask(
     return masks[best], found[best][0]
 
 
-def fitted_extent(
+def fit_extent(
     likelihood: MaskLikelihood, fit: MaskFit[LensSizes], mask: Mask
 ) -> tuple[float, float]:
     """Return the likeliest extent of a mask at the most blurred plane, px, and its score."""

@@ -7,7 +7,7 @@ learns from planes too, but a subspace for each of them on its own).
 
 The likelihood of a single mask has many local maxima, because power spectra have no phases. A
 mixture of a few masks, whose autocorrelations add up, has the same power spectra to offer and is
-easy to climb. The bank is computed from the mixture. Only for deblurring, a single mask of that
+easy to optimise. The bank is computed from the mixture. Only for deblurring, a single mask of that
 autocorrelation is sought afterwards; its orientation (as found or rotated by 180 degrees) is
 beyond what power spectra tell.
 
@@ -19,7 +19,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from coded_aperture_ros.calibration.mask.recognition import fitted_extent, recognised_mask
+from coded_aperture_ros.calibration.mask.recognition import fit_extent, recognise_mask
 from coded_aperture_ros.calibration.planes.checks import (
     Advice,
     PlaneCheck,
@@ -27,10 +27,10 @@ from coded_aperture_ros.calibration.planes.checks import (
     advice_on_pictures,
     check_pictures,
 )
-from coded_aperture_ros.calibration.planes.fit import LeftOut, leave_one_out, signed_fit
-from coded_aperture_ros.calibration.planes.measure import MeasuredPlane, measured_planes
+from coded_aperture_ros.calibration.planes.fit import LeaveOneOut, fit_signed_lens, leave_one_out
+from coded_aperture_ros.calibration.planes.measure import MeasuredPlane, measure_planes
 from coded_aperture_ros.calibration.planes.pictures import Planes
-from coded_aperture_ros.calibration.planes.search import LensFit, MaskSearch, pattern_of
+from coded_aperture_ros.calibration.planes.search import LensFit, MaskSearch, learned_pattern
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.likelihood.bank import (
@@ -64,7 +64,7 @@ class PlanesCalibration:
     planes: Planes
     checks: list[PlaneCheck]
     measured: list[MeasuredPlane]
-    left_out: LeftOut
+    left_out: LeaveOneOut
     advice: list[Advice]
 
     @property
@@ -113,14 +113,14 @@ def calibrate_planes(
     width = planes.images[0].shape[1]
     # The mixture's own grid serves to measure; what the mask is comes after the depths are right.
     part = Mask("mixture", mixture.parts[0] / mixture.parts[0].max())
-    grid = pattern_of(mixture, part, mixture.sizes.extent_px, width)
-    measured = measured_planes(planes, grid, config)
-    fit = signed_fit(planes, measured)
+    grid = learned_pattern(mixture, part, mixture.sizes.extent_px, width)
+    measured = measure_planes(planes, grid, config)
+    fit = fit_signed_lens(planes, measured)
     found_mask, extent_px, known = _mask(search, mixture, mask)
     scale = extent_px / mixture.sizes.extent_px
     measured = [plane.scaled(scale) for plane in measured]
     pattern = dataclasses.replace(
-        pattern_of(mixture, found_mask, extent_px, width),
+        learned_pattern(mixture, found_mask, extent_px, width),
         slope_px_m=fit.slope_px_m * scale,
         inverse_focus=fit.inverse_focus,
     )
@@ -173,7 +173,7 @@ def learn_bank_from_planes(
     check_pictures(planes.images, planes.names, config.window_px)
     search = MaskSearch(planes, config.window_px, progress)
     mixture = search.mixture()
-    pattern = pattern_of(mixture, *search.single(mixture), planes.images[0].shape[1])
+    pattern = learned_pattern(mixture, *search.single(mixture), planes.images[0].shape[1])
     wanted, learned_from = _depth_range(planes), _learned_from(planes, pattern)
     bank = learn_bank_for_pattern(pattern, *wanted, level_count, config, prior, learned_from)
     return _of_size(bank, planes)
@@ -199,8 +199,8 @@ def _learned_from(planes: Planes, pattern: LearnedPattern) -> str:
 def _mask(search: MaskSearch, mixture: LensFit, mask: Mask | None) -> tuple[Mask, float, bool]:
     """Return the mask, its extent at the most blurred plane, and whether it is a known one."""
     if mask is not None:
-        return mask, fitted_extent(search.likelihood, mixture, mask)[0], True
-    known = recognised_mask(search.likelihood, mixture, [Mask.named(name) for name in MASK_NAMES])
+        return mask, fit_extent(search.likelihood, mixture, mask)[0], True
+    known = recognise_mask(search.likelihood, mixture, [Mask.named(name) for name in MASK_NAMES])
     if known is not None:
         return *known, True
     return *search.single(mixture), False

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from coded_aperture_ros.calibration.planes.pictures import Planes
-from coded_aperture_ros.calibration.scoring import Scoring, Windows, spectra_of
+from coded_aperture_ros.calibration.scoring import Scoring, Windows, window_spectra
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
@@ -55,7 +55,7 @@ def fit_field(camera: Camera, planes: Planes, progress: Progress = iter) -> Fiel
     An `InputError` if too few planes are blurred enough, or pictures have other proportions.
     """
     rows, columns = planes.images[0].shape[:2]
-    camera = camera.fitted(columns, rows)
+    camera = camera.resized(columns, rows)
     axial_px = np.abs(camera.blur_size_px(planes.depths_m))
     used = [int(index) for index in np.flatnonzero(axial_px >= _LEAST_PX)]
     if len(used) < _FEWEST:
@@ -70,7 +70,7 @@ def fit_field(camera: Camera, planes: Planes, progress: Progress = iter) -> Fiel
     # What a network has learned must not bend what is measured.
     config = DepthConfig(regularize="semiglobal", check_fit=False, threads=0)
     estimator = DepthEstimator(bank, config)
-    tangent2 = FieldCurvature(1.0).dioptres(camera.intrinsics, (rows, columns))
+    tangent2 = FieldCurvature(1.0).defocus_map(camera.intrinsics, (rows, columns))
     unit = camera.blur_per_dioptre_px
     # Nearer to the border no window is centred.
     points, margin = [], bank.window_px // 2
@@ -148,7 +148,7 @@ def _off_the_line(camera: Camera, planes: Planes, used: list[int]) -> BoolArray:
     sizes_px = np.empty(len(used))
     for number, index in enumerate(used):
         grey, _ = grey_image(planes.images[index], 1.0)
-        powers, noise, middles = spectra_of(np.ascontiguousarray(grey), _WINDOW_STRIDE_PX)
+        powers, noise, middles = window_spectra(np.ascontiguousarray(grey), _WINDOW_STRIDE_PX)
         powers = powers[np.hypot(*(middles - [k[5], k[2]]).T) < _MIDDLE * corner]
         noise = max(noise, _LEAST_NOISE**2)
         here = (Windows(float(size), np.zeros(2), powers, noise) for size in grid)

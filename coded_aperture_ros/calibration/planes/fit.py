@@ -37,7 +37,7 @@ def fitted_lens(depths_m: DoubleArray, sizes_px: DoubleArray, errors_px: DoubleA
     return ThinLens(float(slope), float(offset / slope)) if slope else _NO_LENS
 
 
-def signed_fit(planes: Planes, measured: Sequence[MeasuredPlane]) -> ThinLens:
+def fit_signed_lens(planes: Planes, measured: Sequence[MeasuredPlane]) -> ThinLens:
     """Fit the thin lens: all planes beyond the focus, or all in front of it.
 
     Raises `InputError`, naming the files: planes on both sides of the focus, or depths that do not
@@ -153,7 +153,7 @@ def _list(names: Sequence[str], most: int = 4) -> str:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class LeftOut:
+class LeaveOneOut:
     """Depths of planes by the line through the others.
 
     Depth of each plane from its blur as a whole [I], infinite where it is blurred more than that,
@@ -166,7 +166,7 @@ class LeftOut:
     window_errors: DoubleArray
 
 
-def leave_one_out(planes: Planes, measured: Sequence[MeasuredPlane], fit: ThinLens) -> LeftOut:
+def leave_one_out(planes: Planes, measured: Sequence[MeasuredPlane], fit: ThinLens) -> LeaveOneOut:
     """Estimate each plane's depth from its blur and the line through the other planes.
 
     The mask is that of all planes; focus and slope are the others' alone.
@@ -185,4 +185,4 @@ def leave_one_out(planes: Planes, measured: Sequence[MeasuredPlane], fit: ThinLe
         relative = np.abs(1 / (depths_m[i] * found) - 1)
         errors.append(float(relative[-1]))
         window_errors.append(float(np.median(relative[:-1])))
-    return LeftOut(np.array(depths), np.array(errors), np.array(window_errors))
+    return LeaveOneOut(np.array(depths), np.array(errors), np.array(window_errors))

@@ -57,7 +57,7 @@ class MeasuredPlane:
         )
 
 
-def measured_planes(
+def measure_planes(
     planes: Planes, pattern: LearnedPattern, config: LearnConfig
 ) -> list[MeasuredPlane]:
     """Measure the blur of every plane with filters for many sizes of the same mask.

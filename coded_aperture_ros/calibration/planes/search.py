@@ -6,7 +6,7 @@ import logging
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.calibration.mask.cells import retrieved_masks
+from coded_aperture_ros.calibration.mask.cells import retrieve_masks
 from coded_aperture_ros.calibration.mask.fit import MaskFit, normalised, random_parts
 from coded_aperture_ros.calibration.mask.likelihood import MaskLikelihood
 from coded_aperture_ros.calibration.mask.sizes import LensSizes
@@ -59,18 +59,18 @@ class MaskSearch:
         for step in self.progress([*starts, *range(_FINE_ROUNDS)]):
             if isinstance(step, tuple):
                 start = self.start(_COARSE_PARTS, _COARSE_CELL_PX, *step)
-                coarse.append(start.climb(self.likelihood, _FIRST_STEPS))
+                coarse.append(start.optimise(self.likelihood, _FIRST_STEPS))
                 continue
             if best is None:
                 # The finer masks start afresh: the coarse ones' cells would stay visible.
                 found = self._most_promising(coarse).sizes
                 best = self.start(_FINE_PARTS, _FINE_CELL_PX, found.sign, found.near_ratio)
-            best = best.climb(self.likelihood, _FINE_STEPS)
+            best = best.optimise(self.likelihood, _FINE_STEPS)
         return self._most_promising(coarse) if best is None else best
 
     def _most_promising(self, coarse: list[LensFit]) -> LensFit:
         coarse = sorted(coarse, key=lambda fit: fit.score)[:_PROMISING]
-        further = [fit.climb(self.likelihood, _COARSE_STEPS) for fit in coarse]
+        further = [fit.optimise(self.likelihood, _COARSE_STEPS) for fit in coarse]
         return min(further, key=lambda fit: fit.score)
 
     def start(self, parts: int, cell_px: float, sign: int, near_ratio: float) -> LensFit:
@@ -89,10 +89,10 @@ class MaskSearch:
         px. Logs a warning if it fills the grid: then the blur may be wider than that.
         """
         candidates = [
-            dataclasses.replace(mixture, parts=normalised(mask[None])).climb(
+            dataclasses.replace(mixture, parts=normalised(mask[None])).optimise(
                 self.likelihood, _SINGLE_STEPS
             )
-            for mask in self.progress(retrieved_masks(mixture.parts, _CANDIDATES))
+            for mask in self.progress(retrieve_masks(mixture.parts, _CANDIDATES))
         ]
         opening = _cropped(min(candidates, key=lambda candidate: candidate.score).parts[0])
         cells = mixture.parts.shape[-1]
@@ -106,7 +106,7 @@ class MaskSearch:
         return Mask("learned from planes", opening / opening.max()), extent_px
 
 
-def pattern_of(fit: LensFit, mask: Mask, extent_px: float, image_width: int) -> LearnedPattern:
+def learned_pattern(fit: LensFit, mask: Mask, extent_px: float, image_width: int) -> LearnedPattern:
     """Return a mask, of an extent at the most blurred plane, with the lens of a fit."""
     scale, lens = extent_px / fit.sizes.extent_px, fit.sizes.lens
     return LearnedPattern(

@@ -6,13 +6,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from coded_aperture_ros.calibration.planes.pictures import Planes
-from coded_aperture_ros.calibration.scoring import Scoring, Windows, spectra_of
+from coded_aperture_ros.calibration.scoring import Scoring, Windows, window_spectra
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.frames import grey_image
 from coded_aperture_ros.likelihood.bank.field import COLUMNS, ROWS, nearest_part
 from coded_aperture_ros.optics import Camera, FieldCurvature, Wavefront, psf_width
-from coded_aperture_ros.optics.wavefront import NAMES, TERMS, parts_of_field
+from coded_aperture_ros.optics.wavefront import TERM_NAMES, TERMS, field_tangents
 
 _STRIDE_PX = 24
 # More planes are slower and tell little more.
@@ -24,7 +24,7 @@ _RIMS = (1.1, 0.4, 1.1, -0.2)
 # from where it began where nothing tells.
 _STEPS = np.array([0.002, *[0.01] * 4, *[0.005] * len(TERMS)])
 _SPREAD = np.array([1.0, *[0.15, 0.3] * 2, *[0.07] * len(TERMS)])
-_ASTIGMATISM = 0.15 * np.eye(5 + len(TERMS))[5 + NAMES.index("W222")]
+_ASTIGMATISM = 0.15 * np.eye(5 + len(TERMS))[5 + TERM_NAMES.index("W222")]
 _ROUNDS, _FIRST_ROUNDS = 20, 5
 _WIDER_PX = 6
 
@@ -44,8 +44,8 @@ def fit_wavefront(
     scoring, windows = Scoring(lens.psf, _STEPS), list(_windows(camera, planes, used))
     curvature = camera.field_curvature or FieldCurvature()
     first = np.array([1.0, *_RIMS, *[0.0] * len(TERMS)])
-    first[5 + NAMES.index("W220")] = -curvature.second * lens.corner**2
-    first[5 + NAMES.index("W420")] = -curvature.fourth * lens.corner**4
+    first[5 + TERM_NAMES.index("W220")] = -curvature.second * lens.corner**2
+    first[5 + TERM_NAMES.index("W420")] = -curvature.fourth * lens.corner**4
     # What is largest first, from astigmatism of either sign: else the best may never be found.
     starts = [first + sign * _ASTIGMATISM for sign in (-1, 0, 1)]
     costs = [scoring.cost(at, [scoring.textures(at, each) for each in windows]) for at in starts]
@@ -71,7 +71,7 @@ class _Lens:
         return dataclasses.replace(
             camera,
             mask_extent_mm=round(camera.mask_extent_mm * float(state[0]), 4),
-            field_curvature=wavefront.curvature(camera.mask),
+            field_curvature=wavefront.field_curvature(camera.mask),
             wavefront=wavefront,
         )
 
@@ -92,11 +92,11 @@ class _Lens:
 
 def _windows(camera: Camera, planes: Planes, used: Sequence[int]) -> Iterator[Windows]:
     """Yield the windows of some planes and all parts of the image."""
-    parts, k = parts_of_field(camera.intrinsics, ROWS, COLUMNS), camera.intrinsics.camera_matrix
+    parts, k = field_tangents(camera.intrinsics, ROWS, COLUMNS), camera.intrinsics.camera_matrix
     chosen = np.unique(np.linspace(0, len(used) - 1, _MOST_PLANES).round().astype(int))
     for index in np.array(used)[chosen]:
         grey, _ = grey_image(planes.images[index], 1.0)
-        powers, noise, middles = spectra_of(grey, _STRIDE_PX)
+        powers, noise, middles = window_spectra(grey, _STRIDE_PX)
         places = (middles - [k[5], k[2]]) / [k[4], k[0]]
         part = nearest_part(places[None], parts)[0]
         for inside in (part == number for number in np.unique(part)):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from coded_aperture_ros.calibration.psf.fine import FinePsf, centres_of, steps_of
+from coded_aperture_ros.calibration.psf.fine import FinePsf, centred_steps, centroids
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask, render_psf
@@ -116,8 +116,8 @@ def _like(
 
 def _moments(psf: NDArray) -> tuple[NDArray, float]:
     """Return the centre of light from the middle, and the spread about it without the pixel's."""
-    centre = centres_of(psf) / psf.sum()
-    steps = steps_of(len(psf))
+    centre = centroids(psf) / psf.sum()
+    steps = centred_steps(len(psf))
     shares = [psf.sum(axis=axis) / psf.sum() for axis in (1, 0)]
     variances = [share @ (steps - c) ** 2 for share, c in zip(shares, centre, strict=True)]
     return centre, float(np.sqrt(max(np.mean(variances) - _PIXEL_VARIANCE, 1e-4)))

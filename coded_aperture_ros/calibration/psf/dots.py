@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from coded_aperture_ros.calibration.psf.centre import CentredPsf, centred
 from coded_aperture_ros.calibration.psf.fine import (
     FinePsf,
-    centres_of,
-    extent_of,
+    border_mask,
+    centred_steps,
+    centroids,
     fit_fine,
+    light_extent,
     mask_psf,
-    rim_of,
-    steps_of,
 )
 from coded_aperture_ros.calibration.psf.lattice import find_lattice
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
@@ -107,7 +107,7 @@ def psf_from_dots(
     _check_gaps(mean, lattice.spacing_px)
     width = min(_extent(mean) + 2 + 2 * _RIM_PX, room)
     windows, places, _ = cut(lattice.positions, width)
-    backgrounds = np.median(windows[:, rim_of(width)], axis=1)[:, None, None]
+    backgrounds = np.median(windows[:, border_mask(width)], axis=1)[:, None, None]
     places = np.rint(places) + _centroids(windows - backgrounds)
     support = width
     for rounds in _ROUNDS:
@@ -192,13 +192,16 @@ class _Fit:
 
 def _extent(psf: NDArray) -> int:
     """Return the width in px of what is not faint, over the light on its rim."""
-    return extent_of(psf - np.median(psf[rim_of(len(psf))]))
+    return light_extent(psf - np.median(psf[border_mask(len(psf))]))
 
 
 def _check_gaps(mean: NDArray, spacing_px: float) -> None:
     """Refuse dots whose mean window, as wide as their spacing, is lit up to its rim."""
     light = mean - mean.min()
-    if light[rim_of(len(mean))].max() > _OVERLAP * light.max() or _extent(mean) > len(mean) - 4:
+    if (
+        light[border_mask(len(mean))].max() > _OVERLAP * light.max()
+        or _extent(mean) > len(mean) - 4
+    ):
         raise InputError(
             f"the dots overlap: they are {spacing_px:.1f} px apart, and light reaches across the "
             "gaps: use a grid with wider gaps, or less blur"
@@ -210,7 +213,7 @@ def _centroids(light: NDArray) -> NDArray:
     total = light.sum(axis=(1, 2))
     usable = np.maximum(total, max(0.1 * float(np.median(total)), 1e-9))
     farthest = light.shape[1] / 4
-    return np.clip(centres_of(light) / usable[:, None], -farthest, farthest)
+    return np.clip(centroids(light) / usable[:, None], -farthest, farthest)
 
 
 def _by_mask(
@@ -233,7 +236,7 @@ def _registered(windows: NDArray, offsets: NDArray, support: int, rounds: int) -
     """Fit the PSF, and place, strength and background of every dot, in turn."""
     start = offsets
     width = windows.shape[1]
-    rim = windows[:, rim_of(width)]
+    rim = windows[:, border_mask(width)]
     backgrounds = np.median(rim, axis=1)[:, None, None]
     strengths = (windows - backgrounds).sum(axis=(1, 2))
     if not np.median(strengths) > 0:
@@ -276,7 +279,7 @@ def _fit_dots(
     h = _SLOPE_STEP_PX
     row_slopes = (along(0, h) - along(0, -h)) / (2 * h)
     column_slopes = ((along(1, h) - along(1, -h)) / (2 * h)).transpose(0, 2, 1)
-    steps = steps_of(width) / width
+    steps = centred_steps(width) / width
     ones = np.ones((len(windows), width, width))
     terms = np.stack(
         [

@@ -86,31 +86,31 @@ def fit_fine(
     return FinePsf(light / max(light.sum(), 1e-30), start.cell_px)
 
 
-def centres_of(pictures: NDArray[np.floating]) -> DoubleArray:
+def centroids(pictures: NDArray[np.floating]) -> DoubleArray:
     """Return the first moments of light (down, right) about the middle [..., 2], not divided.
 
     Pictures are [..., k, k], with odd k.
     """
-    steps = steps_of(pictures.shape[-1])
+    steps = centred_steps(pictures.shape[-1])
     return np.stack([pictures.sum(axis=-1) @ steps, pictures.sum(axis=-2) @ steps], axis=-1)
 
 
-def steps_of(width: int) -> IndexArray:
+def centred_steps(width: int) -> IndexArray:
     """Return each pixel's distance from the middle one along a side [width]."""
     return np.arange(width) - width // 2
 
 
-def rim_of(width: int) -> BoolArray:
+def border_mask(width: int) -> BoolArray:
     """Return which pixels are on the rim [width, width]."""
     return rings_of(width) == width // 2
 
 
 def rings_of(width: int) -> IndexArray:
     """Return the number of the square ring around the middle that each pixel is on."""
-    steps = np.abs(steps_of(width))
+    steps = np.abs(centred_steps(width))
     return np.maximum(steps[:, None], steps)
 
 
-def extent_of(light: NDArray[np.floating]) -> int:
+def light_extent(light: NDArray[np.floating]) -> int:
     """Return the width in px of what is not faint, about the middle of a picture."""
     return 2 * int(rings_of(len(light))[light > _FAINT * light.max()].max(initial=0)) + 1

@@ -8,7 +8,7 @@ from scipy import fft, linalg, ndimage, optimize
 
 from coded_aperture_ros.calibration.psf.centre import PHASES, CentredPsf, centred, check_misfit
 from coded_aperture_ros.calibration.psf.dots import SATURATED
-from coded_aperture_ros.calibration.psf.fine import FinePsf, centres_of, extent_of
+from coded_aperture_ros.calibration.psf.fine import FinePsf, centroids, light_extent
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames import channel_mean
@@ -70,7 +70,7 @@ class PairPsf:
         spectrum = fft.rfft2(first)
         inside = slice(self.width_px, -self.width_px)
         target = second[inside, inside]
-        centre = centres_of(self.at(np.zeros(2)))
+        centre = centroids(self.at(np.zeros(2)))
 
         def rest(x: DoubleArray) -> float:
             psf = np.zeros(first.shape)
@@ -128,7 +128,7 @@ def psf_from_pair(
         psf, variance, explained = _solve(first, second, width)
         snr = float(np.linalg.norm(psf) / max(np.sqrt(variance * psf.size), 1e-12))
         # The correlation may have taken one hole of the mask for all of it.
-        down, right = np.rint(centres_of(psf)).astype(int).tolist()
+        down, right = np.rint(centroids(psf)).astype(int).tolist()
         if (down, right) == (0, 0):
             break
         shift = shift[0] + down, shift[1] + right
@@ -138,7 +138,7 @@ def psf_from_pair(
             f"ratio of {snr:.1f}: both have to show one textured plane, unmoved and well lit"
         )
     # What is narrower than it could be is solved for with fewer unknowns, and less noise.
-    narrow = min(extent_of(psf) + 4, width)
+    narrow = min(light_extent(psf) + 4, width)
     return PairPsf(first, second, narrow, snr, explained, shift)
 
 

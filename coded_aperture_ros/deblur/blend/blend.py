@@ -9,13 +9,17 @@ from coded_aperture_ros.core.networks import network_of
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blend.features import (
     CELL_PX,
-    in_cells,
-    level_and_scale,
-    maps_in_cells,
-    out_of_cells,
+    cell_maps,
+    mean_and_contrast,
+    pack_cells,
+    unpack_cells,
 )
-from coded_aperture_ros.deblur.blend.hypotheses import HYPOTHESES, Hypotheses, sizes_of
-from coded_aperture_ros.deblur.inverse_filters import COLOUR_NOISE, ForOpponents
+from coded_aperture_ros.deblur.blend.hypotheses import (
+    HYPOTHESES,
+    InverseHypotheses,
+    hypothesis_blur_sizes,
+)
+from coded_aperture_ros.deblur.inverse_filters import COLOUR_NOISE, OpponentFilters
 from coded_aperture_ros.optics import PsfStack
 
 WEIGHTS = "blend.npz"
@@ -31,7 +35,7 @@ _MOST_NOISE = 0.005
 _LARGEST_PX = 22.0
 
 
-def untrained(stack: PsfStack) -> str:
+def unsupported_reason(stack: PsfStack) -> str:
     """Return why PSFs are not such as the network was trained for; empty if they are."""
     if not stack.in_pixels:
         return "the blur sizes of its PSFs are not known in pixels"
@@ -39,14 +43,14 @@ def untrained(stack: PsfStack) -> str:
     return f"its blur of {largest:.3g} px is above {_LARGEST_PX:g} px" * (largest > _LARGEST_PX)
 
 
-class Blend(ForOpponents[Hypotheses]):
+class Blend(OpponentFilters[InverseHypotheses]):
     """Weighs the hypotheses of every pixel, and adds a little; see `training/blend_network.py`.
 
     Not for several threads at once.
     """
 
     def __init__(self, stack: PsfStack, rank: int, workers: Workers, runtime: str) -> None:
-        super().__init__(Hypotheses, stack, rank, workers)
+        super().__init__(InverseHypotheses, stack, rank, workers)
         arrays = read_shipped(__file__, WEIGHTS, SCHEMA, SCHEMA_VERSION)
         self._network = network_of(arrays, "blend", runtime, workers.threads)
 
@@ -68,21 +72,21 @@ class Blend(ForOpponents[Hypotheses]):
             return channels  # nothing to divide by, and nothing to deblur
         shape = blur.shape
         allowed = noise * float(np.sqrt(smoothness))
-        sizes = sizes_of(blur)
-        steps = np.stack([self._of_brightness.steps_of(each) for each in sizes])
-        cells = in_cells(self._of_brightness.of(channels[0], steps, allowed))
-        mean, scale = level_and_scale(cells[-_PIXELS:], noise)
+        sizes = hypothesis_blur_sizes(blur)
+        steps = np.stack([self._brightness.table_steps(each) for each in sizes])
+        cells = pack_cells(self._brightness.compute(channels[0], steps, allowed))
+        mean, scale = mean_and_contrast(cells[-_PIXELS:], noise)
         seen = min(allowed, max(noise, _MOST_NOISE))
-        maps = maps_in_cells(sizes, known, scale, seen)
+        maps = cell_maps(sizes, known, scale, seen)
         shown = np.concatenate([(cells - mean) / scale, maps])
         (told,) = self._network({"shown": shown[None]})
         told = told.reshape(HYPOTHESES + 1, _PIXELS, *scale.shape)
         weights = told[:-1]
         weights += (1 - weights.sum(axis=0)) / HYPOTHESES
-        restored = [out_of_cells(_weighed(cells, weights) + told[-1] * scale, shape)]
+        restored = [unpack_cells(_weighed(cells, weights) + told[-1] * scale, shape)]
         for channel in channels[1:]:
-            of_colour = self._of_colour.of(channel, steps, COLOUR_NOISE * allowed)
-            restored.append(out_of_cells(_weighed(in_cells(of_colour), weights), shape))
+            of_colour = self._colour.compute(channel, steps, COLOUR_NOISE * allowed)
+            restored.append(unpack_cells(_weighed(pack_cells(of_colour), weights), shape))
         return _without_fringes(restored) if len(restored) > 1 else restored
 
 

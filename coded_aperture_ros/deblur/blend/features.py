@@ -17,7 +17,7 @@ _LEAST_SCALE = 4.0
 _BLUR_UNIT_PX = 10.0
 
 
-def in_cells(values: FloatArray) -> FloatArray:
+def pack_cells(values: FloatArray) -> FloatArray:
     """Return [n, rows, columns] as [n * 16, rows / 4, columns / 4]; padded by the last values."""
     count, rows, columns = values.shape
     down, right = -rows % _SQUARE_PX, -columns % _SQUARE_PX
@@ -31,14 +31,14 @@ def in_cells(values: FloatArray) -> FloatArray:
     )
 
 
-def out_of_cells(values: FloatArray, shape: Shape) -> FloatArray:
-    """Undo `in_cells` of one image [16, rows / 4, columns / 4]."""
+def unpack_cells(values: FloatArray, shape: Shape) -> FloatArray:
+    """Undo `pack_cells` of one image [16, rows / 4, columns / 4]."""
     _, rows, columns = values.shape
     parts = values.reshape(CELL_PX, CELL_PX, rows, columns).transpose(2, 0, 3, 1)
     return parts.reshape(CELL_PX * rows, CELL_PX * columns)[: shape[0], : shape[1]]
 
 
-def level_and_scale(of_frame: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
+def mean_and_contrast(of_frame: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
     """Return local mean and contrast of the frame's cells [16, rows, columns], each [r, c]."""
     side = (_AROUND_CELLS, _AROUND_CELLS)
     mean = cv2.blur(of_frame.mean(axis=0), side, borderType=cv2.BORDER_REFLECT)
@@ -48,10 +48,10 @@ def level_and_scale(of_frame: FloatArray, noise: float) -> tuple[FloatArray, Flo
     return mean, scale
 
 
-def maps_in_cells(
+def cell_maps(
     sizes: list[FloatArray], known: BoolArray, scale: FloatArray, noise: float
 ) -> FloatArray:
-    """Return the maps [MAPS, rows, columns] beside the hypotheses; `sizes` as of `sizes_of`."""
+    """Return the maps [MAPS, rows, columns] beside the hypotheses of `hypothesis_blur_sizes`."""
     size = scale.shape[::-1]
 
     def small(values: FloatArray) -> FloatArray:

@@ -10,8 +10,8 @@ from coded_aperture_ros.deblur.inverse_basis import MODEL_ERRORS
 from coded_aperture_ros.deblur.inverse_filters import InverseFilters
 from coded_aperture_ros.frames import periodic, periodic_shape
 
-# Of the closed forms: whose blur size is taken (see `sizes_of`), and which model error bounds
-# their gain. The frame itself is one more hypothesis: that nothing is gained by changing it.
+# Of the closed forms: whose blur size is taken (see `hypothesis_blur_sizes`), and which model error
+# bounds their gain. The frame itself is one more: that nothing is gained by changing it.
 OWN, NEARER, FARTHER, MORE = range(4)
 _TAKEN = np.array(((OWN, 0), (OWN, 2), (NEARER, 1), (FARTHER, 1), (MORE, 1)))
 HYPOTHESES = len(_TAKEN) + 1
@@ -22,24 +22,24 @@ _BESIDE_PX = 9
 _MORE_PX = 0.8
 
 
-def sizes_of(blur: FloatArray) -> list[FloatArray]:
+def hypothesis_blur_sizes(blur: FloatArray) -> list[FloatArray]:
     """Return blur sizes of a map by `OWN`, `NEARER`, `FARTHER` and `MORE`, signed, px."""
     beside = np.ones((2 * _BESIDE_PX + 1,) * 2, np.uint8)
     more = blur + np.where(blur < 0, np.float32(-_MORE_PX), np.float32(_MORE_PX))
     return [blur, cv2.erode(blur, beside), cv2.dilate(blur, beside), more]
 
 
-class Hypotheses(InverseFilters):
+class InverseHypotheses(InverseFilters):
     """The closed forms of a camera: the filters of `InverseFilters`, combined in several ways."""
 
     reduction = 1
     model_errors = np.array([MODEL_ERRORS[0], 0.11, 0.2])
     steps_per_error = 1
 
-    def of(self, channel: FloatArray, steps: IndexArray, noise: float) -> FloatArray:
+    def compute(self, channel: FloatArray, steps: IndexArray, noise: float) -> FloatArray:
         """Return the hypotheses [HYPOTHESES, rows, columns] of a channel; the last is itself.
 
-        `steps` are those of the `sizes_of` its map, see `steps_of` [4, rows, columns].
+        `steps` are the `table_steps` of `hypothesis_blur_sizes` [4, rows, columns].
         """
         rows, columns = channel.shape
         shape = periodic_shape(channel.shape, self._extension_px)

@@ -3,7 +3,7 @@
 A message is whatever has the fields of its type: those of rclpy and those read from a bag.
 """
 
-from coded_aperture_ros.io.messages.camera_info import scaled_matrices, view_of
+from coded_aperture_ros.io.messages.camera_info import scaled_matrices, view_from_camera_info
 from coded_aperture_ros.io.messages.compressed import (
     DEPTH_FORMATS,
     compressed_depth,
@@ -15,9 +15,9 @@ from coded_aperture_ros.io.messages.encodings import (
     array_from_compressed,
     array_from_image,
     check_pixels,
-    encoding_of,
+    output_encoding,
+    parse_encoding,
     stamp_ns,
-    written_encoding,
 )
 from coded_aperture_ros.io.messages.frames import (
     depth_from_pixels,

@@ -13,7 +13,7 @@ from coded_aperture_ros.optics.intrinsics import scaled_matrix
 from coded_aperture_ros.optics.view import View
 
 
-def view_of(info: Any, width: int, height: int, camera: Camera) -> View | None:
+def view_from_camera_info(info: Any, width: int, height: int, camera: Camera) -> View | None:
     """Return which part of a camera's view a frame of this size is; None if it cannot be one.
 
     A frame of another size than binning gives is taken to be the region resized. Where the focal

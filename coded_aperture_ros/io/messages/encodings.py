@@ -52,7 +52,7 @@ ENCODINGS = {
 }
 
 
-def encoding_of(name: str) -> Encoding:
+def parse_encoding(name: str) -> Encoding:
     """Return the `Encoding` called `name`; a `MessageError` of kind "encoding" if unsupported."""
     if name not in ENCODINGS:
         known = ", ".join(ENCODINGS)
@@ -60,9 +60,9 @@ def encoding_of(name: str) -> Encoding:
     return ENCODINGS[name]
 
 
-def written_encoding(name: str) -> str:
+def output_encoding(name: str) -> str:
     """Return the encoding for what is made of an image: its own, or RGB for YUV and Bayer."""
-    encoding = encoding_of(name)
+    encoding = parse_encoding(name)
     if encoding.channels != 2 and not encoding.mosaic:
         return name
     return "rgb16" if encoding.dtype == "u2" else "rgb8"
@@ -82,7 +82,7 @@ def array_from_image(message: Any) -> NDArray:
     filters is left as it is. It may be a view of the message's data: do not write to it. Raises
     `MessageError` of kind "encoding", "size", "step" or "data".
     """
-    encoding = encoding_of(message.encoding)
+    encoding = parse_encoding(message.encoding)
     height, width, step = message.height, message.width, message.step
     if height == 0 or width == 0:
         raise MessageError("size", f"the image is empty ({width}x{height})")
@@ -140,7 +140,7 @@ def check_pixels(pixels: NDArray, encoding: str) -> Encoding:
     Fields of motion, right and down, are kept as optical flow is: 32FC2. Raises `MessageError` of
     kind "encoding", if they are of another type or number of channels.
     """
-    target = Encoding("f4", 2) if encoding == "32FC2" else encoding_of(encoding)
+    target = Encoding("f4", 2) if encoding == "32FC2" else parse_encoding(encoding)
     shape = (*pixels.shape[:2], *((target.channels,) if target.channels > 1 else ()))
     if pixels.dtype != np.dtype(target.dtype) or pixels.shape != shape or pixels.ndim < 2:
         raise MessageError(

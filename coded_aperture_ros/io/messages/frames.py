@@ -15,7 +15,7 @@ from coded_aperture_ros.frames import (
     mosaic_from_colour,
     pixels_from_linear,
 )
-from coded_aperture_ros.io.messages.encodings import MessageError, array_from_image, encoding_of
+from coded_aperture_ros.io.messages.encodings import MessageError, array_from_image, parse_encoding
 
 # Weights of linear red, green and blue in luminance (ITU-R BT.709).
 _LUMINANCE = np.array([[0.2126, 0.7152, 0.0722]], np.float32)
@@ -31,7 +31,7 @@ def frame_from_image(
 
     See `array_from_image` and `frame_from_pixels`.
     """
-    mosaic = encoding_of(message.encoding).mosaic
+    mosaic = parse_encoding(message.encoding).mosaic
     return frame_from_pixels(array_from_image(message), gamma, bits, mosaic, coloured)
 
 
@@ -70,7 +70,7 @@ def pixels_from_frame(frame: NDArray, encoding: str, gamma: Gamma = 1.0) -> NDAr
     mosaics what each pixel's filter lets through. Returns [row, column] or [row, column, stored
     channel].
     """
-    target = encoding_of(encoding)
+    target = parse_encoding(encoding)
     if target.mosaic and frame.ndim == 3:
         frame = mosaic_from_colour(frame, target.mosaic)
     elif target.channels == 1:

@@ -9,7 +9,7 @@ from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood.bank.factoring import fitted_coefficients
 from coded_aperture_ros.likelihood.bank.hypotheses import Hypotheses
 from coded_aperture_ros.optics import Camera, Intrinsics
-from coded_aperture_ros.optics.wavefront import parts_of_field
+from coded_aperture_ros.optics.wavefront import field_tangents
 
 # Twice as many are better by 0.3 of 2.5 %, through a double Gauss.
 ROWS, COLUMNS = 4, 6
@@ -31,7 +31,7 @@ class FieldPsfs:
         """Return those of a camera, or None if its PSF is everywhere that of the axis."""
         if camera.wavefront is None:
             return None
-        tangents = parts_of_field(camera.intrinsics, ROWS, COLUMNS)
+        tangents = field_tangents(camera.intrinsics, ROWS, COLUMNS)
         psfs = [psfs_at(camera, blur_sizes_px, tangent) for tangent in tangents]
         width = max(of_part.shape[-1] for of_part in psfs)
         psfs = [_padded(of_part, width) for of_part in psfs]
@@ -40,7 +40,7 @@ class FieldPsfs:
 
 def psfs_at(camera: Camera, blur_sizes_px: DoubleArray, tangent: DoubleArray) -> FloatArray:
     """Return the PSFs [L, k, k] of a camera with a wavefront at one place; see `FieldPsfs`."""
-    psfs = [camera.psf_at(camera.mask, size_px, tangent) for size_px in blur_sizes_px]
+    psfs = [camera.field_psf(camera.mask, size_px, tangent) for size_px in blur_sizes_px]
     width = max(map(len, psfs))
     return np.concatenate([_padded(psf[None], width) for psf in psfs])
 
@@ -73,7 +73,7 @@ class FieldFilters:
 
     def part_of(self, grid: PatchGrid, shape: tuple[int, ...]) -> IndexArray:
         """Return which part every patch of frames of a shape is in [rows, columns]."""
-        frames = self.field.intrinsics.scaled(shape[1], shape[0])
+        frames = self.field.intrinsics.resized(shape[1], shape[0])
         return nearest_part(places_of(grid, frames), self.field.tangents)
 
 

@@ -43,7 +43,7 @@ def check_setting(bank: FilterBank, camera: Camera) -> Camera:
     do.
     """
     if bank.setting_digest in ("", camera.setting_digest):
-        return camera.fitted(bank.image_width, bank.image_height) if bank.image_width else camera
+        return camera.resized(bank.image_width, bank.image_height) if bank.image_width else camera
     raise InputError(
         f"the bank was learned for another setting of the camera ({bank.learned_from}), with "
         "another focus, focal length, mask size or side: learn the bank for this camera file, or "

@@ -186,7 +186,7 @@ def _blur_sizes(camera: Camera, near_m: float, far_m: float, count: int) -> Doub
     Else the side with a level just there would seem the likelier one. To have that, one end may lie
     a little beyond the range.
     """
-    smallest_px, largest_px = camera.field_range_px(near_m, far_m)
+    smallest_px, largest_px = camera.field_blur_range_px(near_m, far_m)
     if not smallest_px < 0 < largest_px:
         return np.linspace(smallest_px, largest_px, count)
     if count < 3:

@@ -19,7 +19,7 @@ from coded_aperture_ros.likelihood.bank.learning import (
 from coded_aperture_ros.likelihood.bank.model import FilterBank
 from coded_aperture_ros.likelihood.bank.pattern import LearnedPattern
 from coded_aperture_ros.optics import Camera, image_distance
-from coded_aperture_ros.optics.camera import check_focus_is_possible
+from coded_aperture_ros.optics.camera import check_focus_distance
 
 
 def remap_bank(
@@ -82,7 +82,7 @@ def refocused(pattern: LearnedPattern, camera: Camera) -> LearnedPattern:
     if focal_length_mm is not None and np.isfinite(pattern.focus_distance_m):
         distances_m = camera.focus_distance_m, pattern.focus_distance_m
         for distance_m in distances_m:
-            check_focus_is_possible(focal_length_mm, distance_m)
+            check_focus_distance(focal_length_mm, distance_m)
         after, before = (image_distance(focal_length_mm, z * 1e3) for z in distances_m)
         slope *= after / before
     return dataclasses.replace(

@@ -151,7 +151,7 @@ class MotionLikelihood:
         if prior.angle_rad is None:
             return _Expectation(searched=prior.reason)
         grid, motions = self.grid, self._motions
-        field = prior.at(grid.row_centres, grid.column_centres, self._image_width)
+        field = prior.motion_px(grid.row_centres, grid.column_centres, self._image_width)
         longest = float(np.hypot(*np.moveaxis(field, -1, 0)).max())
         if longest > _LONGER * motions.longest_px:
             return _Expectation(

@@ -11,14 +11,14 @@ from coded_aperture_ros.deblur.blur_map import filled_blur_map, known_pixels
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.deblurrer import Deblurrer
 from coded_aperture_ros.deblur.levels import RenderedLevels
-from coded_aperture_ros.deblur.problem import measured_pixels, motion_of_frame
+from coded_aperture_ros.deblur.problem import full_resolution_motion, measured_pixels
 from coded_aperture_ros.deblur.uncertainty import Uncertainty
 from coded_aperture_ros.frames import check_frame
 from coded_aperture_ros.likelihood.bank import FilterBank
 from coded_aperture_ros.likelihood.bank.field import COLUMNS, ROWS, FieldPsfs
 from coded_aperture_ros.likelihood.protocol import BlurLevels
 from coded_aperture_ros.optics import PsfStack
-from coded_aperture_ros.optics.wavefront import parts_of_field
+from coded_aperture_ros.optics.wavefront import field_tangents
 
 # Half as many along a side as depth has: all of them are 0.3 dB better, and take three times as
 # long (a ray-traced double Gauss).
@@ -35,7 +35,7 @@ class _Part:
     weight: FloatArray  # [rows, columns]
 
 
-class PartsDeblurrer:
+class FieldDeblurrer:
     """Makes frames all-in-focus as `Deblurrer` does, each part of them with PSFs of its own.
 
     Parameters and methods are those of `Deblurrer`, but for the PSFs of the `field`; the stack has
@@ -51,7 +51,7 @@ class PartsDeblurrer:
     ) -> None:
         self.stack = stack
         self._deblurrers = []
-        for tangent in parts_of_field(field.intrinsics, _ROWS, _COLUMNS):
+        for tangent in field_tangents(field.intrinsics, _ROWS, _COLUMNS):
             nearest = np.argsort(np.sum((field.tangents - tangent) ** 2, axis=1))[:4]
             of_part = dataclasses.replace(stack, psfs=field.psfs[nearest].mean(axis=0))
             self._deblurrers.append(Deblurrer(of_part, config, progress))
@@ -99,7 +99,7 @@ class PartsDeblurrer:
         filled = filled_blur_map(blur_size_px, clean)
         known = known_pixels(blur_size_px, frame.shape)
         blur = np.where(known, filled, np.float32(np.nan))
-        motion = motion_of_frame(motion_px, frame.shape)
+        motion = full_resolution_motion(motion_px, frame.shape)
         sharp, weight = np.zeros_like(frame), np.zeros(frame.shape[:2], np.float32)
         for part, deblurrer in zip(_parts(frame.shape[:2]), self._deblurrers, strict=True):
             # A part without any depth takes that of its neighbours.
@@ -156,10 +156,10 @@ def _stretches(length: int, count: int) -> list[tuple[slice, FloatArray]]:
     return found
 
 
-AnyDeblurrer = Deblurrer | PartsDeblurrer
+AnyDeblurrer = Deblurrer | FieldDeblurrer
 
 
-def deblurrer_of(
+def make_deblurrer(
     model: BlurLevels, config: DeblurConfig | None = None, progress: Progress = iter
 ) -> AnyDeblurrer:
     """Return what deblurs a model's frames: by parts, where its PSFs change over the image."""
@@ -168,4 +168,4 @@ def deblurrer_of(
         field = model.field.field
     if field is None:
         return Deblurrer(model.stack, config, progress)
-    return PartsDeblurrer(model.stack, field, config, progress)
+    return FieldDeblurrer(model.stack, field, config, progress)
