@@ -1,4 +1,4 @@
-"""`coded_aperture calibrate psf`: PSFs from photographs of dots, or of a page sharp and coded."""
+"""`coded_aperture calibrate psf`: PSFs from photographs of dots."""
 
 import argparse
 import math
@@ -10,7 +10,6 @@ from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, inputs_of
 from coded_aperture_ros.cli.measuring import (
-    above,
     add_depths_option,
     add_level_count_option,
     pictures_in,
@@ -27,9 +26,6 @@ _EPILOG = """examples:
         --camera config/demo_camera.yaml -o psfs.npz --picture psfs.png
   from a folder of such pictures, with 20 levels between them:
     coded_aperture calibrate psf dots --mask levin --level-count 20 -o psfs.npz
-  from a coded and a sharp picture of one page:
-    coded_aperture calibrate psf coded_page.png --sharp sharp_page.png --depths 2.9 \\
-        --camera config/demo_camera.yaml -o page.npz
 
 Then: coded_aperture learn --psfs psfs.npz -o bank.npz
 """
@@ -37,7 +33,6 @@ _FAIR_SNR = 20.0
 _UNEVEN = 0.1
 _UNLIKE = 0.15
 _WRONG_SIZE = 0.05
-_WIDEST_PX = 31.0
 _DEPTH_IN_NAME = re.compile(r"(\d+(?:\.\d+)?)m$")
 
 
@@ -45,19 +40,15 @@ def add_parser(subparsers: Any) -> None:
     """Add the action to the sub-command's parser."""
     parser = subparsers.add_parser(
         "psf",
-        help="measure PSFs from pictures of dots, or from a sharp and a coded picture",
-        description="Measure the PSFs of a camera, for a stack of equally spaced blur sizes. Dots: "
+        help="measure PSFs from pictures of dots",
+        description="Measure the PSFs of a camera, for a stack of equally spaced blur sizes: from "
         "one picture for each depth of a square grid of equal small lights on black, parallel to "
-        "the sensor. With --sharp: a page with fine texture, with the mask, and once more with a "
-        "small aperture instead. Pictures have to be linear. The middle of the mask's extent is "
-        "that of the PSF; the mask is that of --camera or --mask.",
+        "the sensor. Pictures have to be linear. The middle of the mask's extent is that of the "
+        "PSF; the mask is that of --camera or --mask.",
         epilog=_EPILOG,
     )
-    what = "coded pictures, or a folder of them"
+    what = "pictures of dots, or a folder of them"
     parser.add_argument("inputs", nargs="+", metavar="FOLDER|PICTURE", help=what)
-    add_options(
-        parser, {"--sharp PICTURE": "sharp picture for each coded one, of pages"}, nargs="+"
-    )
     add_depths_option(
         parser,
         "depth in m of each picture, by name in a folder (default: as the names end, such as "
@@ -71,8 +62,6 @@ def add_parser(subparsers: Any) -> None:
     }
     add_options(parser, known)
     add_level_count_option(parser, None, "PSFs to write (default: one for each picture)", least=1)
-    widest = f"with --sharp: widest PSF looked for (default {_WIDEST_PX:g})"
-    add_options(parser, {"--largest-blur-px PX": widest}, type=above(1 - 1e-9, "1 px or more"))
     add_gamma_option(parser)
     add_options(parser, {"-o --output FILE": "PSF stack (.npz)"}, required=True)
     further = {
@@ -84,6 +73,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the action; return its exit status."""
+    from coded_aperture_ros.calibration.psf.dots import psf_from_dots
     from coded_aperture_ros.calibration.psf.stack import psf_stack
     from coded_aperture_ros.optics import load_camera
 
@@ -100,11 +90,11 @@ def run(args: argparse.Namespace) -> int:
     start = time.perf_counter()
     size: tuple[int, ...] | None = None
     measured, centred = [], []
-    for number, name in enumerate(progress(names, len(names), "picture")):
+    for name in progress(names, len(names), "picture"):
         picture = _picture(name, args.gamma, names[0], size)
         size = picture.shape[:2]
         with naming(name):
-            measured.append(_measured(args, number, picture, mask, sign))
+            measured.append(psf_from_dots(picture, mask, sign))
             centred.append(measured[-1].centred(mask, sign))
     stack = psf_stack(centred, args.level_count, depths_m, names)
     _write(args, stack, centred)
@@ -135,14 +125,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _checked(args: argparse.Namespace) -> tuple[list[str], list[float] | None]:
     """Return the pictures and their depths; refuse what does not go together."""
-    if args.largest_blur_px is not None and args.sharp is None:
-        args.usage_error("--largest-blur-px needs --sharp: dots show how wide they are")
     depths_m = args.depths
     if depths_m is not None and not all(0 < depth < math.inf for depth in depths_m):
         args.usage_error("--depths: expected distances of more than 0 m")
     names = pictures_in(args.inputs)
-    if args.sharp is not None and len(args.sharp) != len(names):
-        args.usage_error(f"--sharp: {len(args.sharp)} for {len(names)} coded pictures")
     count, least = args.level_count, min(2, len(names))
     if count is not None and count > 1 and len(names) == 1:
         args.usage_error(
@@ -150,7 +136,7 @@ def _checked(args: argparse.Namespace) -> tuple[list[str], list[float] | None]:
         )
     if count is not None and count < least:
         args.usage_error(f"--level-count: at least {least}, got {count}")
-    given = [*map(Path, (*names, *(args.sharp or ()))), *inputs_of(args, "camera", "mask")]
+    given = [*map(Path, names), *inputs_of(args, "camera", "mask")]
     check_output(args.output, given, [".npz"])
     if args.picture is not None:
         check_output(args.picture, given, [".png"])
@@ -187,18 +173,6 @@ def _picture(name: str, gamma: Any, first: str, size: tuple[int, ...] | None) ->
     return picture
 
 
-def _measured(args: argparse.Namespace, number: int, picture: Any, mask: Any, sign: Any) -> Any:
-    from coded_aperture_ros.calibration.psf.dots import psf_from_dots
-    from coded_aperture_ros.calibration.psf.pair import psf_from_pair
-    from coded_aperture_ros.io import read_image
-
-    if args.sharp is None:
-        return psf_from_dots(picture, mask, sign)
-    sharp = read_image(args.sharp[number], args.gamma)
-    with naming(f"with {args.sharp[number]}"):
-        return psf_from_pair(sharp, picture, args.largest_blur_px or _WIDEST_PX)
-
-
 def _write(args: argparse.Namespace, stack: Any, centred: Any) -> None:
     """Write the stack and the picture, or neither."""
     from coded_aperture_ros.calibration.pictures import psf_picture
@@ -214,12 +188,8 @@ def _write(args: argparse.Namespace, stack: Any, centred: Any) -> None:
 
 
 def _row(measured: Any) -> dict[str, Any]:
-    row = {"snr": round(measured.snr, 2)}
-    if hasattr(measured, "explained"):
-        explained = round(measured.explained, 4)
-        return {**row, "explained": explained, "shift_px": list(measured.shift_px)}
     return {
-        **row,
+        "snr": round(measured.snr, 2),
         "field_variation": rounded(measured.field_variation, 4),
         "spacing_px": round(measured.spacing_px, 3),
         **{
@@ -234,7 +204,7 @@ def _warnings(row: dict[str, Any]) -> Iterator[str]:
     if row["snr"] < _FAIR_SNR:
         noise = 1 / row["snr"]
         yield f"noise is {noise:.0%} of the PSF: expose for longer, or average several pictures"
-    if (row.get("field_variation") or 0) > _UNEVEN:
+    if (row["field_variation"] or 0) > _UNEVEN:
         yield (
             f"the PSF differs by {row['field_variation']:.0%} over the picture: check that the "
             "grid is parallel to the sensor; else the lens is the cause"
@@ -244,7 +214,7 @@ def _warnings(row: dict[str, Any]) -> Iterator[str]:
             f"the PSF differs from the mask's by {row['mask_misfit']:.0%}: check the mask, its "
             "orientation, and that the lights are small"
         )
-    missing, saturated = row.get("dots_missing"), row.get("dots_saturated")
+    missing, saturated = row["dots_missing"], row["dots_saturated"]
     if missing or saturated:
         yield f"{missing} dots are missing, {saturated} saturated ones left out"
     if expected is not None and abs(size - expected) > max(_WRONG_SIZE * abs(expected), 0.2):
@@ -256,13 +226,6 @@ def _warnings(row: dict[str, Any]) -> Iterator[str]:
 
 def _text(summary: dict[str, Any]) -> str:
     rows = summary["pictures"]
-    of_dots = {
-        "field": ("field_variation", ".1%"),
-        "dots": ("dots_used", ""),
-        "saturated": ("dots_saturated", ""),
-        "unlike": ("dots_rejected", ""),
-        "missing": ("dots_missing", ""),
-    }
     columns = {
         "picture": ("picture", ""),
         "depth m": ("depth_m", ".3f"),
@@ -270,16 +233,16 @@ def _text(summary: dict[str, Any]) -> str:
         "camera px": ("camera_blur_size_px", ".2f"),
         "misfit": ("mask_misfit", ".1%"),
         "SNR": ("snr", ".0f"),
-        **(of_dots if "dots_used" in rows[0] else {"explained": ("explained", ".1%")}),
+        "field": ("field_variation", ".1%"),
+        "dots": ("dots_used", ""),
+        "saturated": ("dots_saturated", ""),
+        "unlike": ("dots_rejected", ""),
+        "missing": ("dots_missing", ""),
     }
     cells = [
         ["-" if row[key] is None else format(row[key], form) for key, form in columns.values()]
         for row in rows
     ]
-    if "shift_px" in rows[0]:
-        columns["shift px"] = ("shift_px", "")
-        for line, row in zip(cells, rows, strict=True):
-            line.append("{}, {}".format(*row["shift_px"]))
     sizes, count = summary["blur_sizes_px"], summary["levels"]
     return (
         f"{table(list(columns), cells)}\n"

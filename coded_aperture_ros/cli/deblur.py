@@ -30,7 +30,7 @@ _EPILOG = """examples:
         --anaglyph 3d.png
   and what each opening of the mask sees, and a video on the way around them:
     coded_aperture deblur --bank bank.npz --camera config/demo_camera.yaml --depth depth.npy \\
-        coded.png -o sharp.png --views views/ --parallax-movie parallax.mp4
+        coded.png -o sharp.png --views views/
   with what depth --motion has found of a moving scene:
     coded_aperture deblur --bank bank.npz --depth moving.npy --motion moving.motion.npy \\
         --method cg coded.png -o sharp.png

@@ -2,7 +2,6 @@
 
 import argparse
 from contextlib import suppress
-from math import cos, pi, sin
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ _PICTURES = {
     "anaglyph": "a picture for red-cyan glasses, red on the left",
     "stereo": "the views of both eyes side by side, left on left",
 }
-_VIEWS, _MOVIE, _MOVIE_FRAMES = "views", "parallax_movie", 30
+_VIEWS = "views"
 
 
 def add_stereo_options(parser: argparse.ArgumentParser) -> None:
@@ -31,11 +30,8 @@ def add_stereo_options(parser: argparse.ArgumentParser) -> None:
         f"the scale of the first (default {_USUAL_PARALLAX * 100:.0f} %% of the width)"
     }
     add_options(group, parallax, type=_parallax)
-    views = {
-        "--views FOLDER": "write what each opening of the mask sees; needs --camera",
-        "--parallax-movie FILE.mp4": "write a video, once around the edge of the aperture in 3 s",
-    }
-    add_options(group, views)
+    views = "write what each opening of the mask sees; needs --camera"
+    add_options(group, {"--views FOLDER": views})
 
 
 def _parallax(text: str) -> float:
@@ -51,15 +47,15 @@ class StereoOutput:
     def __init__(self, args: argparse.Namespace, stack: Any, camera: Any) -> None:
         from coded_aperture_ros.deblur import opening_centres
 
-        names = *_PICTURES, _VIEWS, _MOVIE
+        names = *_PICTURES, _VIEWS
         self._given = {name: getattr(args, name) for name in names if getattr(args, name)}
         self._paired = args.anaglyph or args.stereo
         if args.parallax and not self._paired:
             args.usage_error("--parallax only goes with --anaglyph or --stereo")
         if args.views and camera is None:
             args.usage_error("--views: needs --camera, whose mask says where the openings are")
-        if (args.views or args.parallax_movie) and not stack.in_pixels:
-            raise InputError(f"{args.bank}: --views and --parallax-movie need blur sizes in pixels")
+        if args.views and not stack.in_pixels:
+            raise InputError(f"{args.bank}: --views needs blur sizes in pixels")
         self._args = args
         found = opening_centres(camera.mask) if args.views else {}
         self._places = {f"view_{row:02}_{col:02}.png": found[row, col] for row, col in found}
@@ -97,8 +93,6 @@ class StereoOutput:
                 for file, place in self._places.items():
                     view = deblur.view_through(sharp, farness, *place)
                     write_image(path / file, view, **encoding)
-            elif name == _MOVIE:
-                _write_turn(path, sharp, farness, encoding)
             else:
                 joined = {"anaglyph": deblur.anaglyph, "stereo": deblur.side_by_side}[name](*pair)
                 write_image(path, joined, **encoding)
@@ -112,7 +106,7 @@ class StereoOutput:
     def _files(self, output: Path) -> dict[str, Path]:
         from coded_aperture_ros.io import PICTURE_SUFFIXES
 
-        kinds = dict.fromkeys(_PICTURES, PICTURE_SUFFIXES) | {_MOVIE: (".mp4",)}
+        kinds = dict.fromkeys(_PICTURES, PICTURE_SUFFIXES)
         if output == Path(self._args.output):
             for name in sorted(self._given.keys() & kinds):
                 check_suffix(self._given[name], kinds[name])
@@ -121,22 +115,8 @@ class StereoOutput:
             if Path(given).suffix.lower() in kinds.get(name, ()) and not given.endswith("/"):
                 what = "the all-in-focus pictures go to a folder, name one for"
                 raise InputError(f"{given}: {what} {written_name(name)} too")
-        own = {_VIEWS: output.stem, _MOVIE: f"{output.stem}.mp4"}
+        own = {_VIEWS: output.stem}
         return {name: Path(self._given[name], own.get(name, output.name)) for name in self._given}
-
-
-def _write_turn(path: Path, sharp: Any, blur_size_px: Any, encoding: Any) -> None:
-    """Write what is seen on the way around the aperture; what has the median depth stays still."""
-    from coded_aperture_ros.deblur import Parallax, view_through
-    from coded_aperture_ros.frames import pixels_from_linear
-    from coded_aperture_ros.io.movie_file import movie
-
-    relief_px = blur_size_px - Parallax.from_scene(blur_size_px, 1).screen_px
-    with movie(path) as add:
-        for angle in (2 * pi * turn / _MOVIE_FRAMES for turn in range(_MOVIE_FRAMES)):
-            view = view_through(sharp, relief_px, sin(angle) / 2, cos(angle) / 2)
-            rgb = view if view.ndim == 3 else view[..., None].repeat(3, axis=2)
-            add(pixels_from_linear(rgb, **encoding))
 
 
 def _direction(stack: Any) -> int:

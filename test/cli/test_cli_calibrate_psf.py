@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from cli_scene import call, everything, examples, refused, wrong_usage
-from psf_pictures import dot_picture, error_of, pair
+from psf_pictures import dot_picture, error_of
 
 from coded_aperture_ros.io import read_image, write_image
 from coded_aperture_ros.optics import PsfStack, camera_from_mapping
@@ -25,16 +25,14 @@ DEPTHS = {"dots_2.3m.png": 2.3, "dots_2.9m.png": 2.9}
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Pictures of dots at two depths, a pair, and the camera file."""
+    """Pictures of dots at two depths, one without a depth in its name, and the camera file."""
     folder = tmp_path_factory.mktemp("dots")
     camera = camera_from_mapping(CAMERA)
     for name, depth in DEPTHS.items():
         size = float(camera.blur_size_px(depth))
         picture = dot_picture("levin", size, size=(260, 320), spacing_px=29.3, seed=int(10 * depth))
         write_image(folder / name, picture)
-    sharp, coded = pair("four_hole", 10.0)
-    write_image(folder / "sharp_page.png", np.clip(sharp, 0, 1))
-    write_image(folder / "coded_page.png", coded)
+    write_image(folder / "unnamed.png", picture)
     (folder / "camera.yaml").write_text(yaml.safe_dump(CAMERA))
     return folder
 
@@ -86,16 +84,6 @@ def test_the_table_of_a_folder_and_a_camera_file_that_is_wrong(folder, capsys, c
     assert "the blur is 4.3" in told[0]
 
 
-def test_from_a_pair(folder, capsys):
-    given = ("coded_page.png", "--sharp", "sharp_page.png", "--largest-blur-px", 13)
-    result = call(capsys, "calibrate", "psf", *given, "--mask", "four_hole", "-o", "page.npz")
-    assert (result.status, result.err) == (0, "")
-    assert "explained  shift px" in result.out
-    stack = PsfStack.load("page.npz")
-    assert abs(stack.blur_sizes_px[0]) == pytest.approx(10.0, abs=0.03)
-    assert error_of(stack.psfs[0], "four_hole", stack.blur_sizes_px[0]) < 0.03
-
-
 @pytest.mark.parametrize(
     ("change", "phrase"),
     [
@@ -120,16 +108,12 @@ def test_a_bad_picture_is_named_and_nothing_written(folder, capsys, change, phra
     [
         (("dots_2.3m.png", "camera.yaml"), "camera.yaml"),
         (("missing_2m.png", "dots_2.3m.png"), "missing_2m.png"),
-        (("dots_2.3m.png", "coded_page.png"), "coded_page.png: no depth at the end of its name"),
+        (("dots_2.3m.png", "unnamed.png"), "unnamed.png: no depth at the end of its name"),
         (("dots_2.3m.png", "--mask", "levine"), "did you mean levin"),
         (("dots_2.3m.png", "--mask", "two_hole"), "dots_2.3m.png: the PSF differs from that of"),
         (("dots_2.3m.png", "--picture", "psfs.jpg"), "use a name that ends in .png"),
         (("dots_2.3m.png", "--picture", "dots_2.3m.png"), "this is an input"),
         (("dots_2.3m.png", "-o", "psfs.npy"), "use a name that ends in .npz"),
-        (
-            ("coded_page.png", "--sharp", "dots_2.3m.png"),
-            "coded_page.png: with dots_2.3m.png: the coded picture has 300x240 px",
-        ),
     ],
 )
 def test_what_makes_no_sense_is_one_line(folder, capsys, arguments, phrase):
@@ -147,9 +131,6 @@ def test_what_makes_no_sense_is_one_line(folder, capsys, arguments, phrase):
         (("a.png", "--depths", "0"), "expected distances of more than 0 m"),
         (("a.png", "--level-count", 3), "one PSF cannot be interpolated"),
         (("a.png", "b.png", "--level-count", 1), "--level-count: at least 2"),
-        (("a.png", "b.png", "--sharp", "c.png"), "--sharp: 1 for 2 coded pictures"),
-        (("a.png", "--sharp", "b.png", "--largest-blur-px", -3), "expected 1 px or more"),
-        (("a.png", "--largest-blur-px", 9), "--largest-blur-px needs --sharp"),
     ],
 )
 def test_wrong_usage(capsys, arguments, phrase):
@@ -168,8 +149,4 @@ def test_nothing_is_half_written(folder, capsys):
 
 
 def test_the_examples_are_of_files_as_they_are_here(capsys):
-    assert [line[2] for line in examples(capsys, "calibrate psf")] == [
-        "dots_2.3m.png",
-        "dots",
-        "coded_page.png",
-    ]
+    assert [line[2] for line in examples(capsys, "calibrate psf")] == ["dots_2.3m.png", "dots"]

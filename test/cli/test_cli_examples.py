@@ -103,4 +103,3 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
         type_in(arguments)
         assert (tmp_path / "sharp.png").is_file()
     assert len(list((tmp_path / "views").iterdir())) > 1
-    assert (tmp_path / "parallax.mp4").is_file()

@@ -1,4 +1,4 @@
-"""`deblur --views` and `--parallax-movie`: what they write, and what they refuse."""
+"""`deblur --views`: what it writes, and what it refuses."""
 
 import dataclasses
 import shutil
@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from bad_frames import names
-from cli_scene import HEIGHT, WIDTH, call, everything, forbid_work, json_of, refused, wrong_usage
+from cli_scene import call, everything, forbid_work, json_of, refused, wrong_usage
 
 from coded_aperture_ros.deblur import opening_centres, view_through
 from coded_aperture_ros.frames import SRGB
@@ -18,23 +18,13 @@ from coded_aperture_ros.optics import Mask, load_camera
 PLACES = opening_centres(Mask.named("levin"))
 
 
-def frames_of(path):
-    """Return the pictures of a video."""
-    video, found = cv2.VideoCapture(str(path)), []
-    while True:
-        there, picture = video.read()
-        if not there:
-            return found
-        found.append(picture)
-
-
-def test_views_and_a_movie_of_one_frame(scene, tmp_path, capsys):
-    output, folder, film = tmp_path / "sharp.npy", tmp_path / "views", tmp_path / "turn.mp4"
+def test_views_of_one_frame(scene, tmp_path, capsys):
+    output, folder = tmp_path / "sharp.npy", tmp_path / "views"
     arguments = ("--bank", scene.bank, "--depth", scene.depth_npy, "--camera", scene.camera)
-    options = ("-o", output, "--views", folder, "--parallax-movie", film)
+    options = ("-o", output, "--views", folder)
     (summary,) = json_of(capsys, "deblur", *arguments, scene.coded_png, *options)
-    assert (summary["views"], summary["parallax_movie"]) == (str(folder), str(film))
-    assert names(tmp_path) == ["sharp.npy", "turn.mp4", "views"]
+    assert summary["views"] == str(folder)
+    assert names(tmp_path) == ["sharp.npy", "views"]
     assert names(folder) == [f"view_{row:02}_{column:02}.png" for row, column in PLACES]
     assert (len(PLACES), PLACES[5, 5]) == (43, (0, 0))
     blur = load_camera(scene.camera).blur_size_px(scene.depth_m).astype(np.float32)
@@ -45,45 +35,32 @@ def test_views_and_a_movie_of_one_frame(scene, tmp_path, capsys):
         view, expected = read_image(file, SRGB), view_through(sharp, blur, *PLACES[at])
         assert np.quantile(np.abs(view - expected), 0.99) < 0.02
         assert np.abs(expected - sharp).mean() > 0.02
-    pictures = frames_of(film)
-    assert len(pictures) == 30
-    assert {picture.shape for picture in pictures} == {(HEIGHT, WIDTH, 3)}
-    # It begins on the right, and half of a turn later is on the left.
-    relief = blur - np.median(blur)
-    for index, right in ((0, 0.5), (15, -0.5)):
-        expected = (255 * view_through(sharp, relief, 0, right) ** (1 / 2.2))[..., ::-1]
-        assert np.abs(pictures[index] - expected).mean() < 6
-    assert np.abs(pictures[0].astype(float) - pictures[15]).mean() > 8
 
 
-def test_each_frame_of_a_folder_has_views_and_a_movie_of_its_own(scene, tmp_path, capsys):
+def test_each_frame_of_a_folder_has_views_of_its_own(scene, tmp_path, capsys):
     (tmp_path / "in").mkdir()
     for name in ("a.png", "b.png"):
         picture = cv2.imread(str(scene.coded_png), cv2.IMREAD_GRAYSCALE)
         cv2.imwrite(str(tmp_path / "in" / name), picture)
     arguments = ("--bank", scene.bank, "--depth", scene.depth_npy, "--camera", scene.camera)
-    options = ("--views", tmp_path / "views", "--parallax-movie", tmp_path / "films")
+    options = ("--views", tmp_path / "views")
     where = (tmp_path / "in", "-o", tmp_path / "out")
     assert call(capsys, "deblur", *arguments, *where, *options).status == 0
     assert names(tmp_path / "out") == ["a.png", "b.png"]
-    assert names(tmp_path / "films") == ["a.mp4", "b.mp4"]
     assert names(tmp_path / "views") == ["a", "b"]
     assert len(names(tmp_path / "views" / "b")) == len(PLACES)
-    assert len(frames_of(tmp_path / "films" / "a.mp4")) == 30
 
 
 @pytest.mark.parametrize(
     ("output", "options", "phrase"),
     [
-        ("a.png", ("--parallax-movie", "turn.avi"), "turn.avi: unknown format, use a name that"),
-        ("out/", ("--parallax-movie", "turn.mp4"), "name one for --parallax-movie too"),
         ("a.png", ("--views", "file"), "is not a folder"),
+        ("out/", ("--anaglyph", "3d.png"), "name one for --anaglyph too"),
         ("a.png", ("--views", "in"), "view_05_05.png: this is an input"),
         ("a.png", ("--views", "kept"), "view_00_02.png: this is an input"),
         ("v/view_05_05.png", ("--views", "v"), "view_05_05.png: two results cannot go to one"),
         ("a.png", ("--views", "v", "--anaglyph", "v/view_00_02.png"), "two results cannot go to"),
         ("out/", ("--views", "v", "--stereo", "v/view_05_05"), "view_05_05.png: it is a folder"),
-        ("a.png", ("--parallax-movie", "made.mp4"), "made.mp4: it is a folder"),
     ],
 )
 def test_impossible_views_are_refused_before_deblurring(
@@ -92,7 +69,7 @@ def test_impossible_views_are_refused_before_deblurring(
     forbid_work(monkeypatch, "deblur.Deblurrer.deblur", "depth.DepthEstimator.estimate")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("")
-    for folder in ("in", "kept", "made.mp4", "v/view_05_05/view_05_05.png"):
+    for folder in ("in", "kept", "v/view_05_05/view_05_05.png"):
         (tmp_path / folder).mkdir(parents=True)
     shutil.copy(scene.coded_png, "in/view_05_05.png")
     shutil.copy(scene.depth_png, "kept/view_00_02.png")
@@ -111,8 +88,8 @@ def test_views_need_a_mask_and_sizes_in_pixels(scene, tmp_path, capsys):
     stack = dataclasses.replace(bank.stack, in_pixels=False)
     save_bank(dataclasses.replace(bank, stack=stack), tmp_path / "measured.npz")
     indices = ("deblur", "--bank", tmp_path / "measured.npz", *arguments)
-    film = call(capsys, *indices, "--parallax-movie", tmp_path / "a.mp4")
-    refused(film, "measured.npz: --views and --parallax-movie need blur sizes in pixels")
-    parallax = call(capsys, *indices, "--parallax-movie", tmp_path / "a.mp4", "--parallax", 5)
+    views = (*indices, "--views", tmp_path / "v", "--camera", scene.camera)
+    refused(call(capsys, *views), "measured.npz: --views needs blur sizes in pixels")
+    parallax = call(capsys, *views, "--parallax", 5)
     wrong_usage(parallax, "deblur", "--parallax only goes with --anaglyph or --stereo")
     assert names(tmp_path) == ["measured.npz"]

@@ -1,7 +1,6 @@
-"""PSFs as they are measured: pictures of dots, of a page, and files of PSFs."""
+"""PSFs as they are measured: pictures of dots, and files of PSFs."""
 
 import numpy as np
-from scipy import ndimage, signal
 
 from coded_aperture_ros.optics import Mask, render_psf_stack
 
@@ -79,18 +78,6 @@ def dot_picture(
     rows, columns = np.meshgrid(*(np.linspace(-1, 1, n) for n in size), indexing="ij")
     scene = (light + 0.04) * (1 - 0.15 * (rows**2 + columns**2)) + 0.01 * columns
     return np.clip(scene + noise * random.standard_normal(size), 0, 1).astype(np.float32)
-
-
-def pair(mask, size, *, noise=0.002, moved=(2.3, -1.6), seed=1):
-    """A page of random specks, and the same through the mask, moved, darker towards the corners."""
-    random = np.random.default_rng(seed)
-    page = 0.1 + 0.7 * ndimage.gaussian_filter((random.random((340, 400)) < 0.5) * 1.0, 0.5)
-    inside = slice(50, -50), slice(50, -50)
-    coded = signal.fftconvolve(page, point_image(mask, size, 0, 0, 33), "same")[inside]
-    rows, columns = np.meshgrid(*(np.linspace(-1, 1, n) for n in coded.shape), indexing="ij")
-    coded = 0.6 * coded * (1 - 0.2 * (rows**2 + columns**2))
-    sharp = np.fft.ifft2(ndimage.fourier_shift(np.fft.fft2(page), np.negative(moved))).real[inside]
-    return tuple(one + noise * random.standard_normal(one.shape) for one in (sharp, coded))
 
 
 def error_of(psf, mask, blur_size_px):

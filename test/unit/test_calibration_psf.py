@@ -1,16 +1,15 @@
-"""PSFs measured from dots, and from a sharp and a coded picture."""
+"""PSFs measured from dots, and their stack."""
 
 import dataclasses
 
 import numpy as np
 import pytest
-from psf_pictures import dot_picture, error_of, pair
+from psf_pictures import dot_picture, error_of
 
 from coded_aperture_ros.calibration.pictures import psf_picture
 from coded_aperture_ros.calibration.psf.centre import CentredPsf
 from coded_aperture_ros.calibration.psf.dots import psf_from_dots
 from coded_aperture_ros.calibration.psf.fine import mask_psf
-from coded_aperture_ros.calibration.psf.pair import psf_from_pair
 from coded_aperture_ros.calibration.psf.stack import psf_stack
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask, render_psf
@@ -147,40 +146,3 @@ def test_picture_of_psfs():
     drawn = psf_picture([rendered("levin", size).psf(13) for size in (3.0, 9.0)] * 5)
     assert (drawn.min(), drawn.max()) == (0, pytest.approx(1))
     assert drawn.shape[1] / drawn.shape[0] == pytest.approx(4, rel=0.05)
-
-
-# ---- a sharp and a coded picture ----
-
-
-@pytest.mark.parametrize(("mask", "size"), [("levin", 7.0), ("zhou", 9.0)])
-def test_a_pair_gives_the_psf_within_3_percent(mask, size):
-    measured = psf_from_pair(*pair(mask, size), size + 3)
-    found = measured.centred(Mask.named(mask), 1.0)
-    assert found.blur_size_px == pytest.approx(size, abs=0.03)
-    assert error_of(found.psf(measured.width_px), mask, size) < 0.03
-    assert measured.explained > 0.85
-    assert max(np.abs(np.add(measured.shift_px, (-2.3, 1.6)))) < 1
-
-
-def test_a_pair_of_very_different_light():
-    sharp, coded = pair("levin", 8.0, noise=0.0005)
-    measured = psf_from_pair(sharp, coded * np.linspace(0.35, 1.0, coded.shape[1]), 10)
-    found = measured.centred(Mask.named("levin"), 1.0)
-    assert error_of(found.psf(measured.width_px), "levin", 8.0) < 0.03
-
-
-@pytest.mark.parametrize(
-    ("change", "phrase"),
-    [
-        (lambda sharp, coded: (sharp, coded[:-1]), "the coded picture has 300x239 px, the sharp"),
-        (lambda sharp, coded: (sharp, pair("levin", 6.0, seed=2)[1]), "explains|not show the same"),
-        (lambda sharp, coded: (0 * sharp + 0.5, coded), "no texture"),
-        (lambda sharp, coded: (1.5 + sharp, coded), "sharp picture is saturated"),
-        (lambda sharp, coded: (sharp * np.nan, coded), "NaN"),
-        (lambda sharp, coded: (sharp[:40, :40], coded[:40, :40]), "too few for a PSF"),
-        (lambda sharp, coded: (sharp, 0 * coded), "dark"),
-    ],
-)
-def test_pairs_that_cannot_be_used(change, phrase):
-    with pytest.raises(InputError, match=phrase):
-        psf_from_pair(*change(*pair("levin", 6.0)), 8)

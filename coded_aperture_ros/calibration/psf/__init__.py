@@ -1,1 +1,1 @@
-"""Measuring PSFs: from pictures of a grid of dots, or from a sharp and a coded picture."""
+"""PSFs measured from pictures of a grid of dots."""

@@ -26,7 +26,7 @@ _CLOSE_PX = 1e-3
 _LARGEST_MISFIT = 0.5
 _PIXEL_VARIANCE = 1 / 12
 # Dots are compared at several places on the pixels: at one, two blur sizes may look the same.
-PHASES = np.array([(0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5)])
+_PHASES = np.array([(0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5)])
 _LARGE_PX = 63.0
 _GUESSES = np.linspace(0.7, 1.4, 15)
 # How much better a turned mask has to fit to be taken.
@@ -52,44 +52,38 @@ class CentredPsf:
 
 
 def centred(
-    at: PsfAt, mask: Mask | None = None, sign: float | None = None, phases: NDArray = PHASES
+    at: PsfAt, mask: Mask | None = None, sign: float | None = None
 ) -> tuple[DoubleArray, float, float]:
     """Find the middle and the blur size of a measured PSF, given by what it is `at` a place.
 
-    `phases` [N, 2] are the places on the pixels at which it is looked at. Returns the place, the
-    blur size and the misfit; see `CentredPsf`, and `DotPsf.centred` for the other arguments.
+    Returns the place, the blur size and the misfit; see `CentredPsf`, and `DotPsf.centred` for the
+    other arguments.
     """
     place, size, misfit = np.zeros(2), 0.0, np.nan
     for _ in range(_ROUNDS):
-        psfs = np.stack([at(place + phase) for phase in phases])
+        psfs = np.stack([at(place + phase) for phase in _PHASES])
         centres, spreads = zip(*(_moments(psf) for psf in psfs), strict=True)
         # The centre of light in pixels errs with the place on them; over half a pixel, it cancels.
-        move = np.mean(centres - phases, axis=0)
+        move = np.mean(centres - _PHASES, axis=0)
         spread = float(np.mean(spreads))
         if mask is None:
             size = max(float(np.sqrt(12)) * spread, 1.0)
         else:
-            misfit, size, move = _like(psfs, phases, move, spread, mask, sign)
+            misfit, size, move = _like(psfs, move, spread, mask, sign)
             sign = size  # the side of the focus that was found first stays
         place = place - move
         if np.abs(move).max() < _CLOSE_PX:
             break
-    if mask is not None:
-        check_misfit(misfit, mask)
-    return place, size, misfit
-
-
-def check_misfit(misfit: float, mask: Mask) -> None:
-    """Refuse a PSF that does not look like the mask."""
-    if not misfit <= _LARGEST_MISFIT:
+    if mask is not None and not misfit <= _LARGEST_MISFIT:
         raise InputError(
             f"the PSF differs from that of mask {mask.name} by {misfit:.0%}: check which mask is "
             "in the lens, and its orientation"
         )
+    return place, size, misfit
 
 
 def _like(
-    psfs: NDArray, phases: NDArray, centroid: NDArray, spread: float, mask: Mask, sign: float | None
+    psfs: NDArray, centroid: NDArray, spread: float, mask: Mask, sign: float | None
 ) -> tuple[float, float, NDArray]:
     """Return how different a PSF is from the mask's, at least, for which blur size and middle."""
     width = psfs.shape[1]
@@ -97,7 +91,7 @@ def _like(
     aside, mask_spread = _moments(render_psf(mask, _LARGE_PX).astype(np.float64))
 
     def difference(x: DoubleArray) -> DoubleArray:
-        models = [render_psf(mask, x[2], width, tuple(x[:2] + phase)) for phase in phases]
+        models = [render_psf(mask, x[2], width, tuple(x[:2] + phase)) for phase in _PHASES]
         model = np.stack(models).ravel().astype(np.float64)
         return np.asarray(flat - model * (flat @ model) / (model @ model))
 
