@@ -24,6 +24,14 @@ def inputs_of(args: argparse.Namespace, *names: str) -> list[Path]:
     return [*map(Path, given.values()), *(camera_files(camera) if camera else ())]
 
 
+def input_files(*paths: str | None, camera: str | None = None) -> list[Path]:
+    """Return the files that are read, of those that are given: also what a camera file names."""
+    from coded_aperture_ros.optics.camera import camera_files
+
+    given = [Path(path) for path in paths if path]
+    return [*given, *(camera_files(camera) if camera else ())]
+
+
 def check_output(
     paths: str | os.PathLike[str] | Iterable[Path],
     inputs: Iterable[Path] = (),

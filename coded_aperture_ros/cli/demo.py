@@ -1,6 +1,6 @@
 """`coded_aperture demo`: the whole chain on this machine, measured from outside."""
 
-import argparse
+import dataclasses
 import json
 import os
 import sys
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from coded_aperture_ros.cli.checks import check_output
+from coded_aperture_ros.cli.command import Command, argument
 from coded_aperture_ros.cli.demo_processes import Children, private_network
 from coded_aperture_ros.cli.demo_report import (
     RESULTS,
@@ -20,9 +21,10 @@ from coded_aperture_ros.cli.demo_report import (
     table,
     write_results,
 )
-from coded_aperture_ros.cli.options import add_options, checked
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.share import SHARED_MEMORY_MB, share_directory, shared_memory_suffices
+from coded_aperture_ros.likelihood.bank import DEFAULT_LEVEL_COUNT, learn_bank_for_camera, save_bank
+from coded_aperture_ros.optics import load_camera
 
 if TYPE_CHECKING:
     from coded_aperture_ros.ros.demo_monitor import DemoMonitor
@@ -49,28 +51,21 @@ _RELIABLE_INPUTS = {
 }
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the sub-command to the command line."""
-    parser = subparsers.add_parser(
-        "demo",
-        help="run camera driver, depth and deblurring on a simulated camera",
-        description="Run camera driver (simulating a camera that pans over a real scene), depth "
-        "node and deblurring node as three processes over DDS; show rate, latency and accuracy; "
-        "leave pictures, summary.json and a page with both beside the truth, index.html.",
-        epilog="example: coded_aperture demo --output results --seconds 10",
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Arguments of `demo`."""
+
+    output: Path = argument("where to put the results", Path("demo_output"), written="--output DIR")
+    seconds: float = argument(
+        "how long to measure", 20.0, written="--seconds N", unit="s", minimum=1, maximum=86_400
     )
-    output = {"--output DIR": "where to put the results (default: %(default)s)"}
-    seconds = {"--seconds N": "how long to measure (default: %(default)g)"}
-    add_options(parser, output, type=Path, default=Path("demo_output"))
-    allowed = checked(float, lambda value: 1 <= value <= 86_400, "1 to 86400 seconds")
-    add_options(parser, seconds, type=allowed, default=20.0)
-    add_options(parser, {"--json": "print the summary as JSON instead of the table"})
+    json: bool = argument("print the summary as JSON instead of the table", False)
 
 
-def run(options: argparse.Namespace) -> int:
-    """Run the demo."""
-    say = Speaker(sys.stderr if options.json else sys.stdout)
-    check_output(options.output / name for name in RESULTS)
+def run(args: Arguments) -> int:
+    """Run the demo; return the exit status."""
+    say = Speaker(sys.stderr if args.json else sys.stdout)
+    check_output(args.output / name for name in RESULTS)
     shared_memory = shared_memory_suffices()
     os.environ.update(private_network(shared_memory))
     # Without it large best-effort messages are lost; asked for again, they take longer.
@@ -78,7 +73,6 @@ def run(options: argparse.Namespace) -> int:
     if not shared_memory:
         say.line(f"/dev/shm has less than {SHARED_MEMORY_MB} MB: sending images by UDP (slower)")
     # Only now: rclpy reads the environment when it is imported and started.
-    from coded_aperture_ros.likelihood.bank import DEFAULT_LEVEL_COUNT
     from coded_aperture_ros.ros.demo_monitor import running_monitor
 
     with (
@@ -94,8 +88,8 @@ def run(options: argparse.Namespace) -> int:
         say.line(f"starting {', '.join(NODES)} (ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']})")
         with running_monitor(reliable=not shared_memory) as monitor:
             _wait(monitor.has_results, children, _START_TIMEOUT_S, _NO_RESULTS)
-            _measure(monitor, children, say, options.seconds)
-            summary = summarise(monitor, options.seconds)
+            _measure(monitor, children, say, args.seconds)
+            summary = summarise(monitor, args.seconds)
             monitor.want_true_image()
             snapshot = _wait(monitor.snapshot, children, _SNAPSHOT_TIMEOUT_S, _NO_SNAPSHOT)
     summary.update(levels=DEFAULT_LEVEL_COUNT, **figures_of_snapshot(snapshot))
@@ -103,22 +97,15 @@ def run(options: argparse.Namespace) -> int:
         f"PSNR against the sharp scene: {summary['psnr_coded_db']:.1f} dB coded, "
         f"{summary['psnr_all_in_focus_db']:.1f} dB all in focus"
     )
-    write_results(options.output, snapshot, summary)
-    say.line(f"results are in {options.output}/: open {options.output / 'index.html'}")
-    if options.json:
+    write_results(args.output, snapshot, summary)
+    say.line(f"results are in {args.output}/: open {args.output / 'index.html'}")
+    if args.json:
         print(json.dumps(summary, indent=2))
     return 0
 
 
 def learned_model(camera_file: Path, bank_file: Path, say: Speaker) -> dict[str, Any]:
     """Learn the bank, and return the parameters of the nodes that use it."""
-    from coded_aperture_ros.likelihood.bank import (
-        DEFAULT_LEVEL_COUNT,
-        learn_bank_for_camera,
-        save_bank,
-    )
-    from coded_aperture_ros.optics import load_camera
-
     started_s = time.monotonic()
     bank = learn_bank_for_camera(load_camera(camera_file), NEAR_M, FAR_M, DEFAULT_LEVEL_COUNT)
     save_bank(bank, bank_file)
@@ -151,3 +138,13 @@ def _measure(monitor: "DemoMonitor", children: Children, say: Speaker, seconds: 
             say.table([f"{elapsed_s:.0f} of {seconds:g} s", *table(summarise(monitor, elapsed_s))])
         time.sleep(0.05)
     say.table([f"{seconds:g} s", *table(summarise(monitor, seconds))])
+
+
+COMMAND = Command(
+    Arguments,
+    run,
+    description="Run camera driver (simulating a camera that pans over a real scene), depth "
+    "node and deblurring node as three processes over DDS; show rate, latency and accuracy; "
+    "leave pictures, summary.json and a page with both beside the truth, index.html.",
+    examples="example:\n  coded_aperture demo --output results --seconds 10\n",
+)

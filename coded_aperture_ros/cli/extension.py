@@ -1,8 +1,9 @@
 """Sub-commands that hand over to packages beside this one."""
 
-import argparse
 import dataclasses
 import sys
+from collections.abc import Callable, Sequence
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,19 +23,10 @@ class Extension:
     first: tuple[str, ...] = ()  # what the package is told before the arguments
     entry: str = "__main__"  # the module whose `main` takes them
 
-    def add_parser(self, subparsers: Any) -> None:
-        """Add the sub-command to the program's parser."""
-        parser = subparsers.add_parser(
-            self.command,
-            help=self.help,
-            add_help=False,  # the package's own help is the one that is wanted
-            prefix_chars="\0",  # so that nothing is an option: the package parses them
-        )
-        parser.add_argument("arguments", nargs=argparse.REMAINDER)
-
-    def run(self, args: argparse.Namespace) -> int:
-        """Run the sub-command; return its exit status."""
-        return self.module(self.entry, self.command).main([*self.first, *args.arguments])
+    def prepare(self, program: str, words: Sequence[str]) -> Callable[[], int]:
+        """Return what runs the sub-command with some words, for its exit status."""
+        main: Callable[[Sequence[str]], int] = self.module(self.entry, program).main
+        return partial(main, [*self.first, *words])
 
     def module(self, name: str, what: str) -> Any:
         """Return a module of the package; an `InputError` says that `what` needs it."""

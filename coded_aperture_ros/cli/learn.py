@@ -1,32 +1,42 @@
 """`coded_aperture learn`: a filter bank from a mask, measured PSFs or pictures of planes."""
 
-import argparse
 import dataclasses
 import math
 import time
-from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, inputs_of
-from coded_aperture_ros.cli.measuring import (
-    above,
-    add_depths_option,
-    add_level_count_option,
-    checked_config,
-    rounded,
-    tell,
-)
-from coded_aperture_ros.cli.options import (
-    add_config_options,
-    add_gamma_option,
-    add_options,
-    changed,
-    mask_of,
-    written_name,
-)
+import numpy as np
+
+from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_planes
+from coded_aperture_ros.calibration.planes.folder import load_folder
+from coded_aperture_ros.cli.checks import check_output, input_files
+from coded_aperture_ros.cli.command import Command, UsageError, argument, group
+from coded_aperture_ros.cli.options import mask_of
 from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.core.errors import InputError, naming
+from coded_aperture_ros.cli.reading import GammaArguments, read_numbers
+from coded_aperture_ros.cli.results import Summary, print_summary, rounded
+from coded_aperture_ros.cli.rules import excludes, needs, only_with, required
+from coded_aperture_ros.core.errors import naming
+from coded_aperture_ros.depth import side_warning
+from coded_aperture_ros.design.diffraction import diffraction_warning
+from coded_aperture_ros.design.setting import resolutions_m
+from coded_aperture_ros.frames import linear_from_pixels
+from coded_aperture_ros.likelihood.bank import (
+    DEFAULT_LEVEL_COUNT,
+    EmpiricalPrior,
+    FilterBank,
+    LearnConfig,
+    NaturalImagePrior,
+    learn_bank,
+    learn_bank_for_camera,
+    load_bank,
+    save_bank,
+    textures_of,
+)
+from coded_aperture_ros.likelihood.bank.remap import remap_bank
+from coded_aperture_ros.optics import Camera, Mask, PsfStack, load_camera, render_psf_stack
+from coded_aperture_ros.sources import captures, open_files
 
-_EPILOG = """examples:
+_EXAMPLES = """examples:
   from a camera file:
     coded_aperture learn --camera config/demo_camera.yaml --depth-range 2.1 5.1 --level-count 30 \\
         -o bank.npz
@@ -40,9 +50,6 @@ _EPILOG = """examples:
   with textures from sharp pictures of the place where the camera works:
     coded_aperture learn --camera config/demo_camera.yaml --depth-range 2.1 5.1 \\
         --images pictures --gamma srgb -o bank.npz
-  the most accurate bank for 20 frames per second on this machine:
-    coded_aperture learn --camera config/demo_camera.yaml --depth-range 2.1 5.1 --budget-ms 50 \\
-        -o bank.npz
   from pictures of planes, without knowing the mask:
     coded_aperture learn --planes planes -o bank.npz
 
@@ -54,72 +61,88 @@ pictures of planes:
 """
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the sub-command to the program's parser."""
-    parser = subparsers.add_parser(
-        "learn",
-        help="learn a filter bank from a camera file, a mask, measured PSFs or planes",
-        description="Learn the filter bank that tells blur sizes apart. It is learned once for a "
-        "mask and a range of blur sizes, from a model of natural images and the mask or measured "
-        "PSFs, or, where these are not known, from pictures of textured planes at known depths "
-        "parallel to the sensor. Masks with names: levin, two_hole, three_hole, "
-        "four_hole, annulus, veeraraghavan, zhou, mura, disc, four_wide, three_wide.",
-        epilog=_EPILOG,
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arguments(GammaArguments):
+    """Arguments of `learn`."""
+
+    camera: str | None = argument(
+        "camera file, as config/example_camera.yaml, which explains every entry; needs "
+        "--depth-range",
+        None,
+        written="--camera YAML",
     )
-    source = parser.add_mutually_exclusive_group(required=True)
-    sources = {
-        "--camera YAML": "camera file, as config/example_camera.yaml, which explains every entry; "
-        "needs --depth-range",
-        "--blur-sizes MIN MAX N": "N equally spaced blur sizes in px; needs --mask",
-        "--psfs NPZ": "measured PSFs",
-        "--planes DIR": "pictures of planes (16-bit linear) and planes.json",
-    }
-    add_options(source, sources)
-    remap = "make the bank of the camera file's focus from this bank of the same lens and mask, "
-    remap += "with its settings; without --depth-range the same filters get new depths"
-    add_options(parser, {"--remap BANK": remap})
-    add_options(parser, {"--depth-range NEAR FAR": "with --camera, in m"}, type=float)
-    add_options(parser, {"--mask NAME": "name or file (PNG, .npy) of a mask"})
-    add_depths_option(parser, "depth in metres of each measured PSF")
-    images = "sharp pictures of the kind of scene that the camera sees: what textures look like is "
-    add_options(parser, {"--images DIR": images + "learned from them; not with --planes"})
-    budget = "choose window, rank and stride: the most accurate that need no more time per frame "
-    budget += "of the camera, as measured now (about a minute; not with --planes and --psfs)"
-    add_options(parser, {"--budget-ms MS": budget}, type=above(0, "more than 0"))
-    threads = "threads that depth estimation will have, with --budget-ms (default: as nodes have)"
-    add_options(parser, {"--budget-threads N": threads}, type=int, default=0)
-    add_gamma_option(parser)
-    add_options(parser, {"-o --output FILE": "bank (.npz)"}, required=True)
-    add_options(parser, {"--json": "print a summary as JSON"})
-    parser.add_late_options = _add_late_options
+    blur_sizes: tuple[float, float, float] | None = argument(
+        "N equally spaced blur sizes in px; needs --mask", None, written="--blur-sizes MIN MAX N"
+    )
+    psfs: str | None = argument("measured PSFs", None, written="--psfs NPZ")
+    planes: str | None = argument(
+        "pictures of planes (16-bit linear) and planes.json", None, written="--planes DIR"
+    )
+    remap: str | None = argument(
+        "make the bank of the camera file's focus from this bank of the same lens and mask, with "
+        "its settings; without --depth-range the same filters get new depths",
+        None,
+        written="--remap BANK",
+    )
+    depth_range: tuple[float, float] | None = argument(
+        "with --camera, in m", None, written="--depth-range NEAR FAR"
+    )
+    mask: str | None = argument("name or file (PNG, .npy) of a mask", None, written="--mask NAME")
+    depths: tuple[float, ...] | None = argument(
+        "depth in metres of each measured PSF",
+        None,
+        written="--depths Z1,Z2,...",
+        parse=read_numbers,
+    )
+    images: str | None = argument(
+        "sharp pictures of the kind of scene that the camera sees: what textures look like is "
+        "learned from them; not with --planes",
+        None,
+        written="--images DIR",
+    )
+    level_count: int | None = argument(
+        f"number of levels, with --camera or --planes (default {DEFAULT_LEVEL_COUNT})",
+        None,
+        written="--level-count N",
+        minimum=2,
+    )
+    output: str = argument("bank (.npz)", written="-o --output FILE")
+    json: bool = argument("print a summary as JSON", False)
+    filters: LearnConfig = group("filters", LearnConfig())
+
+    @property
+    def count(self) -> int:
+        """Number of levels."""
+        return self.level_count or DEFAULT_LEVEL_COUNT
 
 
-def _add_late_options(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.likelihood.bank import DEFAULT_LEVEL_COUNT, LearnConfig
+_RULES = (
+    required("--camera", "--blur-sizes", "--psfs", "--planes"),
+    excludes("--camera", "--blur-sizes", "--psfs", "--planes"),
+    excludes("--blur-sizes", "--psfs", "--planes"),
+    excludes("--psfs", "--planes"),
+    needs("--remap", "--camera"),
+    excludes("--remap", "--images"),
+    excludes("filters.*", "--remap", note="which keeps the settings of its bank"),
+    needs("--blur-sizes", "--mask"),
+    needs("--camera", "--depth-range | --remap"),
+    needs("--level-count & --remap", "--depth-range"),
+    only_with("--depth-range", "--camera"),
+    only_with("--level-count", "--camera", "--planes"),
+    only_with("--mask", "--blur-sizes"),
+    only_with("--depths", "--psfs"),
+    excludes("--images", "--planes", note="they have textures"),
+    only_with("--gamma", "--images", "--planes"),
+)
 
-    what = f"number of levels, with --camera or --planes (default {DEFAULT_LEVEL_COUNT})"
-    add_level_count_option(parser, None, what)
-    parser.set_defaults(filters=add_config_options(parser, LearnConfig, "filters"))
 
-
-def run(args: argparse.Namespace) -> int:
-    """Run the sub-command; return its exit status."""
-    import numpy as np
-
-    from coded_aperture_ros.depth import side_warning
-    from coded_aperture_ros.design.diffraction import diffraction_warning
-    from coded_aperture_ros.likelihood.bank import save_bank
-    from coded_aperture_ros.optics import load_camera
-
-    _check_usage(args)
-    check_output(args.output, inputs_of(args, "camera", "psfs", "remap"), [".npz"])
+def run(args: Arguments) -> int:
+    """Write the bank; return the exit status."""
+    check_output(args.output, input_files(args.psfs, args.remap, camera=args.camera), [".npz"])
     start = time.perf_counter()
     camera = load_camera(args.camera) if args.camera else None
-    trials: list[Any] = []
-    if args.remap is not None:
-        bank = _remapped(args, camera)
-    elif args.budget_ms is not None:
-        bank, trials = _tuned(args, camera)
+    if args.remap is not None and camera is not None:
+        bank = _remapped(args, args.remap, camera)
     else:
         bank = _learned(args, camera)
     save_bank(bank, args.output)
@@ -136,14 +159,13 @@ def run(args: argparse.Namespace) -> int:
         **_resolution(camera, bank),
         "seconds": round(time.perf_counter() - start, 3),
     }
-    if trials:
-        summary["tried"] = [dataclasses.asdict(trial) for trial in trials]
     largest_px = float(np.abs(bank.blur_sizes_px).max())
     diffraction = diffraction_warning(camera, largest_px) if camera else ""
-    return tell(args, summary, _text, filter(None, [side_warning(bank), diffraction]))
+    warnings = filter(None, [side_warning(bank), diffraction])
+    return print_summary(summary, _text, as_json=args.json, warnings=warnings)
 
 
-def _text(summary: dict[str, Any]) -> str:
+def _text(summary: Summary) -> str:
     lines = [
         "{output}: {levels} levels, {blur_size_min_px:g} to {blur_size_max_px:g} px, from "
         "{learned_from}; patches of {window_px} px every {stride_px} px; {seconds:.1f} s".format(
@@ -151,138 +173,49 @@ def _text(summary: dict[str, Any]) -> str:
         )
     ]
     if "resolution_near_m" in summary:
-        steps = [summary[f"resolution_{name}_m"] for name in ("near", "middle", "far")]
-        told = ["none" if step is None else f"{step:.2g} m" for step in steps]
-        lines.append(
-            f"  depth steps of 1 px of blur: {told[0]} near, {told[1]} amid, {told[2]} far"
-        )
-    for trial in summary.get("tried", []):
-        chosen = all(trial[name] == summary[name] for name in ("window_px", "stride_px"))
-        lines.append(
-            f"{'* ' if chosen else '  '}window {trial['window_px']} px, stride "
-            f"{trial['stride_px']} px: {trial['milliseconds']:.1f} ms per frame, mean error "
-            f"{trial['level_error']:.2f} levels on simulated planes"
-        )
+        steps_m = [summary[f"resolution_{name}_m"] for name in ("near", "middle", "far")]
+        near, middle, far = ["none" if step is None else f"{step:.2g} m" for step in steps_m]
+        lines.append(f"  depth steps of 1 px of blur: {near} near, {middle} amid, {far} far")
     return "\n".join(lines)
 
 
-def _check_usage(args: argparse.Namespace) -> None:
-    """Refuse options that do not go together, rather than ignore one of them."""
-    for name, sources in (
-        ("depth_range", ("camera",)),
-        ("level_count", ("camera", "planes")),
-        ("mask", ("blur_sizes",)),
-        ("depths", ("psfs",)),
-    ):
-        given = any(getattr(args, source) is not None for source in sources)
-        if getattr(args, name) is not None and not given:
-            needed = " or ".join(map(written_name, sources))
-            args.usage_error(f"{written_name(name)} only goes with {needed}")
-    remap, tuned = args.remap is not None, args.budget_ms is not None
-    ranged, counted = args.depth_range is not None, args.level_count is not None
-    filters = changed(args, args.filters) if remap or tuned else []
-    chosen = [name for name in filters if remap or name != "--noise"]
-    other = "--remap" if remap else "--budget-ms"
-    for wrong, message in (
-        (remap and not args.camera, "--remap needs --camera, which says what the new setting is"),
-        (remap and args.images is not None, "--images does not go with --remap"),
-        (remap and tuned, "--budget-ms does not go with --remap"),
-        (remap and counted and not ranged, "--level-count with --remap needs --depth-range"),
-        (args.camera and not remap and not ranged, "--camera needs --depth-range NEAR FAR"),
-        (args.planes and args.images, "--images does not go with --planes: they have textures"),
-        (tuned and not args.camera, "--budget-ms needs --camera, which says how large frames are"),
-        (args.gamma != 1 and not (args.images or args.planes), "--gamma is that of pictures: none"),
-        (args.budget_threads and not tuned, "--budget-threads only goes with --budget-ms"),
-        *((True, f"{name} does not go with {other}, see --help") for name in chosen),
-    ):
-        if wrong:
-            args.usage_error(message)
-
-
-def _learned(args: argparse.Namespace, camera: Any) -> Any:
-    from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_planes
-    from coded_aperture_ros.calibration.planes.folder import load_folder
-    from coded_aperture_ros.likelihood.bank import (
-        DEFAULT_LEVEL_COUNT,
-        LearnConfig,
-        learn_bank,
-        learn_bank_for_camera,
-        textures_of,
-    )
-
-    config, count = checked_config(args, LearnConfig), args.level_count or DEFAULT_LEVEL_COUNT
+def _learned(args: Arguments, camera: Camera | None) -> FilterBank:
     if args.planes is not None:
         planes = load_folder(args.planes, args.gamma)
-        return learn_bank_from_planes(planes, count, config, progress=progress)
+        return learn_bank_from_planes(planes, args.count, args.filters, progress=progress)
     prior = _prior(args)
-    if args.camera:
+    if camera is not None and args.depth_range is not None:
         near_m, far_m = args.depth_range
         with naming(args.camera):
             return learn_bank_for_camera(
-                camera, near_m, far_m, count, config, progress, prior=prior
+                camera, near_m, far_m, args.count, args.filters, progress, prior=prior
             )
-    stack, mask, source = _measured(args) if args.psfs else _rendered(args)
+    stack, mask, source = _measured(args, args.psfs) if args.psfs else _rendered(args)
     learned_from = f"{source}, {textures_of(prior)}"
     with naming(args.psfs or source):
-        return learn_bank(stack, config, prior, learned_from, mask, progress)
+        return learn_bank(stack, args.filters, prior, learned_from, mask, progress)
 
 
-def _remapped(args: argparse.Namespace, camera: Any) -> Any:
-    from coded_aperture_ros.likelihood.bank import load_bank
-    from coded_aperture_ros.likelihood.bank.remap import remap_bank
-
-    bank = load_bank(args.remap)
+def _remapped(args: Arguments, bank_file: str, camera: Camera) -> FilterBank:
+    bank = load_bank(bank_file)
     near_m, far_m = args.depth_range or (None, None)
-    with naming(args.remap):
+    with naming(bank_file):
         return remap_bank(bank, camera, near_m, far_m, args.level_count)
 
 
-def _tuned(args: argparse.Namespace, camera: Any) -> Any:
-    """Learn the best bank for a time per frame; return it and what was tried."""
-    from coded_aperture_ros.depth.config import VIDEO_FRAMES, DepthConfig
-    from coded_aperture_ros.depth.tune import tune
-    from coded_aperture_ros.likelihood.bank import (
-        DEFAULT_LEVEL_COUNT,
-        LearnConfig,
-        learn_bank_for_camera,
-    )
-
-    prior, count = _prior(args), args.level_count or DEFAULT_LEVEL_COUNT
-    if camera.side == "both":
-        raise InputError(
-            f"{args.camera}: side: both: a bank is tuned for one side only, leave out --budget-ms"
-        )
-
-    near_m, far_m = args.depth_range
-
-    def learn(config: LearnConfig) -> Any:
-        config = dataclasses.replace(config, noise=args.noise)
-        return learn_bank_for_camera(camera, near_m, far_m, count, config, prior=prior)
-
-    shape = camera.image_height, camera.image_width
-    config = DepthConfig(temporal_frames=VIDEO_FRAMES, threads=args.budget_threads)
-    with naming(args.camera):
-        return tune(learn, shape, args.budget_ms, config, progress)
-
-
-def _resolution(camera: Any, bank: Any) -> dict[str, float | None]:
+def _resolution(camera: Camera | None, bank: FilterBank) -> dict[str, float | None]:
     """Return which steps of depth the camera tells apart at the near end, amid, and at the far end.
 
     None where infinity looks the same; nothing without a camera file.
     """
-    from coded_aperture_ros.design.setting import resolutions_m
-
     if camera is None or bank.stack.depths_m is None:
         return {}
-    told_apart = resolutions_m(camera, *sorted(bank.stack.depths_m[[0, -1]].tolist()))
+    near_m, far_m = sorted(bank.stack.depths_m[[0, -1]].tolist())
+    told_apart = resolutions_m(camera, near_m, far_m)
     return {f"resolution_{name}_m": rounded(step, 4) for name, (_, step) in told_apart.items()}
 
 
-def _prior(args: argparse.Namespace) -> Any:
-    from coded_aperture_ros.frames import linear_from_pixels
-    from coded_aperture_ros.likelihood.bank import EmpiricalPrior, NaturalImagePrior
-    from coded_aperture_ros.sources import captures, open_files
-
+def _prior(args: Arguments) -> NaturalImagePrior:
     if args.images is None:
         return NaturalImagePrior()
     pictures = captures(open_files(args.images))
@@ -292,33 +225,35 @@ def _prior(args: argparse.Namespace) -> Any:
         )
 
 
-def _rendered(args: argparse.Namespace) -> tuple[Any, Any, str]:
+def _rendered(args: Arguments) -> tuple[PsfStack, Mask | None, str]:
     """Return PSFs of a mask, the mask, and what it is."""
-    import numpy as np
-
-    from coded_aperture_ros.optics import MASK_NAMES, render_psf_stack
-
-    if args.mask is None:
-        args.usage_error(f"--blur-sizes needs --mask: a file, or one of {', '.join(MASK_NAMES)}")
-    try:
-        smallest, largest, count = *map(float, args.blur_sizes[:2]), int(args.blur_sizes[2])
-    except ValueError:
-        args.usage_error("--blur-sizes: expected two sizes in px and a whole number of levels")
-    if not -math.inf < smallest < largest < math.inf or count < 2:
-        args.usage_error("--blur-sizes: expected MIN less than MAX and at least 2 levels")
-    mask = mask_of(args.mask)
-    sizes = np.linspace(smallest, largest, count)
-    return render_psf_stack(mask, sizes), mask, f"mask {args.mask}"
+    smallest_px, largest_px, count = args.blur_sizes or (0.0, 0.0, 0.0)
+    if not count.is_integer():
+        raise UsageError("--blur-sizes: expected two sizes in px and a whole number of levels")
+    if not -math.inf < smallest_px < largest_px < math.inf or count < 2:
+        raise UsageError("--blur-sizes: expected MIN less than MAX and at least 2 levels")
+    mask = mask_of(str(args.mask))
+    sizes_px = np.linspace(smallest_px, largest_px, int(count))
+    return render_psf_stack(mask, sizes_px), mask, f"mask {args.mask}"
 
 
-def _measured(args: argparse.Namespace) -> tuple[Any, Any, str]:
+def _measured(args: Arguments, psfs_file: str) -> tuple[PsfStack, Mask | None, str]:
     """Return measured PSFs, None for the unknown mask, and what they are."""
-    import numpy as np
-
-    from coded_aperture_ros.optics import PsfStack
-
-    stack = PsfStack.load(args.psfs)
+    stack = PsfStack.load(psfs_file)
     if args.depths is not None:
         with naming("--depths"):
             stack = dataclasses.replace(stack, depths_m=np.array(args.depths))
-    return stack, None, f"measured PSFs {args.psfs}"
+    return stack, None, f"measured PSFs {psfs_file}"
+
+
+COMMAND = Command(
+    Arguments,
+    run,
+    description="Learn the filter bank that tells blur sizes apart. It is learned once for a "
+    "mask and a range of blur sizes, from a model of natural images and the mask or measured "
+    "PSFs, or, where these are not known, from pictures of textured planes at known depths "
+    "parallel to the sensor. Masks with names: levin, two_hole, three_hole, "
+    "four_hole, annulus, veeraraghavan, zhou, mura, disc, four_wide, three_wide.",
+    examples=_EXAMPLES,
+    rules=_RULES,
+)

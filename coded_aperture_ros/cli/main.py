@@ -1,53 +1,39 @@
-"""The program `coded_aperture`: one sub-command per module of this package.
+"""The program `coded_aperture`: runs the command that is typed, and says what goes wrong."""
 
-A sub-command module has `add_parser(subparsers)` and `run(args) -> int`. What is slow to import,
-it imports in `run`: `--help` must be quick.
-"""
-
-import argparse
 import errno
 import logging
 import os
 import sys
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
-from coded_aperture_ros.cli.extension import BENCH, VIEW
-from coded_aperture_ros.cli.options import add_commands, show_late_options
-from coded_aperture_ros.cli.version import ShowVersion
+from coded_aperture_ros.cli.command import UsageError
+from coded_aperture_ros.cli.commands import COMMANDS
+from coded_aperture_ros.cli.table import Actions
 from coded_aperture_ros.core.blas import slow_blas_warning
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.interrupt import sigterm_like_ctrl_c
 
 PROGRAM = "coded_aperture"
-_BEGIN = "demo", "sample", "check", "calibrate", "mask", "learn"
-_WORK = "depth", "deblur", "simulate", "bag"
-COMMANDS: dict[str, Any] = {
-    **{name: import_module(f"coded_aperture_ros.cli.{name}") for name in (*_BEGIN, *_WORK)},
-    "view": VIEW,
-    "bench": BENCH,
-}
-
 # What can go wrong where the output of a command goes.
 _OF_OUTPUT = errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF
 FAILED = 1
+WRONG_USAGE = 2
 INTERRUPTED = 130  # what shells report for a program that Ctrl-C ended
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the sub-command of some arguments, by default the process', and return its status.
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command of some words, by default those of the process; return its exit status.
 
-    0: done, 1: failed (one line on stderr says why), 130: interrupted. Wrong usage raises
-    `SystemExit` with status 2, after argparse has said what is wrong.
+    0: done, 1: failed, 2: wrong usage, 130: interrupted. One line on stderr says what failed.
+    Help that was printed raises `SystemExit` with status 0.
     """
     _set_up_libraries()
     _replace_closed_streams()
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format=f"{PROGRAM}: %(message)s")
     try:
         try:
-            return _run(arguments)
+            return _run(sys.argv[1:] if words is None else words)
         finally:
             sys.stdout.flush()
     except InputError as error:
@@ -65,19 +51,41 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
-def _run(arguments: Sequence[str] | None) -> int:
-    parser = make_parser()
-    if "_ARGCOMPLETE" in os.environ:  # a shell asks what may come next
-        import argcomplete
+def program_of(commands: dict[str, object]) -> Actions:
+    """Return the program as a command whose actions are the commands."""
+    return Actions(
+        help="",
+        description="Metric depth and all-in-focus frames from a single coded-aperture camera.",
+        examples=f"For a first look: '{PROGRAM} demo'. With a camera of your own: describe it in "
+        "a camera file,\nlearn its filter bank once, then use depth and deblur on its frames. "
+        f"'{PROGRAM} COMMAND --help' shows\na command's options and examples.",
+        actions=commands,
+        placeholder="COMMAND",
+    )
 
-        # It knows the values of those options only that are there when it begins.
-        show_late_options(parser, os.environ.get("COMP_LINE", "").split())
-        argcomplete.autocomplete(parser)
-    options = parser.parse_args(arguments)
-    if warning := slow_blas_warning():
-        logging.warning(warning)
-    with sigterm_like_ctrl_c():
-        return COMMANDS[options.command].run(options)
+
+def _run(words: Sequence[str]) -> int:
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks what may come next
+        from coded_aperture_ros.cli.completion import complete
+
+        complete(PROGRAM, COMMANDS)
+    if words and words[0] == "--version":
+        from coded_aperture_ros.cli.version import print_version
+
+        print_version(PROGRAM)
+        return 0
+    program = PROGRAM
+    try:
+        program, command, rest = program_of(COMMANDS).choose(PROGRAM, words)
+        ready = command.prepare(program, rest)
+        if warning := slow_blas_warning():
+            logging.warning(warning)
+        with sigterm_like_ctrl_c():
+            return int(ready())
+    except UsageError as error:
+        program = error.program or program
+        print(f"{program}: error: {error}; see '{program} --help'", file=sys.stderr)
+        return WRONG_USAGE
 
 
 def _replace_closed_streams() -> None:
@@ -94,21 +102,6 @@ def _set_up_libraries() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # What cannot be read we say ourselves, in one line.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
-
-
-def make_parser() -> argparse.ArgumentParser:
-    """Return the parser of the whole command line."""
-    parser = argparse.ArgumentParser(
-        prog=PROGRAM,
-        description="Metric depth and all-in-focus frames from a single coded-aperture camera.",
-        epilog=f"For a first look: '{PROGRAM} demo'. With a camera of your own: describe it in a "
-        "camera file, learn its filter bank once, then use depth and deblur on its frames. "
-        f"'{PROGRAM} COMMAND --help' shows a command's options and examples.",
-    )
-    what = "of the program and of what it runs on"
-    parser.add_argument("--version", action=ShowVersion, nargs=0, help=what)
-    add_commands(parser, "command", COMMANDS.values())
-    return parser
 
 
 if __name__ == "__main__":

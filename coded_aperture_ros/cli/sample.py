@@ -1,20 +1,32 @@
 """`coded_aperture sample`: files to try the other commands with."""
 
-import argparse
 import dataclasses
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
-from coded_aperture_ros.cli.measuring import tell
-from coded_aperture_ros.cli.options import add_options
+import numpy as np
+
+from coded_aperture_ros.cli.command import Command, argument
 from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.cli.results import print_summary
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import temporary_folder
+from coded_aperture_ros.core.share import share_directory
+from coded_aperture_ros.io import write_depth, write_image
+from coded_aperture_ros.io.messages import pixels_from_frame
+from coded_aperture_ros.likelihood.bank import power_spectrum
+from coded_aperture_ros.optics import Camera, load_camera
+from coded_aperture_ros.simulation import (
+    PanningScene,
+    SensorModel,
+    motorcycle_scene,
+    render_coded_frame,
+)
+from coded_aperture_ros.simulation.scene import SimulatedFrame
 
-_EPILOG = """example:
+_EXAMPLES = """example:
   coded_aperture sample && cd sample
   coded_aperture learn --camera camera.yaml --depth-range 2.1 5.1 -o bank.npz
   coded_aperture depth --bank bank.npz coded.png -o depth.npy --pictures
@@ -23,25 +35,17 @@ _NOISE, _RATE_HZ, _FRAMES = 0.002, 10, 12
 _NEAR_M, _FAR_M, _PLANES, _PLANE_PX = 2.1, 5.1, 12, (240, 320)
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the sub-command to the program's parser."""
-    parser = subparsers.add_parser(
-        "sample",
-        help="write example files to try the other commands with",
-        description="Write what a camera file describes as the simulated camera records it: a "
-        "coded frame (coded.png) with its truth (sharp.png, depth.png), frames of a video "
-        "(video/), planes at known depths (planes/) and a ROS 2 bag (recording/). All is 2.1 to "
-        "5.1 m away. The examples of the documentation run on them.",
-        epilog=_EPILOG,
-    )
-    what = "folder to make (default sample)"
-    parser.add_argument("folder", metavar="DIR", nargs="?", default="sample", help=what)
-    add_options(parser, {"--json": "print a summary as JSON"})
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Arguments of `sample`."""
+
+    folder: Path = argument("folder to make", Path("sample"), written="DIR")
+    json: bool = argument("print a summary as JSON", False)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Run the sub-command; return its exit status."""
-    folder = Path(args.folder)
+def run(args: Arguments) -> int:
+    """Write the files; return the exit status."""
+    folder = args.folder
     if folder.exists():
         raise InputError(f"{folder} exists already: use another name")
     try:
@@ -53,24 +57,13 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise InputError(f"cannot write {folder}: {error.strerror}") from error
     summary = {"folder": str(folder), "files": [name for names in made for name in names]}
-    return tell(args, summary, lambda found: f"{folder}: {', '.join(found['files'])}")
+    return print_summary(
+        summary, lambda found: f"{folder}: {', '.join(found['files'])}", as_json=args.json
+    )
 
 
 def _made(folder: Path) -> Iterator[list[str]]:
     """Write everything; yield the names of each part."""
-    import numpy as np
-
-    from coded_aperture_ros.core.share import share_directory
-    from coded_aperture_ros.io import write_depth, write_image
-    from coded_aperture_ros.likelihood.bank import power_spectrum
-    from coded_aperture_ros.optics import load_camera
-    from coded_aperture_ros.simulation import (
-        PanningScene,
-        SensorModel,
-        motorcycle_scene,
-        render_coded_frame,
-    )
-
     shutil.copy(share_directory() / "config" / "demo_camera.yaml", folder / "camera.yaml")
     camera, sensor = load_camera(folder / "camera.yaml"), SensorModel(_NOISE, 12)
     scene = PanningScene(motorcycle_scene(), camera, sensor)
@@ -97,10 +90,10 @@ def _made(folder: Path) -> Iterator[list[str]]:
     yield _record(folder / "recording", camera, views)
 
 
-def _record(path: Path, camera: Any, views: list[Any]) -> list[str]:
+def _record(path: Path, camera: Camera, views: Sequence[SimulatedFrame]) -> list[str]:
     """Write a bag of the views; return its name."""
+    # rosbags is an extra.
     from coded_aperture_ros.bags import bag_output, codec
-    from coded_aperture_ros.io.messages import pixels_from_frame
 
     info = codec.info_of(camera.intrinsics)
     with bag_output(path, "mcap") as bag:
@@ -123,3 +116,14 @@ def _record(path: Path, camera: Any, views: list[Any]) -> list[str]:
             depth = codec.image_data(view.depth_m, "32FC1", header)
             bag.write("/ground_truth/depth", time_ns, depth)
     return [path.name]
+
+
+COMMAND = Command(
+    Arguments,
+    run,
+    description="Write what a camera file describes as the simulated camera records it: a "
+    "coded frame (coded.png) with its truth (sharp.png, depth.png), frames of a video "
+    "(video/), planes at known depths (planes/) and a ROS 2 bag (recording/). All is 2.1 to "
+    "5.1 m away. The examples of the documentation run on them.",
+    examples=_EXAMPLES,
+)

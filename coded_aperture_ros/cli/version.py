@@ -1,10 +1,8 @@
 """`coded_aperture --version`: the program's version, and what a report of a fault should name."""
 
-import argparse
 import os
 import platform
 from importlib import import_module
-from typing import Any
 
 from coded_aperture_ros import __version__
 from coded_aperture_ros.core.blas import slow_blas_warning
@@ -13,13 +11,9 @@ from coded_aperture_ros.core.workers import processors
 _LIBRARIES = "numpy", "scipy", "cv2", "numba", "rclpy", "torch", "onnxruntime"
 
 
-class ShowVersion(argparse.Action):
-    """Print the program's version and its surroundings, and end."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
-        """Do what the option asks for."""
-        print("\n".join([f"{parser.prog} {__version__}", *surroundings()]))
-        parser.exit()
+def print_version(program: str) -> None:
+    """Print the program's version and its surroundings."""
+    print("\n".join([f"{program} {__version__}", *surroundings()]))
 
 
 def surroundings() -> list[str]:

@@ -22,7 +22,8 @@ class Option:
     # Inclusive bounds.
     minimum: float | None = None
     maximum: float | None = None
-    choices: tuple[str, ...] | None = None  # the only values allowed
+    above: float | None = None  # exclusive lower bound
+    choices: tuple[Any, ...] | None = None  # the only values allowed
     read_only: bool = False  # whether a running node cannot change it
     daily: bool = False  # whether `--help` shows it; `--help-all` shows every option
     # Name of the ROS parameter, such as ``regularize.method``; empty: see `parameter_names`.
@@ -32,10 +33,12 @@ class Option:
     def allowed(self) -> str:
         """The allowed values, in words; empty where anything of the right type goes."""
         if self.choices is not None:
-            return "one of " + ", ".join(choice or "''" for choice in self.choices)
+            return "one of " + ", ".join(str(choice) or "''" for choice in self.choices)
         unit = f" {self.unit}" if self.unit else ""
         if self.minimum is not None and self.maximum is not None:
             return f"{self.minimum:g} to {self.maximum:g}{unit}"
+        if self.above is not None:
+            return f"more than {self.above:g}{unit}"
         if self.minimum is not None:
             return f"at least {self.minimum:g}{unit}"
         if self.maximum is not None:
@@ -104,6 +107,7 @@ def check_option(name: str, value: Any, expected: type, described: Option) -> No
         raise InputError(f"{name}: {value!r} is not allowed, use {described.allowed}")
     if expected in (int, float):
         too_small = described.minimum is not None and value < described.minimum
+        too_small |= described.above is not None and value <= described.above
         too_large = described.maximum is not None and value > described.maximum
         # Not math.isfinite, which fails for integers beyond the range of floats.
         if too_small or too_large or not abs(value) <= sys.float_info.max:

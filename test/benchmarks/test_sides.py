@@ -274,11 +274,6 @@ def test_what_does_not_go_with_both_sides(bank, camera, tmp_path, capsys):
     one = dataclasses.replace(camera, side="near")
     with pytest.raises(InputError, match="its side is near, but the bank has blur sizes of"):
         DepthEstimator(bank, None, one)
-    learn = call(
-        capsys, "learn", "--camera", path, "--depth-range", 1.5, 3, "--budget-ms", 100,
-        "-o", tmp_path / "bank.npz",
-    )  # fmt: skip
-    assert learn.status == 1 and "side: both" in learn.err
 
 
 def test_the_program_works_by_the_camera_file_alone(tmp_path, capsys, caplog, picture):

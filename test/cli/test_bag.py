@@ -29,7 +29,7 @@ from bag_scene import (
     stamp_of,
     write_bag,
 )
-from cli_scene import HEIGHT, WIDTH, call, everything, examples, refused, wrong_usage
+from cli_scene import HEIGHT, WIDTH, call, everything, examples, parsed, refused, wrong_usage
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import CompressionMode
@@ -38,7 +38,6 @@ from coded_aperture_ros.bags import Recorded
 from coded_aperture_ros.bags.codec import read_picture
 from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
 from coded_aperture_ros.bags.record import Record
-from coded_aperture_ros.cli.main import make_parser
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.messages import MessageError, array_from_image
 
@@ -566,4 +565,4 @@ def test_a_namespace_that_ros_does_not_allow_is_refused(scene, tmp_path, capsys,
 @pytest.mark.parametrize("namespace", ["", "/", "a", "/a/b_2/", "_a"])
 def test_namespaces_that_ros_allows(namespace):
     options = ("bag", "in", "-o", "out", "--namespace", namespace)
-    assert make_parser().parse_args(options).namespace == namespace
+    assert parsed(*options).namespace == namespace

@@ -679,7 +679,7 @@ def test_scenes_that_cannot_be_simulated(scene, tmp_path, capsys, caplog, files,
 def test_simulate_refuses_impossible_outputs_before_rendering(
     scene, tmp_path, capsys, monkeypatch, output, phrase
 ):
-    forbid_work(monkeypatch, "simulation.render_coded_frame")
+    forbid_work(monkeypatch, "cli.simulate.render_coded_frame")
     (tmp_path / "file").write_text("")
     before = everything(tmp_path)
     refused(simulate(capsys, scene, tmp_path / output), output, phrase)
@@ -689,10 +689,10 @@ def test_simulate_refuses_impossible_outputs_before_rendering(
 @pytest.mark.parametrize(
     ("options", "phrase"),
     [
-        (("--noise", 2), "--noise: expected 0 to 1"),
-        (("--bits", 9), "--bits: invalid choice"),
-        (("--seed", -1), "--seed: expected 0 or more"),
-        (("--depth-scale", 0), "--depth-scale: expected more than 0"),
+        (("--noise", 2), "--noise: 2.0 is out of range (0 to 1)"),
+        (("--bits", 9), "--bits: 9 is not allowed, use one of 0, 8, 12, 16"),
+        (("--seed", -1), "--seed: -1 is out of range (at least 0)"),
+        (("--depth-scale", 0), "--depth-scale: 0.0 is out of range (more than 0 m)"),
         (("--gamma", "x"), "--gamma: expected a number or srgb"),
     ],
 )
@@ -733,15 +733,15 @@ def test_a_random_scene_is_simulated_with_its_truth_beside_it(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "phrase"),
     [
-        ((), "required: --camera, --image, --depth; or --random SEED"),
-        (("--image", "x.png", "--mask", "zhou"), "required: --camera, --depth"),
-        (("--random", 3, "--image", "x.png"), "--random makes a scene of its own"),
-        (("--random", -1), "--random: expected 0 or more"),
-        (("--random", 1, "--depth-scale", 2), "--depth-scale and --gamma: not with --random"),
-        (("--random", 1, "--gamma", "srgb"), "--depth-scale and --gamma: not with --random"),
-        (("--random", "x"), "argument --random: invalid int value"),
-        (("--random", 3, "--size", 5, 5), "--size: expected at least 16"),
-        (("--random", 3, "--side", "left"), "--side: invalid choice"),
+        ((), "required: --camera or --random"),
+        (("--image", "x.png", "--mask", "zhou"), "required: --camera or --random"),
+        (("--random", 3, "--image", "x.png"), "--random: not with --image (it makes"),
+        (("--random", -1), "--random: -1 is out of range (at least 0)"),
+        (("--random", 1, "--depth-scale", 2), "--random: not with --depth-scale"),
+        (("--random", 1, "--gamma", "srgb"), "--random: not with --gamma"),
+        (("--random", "x"), "--random: invalid int value"),
+        (("--random", 3, "--size", 5, 5), "--size: 5 is out of range (at least 16 px)"),
+        (("--random", 3, "--side", "left"), "--side: 'left' is not allowed"),
     ],
 )
 def test_wrong_usage_of_random_scenes(tmp_path, capsys, options, phrase):

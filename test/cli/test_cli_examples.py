@@ -41,11 +41,11 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
         assert (result.status, result.err) == (0, ""), arguments
         return result.out
 
-    calibrate = examples(capsys, "calibrate")
-    assert len(calibrate) == 3
-    for arguments in calibrate:
+    design = examples(capsys, "design")
+    assert len(design) == 3
+    for arguments in design:
         assert "depth levels told apart" in type_in(arguments)
-    assert (tmp_path / "design" / "calibrate.html").is_file()
+    assert (tmp_path / "design" / "design.html").is_file()
 
     print_mask = examples(capsys, "mask") + examples(capsys, "mask print")
     assert len(print_mask) == 5
@@ -71,7 +71,7 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
     shutil.copy("coded.png", "frames/first.png")
 
     learn = examples(capsys, "learn")
-    assert len(learn) == 7
+    assert len(learn) == 6
     for arguments in reversed(learn):  # the first one's bank fits the simulated camera
         type_in(arguments)
 

@@ -10,7 +10,7 @@ import pytest
 from cli_scene import CAMERA, call, camera_file, everything, forbid_work, refused, wrong_usage
 from psf_pictures import measured_file
 
-from coded_aperture_ros.likelihood.bank import LearnConfig, load_bank
+from coded_aperture_ros.likelihood.bank import load_bank
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 
 SMALL = ("--window-px", 16, "--rank", 8)
@@ -91,28 +91,23 @@ REMAP = ("--remap", "bank.npz", "--camera", "camera.yaml")
     ("arguments", "phrase"),
     [
         ((), "required"),
-        (("--camera", "c.yaml"), "--camera needs --depth-range NEAR FAR"),
-        (("--blur-sizes", 3, 9, 4), "--blur-sizes needs --mask"),
+        (("--camera", "c.yaml"), "--camera: needs --depth-range or --remap too"),
+        (("--blur-sizes", 3, 9, 4), "--blur-sizes: needs --mask too"),
         (("--blur-sizes", 9, 3, 4, "--mask", "levin"), "MIN less than MAX"),
         (("--blur-sizes", 3, 9, 1, "--mask", "levin"), "at least 2 levels"),
         (("--blur-sizes", 3, "inf", 4, "--mask", "levin"), "MIN less than MAX"),
         (("--blur-sizes", 3, 9, 4.5, "--mask", "levin"), "a whole number of levels"),
-        ((*CAMERA_RANGE, "--level-count", 1), "expected at least 2"),
-        ((*CAMERA_RANGE, "--mask", "levin"), "--mask only goes with --blur-sizes"),
-        ((*CAMERA_RANGE, "--depths", "1,2"), "--depths only goes with --psfs"),
-        (
-            ("--psfs", "a.npz", "--level-count", 5),
-            "--level-count only goes with --camera or --planes",
-        ),
-        ((*CAMERA_RANGE, "--psfs", "a.npz"), "not allowed with"),
-        (("--planes", "folder", "--psfs", "a.npz"), "not allowed with"),
-        (("--planes", "folder", "--depths", "1,2"), "--depths only goes with --psfs"),
-        (("--planes", "folder", "--images", "other"), "--images does not go with --planes"),
-        ((*CAMERA_RANGE, "--gamma", "srgb"), "--gamma is that of pictures: none"),
-        ((*CAMERA_RANGE, "--budget-threads", 2), "--budget-threads only goes with --budget-ms"),
-        ((*CAMERA_RANGE, "--budget-ms", 50, "--rank", 32), "--rank does not go with --budget-ms,"),
-        ((*REMAP, "--window-px", 64), "--window-px does not go with --remap"),
-        ((*REMAP, "--noise", 0.01), "--noise does not go with --remap, see --help"),
+        ((*CAMERA_RANGE, "--level-count", 1), "--level-count: 1 is out of range (at least 2)"),
+        ((*CAMERA_RANGE, "--mask", "levin"), "--mask: only with --blur-sizes"),
+        ((*CAMERA_RANGE, "--depths", "1,2"), "--depths: only with --psfs"),
+        (("--psfs", "a.npz", "--level-count", 5), "--level-count: only with --camera or --planes"),
+        ((*CAMERA_RANGE, "--psfs", "a.npz"), "--camera: not with --psfs"),
+        (("--planes", "folder", "--psfs", "a.npz"), "--psfs: not with --planes"),
+        (("--planes", "folder", "--depths", "1,2"), "--depths: only with --psfs"),
+        (("--planes", "folder", "--images", "other"), "--images: not with --planes"),
+        ((*CAMERA_RANGE, "--gamma", "srgb"), "--gamma: only with --images or --planes"),
+        ((*REMAP, "--window-px", 64), "--window-px: not with --remap"),
+        ((*REMAP, "--noise", 0.01), "--noise: not with --remap"),
         ((*CAMERA_RANGE, "--window-px", 8), "--window-px: expected 0 or an even number from 16"),
         ((*CAMERA_RANGE, "--window-px", 33), "--window-px: expected 0 or an even number"),
         ((*CAMERA_RANGE, "--rank", 0), "--rank: 0 is out of range"),
@@ -249,15 +244,6 @@ def test_unusable_masks(tmp_path, capsys, mask):
     assert everything(tmp_path) == before
 
 
-def test_the_noise_counts_with_a_budget_too(scene, tmp_path, capsys, monkeypatch):
-    config = LearnConfig(window_px=32, rank=16)
-    monkeypatch.setattr("coded_aperture_ros.depth.tune.tune", lambda learn, *_: (learn(config), []))
-    arguments = ("--camera", scene.camera, "--depth-range", 1.5, 3, "--level-count", 4)
-    arguments += ("--budget-ms", 50, "--noise", 0.004, "-o", tmp_path / "bank.npz")
-    assert call(capsys, "learn", *arguments).status == 0
-    assert load_bank(tmp_path / "bank.npz").noise == 0.004
-
-
 def test_a_bank_that_exists_survives_a_failure(scene, tmp_path, capsys):
     bank_file = tmp_path / "bank.npz"
     bank_file.write_bytes(b"old")
@@ -280,7 +266,7 @@ def test_a_bank_that_exists_survives_a_failure(scene, tmp_path, capsys):
 def test_impossible_outputs_are_refused_before_learning(
     scene, tmp_path, capsys, monkeypatch, output, phrase
 ):
-    forbid_work(monkeypatch, "likelihood.bank.learn_bank_for_camera")
+    forbid_work(monkeypatch, "cli.learn.learn_bank_for_camera")
     (tmp_path / "file").write_text("")
     (tmp_path / "folder.npz").mkdir()
     before = everything(tmp_path)

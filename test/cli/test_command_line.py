@@ -1,6 +1,5 @@
 """Exit status, messages and streams of the program `coded_aperture`."""
 
-import argparse
 import errno
 import os
 import platform
@@ -35,11 +34,8 @@ def command(monkeypatch):
     """Make `coded_aperture act` run a function."""
 
     def install(run):
-        def add_parser(subparsers: argparse._SubParsersAction) -> None:
-            subparsers.add_parser("act")
-
-        commands = {"act": SimpleNamespace(add_parser=add_parser, run=run)}
-        monkeypatch.setattr(program, "COMMANDS", commands)
+        command = SimpleNamespace(help="act", prepare=lambda name, words: lambda: run(words))
+        monkeypatch.setattr(program, "COMMANDS", {"act": command})
 
     return install
 
@@ -58,8 +54,9 @@ def test_version(module):
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("coded_aperture de", ["demo", "depth", "deblur"]),
-        ("coded_aperture depth --regularize s", ["semiglobal"]),  # an option that comes late
+        ("coded_aperture de", ["demo", "design", "depth", "deblur"]),
+        ("coded_aperture depth --regularize s", ["semiglobal"]),
+        ("coded_aperture simulate --side n", ["near"]),
         ("coded_aperture calibrate bl", ["blind"]),
     ],
 )
@@ -82,7 +79,9 @@ def test_a_shell_is_told_what_may_come_next(tmp_path, line, expected):
 def test_wrong_usage_is_status_2_with_nothing_on_stdout(arguments):
     result = call(arguments)
     assert (result.returncode, result.stdout) == (2, "")
-    assert "usage: coded_aperture" in result.stderr
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("coded_aperture: error: ")
+    assert line.endswith("; see 'coded_aperture --help'")
 
 
 @pytest.mark.parametrize("status", [0, 1])
@@ -126,13 +125,10 @@ def test_a_program_that_is_told_to_end_cleans_up(command, tmp_path):
 def test_an_interrupt_while_options_are_collected_is_quiet(monkeypatch, capsys):
     """That of a command imports the library, which takes a second."""
 
-    def add_parser(subparsers):
-        def interrupted(parser):
-            raise KeyboardInterrupt
+    def interrupted(name, words):
+        raise KeyboardInterrupt
 
-        subparsers.add_parser("act").add_late_options = interrupted
-
-    commands = {"act": SimpleNamespace(add_parser=add_parser)}
+    commands = {"act": SimpleNamespace(help="act", prepare=interrupted)}
     monkeypatch.setattr(program, "COMMANDS", commands)
     assert program.main(["act"]) == 130
     assert capsys.readouterr() == ("", "")
@@ -157,8 +153,7 @@ def test_a_reader_that_leaves_is_not_an_error_message():
         "    for line in range(100_000):\n"
         "        print('line', line)\n"
         "    return 0\n"
-        "add = lambda subparsers: subparsers.add_parser('act')\n"
-        "program.COMMANDS = {'act': N(add_parser=add, run=run)}\n"
+        "program.COMMANDS = {'act': N(prepare=lambda name, words: lambda: run(words))}\n"
         "sys.exit(program.main(['act']))\n"
     )
     process = subprocess.Popen(
@@ -180,8 +175,7 @@ ACT = (
     "    print(sys.stdin.read(), end='')\n"
     "    print('told', file=sys.stderr)\n"
     "    return 0\n"
-    "add = lambda subparsers: subparsers.add_parser('act')\n"
-    "program.COMMANDS = {'act': N(add_parser=add, run=run)}\n"
+    "program.COMMANDS = {'act': N(prepare=lambda name, words: lambda: run(words))}\n"
     "sys.exit(program.main(sys.argv[1:2]))\n"
 )
 
@@ -250,6 +244,7 @@ def test_commands_are_listed_in_the_order_of_use():
             "demo",
             "sample",
             "check",
+            "design",
             "calibrate",
             "mask",
             "learn",

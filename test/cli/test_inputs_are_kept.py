@@ -49,11 +49,11 @@ PLANES = "calibrate planes planes -o new.npz "
         (PLANES + "--camera camera.yaml --output .", "camera.yaml"),
         (PLANES + "--camera lens.yaml --output .", "mask.npy"),
         ("calibrate blind mask.npy --output .", "mask.npy"),
-        ("calibrate --camera calibrate.json --depth-range 1.4 4 --output .", "calibrate.json"),
+        ("design --camera design.json --depth-range 1.4 4 --output .", "design.json"),
     ],
 )
 def test_no_input_is_overwritten(here, capsys, line, kept):
-    (here / "calibrate.json").write_text(json.dumps(CAMERA))
+    (here / "design.json").write_text(json.dumps(CAMERA))
     before = everything(here)
     refused(call(capsys, *line.split()), f"{kept}: this is an input", "use another name or folder")
     assert everything(here) == before

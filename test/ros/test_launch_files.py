@@ -14,8 +14,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-
-from coded_aperture_ros.cli.main import make_parser
+from cli_scene import parsed
 
 rclpy = pytest.importorskip("rclpy")
 pytestmark = pytest.mark.skipif(
@@ -296,7 +295,7 @@ def test_bag_evaluation_calls_the_program_with_its_own_options(launched, compare
     given = launched("bag_evaluation", *needed, *compared)
     assert list(given) == ["ros2"]
     assert given["ros2"][:4] == ["run", OURS, "coded_aperture", "bag"]
-    options = make_parser().parse_args(given["ros2"][3:])  # exits where one does not exist
+    options = parsed(*given["ros2"][3:])  # raises an error where one does not exist
     assert options.reference_depth == ("/stereo/depth" if compared else None)
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import yaml
 from scipy import ndimage
 
-from coded_aperture_ros.cli.main import main
+from coded_aperture_ros.cli.commands import COMMANDS
+from coded_aperture_ros.cli.main import PROGRAM, main, program_of
 
 WIDTH, HEIGHT = 176, 128
 NEAR_M, FAR_M = 1.6, 3.0
@@ -41,6 +42,12 @@ def call(capsys, *arguments):
     except SystemExit as error:
         status = error.code
     return Result(status, *capsys.readouterr())
+
+
+def parsed(*words):
+    """Return the arguments that a command line is understood as; wrong ones raise `UsageError`."""
+    program, command, rest = program_of(COMMANDS).choose(PROGRAM, [str(word) for word in words])
+    return command.prepare(program, rest).args[0]
 
 
 def json_of(capsys, *arguments):
@@ -166,9 +173,9 @@ def refused(result, *phrases):
 
 
 def wrong_usage(result, command, *phrases):
+    """Assert that a call was refused with one line that has all phrases and names the help."""
     assert (result.status, result.out) == (2, "")
-    *usage, last = result.err.splitlines()
-    assert usage[0].startswith(f"usage: coded_aperture {command}")
+    *_, last = result.err.splitlines()
     assert last.startswith(f"coded_aperture {command}: error: ")
     for phrase in phrases:
         assert str(phrase) in last

@@ -1,17 +1,17 @@
 """What the documentation shows can be typed, and what it says about the code is so."""
 
-import argparse
 import re
 import shlex
 import textwrap
 
 import pytest
 import yaml
-from cli_scene import call
+from cli_scene import call, parsed
 
-from coded_aperture_ros.cli.main import make_parser
-
-PROGRAM = "coded_aperture"
+from coded_aperture_ros.cli.command import UsageError
+from coded_aperture_ros.cli.commands import COMMANDS
+from coded_aperture_ros.cli.main import PROGRAM
+from coded_aperture_ros.cli.table import Actions
 
 
 @pytest.fixture(scope="module")
@@ -32,33 +32,37 @@ def test_every_command_in_the_documents_is_understood(documents, caplog):
     """Bench's own commands are understood by the benchmarks, and tested there."""
     commands = {name: commands_in(text) for name, text in documents.items()}
     assert sum(map(len, commands.values())) > 25
-    parser = make_parser()
     for name, lines in commands.items():
         for line in lines:
             try:
-                parser.parse_args(line)
-            except SystemExit as error:
-                pytest.fail(f"{name}: {PROGRAM} {shlex.join(line)}: exit status {error.code}")
-            # A former name of an option would be warned of.
+                parsed(*line)
+            except (SystemExit, UsageError) as error:
+                pytest.fail(f"{name}: {PROGRAM} {shlex.join(line)}: {error}")
+            # A former way of saying it would be warned of.
             assert caplog.messages == [], f"{name}: {PROGRAM} {shlex.join(line)}"
 
 
-def help_texts(capsys, parser, command=()):
-    """Return the help of a parser's commands and their sub-commands."""
-    parts = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
-    texts = "" if command[:1] == ("bench",) else call(capsys, *command, "--help").out
-    for name, child in (pair for part in parts for pair in part.choices.items()):
-        texts += help_texts(capsys, child, (*command, name))
+def help_texts(capsys, commands=COMMANDS, before=()):
+    """Return the help of commands and of their actions, with every option."""
+    texts = ""
+    for name, command in commands.items():
+        words = (*before, name)
+        if words != ("bench",):
+            texts += call(capsys, *words, "--help-all").out or call(capsys, *words, "--help").out
+        if isinstance(command, Actions):
+            texts += help_texts(capsys, command.actions, words)
     return texts
 
 
 def test_the_options_in_the_documents_exist(documents, checkout, capsys):
     """Options named in running text are some command's; bench's are in the benchmarks."""
     of_others = {"--params-file", "--ros-args", "--clock", "--src", "--dst"}
-    shown = help_texts(capsys, make_parser())
+    shown = call(capsys, "--help").out + help_texts(capsys)
     known = set(re.findall(r"--[a-z][a-z-]*[a-z]", shown)) | of_others
     benchmarks = "".join(path.read_text() for path in (checkout / "benchmarks").rglob("*.py"))
     for name, text in documents.items():
+        if name == "CHANGELOG.md":  # which names what was dropped, too
+            continue
         named = {
             option
             for code in re.findall(r"`([^`\n]+)`", text)

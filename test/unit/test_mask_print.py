@@ -363,16 +363,16 @@ def test_outputs_that_cannot_be_written(tmp_path, capsys, output, phrase):
 @pytest.mark.parametrize(
     ("arguments", "phrase"),
     [
-        (("levin", "--extent-mm", 9, "--kerf-mm", -1, "-o", "a.pdf"), "--kerf-mm: expected more"),
+        (("levin", "--extent-mm", 9, "--kerf-mm", -1, "-o", "a.pdf"), "--kerf-mm: -1.0 is out"),
         ((), "required: -o"),
-        (("-o", "a.pdf"), "give either a mask's name or file, or --camera"),
-        (("levin", "--camera", "c.yaml", "-o", "a.pdf"), "give either"),
-        (("levin", "-o", "a.pdf"), "--extent-mm is needed"),
-        (("levin", "--extent-mm", -3, "-o", "a.pdf"), "--extent-mm: expected more than 0 mm"),
-        (("levin", "--extent-mm", "nan", "-o", "a.pdf"), "--extent-mm: expected more than 0 mm"),
+        (("-o", "a.pdf"), "required: NAME|FILE or --camera"),
+        (("levin", "--camera", "c.yaml", "-o", "a.pdf"), "NAME|FILE: not with --camera"),
+        (("levin", "-o", "a.pdf"), "required: --extent-mm or --camera (how wide"),
+        (("levin", "--extent-mm", -3, "-o", "a.pdf"), "-3.0 is out of range (more than 0 mm)"),
+        (("levin", "--extent-mm", "nan", "-o", "a.pdf"), "--extent-mm: nan is out of range"),
         (
             ("levin", "--extent-mm", 9, "--outer-mm", 0, "-o", "a.pdf"),
-            "--outer-mm: expected more than 0 mm",
+            "--outer-mm: 0.0 is out of range (more than 0 mm)",
         ),
     ],
 )

@@ -1,8 +1,8 @@
-import argparse
 import json
 
 import numpy as np
 import pytest
+from cli_scene import parsed
 
 from coded_aperture_ros.cli import simulate
 from coded_aperture_ros.core.errors import InputError
@@ -99,9 +99,7 @@ def simulate_arguments(tmp_path, checkout):
 
 
 def run_simulate(arguments):
-    parser = argparse.ArgumentParser()
-    simulate.add_parser(parser.add_subparsers())
-    return simulate.run(parser.parse_args(arguments))
+    return simulate.run(parsed(*arguments))
 
 
 def test_simulate_writes_the_coded_frame(simulate_arguments, tmp_path, capsys):

@@ -1,4 +1,4 @@
-"""The command `calibrate`: its numbers, its files, and the page, in a real browser."""
+"""The command `design`: its numbers, its files, and the page, in a real browser."""
 
 import functools
 import json
@@ -23,7 +23,7 @@ CONTRACT = {
     "levels", "blur_size_near_px", "blur_size_far_px", "hole_blur_near_px", "hole_blur_far_px",
     "resolution_near_m", "resolution_far_m",
 }  # fmt: skip
-FILES = {"calibrate.json", "calibrate.html", "calibrate.png"}
+FILES = {"design.json", "design.html", "design.png"}
 
 
 def camera_file(folder, name="camera.yaml", **changes):
@@ -34,7 +34,7 @@ def camera_file(folder, name="camera.yaml", **changes):
 
 
 def numbers(capsys, *arguments):
-    result = call(capsys, "calibrate", *arguments, "--json")
+    result = call(capsys, "design", *arguments, "--json")
     assert result.status == 0, result.err
     return json.loads(result.out)
 
@@ -55,7 +55,7 @@ def test_table_of_the_thesis(tmp_path, capsys, changes, depth_range, levels):
     setting = design_setting(load_camera(camera), *depth_range)
     for name in CONTRACT:
         assert found[name] == getattr(setting, name)
-    table = call(capsys, "calibrate", "--camera", camera, "--depth-range", *depth_range).out
+    table = call(capsys, "design", "--camera", camera, "--depth-range", *depth_range).out
     assert re.search(rf"depth levels told apart +{setting.levels:.1f}\n", table)
     assert f"mask four_hole, 11 mm; focus at {changes['focus_distance_m']:g} m" in table
     assert everything(tmp_path).keys() == {camera.relative_to(tmp_path)}
@@ -65,7 +65,7 @@ def test_json_has_no_infinity(tmp_path, capsys):
     camera = camera_file(tmp_path)
     found = numbers(capsys, "--camera", camera, "--depth-range", 6, 1000)
     assert found["resolution_far_m"] is None
-    table = call(capsys, "calibrate", "--camera", camera, "--depth-range", 6, 1000).out
+    table = call(capsys, "design", "--camera", camera, "--depth-range", 6, 1000).out
     assert re.search(r"to the next depth told apart +\d\.\d\d +none m\n", table)
 
 
@@ -79,12 +79,12 @@ def test_the_best_setting_and_its_ranges(tmp_path, capsys):
     assert narrow["best"]["mask_extent_mm"] == 14
     assert 2 <= narrow["best"]["focus_distance_m"] <= 5
     assert narrow["best_on_other_side"] is None
-    text = call(capsys, "calibrate", *arguments, *ranges).out
+    text = call(capsys, "design", *arguments, *ranges).out
     assert "best with the focus before the scene" in text
     assert "beyond the scene" not in text
     none = numbers(capsys, *arguments, "--largest-blur-px", 3.5)
     assert none["best"] is None
-    text = call(capsys, "calibrate", *arguments, "--largest-blur-px", 3.5).out
+    text = call(capsys, "design", *arguments, "--largest-blur-px", 3.5).out
     assert "best: none, no focus of 1.5 to 112 m" in text
 
 
@@ -104,23 +104,23 @@ def test_files(tmp_path, capsys):
     arguments = ("--camera", camera_file(tmp_path), "--depth-range", 6, 28)
     printed = numbers(capsys, *arguments, "--output", folder)
     assert {path.name for path in folder.iterdir()} == FILES
-    written = json.loads((folder / "calibrate.json").read_text())
+    written = json.loads((folder / "design.json").read_text())
     curves = written.pop("curves")
     assert written == printed
     assert len(curves["focus_m"]) == len(curves["levels"]) == len(curves["hole_blur_mean_px"])
-    assert (folder / "calibrate.png").read_bytes().startswith(b"\x89PNG")
-    again = call(capsys, "calibrate", *arguments, "--output", folder)
-    assert again.out.endswith("open calibrate.html in a browser\n")
+    assert (folder / "design.png").read_bytes().startswith(b"\x89PNG")
+    again = call(capsys, "design", *arguments, "--output", folder)
+    assert again.out.endswith("open design.html in a browser\n")
 
 
 def test_without_matplotlib_the_page_has_the_graphs(tmp_path, capsys, caplog, monkeypatch):
     monkeypatch.setattr("coded_aperture_ros.design.figures.find_spec", lambda name: None)
     arguments = ("--camera", camera_file(tmp_path), "--depth-range", 6, 28)
-    result = call(capsys, "calibrate", *arguments, "--output", tmp_path / "design")
+    result = call(capsys, "design", *arguments, "--output", tmp_path / "design")
     assert result.status == 0
     (warning,) = caplog.messages
-    assert "no calibrate.png, which needs matplotlib" in warning
-    assert {path.name for path in (tmp_path / "design").iterdir()} == FILES - {"calibrate.png"}
+    assert "no design.png, which needs matplotlib" in warning
+    assert {path.name for path in (tmp_path / "design").iterdir()} == FILES - {"design.png"}
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_what_makes_no_sense_is_one_line(tmp_path, capsys, changes, arguments, p
     before = everything(tmp_path)
     result = call(
         capsys,
-        *("calibrate", "--camera", camera, "--output", tmp_path / "new"),
+        *("design", "--camera", camera, "--output", tmp_path / "new"),
         *("--depth-range", *arguments),
     )
     refused(result, camera, phrase)
@@ -172,7 +172,7 @@ def test_what_makes_no_sense_is_one_line(tmp_path, capsys, changes, arguments, p
     ],
 )
 def test_wrong_usage(capsys, arguments, phrase):
-    wrong_usage(call(capsys, "calibrate", *arguments), "calibrate", phrase)
+    wrong_usage(call(capsys, "design", *arguments), "design", phrase)
 
 
 @pytest.mark.parametrize(
@@ -188,7 +188,7 @@ def test_a_folder_that_cannot_be_written(tmp_path, capsys, monkeypatch, output, 
     (tmp_path / "file").write_text("")
     before = everything(tmp_path)
     arguments = ("--camera", camera, "--depth-range", 6, 28, "--output", tmp_path / output)
-    refused(call(capsys, "calibrate", *arguments), output, phrase)
+    refused(call(capsys, "design", *arguments), output, phrase)
     assert everything(tmp_path) == before
 
 
@@ -197,15 +197,15 @@ def test_nothing_is_half_written(tmp_path, capsys, monkeypatch):
     pytest.importorskip("matplotlib")
     folder = tmp_path / "design"
     folder.mkdir()
-    (folder / "calibrate.json").write_text("old")
+    (folder / "design.json").write_text("old")
 
     def draw_design(*arguments):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("coded_aperture_ros.design.figures.draw_design", draw_design)
+    monkeypatch.setattr("coded_aperture_ros.cli.design.draw_design", draw_design)
     arguments = ("--camera", camera_file(tmp_path), "--depth-range", 6, 28, "--output", folder)
-    refused(call(capsys, "calibrate", *arguments), "calibrate.png", "No space left")
-    assert {path.name: path.read_text() for path in folder.iterdir()} == {"calibrate.json": "old"}
+    refused(call(capsys, "design", *arguments), "design.png", "No space left")
+    assert {path.name: path.read_text() for path in folder.iterdir()} == {"design.json": "old"}
 
 
 @pytest.mark.parametrize("draws", [True, False])
@@ -217,7 +217,7 @@ def test_it_loads_matplotlib_only_to_draw(tmp_path, draws):
         "from coded_aperture_ros.cli.main import main\n"
         "print(main(sys.argv[1:]), 'matplotlib' in sys.modules, file=sys.stderr)\n"
     )
-    arguments = ["calibrate", "--camera", camera_file(tmp_path), "--depth-range", 6, 28]
+    arguments = ["design", "--camera", camera_file(tmp_path), "--depth-range", 6, 28]
     arguments += ["--output", tmp_path / "design"] if draws else []
     result = subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)],
@@ -240,8 +240,8 @@ def page(tmp_path_factory):
         folder = tmp_path_factory.mktemp("page")
         camera = camera_file(folder, **json.loads(changes or "{}"))
         arguments = ["--camera", camera, "--depth-range", 6, 28, "--output", folder]
-        assert main(["calibrate", *map(str, arguments)]) == 0
-        return folder / "calibrate.html"
+        assert main(["design", *map(str, arguments)]) == 0
+        return folder / "design.html"
 
     return lambda **changes: make(json.dumps(changes))
 
@@ -332,7 +332,7 @@ def test_sliders_fields_and_buttons_act(browser, page, tmp_path):  # noqa: F811
       document.body.append(report);
     </script>"""
     path = page()
-    best = json.loads((path.parent / "calibrate.json").read_text())["best"]
+    best = json.loads((path.parent / "design.json").read_text())["best"]
     (tmp_path / "acted.html").write_text(path.read_text().replace("</body>", act + "</body>"))
     html = browser.page_after_scripts((tmp_path / "acted.html").as_uri())
     (report,) = re.findall(r'<pre id="report">(.*?)</pre>', html)

@@ -1,104 +1,92 @@
-"""`coded_aperture calibrate`: what a lens, a mask and a focus can tell over a depth range.
+"""`coded_aperture design`: what a lens, a mask and a focus can tell over a depth range."""
 
-With an action's name after it, the command measures a camera instead: see `ACTIONS`.
-"""
-
-import argparse
 import dataclasses
 import json
 import math
-from importlib import import_module
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, inputs_of
-from coded_aperture_ros.cli.extension import CALIBRATE_REFINE, CALIBRATE_TRACE
-from coded_aperture_ros.cli.measuring import checked_config, tell
-from coded_aperture_ros.cli.options import add_commands, add_options, settings_of, written_name
+from coded_aperture_ros.cli.checks import check_output, input_files
+from coded_aperture_ros.cli.command import Command, argument, group
+from coded_aperture_ros.cli.results import Summary, print_summary
 from coded_aperture_ros.core.errors import naming
+from coded_aperture_ros.core.files import atomic_outputs
+from coded_aperture_ros.design import (
+    DesignConfig,
+    best_settings,
+    default_extent_range_mm,
+    default_focus_range_m,
+    design_curves,
+    design_setting,
+    mask_openings,
+)
+from coded_aperture_ros.design.figures import draw_design, has_matplotlib
+from coded_aperture_ros.design.page import finite, write_page
+from coded_aperture_ros.design.setting import Setting
+from coded_aperture_ros.optics import Camera, load_camera
 
-# What is measured from pictures; without an action, the command designs.
-ACTIONS: dict[str, Any] = {
-    **{
-        name: import_module(f"coded_aperture_ros.cli.calibrate_{name}")
-        for name in ("blind", "field", "noise", "planes", "psf")
-    },
-    "refine": CALIBRATE_REFINE,
-    "trace": CALIBRATE_TRACE,
-}
-
-_EPILOG = """examples:
+_EXAMPLES = """examples:
   the numbers of a camera, and the best focus distance and mask size:
-    coded_aperture calibrate --camera config/example_camera.yaml --depth-range 6 28
-  with graphs (calibrate.png), a page with sliders (calibrate.html) and all curves (calibrate.json):
-    coded_aperture calibrate --camera config/example_camera.yaml --depth-range 6 28 \\
+    coded_aperture design --camera config/example_camera.yaml --depth-range 6 28
+  with graphs (design.png), a page with sliders (design.html) and all curves (design.json):
+    coded_aperture design --camera config/example_camera.yaml --depth-range 6 28 \\
         --output design
   where the lens can be focused from 2 to 5 m only, and the mask be 8 to 14 mm wide:
-    coded_aperture calibrate --camera config/example_camera.yaml --depth-range 6 28 \\
+    coded_aperture design --camera config/example_camera.yaml --depth-range 6 28 \\
         --focus-range 2 5 --mask-range 8 14
 
 --json prints levels, blur_size_near_px, blur_size_far_px (signed: positive beyond the focus),
 hole_blur_near_px, hole_blur_far_px, resolution_near_m, resolution_far_m (null: no farther depth
 can be told apart), best and more.
 """
-_NUMBERS, _PAGE, _PICTURE = "calibrate.json", "calibrate.html", "calibrate.png"
+_NUMBERS = "design.json"
+_PAGE = "design.html"
+_PICTURE = "design.png"
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the sub-command to the program's parser."""
-    parser = subparsers.add_parser(
-        "calibrate",
-        help="show how finely a camera tells depths apart, and the best focus and mask size",
-        description="Show how many depths a camera tells apart in a depth range, how finely, and "
-        "what the mask costs in light and sharpness; and search for the focus distance and the "
-        "mask size that tell most depths apart. Nothing is photographed for it. With an action, "
-        "measure a camera from its pictures: 'coded_aperture calibrate ACTION --help'.",
-        epilog=_EPILOG,
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Arguments of `design`."""
+
+    camera: str = argument(
+        "camera file, as config/example_camera.yaml, which explains every entry",
+        written="--camera YAML",
     )
-    camera = "camera file, as config/example_camera.yaml, which explains every entry"
-    add_options(parser, {"--camera YAML": camera})
-    ranges = {
-        "--depth-range NEAR FAR": "where the objects of interest are, in m",
-        "--focus-range A B": "focus distances to search and draw, in m (default: NEAR / 4 to 4 "
-        "FAR)",
-        "--mask-range A B": "mask sizes to search, in mm (default: half to twice the camera "
-        "file's)",
-    }
-    add_options(parser, ranges, type=float)
-    results = {
-        "-o --output DIR": f"folder for {_NUMBERS}, {_PAGE} and {_PICTURE}",
-        "--json": "print the numbers as JSON",
-    }
-    add_options(parser, results)
-    add_commands(parser, "action", ACTIONS.values(), required=False)
-    parser.add_late_options = settings_of({"design.DesignConfig": "what is asked of the design"})
+    depth_range: tuple[float, float] = argument(
+        "where the objects of interest are, in m", written="--depth-range NEAR FAR"
+    )
+    focus_range: tuple[float, float] | None = argument(
+        "focus distances to search and draw, in m (default: NEAR / 4 to 4 FAR)",
+        None,
+        written="--focus-range A B",
+    )
+    mask_range: tuple[float, float] | None = argument(
+        "mask sizes to search, in mm (default: half to twice the camera file's)",
+        None,
+        written="--mask-range A B",
+    )
+    output: Path | None = argument(
+        f"folder for {_NUMBERS}, {_PAGE} and {_PICTURE}", None, written="-o --output DIR"
+    )
+    json: bool = argument("print the numbers as JSON", False)
+    config: DesignConfig = group("what is asked of the design", DesignConfig())
 
 
-def run(args: argparse.Namespace) -> int:
-    """Run the sub-command, or one of its actions; return its exit status."""
-    if args.action is not None:
-        return ACTIONS[args.action].run(args)
-    from coded_aperture_ros import design
-    from coded_aperture_ros.design.page import finite
-    from coded_aperture_ros.optics import load_camera
-
-    # Not required by the parser, which would also ask the actions for them.
-    needed = ("camera", "depth_range")
-    missing = [written_name(name) for name in needed if getattr(args, name) is None]
-    if missing:
-        args.usage_error(f"the following arguments are required: {', '.join(missing)}")
+def run(args: Arguments) -> int:
+    """Print the numbers; return the exit status."""
     near_m, far_m = args.depth_range
-    config = checked_config(args, design.DesignConfig)
+    config = args.config
     if args.output is not None:
-        results = (Path(args.output) / name for name in (_NUMBERS, _PAGE, _PICTURE))
-        check_output(results, inputs_of(args, "camera"))
+        results = (args.output / name for name in (_NUMBERS, _PAGE, _PICTURE))
+        check_output(results, input_files(camera=args.camera))
     camera = load_camera(args.camera)
     with naming(args.camera):
-        setting = design.design_setting(camera, near_m, far_m, config)
-        focus_range_m = args.focus_range or design.default_focus_range_m(camera, near_m, far_m)
-        extent_range_mm = args.mask_range or design.default_extent_range_mm(camera)
-        best = design.best_settings(camera, near_m, far_m, config, focus_range_m, extent_range_mm)
-    openings = design.mask_openings(camera.mask)
+        setting = design_setting(camera, near_m, far_m, config)
+        focus_range_m = args.focus_range or default_focus_range_m(camera, near_m, far_m)
+        extent_range_mm = args.mask_range or default_extent_range_mm(camera)
+        best = best_settings(camera, near_m, far_m, config, focus_range_m, extent_range_mm)
+    openings = mask_openings(camera.mask)
     warnings = _warnings(args, setting)
     summary = {
         "camera": args.camera,
@@ -115,17 +103,20 @@ def run(args: argparse.Namespace) -> int:
         "best": dataclasses.asdict(best[0]) if best else None,
         "best_on_other_side": dataclasses.asdict(best[1]) if best[1:] else None,
         "warnings": warnings,
-        "output": args.output,
+        "output": None if args.output is None else str(args.output),
     }
     if args.output is not None:
         with naming(args.camera):
-            _write_files(args, camera, config, setting, best, summary)
-    return tell(args, finite(summary), lambda _: _table(summary, setting, best), warnings)
+            _write_files(args, args.output, camera, setting, best, summary)
+    return print_summary(
+        finite(summary),
+        lambda _: _table(summary, setting, best),
+        as_json=args.json,
+        warnings=warnings,
+    )
 
 
-def _warnings(args: argparse.Namespace, setting: Any) -> list[str]:
-    from coded_aperture_ros.design.figures import has_matplotlib
-
+def _warnings(args: Arguments, setting: Setting) -> list[str]:
     warnings = []
     if not setting.diffraction_is_negligible:
         warnings.append(
@@ -142,28 +133,27 @@ def _warnings(args: argparse.Namespace, setting: Any) -> list[str]:
 
 
 def _write_files(
-    args: argparse.Namespace, camera: Any, config: Any, setting: Any, best: Any, summary: Any
+    args: Arguments,
+    folder: Path,
+    camera: Camera,
+    setting: Setting,
+    best: list[Setting],
+    summary: dict[str, Any],
 ) -> None:
     """Write all files of the output folder, or none."""
-    from coded_aperture_ros.core.files import atomic_outputs
-    from coded_aperture_ros.design import design_curves
-    from coded_aperture_ros.design.figures import draw_design, has_matplotlib
-    from coded_aperture_ros.design.page import finite, write_page
-
     near_m, far_m = args.depth_range
     ranges = summary["focus_range_m"], summary["mask_range_mm"]
-    curves = design_curves(camera, near_m, far_m, config, args.focus_range)
+    curves = design_curves(camera, near_m, far_m, args.config, args.focus_range)
     lists = {name: values.tolist() for name, values in vars(curves).items()}
-    folder = Path(args.output)
     with atomic_outputs() as output:
         numbers = json.dumps(finite({**summary, "curves": lists}), allow_nan=False)
         output(folder / _NUMBERS).write_text(numbers + "\n", encoding="utf-8")
-        write_page(camera, near_m, far_m, best, config, *ranges, output(folder / _PAGE))
+        write_page(camera, near_m, far_m, best, args.config, *ranges, output(folder / _PAGE))
         if has_matplotlib():
             draw_design(setting, curves, near_m, far_m, output(folder / _PICTURE))
 
 
-def _table(summary: Any, setting: Any, best: Any) -> str:
+def _table(summary: Summary, setting: Setting, best: Sequence[Setting]) -> str:
     near_m, far_m = summary["near_m"], summary["far_m"]
     pairs = [("", "nearest", "farthest", "")] + [
         (name, *(_number(getattr(setting, f"{of}_{end}_{unit}")) for end in ("near", "far")), unit)
@@ -215,7 +205,7 @@ def _number(value: float) -> str:
     return "none" if math.isinf(value) else f"{value:.2f}"
 
 
-def _light(setting: Any) -> str:
+def _light(setting: Setting) -> str:
     share = f"{100 * setting.open_fraction:.0f} % of the mask's square open"
     if setting.f_number is None:
         return share
@@ -223,6 +213,16 @@ def _light(setting: Any) -> str:
     return f"{share}; f/{across:.1f} across, as much light as f/{light:.1f}"
 
 
-def _size(setting: Any) -> str:
+def _size(setting: Setting) -> str:
     sizes = sorted((abs(setting.blur_size_near_px), abs(setting.blur_size_far_px)))
     return f"{sizes[0]:.1f} to {sizes[1]:.1f}"
+
+
+COMMAND = Command(
+    Arguments,
+    run,
+    description="Show how many depths a camera tells apart in a depth range, how finely, and "
+    "what the mask costs in light and sharpness; and search for the focus distance and the "
+    "mask size that tell most depths apart. Nothing is photographed for it.",
+    examples=_EXAMPLES,
+)

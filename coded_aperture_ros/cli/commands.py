@@ -1,0 +1,88 @@
+"""All commands of the program, in the order of use."""
+
+from typing import Any
+
+from coded_aperture_ros.cli.extension import (
+    BENCH,
+    CALIBRATE_REFINE,
+    CALIBRATE_TRACE,
+    MASK_DESIGN,
+    MASK_MOTION,
+    MASK_SCORE,
+    MASK_SEARCH,
+    VIEW,
+)
+from coded_aperture_ros.cli.table import Actions, Entry, OldEntry
+
+_DESIGN = Entry(
+    "design", "show how finely a camera tells depths apart, and the best focus and mask size"
+)
+_CALIBRATE = Actions(
+    help="measure a camera from its pictures",
+    description="Measure the noise, the focus, the PSFs or the mask of a camera from its pictures. "
+    "To find out what a camera will tell before it is built, see design.",
+    examples="""examples:
+  a bank, focus and expected error from pictures of planes at known depths:
+    coded_aperture calibrate planes planes -o bank.npz
+  what each action is, and its options:
+    coded_aperture calibrate planes --help
+""",
+    actions={
+        "blind": OldEntry(
+            "calibrate_blind", "find an unknown mask from planes at unknown distances"
+        ),
+        "field": OldEntry(
+            "calibrate_field",
+            "measure the field curvature of a lens from pictures of planes at known depths",
+        ),
+        "noise": OldEntry(
+            "calibrate_noise",
+            "measure the noise of a sensor from two or more frames of something still",
+        ),
+        "planes": OldEntry(
+            "calibrate_planes",
+            "learn a bank from pictures of planes at known depths, and say how good it is",
+        ),
+        "psf": OldEntry("calibrate_psf", "measure PSFs from pictures of dots"),
+        "refine": CALIBRATE_REFINE,
+        "trace": CALIBRATE_TRACE,
+    },
+    without=("design", _DESIGN),
+)
+_MASK = Actions(
+    help="print a mask at true scale, score masks, search for better ones",
+    description="Print the mask of an aperture at true scale, predict how good masks are, "
+    "search for better ones, or find one for a camera and its range, or for what moves.",
+    examples="""examples:
+  Levin's mask, 26 mm wide, on a page to be printed and cut out:
+    coded_aperture mask print levin --extent-mm 26 -o mask.pdf
+  what errors to expect of all masks with names:
+    coded_aperture mask score
+""",
+    actions={
+        "print": Entry(
+            "mask_print", "draw a mask at true scale, with a ruler and cut lines (PDF, SVG or DXF)"
+        ),
+        "score": MASK_SCORE,
+        "search": MASK_SEARCH,
+        "design": MASK_DESIGN,
+        "motion": MASK_MOTION,
+    },
+)
+COMMANDS: dict[str, Any] = {
+    "demo": Entry("demo", "run camera driver, depth and deblurring on a simulated camera"),
+    "sample": Entry("sample", "write example files to try the other commands with"),
+    "check": Entry("check", "find out what is wrong with a camera, a bank and frames"),
+    "design": _DESIGN,
+    "calibrate": _CALIBRATE,
+    "mask": _MASK,
+    "learn": Entry(
+        "learn", "learn a filter bank from a camera file, a mask, measured PSFs or planes"
+    ),
+    "depth": OldEntry("depth", "estimate depth from coded frames"),
+    "deblur": OldEntry("deblur", "make all-in-focus frames from coded frames and depth"),
+    "simulate": Entry("simulate", "render a coded frame from a sharp picture and its depth"),
+    "bag": OldEntry("bag", "estimate depth of a recorded bag, and score it"),
+    "view": VIEW,
+    "bench": BENCH,
+}
