@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from domain_lock import reserve_domain
 from hypothesis import settings
+from waiting import scaled
 
 # No time limit for a single example: it would fail tests on a busy machine. Where CI is set,
 # Hypothesis itself makes its choices repeatable.
@@ -64,6 +65,17 @@ def checkout() -> Path:
     return Path(__file__).resolve().parents[1]
 
 
+@pytest.fixture
+def ros():
+    """Return a ROS context of the test's own, that spins."""
+    pytest.importorskip("rclpy")
+    from ros_helpers import Ros
+
+    ros = Ros()
+    yield ros
+    ros.close()
+
+
 @pytest.fixture(scope="session")
 def scene(tmp_path_factory):
     """Two planes, their coded frame and a bank, made by the command line."""
@@ -84,6 +96,14 @@ def recorded(scene, tmp_path_factory):
         return write_bag(folder / f"{storage}_{frames}", recording(scene, frames=frames), storage)
 
     return bag
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item):
+    """Give every test its time by how busy the machine is when the test begins."""
+    if item.config.getoption("timeout") is None:
+        item.add_marker(pytest.mark.timeout(scaled(float(item.config.getini("timeout")))))
+    return (yield)
 
 
 @pytest.hookimpl(trylast=True)

@@ -16,6 +16,7 @@ from coded_aperture_benchmarks.frames.misfits import LIGHT, MISFITS, Fitting, re
 from coded_aperture_benchmarks.reference import REFERENCE_METHODS
 from coded_aperture_benchmarks.suites import pictures
 from coded_aperture_benchmarks.suites.stair import lost_cells
+from waiting import output_of, run_program, run_python, wait_until
 
 from coded_aperture_ros.cli import extension
 from coded_aperture_ros.cli import main as program
@@ -47,10 +48,12 @@ def test_a_stair_of_three_steps_is_recognised(capsys):
 
 
 def test_without_the_program_errors_are_one_line_too(checkout, tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-m", "coded_aperture_benchmarks", "accuracy", "scenes", str(tmp_path)],
-        capture_output=True,
-        text=True,
+    done = run_python(
+        "-m",
+        "coded_aperture_benchmarks",
+        "accuracy",
+        "scenes",
+        str(tmp_path),
         env={**os.environ, "PYTHONPATH": f"{checkout}{os.pathsep}{checkout / 'benchmarks'}"},
     )
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
@@ -482,18 +485,13 @@ def test_an_interrupt_ends_all_processes_quietly():
         start_new_session=True,
     )
     try:
-        deadline = time.monotonic() + 60
-        while time.monotonic() < deadline and len(_group(program.pid)) < 3:
-            time.sleep(0.05)
+        assert wait_until(lambda: len(_group(program.pid)) >= 3, every_s=0.05)
         time.sleep(0.3)  # they are busy importing, or already at work
         os.killpg(program.pid, signal.SIGINT)
-        out, err = program.communicate(timeout=20)
+        out, err = output_of(program)
         assert (program.returncode, out, err) == (130, "", "")
         # Python's own tracker of shared resources ends just after the program.
-        deadline = time.monotonic() + 5
-        while time.monotonic() < deadline and _group(program.pid):
-            time.sleep(0.05)
-        assert _group(program.pid) == []
+        assert wait_until(lambda: not _group(program.pid), every_s=0.05)
     finally:
         for pid in _group(program.pid):
             os.kill(int(pid), signal.SIGKILL)
@@ -503,7 +501,7 @@ def _group(leader):
     """Return the processes of a process group."""
     if not shutil.which("ps"):
         pytest.skip("needs ps")
-    listed = subprocess.run(["ps", "-eo", "pid=,pgid=,stat="], capture_output=True, text=True)
+    listed = run_program("ps", "-eo", "pid=,pgid=,stat=")
     lines = [line.split() for line in listed.stdout.splitlines()]
     return [pid for pid, group, state in lines if group == str(leader) and state[0] != "Z"]
 

@@ -2,12 +2,12 @@
 
 import importlib.util
 import os
-import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
+from waiting import run_program
 
 from coded_aperture_ros.core.errors import InputError
 
@@ -93,7 +93,7 @@ def test_a_process_that_ends_is_told_with_what_it_said(benchmark, tmp_path):
 def test_it_measures_a_node(checkout):
     command = [sys.executable, str(checkout / "benchmarks" / "node_rate.py")]
     options = ["--rates", "5", "--seconds", "3", "--warm-up", "1", "-p", "stride_px:=32"]
-    done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=120)
+    done = run_program(*command, *options, timeout_s=120)
     assert done.returncode == 0, done.stderr
     values = dict(
         [cell.strip() for cell in line.split("|")[1:3]] for line in done.stdout.splitlines()
@@ -105,5 +105,5 @@ def test_it_measures_a_node(checkout):
 
 def test_usage_is_explained(checkout):
     command = [sys.executable, str(checkout / "benchmarks" / "node_rate.py"), "-p", "stride_px"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    done = run_program(*command)
     assert done.returncode == 2 and "NAME:=VALUE" in done.stderr

@@ -33,7 +33,7 @@ from cli_scene import call, everything
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import CompressionMode
-from waiting import wait_until
+from waiting import output_of, run_python, wait_until
 
 from coded_aperture_ros.bags import Bag, bag_output, is_bag
 from coded_aperture_ros.bags.workers import in_order
@@ -202,9 +202,7 @@ def test_a_full_disk_leaves_nothing_behind(scene, tmp_path, storage):
         "resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))\n"
         "sys.exit(main(sys.argv[1:]))"
     )
-    ran = subprocess.run(
-        [sys.executable, "-c", program, *arguments], capture_output=True, text=True, timeout=120
-    )
+    ran = run_python("-c", program, *arguments, timeout_s=120)
     assert (ran.returncode, ran.stdout) == (1, "")
     assert ran.stderr.count("\n") == 1
     assert f"cannot write {target}" in ran.stderr
@@ -444,15 +442,15 @@ def test_nothing_stays_of_a_program_or_a_worker_that_is_killed(scene, recorded, 
     )
     try:
         # It has begun to write.
-        assert wait_until(lambda: list(tmp_path.glob(".out-*/out/*")), 30)
+        assert wait_until(lambda: list(tmp_path.glob(".out-*/out/*")))
         workers = forked_processes(program.pid)
         assert len(workers) == processors()
         if whom == "program":
             program.kill()
         else:
             os.kill(min(workers), signal.SIGKILL)
-        _, said = program.communicate(timeout=60)
-        assert wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers), 5)
+        _, said = output_of(program)
+        assert wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers))
     finally:
         program.kill()
     if whom == "worker":

@@ -4,7 +4,6 @@ import dataclasses
 import json
 import re
 import shutil
-import subprocess
 import sys
 from itertools import product
 
@@ -28,6 +27,7 @@ from cli_scene import (
     wrong_usage,
 )
 from scipy import ndimage
+from waiting import run_program, run_python
 
 from coded_aperture_ros.depth import REGULARIZERS, DepthConfig, DepthEstimator, estimate_video
 from coded_aperture_ros.frames import SRGB, encode, mosaic_from_colour
@@ -325,7 +325,7 @@ def test_a_movie_that_was_cut_off_is_not_left_behind(tmp_path):
         "        add(random.integers(0, 256, (240, 320, 3), np.uint8))\n"
     )
     ran = [sys.executable, "-c", program]
-    result = subprocess.run(ran, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    result = run_program(*ran, cwd=tmp_path)
     assert "cannot write full.mp4: is the disk full?" in result.stderr
     assert names(tmp_path) == []
 
@@ -387,15 +387,10 @@ def test_a_video_of_resampled_frames(scene, tmp_path, capsys, scale):
 
 
 def test_as_a_process_with_nothing_but_json_on_stdout(scene, tmp_path):
-    result = subprocess.run(
-        [
-            *(sys.executable, "-W", "error", "-m", "coded_aperture_ros.cli.main", "depth"),
-            *("--bank", scene.bank, scene.coded_png, "-o", tmp_path / "d.tif", "--json"),
-        ],
-        capture_output=True,
-        text=True,
+    result = run_python(
+        *("-W", "error", "-m", "coded_aperture_ros.cli.main", "depth"),
+        *("--bank", scene.bank, scene.coded_png, "-o", tmp_path / "d.tif", "--json"),
         check=True,
-        timeout=60,
     )
     assert json.loads(result.stdout)[0]["output"] == str(tmp_path / "d.tif")
 
@@ -531,15 +526,9 @@ def test_unusable_frames(scene, tmp_path, capsys, name, phrase):
 def test_opencv_adds_nothing_to_the_message(scene, tmp_path, name):
     write_frames(tmp_path)
     (tmp_path / "cut.tiff").write_bytes(b"II*\0\x08\0\0\0\x01")
-    result = subprocess.run(
-        [
-            *(sys.executable, "-m", "coded_aperture_ros.cli.main", "depth"),
-            *("--bank", scene.bank, tmp_path / name, "-o", tmp_path / "d.npy"),
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
+    result = run_python(
+        *("-m", "coded_aperture_ros.cli.main", "depth"),
+        *("--bank", scene.bank, tmp_path / name, "-o", tmp_path / "d.npy"),
     )
     refused(Result(result.returncode, result.stdout, result.stderr), tmp_path / name)
 

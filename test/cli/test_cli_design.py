@@ -4,8 +4,6 @@ import functools
 import json
 import math
 import re
-import subprocess
-import sys
 
 import cv2
 import numpy as np
@@ -14,6 +12,7 @@ import yaml
 from browser import browser, values_of  # noqa: F401  a fixture
 from cameras import THESIS
 from cli_scene import call, everything, refused, wrong_usage
+from waiting import run_python
 
 from coded_aperture_ros.cli.main import main
 from coded_aperture_ros.design import design_setting
@@ -219,12 +218,7 @@ def test_it_loads_matplotlib_only_to_draw(tmp_path, draws):
     )
     arguments = ["design", "--camera", camera_file(tmp_path), "--depth-range", 6, 28]
     arguments += ["--output", tmp_path / "design"] if draws else []
-    result = subprocess.run(
-        [sys.executable, "-c", code, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    result = run_python("-c", code, *map(str, arguments), check=True)
     assert result.stderr.split() == ["0", str(draws)]
 
 

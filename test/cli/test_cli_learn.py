@@ -2,13 +2,13 @@
 
 import json
 import os
-import subprocess
 import sys
 
 import numpy as np
 import pytest
 from cli_scene import CAMERA, call, camera_file, everything, forbid_work, refused, wrong_usage
 from psf_pictures import measured_file
+from waiting import run_python
 
 from coded_aperture_ros.likelihood.bank import load_bank
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
@@ -290,14 +290,12 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path):
         "sys.exit(main())\n"
     )
     arguments = ("learn", "--mask", "levin", "--blur-sizes", 3, 9, 4, *SMALL, "-o", "bank.npz")
-    result = subprocess.run(
-        [sys.executable, "-c", program, *map(str, arguments)],
+    result = run_python(
+        "-c",
+        program,
+        *map(str, arguments),
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
     )
     assert result.stderr.splitlines()[-1:] == [
         "coded_aperture: error: cannot write bank.npz: File too large"

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from waiting import run_program, run_python, scaled
 
 import coded_aperture_ros
 from coded_aperture_ros.cli import main as program
@@ -20,13 +21,7 @@ from coded_aperture_ros.core.files import atomic_output
 
 
 def call(arguments, module="coded_aperture_ros.cli.main"):
-    return subprocess.run(
-        [sys.executable, "-m", module, *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
+    return run_python("-m", module, *arguments)
 
 
 @pytest.fixture
@@ -71,7 +66,7 @@ def test_a_shell_is_told_what_may_come_next(tmp_path, line, expected):
         "COMP_POINT": str(len(line)),
     }
     program = [sys.executable, "-m", "coded_aperture_ros"]
-    subprocess.run(program, env={**os.environ, **asked}, timeout=60, check=True)
+    subprocess.run(program, env={**os.environ, **asked}, timeout=scaled(60), check=True)
     assert answer.read_text().replace("\013", " ").split() == expected
 
 
@@ -163,7 +158,7 @@ def test_a_reader_that_leaves_is_not_an_error_message():
     process.stdout.close()
     assert process.stderr.read() == ""
     process.stderr.close()
-    assert process.wait(timeout=60) == 1
+    assert process.wait(timeout=scaled(60)) == 1
 
 
 ACT = (
@@ -181,13 +176,8 @@ ACT = (
 
 
 def in_shell(arguments, redirected):
-    return subprocess.run(
-        ["sh", "-c", f'"$0" "$@" {redirected}', sys.executable, *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-        stdin=subprocess.DEVNULL,
+    return run_program(
+        "sh", "-c", f'"$0" "$@" {redirected}', sys.executable, *arguments, stdin=subprocess.DEVNULL
     )
 
 

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 from cli_scene import call
-from ros_helpers import wait_until
+from waiting import output_of, wait_until
 
 from coded_aperture_ros.cli import demo
 from coded_aperture_ros.core.errors import InputError
@@ -66,7 +66,7 @@ def test_an_impossible_output_is_refused_before_anything_starts(tmp_path, capsys
 @pytest.mark.serial
 def test_a_short_demo(tmp_path):
     process = start("--output", tmp_path / "out", "--seconds", 4, "--json")
-    out, err = process.communicate(timeout=150)
+    out, err = output_of(process, 150)
     assert process.returncode == 0, err
     summary = json.loads(out)
     assert json.loads((tmp_path / "out" / "summary.json").read_text()) == summary
@@ -108,7 +108,7 @@ def test_no_node_outlives_the_demo(tmp_path, number, nodes):
     time.sleep(1.0)
     pids = nodes_of(process)
     process.send_signal(number)
-    _, err = process.communicate(timeout=30)
+    _, err = output_of(process)
     assert process.returncode == 130
     assert "Traceback" not in err
     assert len(pids) >= nodes and alive(pids) == []
@@ -122,7 +122,7 @@ def test_a_node_that_dies_is_reported(tmp_path):
     assert wait_until(lambda: len(nodes_of(process)) == 3, 60)
     pids = nodes_of(process)
     os.kill(pids[0], signal.SIGKILL)
-    _, err = process.communicate(timeout=30)
+    _, err = output_of(process)
     assert process.returncode == 1
     assert "ended with status -9" in err and "Traceback" not in err
     assert alive(pids) == []
@@ -140,6 +140,6 @@ def test_a_childs_last_lines_are_passed_on(tmp_path):
 @pytest.mark.parametrize("arguments", [("--seconds", "0"), ("--seconds", "soon"), ("--speed", 3)])
 def test_wrong_usage(arguments):
     process = start(*arguments)
-    _, err = process.communicate(timeout=30)
+    _, err = output_of(process)
     assert process.returncode == 2
     assert "usage" in err

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from bag_scene import read, recording, write_bag
 from cli_scene import call, everything, examples, refused
-from waiting import wait_until
+from waiting import scaled, wait_until
 
 WEEK = ("monday", "tuesday")
 
@@ -158,7 +158,7 @@ def test_another_worker_does_what_a_dead_one_was_at(scene, tmp_path, checkout):
             wait_until(lambda: list((tmp_path / "out").glob(".long-*")), 60)
             workers[0].kill()
             workers.append(subprocess.Popen(worker, env=environment, **quiet))
-            assert asked.wait(120) == 0
+            assert asked.wait(scaled(120)) == 0
         finally:
             for each in workers:
                 each.kill()

@@ -28,13 +28,3 @@ def coded(camera_file):
     coded = coded_wall(load_camera(camera_file))
     coded.flags.writeable = False
     return coded
-
-
-@pytest.fixture
-def ros():
-    """Return a ROS context of the test's own, that spins."""
-    from ros_helpers import Ros
-
-    ros = Ros()
-    yield ros
-    ros.close()

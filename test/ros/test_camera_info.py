@@ -1,19 +1,15 @@
 """Which camera_info a frame is worked on with."""
 
-import time
-
 import numpy as np
 import pytest
 from node_chains import Chain, DeblurChain, mono8, stamped, wall
-from ros_helpers import wait_until
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, RegionOfInterest
 from small_camera import CAMERA, HEIGHT, WIDTH
+from waiting import wait_until
 
 from coded_aperture_ros.ros import depth_node
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.messages import stamp_ns
-
-SETTLED_S = 0.3
 
 
 def told(focal_length_px, header=None, **changes):
@@ -27,13 +23,6 @@ def told(focal_length_px, header=None, **changes):
     return info
 
 
-def publish(chain, *infos):
-    """Publish camera_info, each of them so that it arrives before the next."""
-    for info in infos:
-        chain.infos.publish(info)
-        time.sleep(SETTLED_S)
-
-
 def focal_length(chain, frame):
     """Return the focal length that is published with the depth of a frame, px."""
     return chain.result(frame, "depth/camera_info").k[0]
@@ -42,7 +31,7 @@ def focal_length(chain, frame):
 def test_depth_has_the_camera_info_of_its_frame(ros, model, coded):
     chain = Chain(ros, model)
     first, second = mono8(coded), mono8(coded)
-    publish(chain, told(410.0, first.header), told(430.0, second.header))
+    chain.tell(told(410.0, first.header), told(430.0, second.header))
     assert focal_length(chain, first) == 410.0
     assert focal_length(chain, second) == 430.0
     assert focal_length(chain, mono8(coded)) == 430.0  # the newest, where its own has not come
@@ -55,8 +44,7 @@ def test_all_in_focus_frames_have_the_camera_info_of_their_frame(ros, model, cod
     assert wait_until(infos.get_subscription_count)
     first, second = mono8(coded), mono8(coded)
     for focal_length_px, frame in ((410.0, first), (430.0, second)):
-        infos.publish(told(focal_length_px, frame.header))
-        time.sleep(SETTLED_S)
+        ros.hand_over(infos, told(focal_length_px, frame.header))
     chain.images.publish(first)
     chain.depths.publish(wall(first.header))
     assert wait_until(lambda: chain.infos)
@@ -70,12 +58,12 @@ def test_a_camera_info_that_comes_during_a_frame_is_for_the_next(ros, model, cod
     limit_depth, meanwhile = depth_node.limit_depth, [told(800.0, width=2 * WIDTH)]
 
     def changing(*arguments):
-        publish(chain, *meanwhile)
+        chain.tell(*meanwhile)
         meanwhile.clear()
         return limit_depth(*arguments)
 
     monkeypatch.setattr(depth_node, "limit_depth", changing)
-    publish(chain, told(410.0))
+    chain.tell(told(410.0))
     assert focal_length(chain, mono8(coded)) == 410.0
     assert chain.rejected == {}
     assert wait_until(lambda: clouds)
@@ -90,7 +78,7 @@ def test_a_camera_info_that_comes_during_a_frame_is_for_the_next(ros, model, cod
 def test_the_stamps_of_a_time_that_was_set_back_do_not_count(ros, model, coded):
     chain = Chain(ros, model)
     header = stamped()
-    publish(chain, told(410.0, header), told(430.0, stamped()))
+    chain.tell(told(410.0, header), told(430.0, stamped()))
     chain.node.restart()
     assert focal_length(chain, mono8(coded, header)) == 430.0
 
@@ -100,7 +88,7 @@ def test_the_driver_sends_camera_info_before_its_frame(ros, camera_file):
     for topic, kind in (("camera_info", CameraInfo), ("image_raw", Image)):
         ros.probe.create_subscription(kind, topic, arrived.append, 10)
     ros.make(CameraDriverNode, {"camera_file": str(camera_file), "rate_hz": 5.0})
-    assert wait_until(lambda: len(arrived) > 8, 30)
+    assert wait_until(lambda: len(arrived) > 8)
     kinds = {}
     for message in arrived:
         kinds.setdefault(stamp_ns(message.header), type(message))
@@ -130,9 +118,9 @@ def test_a_camera_info_of_no_camera_is_told_and_the_one_before_holds(ros, model,
     chain = Chain(ros, model)
     clouds = ros.subscribe("depth/points", PointCloud2)
     assert wait_until(lambda: chain.node.count_subscribers("depth/points"))
-    publish(chain, told(430.0, **changes))
+    chain.tell(told(430.0, **changes))
     assert focal_length(chain, mono8(coded)) == CAMERA["focal_length_px"]
-    publish(chain, told(410.0), told(430.0, **changes))
+    chain.tell(told(410.0), told(430.0, **changes))
     assert focal_length(chain, mono8(coded)) == 410.0
     assert wait_until(lambda: len(clouds) == 2)
     summary = chain.node.statistics.summary()
@@ -142,7 +130,7 @@ def test_a_camera_info_of_no_camera_is_told_and_the_one_before_holds(ros, model,
 
 def test_many_of_them_are_one_line(ros, model, capfd):
     chain = Chain(ros, model)
-    publish(chain, *(told(410.0, **BROKEN["coefficients"][0]) for _ in range(3)))
+    chain.tell(*(told(410.0, **BROKEN["coefficients"][0]) for _ in range(3)))
     assert wait_until(lambda: chain.rejected == {"camera_info": 3})
     lines = [line for line in capfd.readouterr().err.splitlines() if "camera_info" in line]
     assert len(lines) == 1
@@ -155,7 +143,7 @@ def test_a_region_without_a_size_is_all_of_the_view(ros, model, coded, roi):
     region = RegionOfInterest(x_offset=x, y_offset=y, width=width, height=height)
     whole = {"width": WIDTH + x} if width else {}
     chain = Chain(ros, model)
-    publish(chain, told(410.0, roi=region, **whole))
+    chain.tell(told(410.0, roi=region, **whole))
     assert focal_length(chain, mono8(coded)) == 410.0
     assert chain.rejected == {}
 
@@ -163,15 +151,15 @@ def test_a_region_without_a_size_is_all_of_the_view(ros, model, coded, roi):
 @pytest.mark.parametrize(("model_name", "count"), [("radtan", 4), ("plumb_bob", 8), ("", 5)])
 def test_distortion_may_have_any_name_that_opencv_can_undo(ros, model, coded, model_name, count):
     chain = Chain(ros, model)
-    publish(chain, told(410.0, distortion_model=model_name, d=[0.01] + [0.0] * (count - 1)))
+    chain.tell(told(410.0, distortion_model=model_name, d=[0.01] + [0.0] * (count - 1)))
     assert focal_length(chain, mono8(coded)) == 410.0
     assert chain.rejected == {}
 
 
 def test_a_lens_without_distortion_may_call_its_model_anything(ros, model, coded):
     chain = Chain(ros, model)
-    publish(chain, told(410.0, distortion_model="none", d=[0.0] * 3))
+    chain.tell(told(410.0, distortion_model="none", d=[0.0] * 3))
     assert focal_length(chain, mono8(coded)) == 410.0
-    publish(chain, told(0.0))  # not calibrated: says nothing, and is no fault
+    chain.tell(told(0.0))  # not calibrated: says nothing, and is no fault
     assert focal_length(chain, mono8(coded)) == 410.0
     assert chain.rejected == {}

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 import yaml
 from cameras import TINY
-from ros_helpers import Ros, wait_until
 from sensor_msgs.msg import CameraInfo, Image
 from sensor_msgs.srv import SetCameraInfo
+from waiting import wait_until
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.share import share_directory
@@ -19,17 +19,10 @@ from coded_aperture_ros.ros.camera_info_store import camera_info_path
 MEASURED = Intrinsics(64, 48, (121.0, 0.0, 30.0, 0.0, 122.0, 25.0, 0.0, 0.0, 1.0), (0.1,) * 5)
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def home(tmp_path, monkeypatch):
     monkeypatch.setenv("ROS_HOME", str(tmp_path / "ros"))
     return tmp_path / "ros"
-
-
-@pytest.fixture
-def ros(home):
-    ros = Ros()
-    yield ros
-    ros.close()
 
 
 def drive(ros, tmp_path, **parameters):
@@ -89,7 +82,7 @@ def test_other_urls_are_refused(home, url, says):
 def test_a_calibration_program_sets_it_and_it_stays(ros, home, tmp_path):
     infos = ros.subscribe("camera_info", CameraInfo)
     node = drive(ros, tmp_path)
-    assert wait_until(lambda: infos, 30)
+    assert wait_until(lambda: infos)
     assert infos[-1].k[0] == pytest.approx(119.4)
     answer = set_info(ros, message())
     assert answer.success, answer.status_message
@@ -97,12 +90,10 @@ def test_a_calibration_program_sets_it_and_it_stays(ros, home, tmp_path):
     assert list(infos[-1].d) == [0.1] * 5
     saved = load_intrinsics(home / "camera_info" / "camera.yaml")
     assert saved.camera_matrix == MEASURED.camera_matrix
-    node.close()
-    node.destroy_node()
-    ros.nodes.remove(node)
+    ros.remove(node)
     infos.clear()
     drive(ros, tmp_path)
-    assert wait_until(lambda: infos, 30)
+    assert wait_until(lambda: infos)
     assert infos[-1].k[0] == 121.0
 
 
@@ -118,7 +109,7 @@ def test_what_no_camera_can_be_is_refused_and_the_old_one_stays(ros, home, tmp_p
         answer = set_info(ros, broken)
         assert not answer.success
         assert answer.status_message
-    assert wait_until(lambda: infos, 30)
+    assert wait_until(lambda: infos)
     assert infos[-1].k[0] == pytest.approx(119.4)
     assert not home.exists()
 
@@ -126,7 +117,7 @@ def test_what_no_camera_can_be_is_refused_and_the_old_one_stays(ros, home, tmp_p
 def test_a_calibration_of_other_proportions_is_refused(ros, home, tmp_path):
     infos = ros.subscribe("camera_info", CameraInfo)
     drive(ros, tmp_path)
-    assert wait_until(lambda: infos, 30)
+    assert wait_until(lambda: infos)
     answer = set_info(ros, message(height=36))
     assert not answer.success
     assert "64x36" in answer.status_message and "64x48 frames" in answer.status_message
@@ -145,7 +136,7 @@ def test_before_the_first_frame_nobody_knows_whether_a_calibration_fits(ros, hom
     assert answer.success
     assert "no frame has come yet, so whether it has their proportions is" in answer.status_message
     images = ros.subscribe("image_raw", Image)
-    assert wait_until(lambda: images, 30)
+    assert wait_until(lambda: images)
     assert node.statistics.summary().received
     answer = set_info(ros, message())
     assert answer.success and answer.status_message.endswith("camera.yaml")
@@ -156,7 +147,7 @@ def test_frames_of_other_proportions_have_no_camera_info(ros, tmp_path, capfd):
     wide.save(tmp_path / "wide.yaml")
     images, infos = ros.subscribe("image_raw", Image), ros.subscribe("camera_info", CameraInfo)
     drive(ros, tmp_path, camera_info_url=f"file://{tmp_path}/wide.yaml")
-    assert wait_until(lambda: len(images) > 5, 30)
+    assert wait_until(lambda: len(images) > 5)
     assert infos == []
     said = [line for line in capfd.readouterr().err.splitlines() if "no camera_info" in line]
     assert len(said) == 1

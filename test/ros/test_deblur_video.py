@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from node_chains import DeblurChain, stamped
 from rclpy.parameter import Parameter
-from ros_helpers import wait_until
 from sensor_msgs.msg import Image
+from waiting import wait_until
 
 from coded_aperture_ros.deblur import Deblurrer
 from coded_aperture_ros.io.messages import array_from_image, pixels_from_frame
@@ -128,5 +128,5 @@ def test_the_nodes_of_one_process_learn_one_bank(ros, model, camera_file, monkey
     for node in (CameraDriverNode, DepthNode, DeblurNode):
         ros.make(node, given, local=local)
     deblurred = ros.subscribe("deblurred/image", Image)
-    assert wait_until(lambda: deblurred, 30)
+    assert wait_until(lambda: deblurred)
     assert learned == [1]

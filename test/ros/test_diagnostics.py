@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from node_chains import Chain, mono8
-from ros_helpers import wait_until
+from waiting import stays_false, wait_until
 
 from coded_aperture_ros.depth.quality.health import FitCheck, Health
 from coded_aperture_ros.io.messages import array_from_image
@@ -73,7 +73,7 @@ def test_an_error_is_told_until_frames_have_been_good_for_a_while(ros, chain, co
     chain.send(broken)
     assert wait_until(lambda: "nv21" in reports.values.get("last_error", ""))
     # Without frames it stays: it may be why there are none.
-    assert not wait_until(lambda: reports.values["last_error"] == "none", WINDOW_S + 1.5)
+    assert stays_false(lambda: reports.values["last_error"] == "none", WINDOW_S + 1.5)
 
     def goes():
         chain.send(mono8(coded))

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import yaml
 from rclpy.lifecycle import TransitionCallbackReturn
-from ros_helpers import wait_until
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
+from waiting import scaled, wait_until
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.messages import array_from_image
@@ -64,7 +64,7 @@ def test_the_simulator_publishes_frames_and_the_truth(ros, camera_file):
     depths = ros.subscribe("ground_truth/depth", Image)
     sharp = ros.subscribe("ground_truth/image", Image)
     drive(ros, camera_file, "simulator", rate_hz=20.0, frame_id="front_optical_frame")
-    assert wait_until(lambda: min(map(len, (images, infos, depths, sharp))) >= 10, 30)
+    assert wait_until(lambda: min(map(len, (images, infos, depths, sharp))) >= 10)
     stamps = [{stamp_ns(m.header) for m in stream} for stream in (images, infos, depths, sharp)]
     assert len(set.intersection(*stamps)) >= 8  # the very same stamps on every topic
     now = ros.probe.get_clock().now().nanoseconds
@@ -85,9 +85,10 @@ def test_the_rate_is_kept(ros, camera_file, folder):
     images = ros.subscribe("image_raw", Image)
     drive(ros, camera_file, folder, rate_hz=20.0)
     assert wait_until(lambda: images)
-    before = len(images)
+    before, began = len(images), time.monotonic()
     time.sleep(2.0)
-    assert 20 <= len(images) - before <= 42
+    rate_hz = (len(images) - before) / (time.monotonic() - began)
+    assert 10 / scaled(1) <= rate_hz <= 21
 
 
 def test_a_folder_is_published_once_in_order(ros, camera_file, folder, pictures):
@@ -170,7 +171,7 @@ def test_a_device_that_vanishes_is_tried_again(ros, camera_file, tmp_path):
     time.sleep(0.3)
     assert images == [] and node.context.ok()
     write_video(tmp_path / "stream.avi")
-    assert wait_until(lambda: len(images) >= 10, 20)
+    assert wait_until(lambda: len(images) >= 10)
     assert stamp_ns(images[5].header) - stamp_ns(images[4].header) > 400_000_000
 
 
@@ -187,11 +188,11 @@ def test_a_camera_that_hangs_is_not_read_by_two_threads(ros, camera_file, folder
         return read()
 
     monkeypatch.setattr(node._source, "read", hang)
-    assert hangs.wait(5)
+    assert hangs.wait(scaled(5))
     assert node.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
     assert node.trigger_activate() != TransitionCallbackReturn.SUCCESS
     goes_on.set()
-    node._thread.join(5)
+    node._thread.join(scaled(5))
     count = len(images)
     assert node.trigger_activate() == TransitionCallbackReturn.SUCCESS
     assert wait_until(lambda: len(images) > count + 2)
@@ -260,7 +261,7 @@ def test_simulated_time_that_the_driver_makes_goes_on(ros, camera_file, folder, 
     clock, images = ros.subscribe("/clock", Clock), ros.subscribe("image_raw", Image)
     source = folder if source == "folder" else source
     node = drive(ros, camera_file, source, use_sim_time=True, publish_clock=True)
-    assert wait_until(lambda: len(clock) > 5 and len(images) > 5, 30)
+    assert wait_until(lambda: len(clock) > 5 and len(images) > 5)
     stamps = [stamp_ns(image.header) for image in images]
     assert 0 < stamps[0] < stamps[-1] and stamps == sorted(stamps)
     assert node.get_clock().now().nanoseconds >= stamps[0]

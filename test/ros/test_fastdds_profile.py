@@ -3,15 +3,15 @@
 import os
 import subprocess
 import sys
-import time
 
 import pytest
+from waiting import output_of, scaled
 
 pytest.importorskip("rclpy")
 
 MESSAGES = 20
 SUBSCRIBER = f"""
-import time
+import sys, time
 import coded_aperture_ros.ros
 import rclpy
 from rclpy.qos import qos_profile_sensor_data
@@ -20,8 +20,8 @@ from sensor_msgs.msg import Image
 rclpy.init()
 node = rclpy.create_node("subscriber")
 received = []
+end = time.monotonic() + float(sys.argv[1])
 node.create_subscription(Image, "large", received.append, qos_profile_sensor_data)
-end = time.monotonic() + 20.0
 while len(received) < {MESSAGES} and time.monotonic() < end:
     rclpy.spin_once(node, timeout_sec=0.1)
     if received and received[-1].header.frame_id == "last":
@@ -62,7 +62,7 @@ def test_large_best_effort_messages_arrive(checkout):
     environment = dict(os.environ, FASTRTPS_DEFAULT_PROFILES_FILE=str(profile))
     programs = [
         subprocess.Popen(
-            [sys.executable, "-c", code],
+            [sys.executable, "-c", code, str(scaled(20))],
             env=environment,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -70,9 +70,8 @@ def test_large_best_effort_messages_arrive(checkout):
         )
         for code in (SUBSCRIBER, PUBLISHER)
     ]
-    deadline = time.monotonic() + 60
     try:
-        outputs = [p.communicate(timeout=deadline - time.monotonic()) for p in programs]
+        outputs = [output_of(program, 60) for program in programs]
     finally:
         for program in programs:
             program.kill()

@@ -5,7 +5,6 @@ with these, real nodes are then started here, to see which of several values for
 """
 
 import os
-import subprocess
 import sys
 from importlib import import_module
 from importlib.metadata import distribution
@@ -15,6 +14,7 @@ from pathlib import Path
 import pytest
 import yaml
 from cli_scene import parsed
+from waiting import run_program
 
 rclpy = pytest.importorskip("rclpy")
 pytestmark = pytest.mark.skipif(
@@ -64,7 +64,7 @@ def launched(tmp_path, checkout):
     def launch(file, *arguments, status=0):
         path = file if isinstance(file, Path) else checkout / "launch" / f"{file}.launch.py"
         command = [sys.executable, str(RUNNER), str(path), *arguments]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+        done = run_program(*command, env=environment)
         assert done.returncode == status, done.stderr
         launch.said = done.stdout + done.stderr
         return {

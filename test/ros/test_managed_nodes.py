@@ -9,9 +9,9 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from ros_helpers import wait_until
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
+from waiting import scaled, stays_false, wait_until
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.messages import pixels_from_frame
@@ -53,20 +53,20 @@ class Manager:
         return future.result()
 
 
-def results_go_on(images, coded, received, timeout_s=3.0):
-    """Return whether depth comes of frames that are sent now."""
+def answer_to_frames(images, coded, received):
+    """Return a function that sends a frame, and says whether depth has come since it was made."""
     before = len(received)
 
     def sent_and_received():
         images.publish(frame_of(coded))
         return len(received) > before
 
-    end = time.monotonic() + timeout_s
-    while time.monotonic() < end:
-        if sent_and_received():
-            return True
-        time.sleep(0.05)
-    return False
+    return sent_and_received
+
+
+def results_go_on(images, coded, received):
+    """Return whether depth comes of frames that are sent now."""
+    return wait_until(answer_to_frames(images, coded, received), every_s=0.05)
 
 
 def test_a_node_starts_by_itself_and_obeys_a_manager(ros, model, coded):
@@ -77,7 +77,7 @@ def test_a_node_starts_by_itself_and_obeys_a_manager(ros, model, coded):
     assert results_go_on(images, coded, depths)
     assert manager.ask(Transition.TRANSITION_DEACTIVATE)
     assert manager.state == State.PRIMARY_STATE_INACTIVE
-    assert not results_go_on(images, coded, depths, 0.5)
+    assert stays_false(answer_to_frames(images, coded, depths), 0.5)
     assert manager.ask(Transition.TRANSITION_ACTIVATE)
     assert results_go_on(images, coded, depths)
     assert manager.ask(Transition.TRANSITION_DEACTIVATE)
@@ -163,13 +163,13 @@ def test_deactivating_waits_for_a_slow_frame_and_says_so(ros, model, coded, monk
 
     def slow(item):
         begun.set()
-        goes_on.wait(30)
+        goes_on.wait(scaled(60))
         process(item)
 
     monkeypatch.setattr(node, "process", slow)
     assert wait_until(images.get_subscription_count)
     images.publish(frame_of(coded))
-    assert begun.wait(10)
+    assert begun.wait(scaled(10))
     client = ros.probe.create_client(ChangeState, "depth_node/change_state")
     assert wait_until(client.service_is_ready)
     request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
@@ -179,7 +179,7 @@ def test_deactivating_waits_for_a_slow_frame_and_says_so(ros, model, coded, monk
         said.extend(line for line in capfd.readouterr().err.splitlines() if "in work" in line)
         return said
 
-    assert not wait_until(told, 1.5)
+    assert stays_false(told, 1.5)
     assert wait_until(told)
     assert not answer.done()
     goes_on.set()
@@ -214,7 +214,7 @@ def test_a_driver_pauses_and_goes_on(ros, camera_file):
     ros.make(CameraDriverNode, {"camera_file": str(camera_file), "rate_hz": 50.0})
     images = ros.subscribe("image_raw", Image)
     manager = Manager(ros, "camera_driver_node")
-    assert wait_until(lambda: len(images) > 2, 30)
+    assert wait_until(lambda: len(images) > 2)
     assert manager.ask(Transition.TRANSITION_DEACTIVATE)
     time.sleep(0.2)
     count = len(images)

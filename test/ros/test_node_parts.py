@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Header
+from waiting import scaled
 
 from coded_aperture_ros.io.messages import MessageError
 from coded_aperture_ros.ros.deblur_node import depth_of_frame
@@ -28,7 +29,7 @@ class SlowWork:
 
     def work(self, item):
         self.begun.release()
-        assert self.go_on.acquire(timeout=10)
+        assert self.go_on.acquire(timeout=scaled(10))
         self.done.append(item)
 
     def drop(self):
@@ -38,11 +39,11 @@ class SlowWork:
 def test_a_slow_worker_goes_on_with_the_newest():
     slow = SlowWork()
     slow.worker.offer(0)
-    assert slow.begun.acquire(timeout=10)
+    assert slow.begun.acquire(timeout=scaled(10))
     for item in range(1, 10):
         slow.worker.offer(item)
     slow.go_on.release()
-    assert slow.begun.acquire(timeout=10)
+    assert slow.begun.acquire(timeout=scaled(10))
     slow.go_on.release()
     slow.worker.stop()
     assert (slow.done, slow.dropped) == ([0, 9], 8)
@@ -51,7 +52,7 @@ def test_a_slow_worker_goes_on_with_the_newest():
 def test_stop_waits_for_the_item_in_work_and_forgets_the_next():
     slow = SlowWork()
     slow.worker.offer(0)
-    assert slow.begun.acquire(timeout=10)
+    assert slow.begun.acquire(timeout=scaled(10))
     slow.worker.offer(1)
     threading.Timer(0.1, slow.go_on.release).start()
     slow.worker.stop()

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import yaml
 from cameras import TINY
-from ros_helpers import wait_until
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
+from waiting import scaled, wait_until
 
 from coded_aperture_ros.io.messages import MessageError, array_from_image, millimetres_from_depth
 from coded_aperture_ros.optics import load_camera
@@ -97,7 +97,7 @@ def test_pairs_that_come_do_not_wait_for_those_that_do_not(ros, tmp_path, capfd)
         assert wait_until(lambda n=failed: pairs.failed > n)
         pairs.send(second + 10)
         assert wait_until(lambda n=second: len(pairs.coded) == n)
-    assert time.monotonic() - began < 2.5
+    assert time.monotonic() - began < scaled(2.5)
     errors = [line for line in capfd.readouterr().err.splitlines() if "[ERROR]" in line]
     assert len(errors) == 1
 
@@ -120,12 +120,12 @@ def waits(pace, *frames):
 def test_recorded_frames_keep_their_own_pace():
     pace = Pace(threading.Event())
     stamps = [1_000_000_000 + 100_000_000 * frame for frame in range(4)]
-    assert 0.29 < waits(pace, *((9.0, stamp) for stamp in stamps)) < 5
-    assert waits(pace, (0.01, stamps[0])) < 1  # begins again: a period, and no step back
-    assert waits(pace, (0.01, stamps[0] + 10**12)) < 1  # a long pause is not waited for
+    assert 0.29 < waits(pace, *((9.0, stamp) for stamp in stamps)) < scaled(5)
+    assert waits(pace, (0.01, stamps[0])) < scaled(1)  # begins again: a period, and no step back
+    assert waits(pace, (0.01, stamps[0] + 10**12)) < scaled(1)  # a long pause is not waited for
 
 
 def test_stopping_ends_the_wait():
     stopping = threading.Event()
     stopping.set()
-    assert waits(Pace(stopping), (60.0, None), (60.0, None)) < 5
+    assert waits(Pace(stopping), (60.0, None), (60.0, None)) < scaled(5)

@@ -1,12 +1,12 @@
 """The environment variables that the wheels of rclpy need and an installed ROS must keep."""
 
 import os
-import subprocess
 import sys
 import types
 from pathlib import Path
 
 import pytest
+from waiting import run_python
 
 pytest.importorskip("rclpy")
 
@@ -76,9 +76,7 @@ def test_without_rclpy_programs_say_what_to_install(tmp_path):
         "util.find_spec = lambda name, *rest: None if name == 'rclpy' else find(name, *rest)\n"
         "import coded_aperture_ros.ros\n"
     )
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60
-    )
+    result = run_python("-c", code)
     assert result.returncode == 1
     assert len(result.stderr.splitlines()) == 1
     assert "pip install" in result.stderr
@@ -109,14 +107,7 @@ def test_an_installed_ros_keeps_its_library_path(monkeypatch):
 def test_the_wheels_start_with_the_clean_environment():
     """The other Python is this one here: its wheels must set themselves up again."""
     code = "import coded_aperture_ros.ros, rclpy; rclpy.init(); rclpy.shutdown(); print('works')"
-    result = subprocess.run(
-        [sys.executable, "-c", code],
-        env=clean_environment(),
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
+    result = run_python("-c", code, env=clean_environment())
     assert (result.stdout, result.returncode) == ("works\n", 0), result.stderr
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import yaml
 from cli_scene import call
-from ros_helpers import wait_until
 from sensor_msgs.msg import Image
 from small_camera import CAMERA, DEPTH_M, FAR_M, NEAR_M, coded_wall
 from std_msgs.msg import Header
+from waiting import wait_until
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.messages import array_from_image, pixels_from_frame

@@ -4,8 +4,9 @@ import xml.etree.ElementTree as ElementTree
 
 import pytest
 import yaml
-from ros_helpers import Ros, wait_until
+from ros_helpers import Ros
 from small_camera import CAMERA, FAR_M, NEAR_M
+from waiting import wait_until
 
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.deblur_node import DeblurNode

@@ -2,9 +2,9 @@
 
 import re
 import shutil
-import subprocess
 
 import pytest
+from waiting import run_program
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _OPTIONS = (
@@ -30,9 +30,7 @@ class Browser:
         self._run(f"--window-size={width},{height}", f"--screenshot={path}", address)
 
     def _run(self, *arguments):
-        result = subprocess.run(
-            [*self._command, *arguments], capture_output=True, text=True, timeout=90, check=False
-        )
+        result = run_program(*self._command, *arguments, timeout_s=90)
         assert result.returncode == 0, result.stderr
         return result
 

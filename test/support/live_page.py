@@ -9,6 +9,7 @@ import time
 from contextlib import asynccontextmanager
 
 import aiohttp
+from waiting import scaled
 
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -41,7 +42,7 @@ class Page:
 
     async def wait(self, expression, timeout_s=60.0):
         """Wait until an expression is true; return it."""
-        deadline = time.monotonic() + timeout_s
+        deadline = time.monotonic() + scaled(timeout_s)
         while not (found := await self.value(expression)):
             assert time.monotonic() < deadline, expression
             await asyncio.sleep(0.05)
@@ -72,7 +73,7 @@ async def page_at(address, folder, size=(1280, 900)):
     program = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         told = folder / "DevToolsActivePort"
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + scaled(60)
         while not (told.exists() and told.read_text().count("\n")):
             assert program.poll() is None and time.monotonic() < deadline
             await asyncio.sleep(0.05)
@@ -89,4 +90,4 @@ async def page_at(address, folder, size=(1280, 900)):
                 yield page
     finally:
         program.terminate()
-        program.wait(20)
+        program.wait(scaled(20))

@@ -3,10 +3,10 @@
 import itertools
 
 import numpy as np
-from ros_helpers import wait_until
 from sensor_msgs.msg import CameraInfo, Image
 from small_camera import DEPTH_M, HEIGHT, WIDTH
 from std_msgs.msg import Header
+from waiting import wait_until
 
 from coded_aperture_ros.io.messages import pixels_from_frame
 from coded_aperture_ros.ros.deblur_node import DeblurNode
@@ -57,6 +57,11 @@ class Chain:
 
     def connected(self):
         return self.images.get_subscription_count() and self.infos.get_subscription_count()
+
+    def tell(self, *infos):
+        """Publish camera_info, each so that the nodes have it before the next."""
+        for info in infos:
+            self.ros.hand_over(self.infos, info)
 
     def send(self, message):
         """Send a message and wait until the node is done with it."""

@@ -15,7 +15,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from waiting import wait_until as wait_until
+from waiting import wait_until
 
 with warnings.catch_warnings():
     # Imported by rclpy with the first message; uses modules that Python has deprecated.
@@ -40,6 +40,7 @@ class Ros:
         rclpy.init(context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.nodes = []
+        self.echoes = {}
         self.probe = self.add(Node("probe", context=self.context))
         self.thread = threading.Thread(target=self._spin)
         self.thread.start()
@@ -63,6 +64,32 @@ class Ros:
     def publisher(self, topic, message_type, qos=None):
         return self.probe.create_publisher(message_type, topic, qos or QoSProfile(depth=10))
 
+    def hand_over(self, publisher, message):
+        """Publish a message; return once those who subscribe in this context have taken it."""
+        topic = publisher.topic_name
+        if topic not in self.echoes:
+            count = publisher.get_subscription_count()
+            self.echoes[topic] = self.subscribe(topic, type(message), 100)
+            assert wait_until(lambda: publisher.get_subscription_count() > count)
+        echo = self.echoes[topic]
+        before = len(echo)
+        publisher.publish(message)
+        # All readers of a participant get it at once; the executor comes to each of them in turn.
+        assert wait_until(lambda: len(echo) > before)
+        for _ in range(2):
+            self.call(lambda: None)
+
+    def remove(self, node):
+        """Take a node away, in the thread that spins."""
+
+        def end():
+            self.executor.remove_node(node)
+            node.close()
+            node.destroy_node()
+
+        self.call(end)
+        self.nodes.remove(node)
+
     def call(self, function):
         """Call a function in the thread that spins, as services do, and return what it returns.
 
@@ -70,7 +97,7 @@ class Ros:
         """
         task = self.executor.create_task(function)
         self.executor.wake()
-        assert wait_until(task.done, 30)
+        assert wait_until(task.done)
         return task.result()
 
     def close(self):

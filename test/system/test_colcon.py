@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from waiting import output_of, run_python, scaled
 
 pytestmark = pytest.mark.skipif(
     find_spec("colcon_core") is None or find_spec("colcon_ros") is None,
@@ -37,14 +38,7 @@ def build(workspace: Path, checkout: Path, *options: str) -> Path:
             shutil.copytree(source, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
         elif source.exists():
             shutil.copy(source, copy / name)
-    result = subprocess.run(
-        [sys.executable, "-m", "colcon", "build", *options],
-        cwd=workspace,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=200,
-    )
+    result = run_python("-m", "colcon", "build", *options, cwd=workspace, timeout_s=200)
     assert result.returncode == 0, result.stdout + result.stderr
     return workspace / "install" / PACKAGE
 
@@ -73,7 +67,7 @@ def run(installation: Path, program: str, *arguments: str, folder: Path):
         cwd=folder,
         capture_output=True,
         check=False,
-        timeout=60,
+        timeout=scaled(60),
     )
 
 
@@ -116,7 +110,7 @@ def test_the_installed_copy_is_what_runs(installation, tmp_path):
         cwd=tmp_path,
         capture_output=True,
         check=True,
-        timeout=60,
+        timeout=scaled(60),
     ).stdout.strip()
     assert Path(where).is_relative_to(installation.parent.parent)
 
@@ -151,13 +145,13 @@ def test_a_node_starts_and_ends(installation, checkout, tmp_path):
     rclpy.init(context=context)
     node = rclpy.create_node("observer", context=context)
     try:
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + scaled(60)
         while not node.count_publishers("/installed/image_raw"):
             assert process.poll() is None, process.communicate()
             assert time.monotonic() < deadline, "the node did not advertise its images"
             time.sleep(0.1)
         process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=30)
+        _, errors = output_of(process)
     finally:
         process.kill()
         process.wait()

@@ -1,8 +1,7 @@
 """What the machine lacks is named before anything is installed."""
 
-import subprocess
-
 import pytest
+from waiting import run_program
 
 PYTHON = """#!/bin/sh
 case "$2" in
@@ -21,13 +20,12 @@ def create(checkout, tmp_path):
         stand_in = tmp_path / "python"
         stand_in.write_text(PYTHON.format(answer=answer, ensurepip=ensurepip))
         stand_in.chmod(0o755)
-        result = subprocess.run(
-            [checkout / "scripts/create_environment.sh", python or stand_in, tmp_path / "new", "x"],
+        result = run_program(
+            checkout / "scripts/create_environment.sh",
+            python or stand_in,
+            tmp_path / "new",
+            "x",
             cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=60,
         )
         assert not (tmp_path / "new").exists()
         return result

@@ -2,11 +2,10 @@
 
 import inspect
 import re
-import subprocess
-import sys
 from importlib import import_module
 
 import pytest
+from waiting import run_python
 
 import coded_aperture_ros
 
@@ -69,9 +68,7 @@ def test_importing_the_package_loads_no_room():
         "assert {*coded_aperture_ros.__all__} <= {*dir(coded_aperture_ros)}\n"
         "coded_aperture_ros.Camera"
     )
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60
-    )
+    result = run_python("-c", code)
     assert (result.stdout.strip(), result.stderr, result.returncode) == ("", "", 0)
 
 

@@ -7,7 +7,6 @@ import re
 import struct
 import subprocess
 import sys
-import time
 from collections import Counter
 from contextlib import asynccontextmanager
 
@@ -16,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 from small_camera import CAMERA, FAR_M, NEAR_M
+from waiting import scaled, wait_until
 
 aiohttp = pytest.importorskip("aiohttp", reason="the viewer needs aiohttp")
 
@@ -64,7 +64,7 @@ def started(tmp_path_factory):
     for program in programs:
         program.terminate()
         program.stdout.close()
-        program.wait(30)
+        program.wait(scaled(30))
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ async def connected(address):
 async def told(socket, wanted=lambda message: True):
     """Return the next message in words for which something holds, and what was sent before."""
     while True:
-        message = await socket.receive(timeout=60)
+        message = await socket.receive(timeout=scaled(60))
         assert message.type in (aiohttp.WSMsgType.TEXT, aiohttp.WSMsgType.BINARY), message
         if message.type == aiohttp.WSMsgType.TEXT and wanted(found := message.json()):
             return found
@@ -94,7 +94,7 @@ async def told(socket, wanted=lambda message: True):
 async def shown(socket, wanted=lambda head, part: True):
     """Return header and parts of the next frame for which something holds."""
     while True:
-        message = await socket.receive(timeout=60)
+        message = await socket.receive(timeout=scaled(60))
         if message.type != aiohttp.WSMsgType.BINARY:
             continue
         length = struct.unpack_from("<I", message.data)[0]
@@ -400,8 +400,7 @@ def test_frames_of_another_size_are_refused_and_kept_in_snapshots(tmp_path):
     server.live._show = lambda each: (show(each), shown.append(each))
     server.live.start()
     server.live.watch(True)
-    while not shown:
-        time.sleep(0.05)
+    assert wait_until(lambda: shown)
     server.live.stop()
     assert shown[0].estimate is None
     assert "the same blur in pixels would be another depth" in shown[0].problem

@@ -23,6 +23,7 @@ from coded_aperture_benchmarks.mask_search.search import (
     run_epoch,
     search_epochs,
 )
+from waiting import scaled
 
 from coded_aperture_ros.core.errors import InputError
 
@@ -154,7 +155,7 @@ def test_nothing_is_lost_when_a_worker_is_killed(capsys):
         ]  # fmt: skip
         try:
             with distributed.Client(address) as client:
-                client.wait_for_workers(2, timeout=60)
+                client.wait_for_workers(2, timeout=scaled(60))
 
             def kill_one():
                 time.sleep(0.5)
@@ -164,7 +165,7 @@ def test_nothing_is_lost_when_a_worker_is_killed(capsys):
             killer.start()
             result = call(capsys, "mask", "search", *long, "--scheduler", address, "--json")
             killer.join()
-            assert workers[0].wait(10) != 0
+            assert workers[0].wait(scaled(10)) != 0
             assert workers[1].poll() is None
         finally:
             for worker in workers:

@@ -9,6 +9,7 @@ import yaml
 from cli_scene import call, refused, wrong_usage
 from planes_scene import FOCUS_M, SLOPE_PX_M, WINDOW, plane
 from small_camera import CAMERA, FAR_M, NEAR_M, coded_wall
+from waiting import wait_until
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood.bank import (
@@ -191,27 +192,16 @@ def median_depth_m(chain, image):
     return float(np.median(depth_m[np.isfinite(depth_m)]))
 
 
-@pytest.fixture
-def ros():
-    pytest.importorskip("rclpy")
-    from ros_helpers import Ros
-
-    ros = Ros()
-    yield ros
-    ros.close()
-
-
 def change(ros, name, value):
     """Set a parameter of the depth node as another process would; return the result."""
     from rcl_interfaces.srv import SetParameters
     from rclpy.parameter import Parameter
-    from ros_helpers import wait_until
 
     client = ros.probe.create_client(SetParameters, "depth_node/set_parameters")
     assert wait_until(client.service_is_ready)
     request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
     future = client.call_async(request)
-    assert wait_until(future.done, 30.0)
+    assert wait_until(future.done)
     (result,) = future.result().results
     return result
 

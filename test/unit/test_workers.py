@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from waiting import scaled
 
 from coded_aperture_ros.core.workers import Workers, processors
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
@@ -35,7 +36,7 @@ def test_whoever_is_free_takes_the_next(workers):
     def work(item, thread):
         done[thread].append(item)
         if item == 0:
-            begun.wait(10)  # until the other one has done all the rest
+            begun.wait(scaled(10))  # until the other one has done all the rest
         elif item == 5:
             begun.set()
 
