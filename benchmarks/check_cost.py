@@ -14,10 +14,10 @@ from statistics import median
 
 import numpy as np
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, bank_for
-from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.scripts import exit_status
 
-from coded_aperture_ros.cli.options import at_least
+from coded_aperture_ros.core.arguments import at_least
+from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.io.messages import luminance
 from coded_aperture_ros.likelihood.bank import LearnConfig

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from coded_aperture_ros.calibration.psf.lattice import find_lattice
-from coded_aperture_ros.cli.options import table
+from coded_aperture_ros.core.text import table
 from coded_aperture_ros.io import read_image
 from coded_aperture_ros.optics import Camera, Wavefront, load_camera
 from coded_aperture_ros.optics.wavefront import TERMS

@@ -21,13 +21,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.cli.demo import CAMERA_FILE, FAR_M, NEAR_M
-from coded_aperture_ros.cli.demo_processes import private_network
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.interrupt import sigterm_like_ctrl_c
-from coded_aperture_ros.core.share import SHARED_MEMORY_MB, share_directory, shared_memory_suffices
+from coded_aperture_ros.core.share import (
+    SHARED_MEMORY_MB,
+    private_network,
+    share_directory,
+    shared_memory_suffices,
+)
 from coded_aperture_ros.likelihood.bank import DEFAULT_LEVEL_COUNT
 
+# The simulated camera of the demo, and where its scene is.
+CAMERA_FILE = "demo_camera.yaml"
+NEAR_M = 2.05
+FAR_M = 5.1
 FRAMES = 8
 NOISE = 0.002
 TOPIC = "depth/image"

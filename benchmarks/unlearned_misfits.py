@@ -12,17 +12,17 @@ from collections.abc import Callable, Iterator
 
 import cv2
 import numpy as np
-from coded_aperture_benchmarks.layered import LayeredScene, random_scene
 from coded_aperture_benchmarks.metrics.published import published
-from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.scripts import exit_status
 
-from coded_aperture_ros.cli.options import at_least
+from coded_aperture_ros.core.arguments import at_least
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.frames import SRGB, decode, encode
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank
 from coded_aperture_ros.optics import Mask, render_psf_stack
+from coded_aperture_ros.simulation.layered import LayeredScene, random_scene
 
 _FIRST_SEED, _SHAPE = 1_004_000, (300, 400)
 _SIZES_PX, _WINDOW_PX, _NOISE = np.arange(1.5, 20.0, 0.6), 48, 0.002

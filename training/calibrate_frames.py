@@ -16,11 +16,9 @@ from pathlib import Path
 import numpy as np
 from coded_aperture_benchmarks.frames.cameras import camera_for_blur
 from coded_aperture_benchmarks.frames.room import random_room, walk
-from coded_aperture_benchmarks.layered import random_scene
 from scipy.optimize import minimize
 from tqdm import tqdm
 
-from coded_aperture_ros.cli.options import mask_of
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.decoders.network import refine
@@ -28,8 +26,9 @@ from coded_aperture_ros.depth.decoders.network.calibration import Calibration, l
 from coded_aperture_ros.depth.decoders.network.cells import CELL_PX, Cells
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
-from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics import Camera, load_mask
 from coded_aperture_ros.simulation import SensorModel
+from coded_aperture_ros.simulation.layered import random_scene
 
 _MASKS = ("levin", "levin", "four_hole", "zhou", "levin", "veeraraghavan")
 _NOISE = (0.0, 0.0005, 0.001, 0.002, 0.002, 0.003, 0.005)
@@ -54,7 +53,7 @@ class _Shown:
 
 def shown(index: int, random: np.random.Generator) -> _Shown:
     """Return what a frame shows."""
-    mask = mask_of(_MASKS[index // 2 % len(_MASKS)])
+    mask = load_mask(_MASKS[index // 2 % len(_MASKS)])
     if random.random() < 0.4:
         near_m, far_m = random.uniform(0.7, 1.0), random.uniform(6, 8)
         blur_px = random.uniform(1, 5), random.uniform(8, 19)

@@ -15,7 +15,6 @@ from typing import Any
 import cv2
 import numpy as np
 from coded_aperture_benchmarks.frames.misfits import MISFITS, Fitting, Recorded, recorded
-from coded_aperture_benchmarks.layered import LayeredScene
 from costs import with_levels
 from scenes import (
     BLUR_STEP,
@@ -36,6 +35,7 @@ from coded_aperture_ros.depth.quality import FitCheck
 from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank
 from coded_aperture_ros.likelihood.bank.file import load_bank, save_bank
 from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
+from coded_aperture_ros.simulation.layered import LayeredScene
 
 # Levels of all banks; each frame is shown to some of them.
 _SIZES_PX = np.arange(0.6, 22.01, 0.55)

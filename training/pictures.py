@@ -12,7 +12,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from coded_aperture_benchmarks.layered import random_scene
 from costs import banks_of, recorded, seen
 from scenes import FRAME_PX, drawn, mask_of
 from shards import add_shard_options, compute
@@ -29,6 +28,7 @@ from coded_aperture_ros.deblur.blur_map import filled_blur_map
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.frames import KnownNoise, channel_noise
 from coded_aperture_ros.optics import Mask, render_psf_stack
+from coded_aperture_ros.simulation.layered import random_scene
 
 FRAMES_PER_SHARD = 25
 # Every frame is deblurred twice: by the depth that is estimated from it, and by the true depth,

@@ -7,16 +7,16 @@ import argparse
 import dataclasses
 
 import numpy as np
-from coded_aperture_benchmarks.layered import (
+from shards import add_shard_options, compute
+
+from coded_aperture_ros.optics import Mask
+from coded_aperture_ros.simulation.layered import (
     FENCES,
     Fenced,
     LayeredScene,
     fenced_scene,
     random_scene,
 )
-from shards import add_shard_options, compute
-
-from coded_aperture_ros.optics import Mask
 
 FRAMES_PER_SHARD = 50
 FRAME_PX = 288

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from coded_aperture_benchmarks.cluster import dask_client
+
+from coded_aperture_ros.core.cluster import dask_client
 
 Arrays = dict[str, np.ndarray]
 Task = tuple[Any, ...]

@@ -2,15 +2,17 @@
 
 import argparse
 import dataclasses
+import logging
+import os
 import sys
 import textwrap
 from collections.abc import Mapping, Sequence
-from functools import partial
 from importlib import import_module
 from typing import Any
 
 from coded_aperture_benchmarks.run import run
-from coded_aperture_ros.cli.options import CommandParser
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.interrupt import sigterm_like_ctrl_c
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,7 +88,6 @@ _MOTION = Group(
         "table": "planes that move, as in the thesis",
         "scenes": "an object that moves in front of a scene that does not",
         "speed": "time of a frame with and without motion",
-        "fragmentation": "how an aperture is best cut up (mask motion)",
     },
 )
 # By name a group, or a benchmark's help. A suite's module has its name, below a group that of the
@@ -98,7 +99,6 @@ BENCHMARKS: dict[str, Group | str] = {
     "simple-speed": "of depth behind masks of a few equal holes",
     "motion": _MOTION,
     "masks": "predicted against measured errors of random masks",
-    "design": "masks for a camera, a range and some light (mask design)",
     "subspaces": "how far apart the subspaces of levels lie, as in the thesis",
     "sign": "the side of the focal plane: in front or behind",
     "trust": "what is made of frames that do not fit their bank",
@@ -126,8 +126,6 @@ _EPILOG = """examples:
     coded_aperture bench motion table
   predicted against measured errors of random masks:
     coded_aperture bench masks
-  which mask for a camera and a range:
-    coded_aperture bench design --camera camera.yaml --depth-range 0.5 4
   distances between subspaces, next to those of the thesis:
     coded_aperture bench subspaces
   both sides of the focal plane:
@@ -159,9 +157,36 @@ _EPILOG = """examples:
 """
 
 
+class BenchmarkParser(argparse.ArgumentParser):
+    """Parser of a benchmark, which reads its suite once it is the one that was chosen."""
+
+    suite: str | None = None  # the module of its suite
+
+    def __init__(self, *, description: str = "", **others: Any) -> None:
+        super().__init__(
+            description=textwrap.fill(description, 79),
+            formatter_class=argparse.RawDescriptionHelpFormatter,  # examples keep their lines
+            **others,
+        )
+        # For what only the values of several options together can tell.
+        self.set_defaults(usage_error=self.error)
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Add the suite's options, then parse; see `argparse.ArgumentParser`."""
+        if self.suite is not None:
+            suite = import_module(f"coded_aperture_benchmarks.suites.{self.suite}").SUITE
+            self.suite = None
+            self.description = textwrap.fill(suite.description, 79)
+            self.epilog = suite.examples
+            for add in suite.options:
+                add(self)
+            self.set_defaults(suite=suite)
+        return super().parse_known_args(args, namespace)
+
+
 def make_parser(program: str) -> argparse.ArgumentParser:
     """Return the parser of all benchmarks; a suite is imported once it was chosen."""
-    parser = CommandParser(
+    parser = BenchmarkParser(
         prog=program,
         description="Measure how good the methods are, on frames whose truth is known, and how "
         "fast.",
@@ -184,23 +209,13 @@ def make_parser(program: str) -> argparse.ArgumentParser:
 
 def _choice(parser: argparse.ArgumentParser, dest: str) -> Any:
     return parser.add_subparsers(
-        dest=dest, metavar=dest.upper(), required=True, parser_class=CommandParser
+        dest=dest, metavar=dest.upper(), required=True, parser_class=BenchmarkParser
     )
 
 
 def _add_suite(subparsers: Any, name: str, module: str, what: str) -> None:
     parser = subparsers.add_parser(name, help=what)
-    parser.add_late_options = partial(_describe, module.replace("-", "_"))
-
-
-def _describe(module: str, parser: argparse.ArgumentParser) -> None:
-    """Add what a suite says of itself to its parser."""
-    suite = import_module(f"coded_aperture_benchmarks.suites.{module}").SUITE
-    parser.description = textwrap.fill(suite.description, 79)
-    parser.epilog = suite.examples
-    for add in suite.options:
-        add(parser)
-    parser.set_defaults(suite=suite)
+    parser.suite = module.replace("-", "_")
 
 
 def main(arguments: Sequence[str] | None = None, program: str = "coded_aperture bench") -> int:
@@ -209,8 +224,21 @@ def main(arguments: Sequence[str] | None = None, program: str = "coded_aperture 
     return run(args.suite, args)
 
 
-if __name__ == "__main__":
-    # As by its command: what goes wrong is one line. It imports this module itself.
-    from coded_aperture_ros.cli.main import main as coded_aperture
+def _main_of_this_package() -> int:
+    """Run one benchmark; what goes wrong is one line."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    program = "python -m coded_aperture_benchmarks"
+    logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="%(message)s")
+    try:
+        with sigterm_like_ctrl_c():
+            return main(program=program)
+    except InputError as error:
+        print(f"{program}: error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
 
-    sys.exit(coded_aperture(["bench", *sys.argv[1:]]))
+
+if __name__ == "__main__":
+    sys.exit(_main_of_this_package())

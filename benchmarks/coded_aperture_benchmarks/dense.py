@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from coded_aperture_benchmarks.frames.ray_traced import Rods
 from coded_aperture_benchmarks.metrics.deltas import DELTA_BOUNDS, delta_shares
-from coded_aperture_benchmarks.metrics.edges import TOLERANCES_PX, BoundaryMatch, edge_distance_px
+from coded_aperture_benchmarks.metrics.edges import TOLERANCES_PX, BoundaryMatch
 from coded_aperture_benchmarks.metrics.sparsification import Sparsification
 from coded_aperture_benchmarks.metrics.thin import WIDTHS_PX, pieces_found, thin_pieces
 from coded_aperture_benchmarks.run import Row
 from coded_aperture_ros.metrics import Reliability
+from coded_aperture_ros.metrics.edges import edge_distance_px
 from coded_aperture_ros.optics import Camera
 
 NEAR_EDGE_PX = 16

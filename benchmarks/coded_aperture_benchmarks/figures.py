@@ -9,15 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.fragmentation import Fragmentation, transfer
 from coded_aperture_ros.core.figures import PANEL_INCHES, PathLike, new_figure, save_figure
-from coded_aperture_ros.optics import Mask, render_psf
 
 # As in thesis figure 6.4.
 _DEVIATIONS = 3.0
 _UNKNOWN = "0.8"
-# Extent of the masks whose frequency responses are drawn.
-_SLICE_SIZE_PX = 16.0
 
 
 def new_panels(down: int, across: int, width: float = 1.1) -> tuple[Any, Any]:
@@ -262,31 +258,6 @@ def shares_over_distance(
     save_figure(figure, path)
 
 
-def fragmented_responses(
-    analysis: Fragmentation, ranges: Sequence[tuple[float, float]], path: PathLike
-) -> None:
-    """Draw slices of the frequency responses of the best masks and of the disc (thesis fig. 7.2).
-
-    There is a row for each range of the noise, with the mask that is the best for it, its response
-    along a row of frequencies, the disc's, and the noise.
-    """
-    figure, panels = new_panels(len(ranges), 2, width=1.2)
-    for (low, high), (picture, axes) in zip(ranges, panels, strict=True):
-        mask = analysis.masks[analysis.best(low, high)]
-        picture.imshow(mask.transmission, cmap="gray", vmin=0, vmax=1)
-        picture.set_axis_off()
-        picture.set_title(f"best for noise {low:g} to {high:g}", fontsize=9)
-        for shown, style, label in ((analysis.disc, "r--", "disc"), (mask, "b-", "fragmented")):
-            response = transfer(render_psf(shown, _SLICE_SIZE_PX))[0]
-            axes.semilogy(np.linspace(0, 0.5, len(response)), response, style, label=label)
-        axes.axhline(high, color="g", linewidth=1, label="noise")
-        axes.set_ylim(1e-3, 1.1)
-        axes.set_xlabel("horizontal frequency, cycles/px", fontsize=8)
-        axes.set_title(f"response, blur of {_SLICE_SIZE_PX:g} px", fontsize=9)
-    panels[0][1].legend(fontsize=7)
-    save_figure(figure, path)
-
-
 def distance_matrices(matrices: Mapping[str, NDArray[np.floating]], path: PathLike) -> None:
     """Draw distances between the subspaces of levels (thesis figure 9.5); bright is far.
 
@@ -300,41 +271,4 @@ def distance_matrices(matrices: Mapping[str, NDArray[np.floating]], path: PathLi
     for axes, (title, matrix) in zip(panels.flat, matrices.items(), strict=False):
         axes.imshow(matrix, cmap="gray", vmin=0, vmax=1)
         axes.set_title(title, fontsize="small")
-    save_figure(figure, path)
-
-
-def masks_by_light(masks: Sequence[tuple[Mask, float, float]], path: PathLike) -> None:
-    """Draw masks where their light and their depth error put them.
-
-    Parameters
-    ----------
-    masks : sequence of (Mask, float, float)
-        With the light that each lets pass, and its relative depth error.
-    """
-    from matplotlib.offsetbox import AnnotationBbox, OffsetImage
-
-    figure = new_figure(2.6 * PANEL_INCHES, 1.8 * PANEL_INCHES)
-    axes = figure.subplots()
-    lights, errors = (np.array([each[k] for each in masks]) for k in (1, 2))
-    axes.plot(lights, 100 * errors, ".", color="0.7")
-    for mask, light, error in masks:
-        grid = mask.transmission
-        image = OffsetImage(grid, zoom=26 / max(grid.shape), cmap="gray", interpolation="nearest")
-        frame = {"edgecolor": "0.4"}
-        axes.add_artist(AnnotationBbox(image, (light, 100 * error), pad=0.1, bboxprops=frame))
-        axes.annotate(
-            mask.name,
-            (light, 100 * error),
-            (0, -24),
-            textcoords="offset points",
-            ha="center",
-            fontsize=7,
-        )
-    # Those that no other beats in both.
-    order = np.argsort(-lights)
-    best = [index for index in order if errors[index] <= errors[lights >= lights[index]].min()]
-    axes.step(lights[best], 100 * errors[best], where="pre", color="tab:blue", linewidth=1)
-    axes.margins(0.15)
-    axes.set_xlabel("open share of the mask")
-    axes.set_ylabel("median depth error, %")
     save_figure(figure, path)

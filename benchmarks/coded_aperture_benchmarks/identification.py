@@ -15,7 +15,6 @@ from coded_aperture_benchmarks.reference import REFERENCE_METHODS, HypothesisPla
 from coded_aperture_benchmarks.reference.conditional import conditional_levels
 from coded_aperture_benchmarks.reference.subspace import SubspaceBank, learn_subspace_bank
 from coded_aperture_benchmarks.textures import training_textures
-from coded_aperture_ros.cli.options import mask_of
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import options_of
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
@@ -28,7 +27,7 @@ from coded_aperture_ros.likelihood.two_pixel import (
     find_holes,
     neighbour_model,
 )
-from coded_aperture_ros.optics import PsfStack
+from coded_aperture_ros.optics import PsfStack, load_mask
 
 # The level of least cost of the filter bank; `bank-tv` and so on are regularised.
 BANK = "bank"
@@ -168,7 +167,7 @@ def identify(method: str, coded: NDArray[np.float32], noise: float, setting: Set
         planes = _reference(method, setting.mask, setting.levels, setting.sigma, noise)
         return _timed(lambda: (planes.levels(coded), None, None))
     if method == CONDITIONAL:
-        holes, stack = find_holes(mask_of(setting.mask)), _stack(setting.mask, setting.levels)
+        holes, stack = find_holes(load_mask(setting.mask)), _stack(setting.mask, setting.levels)
         sizes = stack.blur_sizes_px
         return _timed(
             lambda: (conditional_levels(coded, holes, sizes, setting.window_px), None, None)
@@ -212,24 +211,24 @@ def _model(method: str, setting: Setting) -> LikelihoodModel:
 
 
 def _stack(mask: str, levels: int) -> PsfStack:
-    return blur_stack(mask_of(mask), levels)
+    return blur_stack(load_mask(mask), levels)
 
 
 # A process works through its cells in order of masks: a few models at a time are enough.
 @lru_cache(maxsize=4)
 def _bank(mask: str, levels: int, window_px: int, rank: int) -> FilterBank:
     config = LearnConfig(window_px=window_px, rank=rank)
-    return learn_bank(_stack(mask, levels), config, mask=mask_of(mask))
+    return learn_bank(_stack(mask, levels), config, mask=load_mask(mask))
 
 
 @lru_cache(maxsize=4)
 def _neighbour_model(mask: str, levels: int, window_px: int) -> NeighbourModel:
-    return neighbour_model(_stack(mask, levels), mask_of(mask), SimpleConfig(window_px=window_px))
+    return neighbour_model(_stack(mask, levels), load_mask(mask), SimpleConfig(window_px=window_px))
 
 
 @lru_cache(maxsize=2)
 def _subspace_bank(mask: str, levels: int) -> SubspaceBank:
-    return learn_subspace_bank(_stack(mask, levels), mask=mask_of(mask))
+    return learn_subspace_bank(_stack(mask, levels), mask=load_mask(mask))
 
 
 # Masks vary slowest, noise and methods fastest.
@@ -237,7 +236,7 @@ def _subspace_bank(mask: str, levels: int) -> SubspaceBank:
 def _reference(method: str, mask: str, levels: int, sigma: float, noise: float) -> HypothesisPlanes:
     """Return a reference method with weights learned on pictures that are not scored."""
     stairs = [
-        make_stair(mask_of(mask), training_textures(), sigma, _TRAINING_SEED + number, levels)
+        make_stair(load_mask(mask), training_textures(), sigma, _TRAINING_SEED + number, levels)
         for number in range(_TRAINING_STAIRS)
     ]
     planes = HypothesisPlanes(method, stairs[0].stack, noise)

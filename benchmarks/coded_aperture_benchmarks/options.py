@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_benchmarks.run import RESULTS as RESULTS_FILE
-from coded_aperture_ros.cli.options import add_jobs_option, at_least, mask_of, noise_level
+from coded_aperture_ros.core.arguments import at_least, noise_level
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import processors
+from coded_aperture_ros.optics import load_mask
 
 Args = argparse.Namespace
 Add = Callable[[argparse.ArgumentParser], None]
@@ -64,7 +65,15 @@ def folders(what: str, least: str = "+") -> Add:
 
 JSON = option("--json", "print the results as JSON", action="store_true")
 OUTPUT = option("--output", f"write {RESULTS_FILE} and figures (PNG)", metavar="DIR")
-RESULTS = (add_jobs_option, JSON, OUTPUT)
+JOBS = option(
+    "--jobs",
+    "processes",
+    processors(),
+    said="one for each processor",
+    type=at_least(1),
+    metavar="N",
+)
+RESULTS = (JOBS, JSON, OUTPUT)
 IMAGES = option("--images", "pictures of this folder instead of the built-in ones", metavar="DIR")
 PICTURES = (
     IMAGES,
@@ -210,7 +219,7 @@ def generated(
 def check_masks(args: Args) -> None:
     """Refuse masks that are unknown or unreadable."""
     for mask in args.masks:
-        mask_of(mask)
+        load_mask(mask)
 
 
 def check_window(args: Args) -> None:

@@ -1,12 +1,11 @@
 """Rows of results: grouped, rounded, and as tables of text."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from coded_aperture_benchmarks.run import Row
-from coded_aperture_ros.cli.options import table
 
 
 def mean_of(values: Iterable[float], digits: int) -> float:
@@ -30,18 +29,6 @@ def place(row: Row, *names: str) -> tuple[Any, ...]:
 def unique(rows: Iterable[Row], name: str) -> list[Any]:
     """Return the different values of a name, in order of appearance."""
     return list(dict.fromkeys(row[name] for row in rows))
-
-
-def columns(rows: Iterable[Row], described: Mapping[str, Any]) -> str:
-    """Return a table with a line for each row.
-
-    Parameters
-    ----------
-    described : mapping of str to str or callable
-        For each column's title a format such as ``"{seconds:.1f} s"``, or a function of the row.
-    """
-    forms = [form if callable(form) else form.format_map for form in described.values()]
-    return table(list(described), [[form(row) for form in forms] for row in rows])
 
 
 def tables(

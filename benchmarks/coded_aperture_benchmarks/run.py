@@ -4,25 +4,18 @@ import argparse
 import dataclasses
 import json
 import math
-import multiprocessing
-import signal
+import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output
-from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.core.processes import map_in_processes
 
 RESULTS = "results.json"
 
-Cell = TypeVar("Cell")
-Result = TypeVar("Result")
 Row = dict[str, Any]
 
 
@@ -69,7 +62,7 @@ def run(suite: Suite, args: argparse.Namespace) -> int:
     cells = suite.cells(args)
     folder = _output_folder(args)
     start = time.perf_counter()
-    measured = measure_cells(suite.measure, cells, getattr(args, "jobs", 1))
+    measured = map_in_processes(suite.measure, cells, getattr(args, "jobs", 1), "cell")
     seconds = round(time.perf_counter() - start, 1)
     results = suite.results(args, measured, seconds)
     as_json = json.dumps(_without_nan(results), indent=1, allow_nan=False)
@@ -91,7 +84,12 @@ def _output_folder(args: argparse.Namespace) -> Path | None:
     folder = Path(args.output)
     if folder.is_file():
         raise InputError(f"cannot write {folder}: it is a file, expected a folder")
-    check_output(folder / RESULTS)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        # Permissions alone do not tell: a file system may be read-only.
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
@@ -109,65 +107,3 @@ def _without_nan(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-def measure_cells(
-    measure: Callable[[Cell], Result], cells: Sequence[Cell], jobs: int
-) -> list[Result]:
-    """Measure every cell and return the results in order.
-
-    Parameters
-    ----------
-    measure : callable
-        A module's function, so that another process can import it.
-    cells : sequence
-        What it is called with, one at a time.
-    jobs : int
-        Number of processes; with 1 all happens in this one.
-    """
-    jobs = min(jobs, len(cells))
-    if jobs <= 1:
-        return [measure(cell) for cell in progress(cells, len(cells), "cell")]
-    # A forked process would inherit the locks of libraries' threads, but not the threads.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, context, initializer=_use_one_thread) as pool:
-        try:
-            with _interrupts_wait():
-                futures = [pool.submit(measure, cell) for cell in cells]
-            for future in progress(as_completed(futures), len(futures), "cell"):
-                future.result()  # the first error ends the run
-        except BrokenProcessPool as error:
-            raise InputError(
-                "a process of the benchmark ended by itself, perhaps for lack of memory: "
-                "use fewer --jobs"
-            ) from error
-        except BaseException:
-            # Cells take minutes: do not wait for those that are under way.
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in multiprocessing.active_children():
-                process.terminate()
-            raise
-    return [future.result() for future in futures]
-
-
-@contextmanager
-def _interrupts_wait() -> Iterator[None]:
-    """Start processes that take no Ctrl-C, which a terminal sends to all: we answer it for them.
-
-    They inherit what is blocked. One that comes meanwhile is not lost: it is answered right after.
-    """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _use_one_thread() -> None:
-    """Leave the other processors to the other processes.
-
-    BLAS reads its environment, which `coded_aperture` has set, when NumPy is imported.
-    """
-    import cv2
-
-    cv2.setNumThreads(1)

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.crops import Textures, pictures_of
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.design.scores.crops import Textures, pictures_of
 
 TEXTURES = ("natural", "random", "soft")
 TEST_PICTURES = (

@@ -5,6 +5,7 @@ import functools
 import logging
 import re
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,11 @@ from coded_aperture_ros.cli.estimators import (
     expected_motion_of,
     pipeline_of,
 )
-from coded_aperture_ros.cli.extension import BENCH
 from coded_aperture_ros.cli.measuring import tell
-from coded_aperture_ros.cli.options import add_bits_option, add_gamma_option, add_options, checked
-from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.cli.options import add_bits_option, add_gamma_option, add_options
+from coded_aperture_ros.core.arguments import checked
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.core.workers import load_in_fork_server, processors
 
 _DEBLUR_RANK = 10
@@ -166,10 +167,11 @@ def _convert_all(args: argparse.Namespace) -> int:
     jobs = jobs_of(map(Path, args.inputs), Path(args.output))
     left = [job for job in jobs if args.overwrite or not job.done(_settings(args))]
     work = functools.partial(_failure, args)
-    outcomes = ((job, work(job)) for job in left)
+    outcomes: Iterable[tuple[Any, str]] = ((job, work(job)) for job in left)
     if args.scheduler:
-        cluster = BENCH.module("cluster", "bag --scheduler")
-        outcomes = cluster.failures_on_workers(args.scheduler, work, left)
+        from coded_aperture_ros.core.cluster import failures_on_workers
+
+        outcomes = failures_on_workers(args.scheduler, work, left)
     failed = {job: reason for job, reason in progress(outcomes, len(left), "bag") if reason}
     for job, reason in failed.items():
         logging.error(f"{job.source}: {reason}")

@@ -15,7 +15,7 @@ from coded_aperture_ros.cli.measuring import (
     write_report,
 )
 from coded_aperture_ros.cli.options import add_gamma_option, add_options, settings_of
-from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.core.progress import progress
 
 _EPILOG = """examples:
   the mask, and a bank for the blur sizes of the pictures:

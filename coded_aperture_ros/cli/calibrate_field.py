@@ -8,7 +8,7 @@ from typing import Any
 from coded_aperture_ros.cli.checks import check_output, inputs_of
 from coded_aperture_ros.cli.measuring import add_planes_arguments, check_size, tell
 from coded_aperture_ros.cli.options import add_gamma_option, add_options
-from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.core.progress import progress
 
 _EPILOG = """examples:
     coded_aperture calibrate field planes --camera camera.yaml

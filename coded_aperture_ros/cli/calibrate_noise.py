@@ -6,8 +6,8 @@ from typing import Any
 
 from coded_aperture_ros.cli.measuring import pictures_in, tell
 from coded_aperture_ros.cli.options import add_gamma_option, add_options
-from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError, naming
+from coded_aperture_ros.core.progress import progress
 
 _EPILOG = """example:
     coded_aperture calibrate noise frame1.png frame2.png frame3.png

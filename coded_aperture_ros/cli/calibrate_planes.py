@@ -21,15 +21,11 @@ from coded_aperture_ros.cli.measuring import (
     tell,
     write_report,
 )
-from coded_aperture_ros.cli.options import (
-    add_gamma_option,
-    add_options,
-    at_least,
-    settings_of,
-    table,
-)
-from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.cli.options import add_gamma_option, add_options, settings_of
+from coded_aperture_ros.core.arguments import at_least
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.progress import progress
+from coded_aperture_ros.core.text import table
 
 _EPILOG = """examples:
   a folder of pictures with planes.json or planes.csv (file, depth_m):

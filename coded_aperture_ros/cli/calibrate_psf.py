@@ -16,9 +16,10 @@ from coded_aperture_ros.cli.measuring import (
     rounded,
     tell,
 )
-from coded_aperture_ros.cli.options import add_gamma_option, add_options, mask_of, table
-from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.cli.options import add_gamma_option, add_options
 from coded_aperture_ros.core.errors import InputError, naming
+from coded_aperture_ros.core.progress import progress
+from coded_aperture_ros.core.text import table
 
 _EPILOG = """examples:
   from pictures of a grid of dots, one for each depth, with the depth in the name:
@@ -75,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the action; return its exit status."""
     from coded_aperture_ros.calibration.psf.dots import psf_from_dots
     from coded_aperture_ros.calibration.psf.stack import psf_stack
-    from coded_aperture_ros.optics import load_camera
+    from coded_aperture_ros.optics import load_camera, load_mask
 
     names, depths_m = _checked(args)
     camera = None if args.camera is None else load_camera(args.camera)
@@ -84,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
             f"{args.camera}: side: both: PSFs of one side are measured at a time, give a camera "
             "file with side: far or near"
         )
-    mask = mask_of(args.mask) if args.mask is not None else camera.mask if camera else None
+    mask = load_mask(args.mask) if args.mask is not None else camera.mask if camera else None
     sign = None if camera is None else 1.0 if camera.side == "far" else -1.0
     expected = None if camera is None or depths_m is None else camera.blur_size_px(depths_m)
     start = time.perf_counter()

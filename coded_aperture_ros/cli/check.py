@@ -8,10 +8,10 @@ from functools import partial
 
 from coded_aperture_ros.checkup import FAILED, Finding, FrameCheckup, camera_findings
 from coded_aperture_ros.cli.command import Command, UsageError, argument
-from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.cli.reading import PixelArguments
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
+from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.frames import hidden_noise
 from coded_aperture_ros.io.messages import frame_from_pixels
 from coded_aperture_ros.likelihood.bank import (

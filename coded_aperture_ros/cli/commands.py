@@ -2,16 +2,7 @@
 
 from typing import Any
 
-from coded_aperture_ros.cli.extension import (
-    BENCH,
-    CALIBRATE_REFINE,
-    CALIBRATE_TRACE,
-    MASK_DESIGN,
-    MASK_MOTION,
-    MASK_SCORE,
-    MASK_SEARCH,
-    VIEW,
-)
+from coded_aperture_ros.cli.extension import BENCH, VIEW
 from coded_aperture_ros.cli.table import Actions, Entry, OldEntry
 
 _DESIGN = Entry(
@@ -44,8 +35,13 @@ _CALIBRATE = Actions(
             "learn a bank from pictures of planes at known depths, and say how good it is",
         ),
         "psf": OldEntry("calibrate_psf", "measure PSFs from pictures of dots"),
-        "refine": CALIBRATE_REFINE,
-        "trace": CALIBRATE_TRACE,
+        "refine": OldEntry(
+            "calibrate_refine",
+            "find out from ordinary frames whether a lens was refocused, or its mask moved",
+        ),
+        "trace": OldEntry(
+            "calibrate_trace", "trace rays through the prescription of a lens, for its PSFs"
+        ),
     },
     without=("design", _DESIGN),
 )
@@ -63,10 +59,16 @@ _MASK = Actions(
         "print": Entry(
             "mask_print", "draw a mask at true scale, with a ruler and cut lines (PDF, SVG or DXF)"
         ),
-        "score": MASK_SCORE,
-        "search": MASK_SEARCH,
-        "design": MASK_DESIGN,
-        "motion": MASK_MOTION,
+        "score": OldEntry("mask_score", "predict depth and deblurring error of masks"),
+        "search": OldEntry("mask_search", "look for masks with less depth and deblurring error"),
+        "design": OldEntry(
+            "mask_design",
+            "compare masks for a camera, a depth range and some light, from end to end",
+        ),
+        "motion": OldEntry(
+            "mask_motion",
+            "find the placement of holes that preserves most under defocus and motion",
+        ),
     },
 )
 COMMANDS: dict[str, Any] = {

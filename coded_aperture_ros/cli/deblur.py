@@ -18,9 +18,9 @@ from coded_aperture_ros.cli.frames import (
     suitable,
 )
 from coded_aperture_ros.cli.options import add_gamma_option, add_options, config_from, settings_of
-from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.cli.stereo_output import StereoOutput, add_stereo_options
 from coded_aperture_ros.core.errors import InputError, naming
+from coded_aperture_ros.core.progress import progress
 
 _EPILOG = """examples:
   with the depth estimated from the frame itself:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.cli.command import Command, argument
-from coded_aperture_ros.cli.demo_processes import Children, private_network
+from coded_aperture_ros.cli.demo_processes import Children
 from coded_aperture_ros.cli.demo_report import (
     RESULTS,
     Speaker,
@@ -22,7 +22,12 @@ from coded_aperture_ros.cli.demo_report import (
     write_results,
 )
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.share import SHARED_MEMORY_MB, share_directory, shared_memory_suffices
+from coded_aperture_ros.core.share import (
+    SHARED_MEMORY_MB,
+    private_network,
+    share_directory,
+    shared_memory_suffices,
+)
 from coded_aperture_ros.likelihood.bank import DEFAULT_LEVEL_COUNT, learn_bank_for_camera, save_bank
 from coded_aperture_ros.optics import load_camera
 

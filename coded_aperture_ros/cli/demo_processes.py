@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.share import shared_memory_profile
 
 _LAST_LINES = 15
 # Niceness counts only within a session (Linux autogroups), so the nodes stay in this one; Ctrl-C
@@ -64,17 +63,3 @@ class Children(AbstractContextManager["Children"]):
 
     def _log(self, node: str) -> Path:
         return self._log_folder / f"{node}.log"
-
-
-def private_network(shared_memory: bool) -> dict[str, str]:
-    """Return the environment that keeps the demo's topics apart from any robot's."""
-    for name in ("ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", "ROS_NAMESPACE", "ROS_DISCOVERY_SERVER"):
-        os.environ.pop(name, None)
-    environment = {
-        # 1 to 100 keep clear of the ports that Linux hands out by itself; 0 is the default.
-        "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    }
-    if shared_memory:
-        environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(shared_memory_profile())
-    return environment

@@ -31,7 +31,8 @@ from coded_aperture_ros.cli.frames import (
     suitable,
 )
 from coded_aperture_ros.cli.measuring import rounded
-from coded_aperture_ros.cli.options import add_gamma_option, add_options, between, written_name
+from coded_aperture_ros.cli.options import add_gamma_option, add_options, written_name
+from coded_aperture_ros.core.arguments import between
 from coded_aperture_ros.core.errors import InputError, naming
 
 _SUFFIXES = (".npy", ".tif", ".tiff", ".png")

@@ -5,15 +5,10 @@ import dataclasses
 import logging
 from typing import Any
 
-from coded_aperture_ros.cli.options import (
-    add_config_options,
-    add_options,
-    at_least,
-    changed,
-    config_from,
-)
-from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.cli.options import add_config_options, add_options, changed, config_from
+from coded_aperture_ros.core.arguments import at_least
 from coded_aperture_ros.core.errors import InputError, naming
+from coded_aperture_ros.core.progress import progress
 
 # Of `depth`, `bag` and `deblur`.
 CAMERA_OPTION = {

@@ -20,13 +20,11 @@ class Extension:
     folder: str
     package: str
     help: str
-    first: tuple[str, ...] = ()  # what the package is told before the arguments
-    entry: str = "__main__"  # the module whose `main` takes them
 
     def prepare(self, program: str, words: Sequence[str]) -> Callable[[], int]:
         """Return what runs the sub-command with some words, for its exit status."""
-        main: Callable[[Sequence[str]], int] = self.module(self.entry, program).main
-        return partial(main, [*self.first, *words])
+        main: Callable[[Sequence[str]], int] = self.module("__main__", program).main
+        return partial(main, words)
 
     def module(self, name: str, what: str) -> Any:
         """Return a module of the package; an `InputError` says that `what` needs it."""
@@ -48,42 +46,6 @@ class Extension:
 _BENCHMARKS = "benchmarks", "coded_aperture_benchmarks"
 BENCH = Extension(
     "bench", *_BENCHMARKS, "measure accuracy on frames whose truth is known, and speed"
-)
-MASK_DESIGN = Extension(
-    "design",
-    *_BENCHMARKS,
-    "compare masks for a camera, a depth range and some light, from end to end",
-    ("design",),
-)
-MASK_SCORE = Extension(
-    "score",
-    *_BENCHMARKS,
-    "predict depth and deblurring error of masks",
-    entry="mask_scores.command",
-)
-MASK_SEARCH = Extension(
-    "search",
-    *_BENCHMARKS,
-    "look for masks with less depth and deblurring error",
-    entry="mask_search.command",
-)
-MASK_MOTION = Extension(
-    "motion",
-    *_BENCHMARKS,
-    "find the placement of holes that preserves most under defocus and motion",
-    ("motion", "fragmentation"),
-)
-CALIBRATE_REFINE = Extension(
-    "refine",
-    *_BENCHMARKS,
-    "find out from ordinary frames whether a lens was refocused, or its mask moved",
-    entry="footage.command",
-)
-CALIBRATE_TRACE = Extension(
-    "trace",
-    *_BENCHMARKS,
-    "trace rays through the prescription of a lens, for its PSFs",
-    entry="prescription.command",
 )
 VIEW = Extension(
     "view", "viewer", "coded_aperture_viewer", "show a camera, a video or a bag live in the browser"

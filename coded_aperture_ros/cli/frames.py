@@ -13,8 +13,8 @@ from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output, inputs_of
 from coded_aperture_ros.cli.options import add_bits_option, add_mosaic_option
-from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.core.errors import InputError, naming
+from coded_aperture_ros.core.progress import progress
 
 
 @dataclasses.dataclass(frozen=True)

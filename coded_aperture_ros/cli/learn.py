@@ -10,12 +10,11 @@ from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_plan
 from coded_aperture_ros.calibration.planes.folder import load_folder
 from coded_aperture_ros.cli.checks import check_output, input_files
 from coded_aperture_ros.cli.command import Command, UsageError, argument, group
-from coded_aperture_ros.cli.options import mask_of
-from coded_aperture_ros.cli.progress import progress
 from coded_aperture_ros.cli.reading import GammaArguments, read_numbers
 from coded_aperture_ros.cli.results import Summary, print_summary, rounded
 from coded_aperture_ros.cli.rules import excludes, needs, only_with, required
 from coded_aperture_ros.core.errors import naming
+from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.depth import side_warning
 from coded_aperture_ros.design.diffraction import diffraction_warning
 from coded_aperture_ros.design.setting import resolutions_m
@@ -33,7 +32,14 @@ from coded_aperture_ros.likelihood.bank import (
     textures_of,
 )
 from coded_aperture_ros.likelihood.bank.remap import remap_bank
-from coded_aperture_ros.optics import Camera, Mask, PsfStack, load_camera, render_psf_stack
+from coded_aperture_ros.optics import (
+    Camera,
+    Mask,
+    PsfStack,
+    load_camera,
+    load_mask,
+    render_psf_stack,
+)
 from coded_aperture_ros.sources import captures, open_files
 
 _EXAMPLES = """examples:
@@ -232,7 +238,7 @@ def _rendered(args: Arguments) -> tuple[PsfStack, Mask | None, str]:
         raise UsageError("--blur-sizes: expected two sizes in px and a whole number of levels")
     if not -math.inf < smallest_px < largest_px < math.inf or count < 2:
         raise UsageError("--blur-sizes: expected MIN less than MAX and at least 2 levels")
-    mask = mask_of(str(args.mask))
+    mask = load_mask(str(args.mask))
     sizes_px = np.linspace(smallest_px, largest_px, int(count))
     return render_psf_stack(mask, sizes_px), mask, f"mask {args.mask}"
 

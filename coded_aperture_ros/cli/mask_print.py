@@ -7,7 +7,6 @@ from pathlib import Path
 
 from coded_aperture_ros.cli.checks import check_output, input_files
 from coded_aperture_ros.cli.command import Command, argument
-from coded_aperture_ros.cli.options import mask_of
 from coded_aperture_ros.cli.results import print_summary, rounded
 from coded_aperture_ros.cli.rules import excludes, required
 from coded_aperture_ros.core.errors import naming
@@ -17,7 +16,7 @@ from coded_aperture_ros.design.diffraction import airy_width_px, diffraction_war
 from coded_aperture_ros.design.openings import Openings, narrowest_bar
 from coded_aperture_ros.design.sheet import Sheet, loose_parts_note, mask_sheet
 from coded_aperture_ros.design.sheet_files import sheet_dxf, sheet_pdf, sheet_svg
-from coded_aperture_ros.optics import Camera, Mask, load_camera
+from coded_aperture_ros.optics import Camera, Mask, load_camera, load_mask
 
 _EXAMPLES = """examples:
   the mask of a camera file, in its size, on a round piece that fits a filter ring of 77 mm:
@@ -87,7 +86,7 @@ def run(args: Arguments) -> int:
     """Write the page; return the exit status."""
     check_output(args.output, input_files(args.mask, camera=args.camera), tuple(_WRITERS))
     camera = load_camera(args.camera) if args.camera else None
-    mask = camera.mask if camera is not None else mask_of(str(args.mask))
+    mask = camera.mask if camera is not None else load_mask(str(args.mask))
     extent_mm = args.extent_mm or (camera.mask_extent_mm if camera is not None else 0.0)
     if camera is not None:
         camera = dataclasses.replace(camera, mask_extent_mm=extent_mm)

@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.options import add_options, at_least, checked, config_from
+from coded_aperture_ros.cli.options import add_options, config_from
+from coded_aperture_ros.core.arguments import at_least, checked
 from coded_aperture_ros.core.errors import InputError
 
 MASK_FILE = "mask.npy"

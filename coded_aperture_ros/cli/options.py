@@ -5,9 +5,9 @@ import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import import_module
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
+from coded_aperture_ros.core.arguments import at_least
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import Option, check_option, options_of
 from coded_aperture_ros.core.workers import processors
@@ -182,46 +182,6 @@ def _gamma(text: str) -> Any:
         raise argparse.ArgumentTypeError(str(error).removeprefix("gamma: ")) from error
 
 
-def mask_of(name: str) -> Any:
-    """Return the mask of a name, or of a file."""
-    from coded_aperture_ros.optics import MASK_NAMES, Mask
-
-    if name not in MASK_NAMES and Path(name).exists():
-        return Mask.from_file(name)
-    try:
-        return Mask.named(name)
-    except InputError as error:
-        raise InputError(f"{error}, or a file") from error
-
-
-def checked(
-    kind: Callable[[str], Any], allows: Callable[[Any], bool], expected: str
-) -> Callable[[str], Any]:
-    """Return a parser of numbers of a kind; `expected` says which ones it allows."""
-
-    def parse(text: str) -> Any:
-        value = kind(text)
-        if not allows(value):
-            raise argparse.ArgumentTypeError(f"expected {expected}, got {text}")
-        return value
-
-    parse.__name__ = kind.__name__  # argparse says "invalid int value"
-    return parse
-
-
-def at_least(least: int) -> Callable[[str], int]:
-    """Return a parser of whole numbers."""
-    return checked(int, lambda value: value >= least, f"at least {least}")
-
-
-def between(least: float, most: float) -> Callable[[str], float]:
-    """Return a parser of numbers from `least` to `most`, both included."""
-    return checked(float, lambda value: least <= value <= most, f"{least:g} to {most:g}")
-
-
-noise_level = between(0, 0.5)  # parses a standard deviation in linear light
-
-
 def add_options(
     parser: argparse._ActionsContainer, options: Mapping[str, str], **others: Any
 ) -> argparse.Action:
@@ -248,16 +208,3 @@ def add_jobs_option(parser: argparse.ArgumentParser) -> None:
     """Add how many processes share the work."""
     what = {"--jobs N": "processes (default: one for each processor)"}
     add_options(parser, what, type=at_least(1), default=processors())
-
-
-def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return aligned columns, the first to the left and the others to the right."""
-    lines = [header, *rows]
-    widths = [max(len(line[column]) for line in lines) for column in range(len(header))]
-    return "\n".join(
-        "  ".join(
-            text.ljust(width) if column == 0 else text.rjust(width)
-            for column, (text, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    )

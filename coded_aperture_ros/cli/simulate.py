@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.cli.checks import check_output, check_suffix, input_files
 from coded_aperture_ros.cli.command import Command, argument, group
-from coded_aperture_ros.cli.extension import BENCH
-from coded_aperture_ros.cli.options import mask_of
 from coded_aperture_ros.cli.reading import GammaArguments
 from coded_aperture_ros.cli.results import print_summary
 from coded_aperture_ros.cli.rules import excludes, only_with, required
@@ -22,8 +20,9 @@ from coded_aperture_ros.core.errors import naming
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.design.diffraction import diffraction_warning
 from coded_aperture_ros.io import PICTURE_SUFFIXES, read_depth, read_image, write_depth, write_image
-from coded_aperture_ros.optics import MASK_NAMES, Camera, View, load_camera
+from coded_aperture_ros.optics import MASK_NAMES, Camera, View, load_camera, load_mask
 from coded_aperture_ros.simulation import SensorModel, render_coded_frame
+from coded_aperture_ros.simulation.layered import random_scene
 
 _EXAMPLES = """examples:
   a scene that is 2.1 to 5.1 m away:
@@ -115,8 +114,7 @@ def _render_random_scene(args: Arguments, number: int) -> int:
     check_output([output, *beside.values()], input_files(args.scene.mask))
     width, height = args.scene.size or _SIZE
     start = time.perf_counter()
-    make = BENCH.module("layered", "--random").random_scene
-    scene = make(number, mask_of(mask), args.scene.side or _SIDE, (height, width))
+    scene = random_scene(number, load_mask(mask), args.scene.side or _SIDE, (height, width))
     coded = scene.coded()
     depth_m = scene.depth_m()
     seconds = time.perf_counter() - start

@@ -41,3 +41,17 @@ def shared_memory_suffices(folder: str = "/dev/shm") -> bool:
     except OSError:
         return False
     return status.f_bavail * status.f_frsize >= SHARED_MEMORY_MB * 2**20
+
+
+def private_network(shared_memory: bool) -> dict[str, str]:
+    """Return the environment that keeps the topics of our processes apart from any robot's."""
+    for name in ("ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", "ROS_NAMESPACE", "ROS_DISCOVERY_SERVER"):
+        os.environ.pop(name, None)
+    environment = {
+        # 1 to 100 keep clear of the ports that Linux hands out by itself; 0 is the default.
+        "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
+    if shared_memory:
+        environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(shared_memory_profile())
+    return environment

@@ -198,3 +198,13 @@ _BUILDERS: dict[str, Callable[[], FloatArray]] = {
     "three_wide": lambda: _grid(_THREE_WIDE),
 }
 MASK_NAMES = tuple(_BUILDERS)
+
+
+def load_mask(name: str) -> Mask:
+    """Return the mask of a name of `MASK_NAMES`, or else of a file; an `InputError` if neither."""
+    if name not in MASK_NAMES and Path(name).exists():
+        return Mask.from_file(name)
+    try:
+        return Mask.named(name)
+    except InputError as error:
+        raise InputError(f"{error}, or a file") from error

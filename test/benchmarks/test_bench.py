@@ -370,7 +370,8 @@ def test_rods_of_random_scenes_are_counted(capsys):
 def test_rods_count_where_what_is_behind_is_clearly_farther():
     pytest.importorskip("numba", reason="random scenes need numba")
     from coded_aperture_benchmarks.frames.random_scenes import RandomScene
-    from coded_aperture_benchmarks.layered import LayeredScene, rod_scene
+
+    from coded_aperture_ros.simulation.layered import LayeredScene, rod_scene
 
     counted = all_of_them = 0
     for seed in range(1_000_000, 1_000_004):

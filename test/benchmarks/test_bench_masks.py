@@ -6,8 +6,9 @@ import re
 import numpy as np
 import pytest
 from cli_scene import call, picture_folder
-from coded_aperture_benchmarks.crops import Textures
 from coded_aperture_benchmarks.frames.random_masks import patches_of_columns
+
+from coded_aperture_ros.design.scores.crops import Textures
 
 
 def test_patches_of_columns_have_seams():

@@ -4,12 +4,12 @@ import cv2
 import numpy as np
 import pytest
 from cli_scene import call, json_of, wrong_usage
-from coded_aperture_benchmarks.layered import random_scene
-from coded_aperture_benchmarks.layered.tracing import lens_samples
 from coded_aperture_benchmarks.suites import views
 
 from coded_aperture_ros.metrics import psnr_db
 from coded_aperture_ros.optics import Mask
+from coded_aperture_ros.simulation.layered import random_scene
+from coded_aperture_ros.simulation.layered.tracing import lens_samples
 
 pytest.importorskip("numba", reason="random scenes need numba")
 SHAPE = (80, 96)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from coded_aperture_benchmarks import textures as module
-from coded_aperture_benchmarks.crops import Textures
 from coded_aperture_benchmarks.frames.stair import (
     blur_stack,
     level_error,
@@ -19,6 +18,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.design.scores.crops import Textures
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.metrics import Reliability
 from coded_aperture_ros.optics import MASK_NAMES, Mask, render_psf

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from coded_aperture_benchmarks.crops import Textures
 from coded_aperture_benchmarks.frames.two_plane import (
     composite,
     make_two_planes,
@@ -15,6 +14,7 @@ from hypothesis import strategies as st
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.design.scores.crops import Textures
 from coded_aperture_ros.optics import MASK_NAMES, Mask, render_psf
 
 RANDOM = load_textures("random")

@@ -703,7 +703,7 @@ def test_wrong_usage_of_simulate(scene, tmp_path, capsys, options, phrase):
 
 def test_a_random_scene_is_simulated_with_its_truth_beside_it(tmp_path, capsys):
     pytest.importorskip("numba", reason="random scenes need numba")
-    from coded_aperture_benchmarks.layered import random_scene
+    from coded_aperture_ros.simulation.layered import random_scene
 
     output = tmp_path / "out" / "coded.npy"
     cells = np.float32([[1, 1, 0], [0, 1, 0], [0, 1, 1]])

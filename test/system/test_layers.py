@@ -142,6 +142,38 @@ def test_the_package_imports_nothing_of_those_beside_it(checkout, beside):
     assert naming == {"cli/extension.py"}
 
 
+def imports_of_the_command_line(source: str) -> list[str]:
+    """Return what a module outside of the package takes from its command line."""
+    found = []
+    for module, taken in imported_names(source, "somewhere.else"):
+        name = f"{module}.{taken}" if module == PACKAGE else module
+        if name == f"{PACKAGE}.cli" or name.startswith(f"{PACKAGE}.cli."):
+            found.append(name)
+    return found
+
+
+@pytest.mark.parametrize("beside", ["benchmarks", "training", "scripts"])
+def test_nothing_outside_imports_the_command_line(checkout, beside):
+    paths = sorted((checkout / beside).rglob("*.py"))
+    assert paths != []
+    taken = {path.name: imports_of_the_command_line(path.read_text()) for path in paths}
+    assert {name: found for name, found in taken.items() if found} == {}
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "from coded_aperture_ros.cli.options import add_options",
+        "def f():\n    import coded_aperture_ros.cli.main",
+        "from coded_aperture_ros import cli",
+        "from coded_aperture_ros.cli import main",
+    ],
+)
+def test_an_import_of_the_command_line_is_seen(source):
+    assert imports_of_the_command_line(source) != []
+    assert imports_of_the_command_line("from coded_aperture_ros.core.text import table") == []
+
+
 def test_no_circles_among_files_and_folders(sources):
     assert circles(sources) == []
 

@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 import pytest
-from coded_aperture_benchmarks.layered import random_scene
 from deblur_scene import blurred, edges_and_texture, levin_stack, relief
 
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
@@ -12,6 +11,7 @@ from coded_aperture_ros.deblur.blend.features import pack_cells, unpack_cells
 from coded_aperture_ros.deblur.blend.hypotheses import combined
 from coded_aperture_ros.metrics import psnr_db
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf_stack
+from coded_aperture_ros.simulation.layered import random_scene
 
 # Unlike those that were learned from, whose seeds are below 100,000.
 SEEDS = (1_000_003, 1_000_007, 1_000_008)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from blind_scene import CONFIG, MASK, SIZES_PX, names, plane, planes
 from cli_scene import call, examples, wrong_usage
-from coded_aperture_benchmarks.crops import Textures
 from coded_aperture_benchmarks.frames.blind_planes import (
     deblurring_loss,
     make_blind_planes,
@@ -30,6 +29,7 @@ from coded_aperture_ros.calibration.mask.sizes import FreeSizes
 from coded_aperture_ros.calibration.mask.spectra import half_plane, mean_by_contrast, window_powers
 from coded_aperture_ros.calibration.pictures import blind_picture
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.design.scores.crops import Textures
 from coded_aperture_ros.io import read_image, write_image
 from coded_aperture_ros.likelihood.bank import WindowedFourierBasis, load_bank
 from coded_aperture_ros.optics import Mask

@@ -4,15 +4,12 @@ import numpy as np
 import pytest
 from coded_aperture_benchmarks.dense import score
 from coded_aperture_benchmarks.metrics.deltas import delta_shares
-from coded_aperture_benchmarks.metrics.edges import (
-    BoundaryMatch,
-    edge_distance_px,
-    occluding_contour,
-)
+from coded_aperture_benchmarks.metrics.edges import BoundaryMatch, occluding_contour
 from coded_aperture_benchmarks.metrics.sparsification import Sparsification
 from coded_aperture_benchmarks.metrics.thin import pieces_found, thin_pieces
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.metrics.edges import edge_distance_px
 from coded_aperture_ros.optics import Camera, Mask
 
 

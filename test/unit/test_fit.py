@@ -5,7 +5,6 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
-from coded_aperture_benchmarks.layered import random_scene
 
 from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimator, Health
 from coded_aperture_ros.depth.quality import FitCheck, can_be_checked, evidence
@@ -28,6 +27,7 @@ from coded_aperture_ros.depth.quality.spectra import (
 from coded_aperture_ros.depth.quality.traces import traces
 from coded_aperture_ros.likelihood.bank import LearnConfig, WindowedFourierBasis, learn_bank
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf, render_psf_stack
+from coded_aperture_ros.simulation.layered import random_scene
 
 SIZES_PX = np.arange(2.0, 18.0, 0.55)
 NOISE = 0.001

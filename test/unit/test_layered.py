@@ -6,9 +6,14 @@ import sys
 import cv2
 import numpy as np
 import pytest
-from coded_aperture_benchmarks import layered
-from coded_aperture_benchmarks.layered import SIDES, random_scene, rod_scene
-from coded_aperture_benchmarks.layered.tracing import (
+from scipy import ndimage, signal
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.optics import Mask, render_psf
+from coded_aperture_ros.optics.mask import MASK_NAMES
+from coded_aperture_ros.simulation import layered
+from coded_aperture_ros.simulation.layered import SIDES, random_scene, rod_scene
+from coded_aperture_ros.simulation.layered.tracing import (
     FINENESS,
     Layer,
     lens_samples,
@@ -16,11 +21,6 @@ from coded_aperture_benchmarks.layered.tracing import (
     seen_from_centre,
     traced,
 )
-from scipy import ndimage, signal
-
-from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics import Mask, render_psf
-from coded_aperture_ros.optics.mask import MASK_NAMES
 
 SHAPE = (48, 57)
 MARGIN = 12

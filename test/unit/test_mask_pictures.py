@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 from cli_scene import texture
-from coded_aperture_benchmarks.crops import Textures
-from coded_aperture_benchmarks.mask_scores.pictures import (
+from scipy.signal import fftconvolve
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.design.scores.crops import Textures
+from coded_aperture_ros.design.scores.pictures import (
     PictureScorer,
     WindowSpectra,
     likeliest_levels,
     patch_side_px,
 )
-from coded_aperture_benchmarks.mask_scores.spectra import SceneConfig
-from scipy.signal import fftconvolve
-
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.design.scores.spectra import SceneConfig
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank
 from coded_aperture_ros.optics import Mask, render_psf_stack
 

@@ -5,24 +5,24 @@ import json
 import numpy as np
 import pytest
 from cli_scene import call, picture_folder
-from coded_aperture_benchmarks.mask_scores.predict import MaskScorer, smallest_openings
-from coded_aperture_benchmarks.mask_scores.spectra import (
+from coded_aperture_benchmarks.reference.subspace_distances import subspace_distances
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.design.scores.predict import MaskScorer, smallest_openings
+from coded_aperture_ros.design.scores.spectra import (
     Frequencies,
     SceneConfig,
     autocorrelations,
     expected_spectra,
     lag_matrix,
 )
-from coded_aperture_benchmarks.mask_search.grids import (
+from coded_aperture_ros.design.search.grids import (
     allowed,
     changed,
     is_connected,
     random_grids,
     symmetric,
 )
-from coded_aperture_benchmarks.reference.subspace_distances import subspace_distances
-
-from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import MASK_NAMES, Mask
 
 # A coarse scene, which is quick, and whose cells are wide enough that pixels do not alias.

@@ -12,10 +12,12 @@ import cv2
 import numpy as np
 import pytest
 from cli_scene import call
-from coded_aperture_benchmarks.mask_scores.predict import MaskScorer
-from coded_aperture_benchmarks.mask_scores.spectra import SceneConfig
-from coded_aperture_benchmarks.mask_search.checkpoint import load_checkpoint, save_checkpoint
-from coded_aperture_benchmarks.mask_search.search import (
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.design.scores.predict import MaskScorer
+from coded_aperture_ros.design.scores.spectra import SceneConfig
+from coded_aperture_ros.design.search.checkpoint import load_checkpoint, save_checkpoint
+from coded_aperture_ros.design.search.search import (
     Front,
     SearchConfig,
     first_state,
@@ -24,8 +26,6 @@ from coded_aperture_benchmarks.mask_search.search import (
     search_epochs,
 )
 from waiting import scaled
-
-from coded_aperture_ros.core.errors import InputError
 
 SCENE = SceneConfig(levels=5)
 CONFIG = SearchConfig(cells=7, islands=2, epochs=3, generations=3)
@@ -58,7 +58,7 @@ def test_a_search_finds_better_masks_than_it_began_with():
     ],
 )
 def test_all_that_is_found_keeps_to_the_constraints(constraints):
-    from coded_aperture_benchmarks.mask_search.grids import allowed
+    from coded_aperture_ros.design.search.grids import allowed
 
     config = SearchConfig(cells=8, islands=1, epochs=1, generations=4, **constraints)
     (state,) = states(config)

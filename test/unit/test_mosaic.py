@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from coded_aperture_benchmarks.layered import random_scene
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
@@ -14,6 +13,7 @@ from coded_aperture_ros.frames import (
 )
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank
 from coded_aperture_ros.optics import Mask, render_psf_stack
+from coded_aperture_ros.simulation.layered import random_scene
 
 HALF_GREEN = np.array([0.25, 0.5, 0.25], np.float32)
 

@@ -5,12 +5,6 @@ import json
 import numpy as np
 import pytest
 from cli_scene import CAMERA, HEIGHT, WIDTH, call, camera_file, texture
-from coded_aperture_benchmarks.fragmentation import (
-    analyse_fragmentation,
-    hole_side_mm,
-    most_holes,
-    round_mask,
-)
 from coded_aperture_benchmarks.frames.moving_frame import MovingObject, render_moving_frame
 from deblur_scene import assert_adjoint
 from scipy.signal import fftconvolve
@@ -21,6 +15,12 @@ from coded_aperture_ros.deblur.blur_map import smoothed_over_surfaces
 from coded_aperture_ros.deblur.operator import SpreadingBlur, frame_within, motion_parts
 from coded_aperture_ros.deblur.problem import full_resolution_motion
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
+from coded_aperture_ros.design.fragmentation import (
+    analyse_fragmentation,
+    hole_side_mm,
+    most_holes,
+    round_mask,
+)
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.likelihood.motion import Motions, blurred_psf, motion_kernel
 from coded_aperture_ros.optics import Camera, Mask, render_psf, render_psf_stack

@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from coded_aperture_benchmarks.layered import random_scene
 
 from coded_aperture_ros.core import networks
 from coded_aperture_ros.core.archive import read_shipped
@@ -17,6 +16,7 @@ from coded_aperture_ros.depth.decoders.network.calibration import Calibration, l
 from coded_aperture_ros.likelihood.bank import learn_bank
 from coded_aperture_ros.metrics import psnr_db
 from coded_aperture_ros.optics import Mask, render_psf_stack
+from coded_aperture_ros.simulation.layered import random_scene
 
 NOISE = 0.002
 needs_onnxruntime = pytest.mark.skipif(

@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 import pytest
-from coded_aperture_benchmarks.layered import random_scene
 from deblur_scene import levin_basis, relief
 
 from coded_aperture_ros.deblur.occlusion import OccludedBlur, collected, spread
@@ -11,6 +10,7 @@ from coded_aperture_ros.deblur.operator import SpreadingBlur, frame_within
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.deblur.visibility import least_towards, rays
 from coded_aperture_ros.optics import Mask, render_psf_stack
+from coded_aperture_ros.simulation.layered import random_scene
 
 BORDER = np.s_[16:-16, 16:-16]
 

@@ -122,7 +122,7 @@ def test_what_is_no_lens_is_refused_in_one_line(files, capsys, text, said):
 
 
 def test_lines_of_a_table_are_read_with_commas_and_remarks(files):
-    from coded_aperture_benchmarks.prescription.lens import _rows
+    from coded_aperture_ros.calibration.prescription.lens import _rows
 
     (files / "lens.txt").write_text("# a lens\n10, 2, 1.5, 60, 8 # front\n\n-10 9 1 0 8 stop\n")
     rows = list(_rows(files / "lens.txt"))

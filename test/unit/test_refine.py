@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from coded_aperture_benchmarks.layered import random_scene
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import Workers
@@ -32,6 +31,7 @@ from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank, learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation import render_coded_frame
+from coded_aperture_ros.simulation.layered import random_scene
 
 SHAPES = [(96, 128), (97, 131), (240, 333), (121, 200)]
 

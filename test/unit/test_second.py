@@ -41,7 +41,7 @@ def test_probabilities_of_cells():
 def fence():
     """Return a camera, its bank, a frame of a room behind leaves, and the scene."""
     pytest.importorskip("numba", reason="random scenes need numba")
-    from coded_aperture_benchmarks.layered import fenced_scene
+    from coded_aperture_ros.simulation.layered import fenced_scene
 
     fenced = fenced_scene(4_000_000, Mask.named("levin"), "leaves", shape=(288, 384))
     camera = fenced.scene.camera
@@ -149,7 +149,7 @@ def test_windows_with_two_surfaces():
 @pytest.mark.parametrize("side", ["far", "near"])
 def test_fences_are_before_rooms(kind, side):
     pytest.importorskip("numba")
-    from coded_aperture_benchmarks.layered import fenced_scene
+    from coded_aperture_ros.simulation.layered import fenced_scene
 
     mask = Mask.named("levin")
     fenced = fenced_scene(7, mask, kind, side, (96, 128))
@@ -174,7 +174,7 @@ def test_fences_are_before_rooms(kind, side):
 
 def test_a_refocused_scene_has_the_same_depths():
     pytest.importorskip("numba")
-    from coded_aperture_benchmarks.layered import random_scene
+    from coded_aperture_ros.simulation.layered import random_scene
 
     scene = random_scene(3, Mask.named("levin"), "far", (96, 128))
     other = scene.refocused(2.5)

@@ -162,8 +162,8 @@ def test_fine_and_oblong_masks():
 @pytest.mark.parametrize("side", ["far", "near", "both"])
 def test_views_of_random_scenes_are_those_that_are_traced(side):
     pytest.importorskip("numba", reason="random scenes need numba")
-    from coded_aperture_benchmarks.layered import random_scene
-    from coded_aperture_benchmarks.layered.tracing import traced
+    from coded_aperture_ros.simulation.layered import random_scene
+    from coded_aperture_ros.simulation.layered.tracing import traced
 
     scene = random_scene(2, Mask.named("levin"), side, (160, 200))
     sharp, blur = np.clip(scene.all_in_focus(), 0, 1), scene.blur_size_px()

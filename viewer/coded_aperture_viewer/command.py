@@ -19,10 +19,9 @@ from coded_aperture_ros.cli.options import (
     add_gamma_option,
     add_mosaic_option,
     add_options,
-    between,
-    checked,
     config_from,
 )
+from coded_aperture_ros.core.arguments import between, checked
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.share import share_directory
 from coded_aperture_ros.deblur import DeblurConfig

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from coded_aperture_benchmarks.crops import Textures
 from coded_aperture_benchmarks.frames.stair import check_frame_options, crops_generator, with_noise
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
+from coded_aperture_ros.design.scores.crops import Textures
 from coded_aperture_ros.metrics.errors import psnr_db
 from coded_aperture_ros.optics import Mask, render_psf, render_psf_stack
 

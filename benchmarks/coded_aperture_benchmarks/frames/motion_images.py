@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from coded_aperture_benchmarks.crops import Textures
-from coded_aperture_benchmarks.fragmentation import (
+from coded_aperture_benchmarks.frames.stair import crops_generator, with_noise
+from coded_aperture_ros.depth.upsample import MapGrid
+from coded_aperture_ros.design.fragmentation import (
     BLUR_SIZES_PX,
     DIRECTIONS,
     LENGTHS,
@@ -16,8 +17,7 @@ from coded_aperture_benchmarks.fragmentation import (
     analyse_fragmentation,
     table_motions,
 )
-from coded_aperture_benchmarks.frames.stair import crops_generator, with_noise
-from coded_aperture_ros.depth.upsample import MapGrid
+from coded_aperture_ros.design.scores.crops import Textures
 from coded_aperture_ros.frames.noise import NOISE_FLOOR
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank
 from coded_aperture_ros.likelihood.motion import MotionConfig, blurred_psf, learn_motion_bank

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from coded_aperture_benchmarks.crops import Textures
 from coded_aperture_benchmarks.frames.stair import (
     blur_stack,
     check_frame_options,
     crops_generator,
     with_noise,
 )
+from coded_aperture_ros.design.scores.crops import Textures
 from coded_aperture_ros.optics import Mask
 
 LEVELS = 33

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.crops import Textures
-from coded_aperture_benchmarks.mask_search.grids import SYMMETRIES, random_grids
+from coded_aperture_ros.design.scores.crops import Textures
+from coded_aperture_ros.design.search.grids import SYMMETRIES, random_grids
 from coded_aperture_ros.optics import Mask
 
 
@@ -31,7 +31,7 @@ def patches_of_columns(
     Parameters
     ----------
     side_px : int
-        Side of the patches; see `coded_aperture_benchmarks.mask_scores.pictures.patch_side_px`.
+        Side of the patches; see `coded_aperture_ros.design.scores.pictures.patch_side_px`.
     step_px : int
         Rows of a crop.
 

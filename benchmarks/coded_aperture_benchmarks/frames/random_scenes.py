@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, Rods
-from coded_aperture_benchmarks.layered import LayeredScene, random_scene, rod_scene
-from coded_aperture_ros.cli.options import mask_of
+from coded_aperture_ros.optics import load_mask
+from coded_aperture_ros.simulation.layered import LayeredScene, random_scene, rod_scene
 
 # Training has smaller ones.
 FIRST_SEED = 1_000_000
@@ -50,12 +50,12 @@ class RandomScene:
         rods = None
         if self.rods:
             widths = _rod_widths(self.seed)
-            scene, labels = rod_scene(self.seed, mask_of(mask), widths, self.side, self.size)
+            scene, labels = rod_scene(self.seed, load_mask(mask), widths, self.side, self.size)
             behind = LayeredScene(scene.layers[len(widths) :], scene.camera)
             apart = behind.depth_m() >= _APART * scene.depth_m()
             rods = Rods(np.where(apart, labels, 0), widths)
         else:
-            scene = random_scene(self.seed, mask_of(mask), self.side, self.size)
+            scene = random_scene(self.seed, load_mask(mask), self.side, self.size)
         coded, sharp = (
             # Noise is added to each channel by itself, as with other scenes.
             np.repeat(picture[..., None], 3, axis=2)

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.metrics.edges import edge_distance_px
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.decoders.network import untrained
 from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import read_depth, read_image
 from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank_for_camera
+from coded_aperture_ros.metrics.edges import edge_distance_px
 from coded_aperture_ros.optics import Camera, Mask
 
 _META = "meta.json"

@@ -11,10 +11,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from coded_aperture_benchmarks.layered.textures import TEXTURE_PX, TEXTURED_COUNT, texture
-from coded_aperture_benchmarks.layered.tracing import compiled, lens_samples
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.optics import Camera, Intrinsics, Wavefront
+from coded_aperture_ros.simulation.layered.textures import TEXTURE_PX, TEXTURED_COUNT, texture
+from coded_aperture_ros.simulation.layered.tracing import compiled, lens_samples
 
 # The room's sides and height; the camera keeps to a ring in its middle.
 _ROOM_M = (9.0, 2.6, 8.0)
@@ -106,7 +106,7 @@ class Room:
             )
             for board in self.boards
         ]
-        found = compiled("frames.room_kernels", "rooms").trace(
+        found = compiled("coded_aperture_benchmarks.frames.room_kernels", "rooms").trace(
             np.array(boards, np.float32),
             np.array(boxes, np.float32),
             np.array(paint, np.float64),

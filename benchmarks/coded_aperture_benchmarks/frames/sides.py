@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from coded_aperture_benchmarks.crops import Textures
 from coded_aperture_benchmarks.frames.stair import check_frame_options, crops_generator, with_noise
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
+from coded_aperture_ros.design.scores.crops import Textures
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask, render_psf
 from coded_aperture_ros.simulation import render_coded_frame

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from coded_aperture_benchmarks.crops import Textures
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.design.scores.crops import Textures
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf_stack
 
 SMALLEST_BLUR_PX = 7.0

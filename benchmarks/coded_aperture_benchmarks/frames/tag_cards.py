@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.layered.scene import LayeredScene, random_scene
-from coded_aperture_benchmarks.layered.tracing import FINENESS, Layer, prefiltered
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
 from coded_aperture_ros.optics import Camera, Mask
+from coded_aperture_ros.simulation.layered.scene import LayeredScene, random_scene
+from coded_aperture_ros.simulation.layered.tracing import FINENESS, Layer, prefiltered
 
 TAG, QR = "tag", "qr"
 SIZE = (480, 640)

@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.crops import Textures
 from coded_aperture_benchmarks.frames.stair import (
     LARGEST_BLUR_PX,
     LEVELS,
@@ -17,6 +16,7 @@ from coded_aperture_benchmarks.frames.stair import (
     with_noise,
 )
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.design.scores.crops import Textures
 from coded_aperture_ros.optics import Mask, PsfStack, psf_width
 
 SHAPE = (320, 480)

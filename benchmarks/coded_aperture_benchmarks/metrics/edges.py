@@ -4,30 +4,12 @@ import dataclasses
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
+from coded_aperture_ros.core.arrays import BoolArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.metrics.edges import EDGE_JUMP_PX, distance_to_px, lowest_and_highest
 
-EDGE_JUMP_PX = 1.0
 TOLERANCES_PX = (1, 2, 4)
-
-
-def edge_distance_px(
-    blur_size_px: NDArray[np.floating], jump_px: float = EDGE_JUMP_PX
-) -> DoubleArray:
-    """Return every pixel's distance from the nearest depth edge; infinite without one.
-
-    Parameters
-    ----------
-    blur_size_px : ndarray of float, shape [h, w]
-        Signed blur size, NaN where unknown. Borders of what is unknown are no edges.
-    jump_px : float
-        A depth edge is a larger jump between neighbours; the pixels of both its sides are 0 away.
-    """
-    lowest, highest = _around(blur_size_px)
-    edges = highest - lowest > jump_px
-    return _distance_to(edges & np.isfinite(blur_size_px))
 
 
 def occluding_contour(
@@ -42,7 +24,7 @@ def occluding_contour(
     jump_px : float
         One of the eight neighbours is farther by more than this.
     """
-    _, highest = _around(blur_size_px)
+    _, highest = lowest_and_highest(blur_size_px)
     with np.errstate(invalid="ignore"):
         return np.asarray(highest - blur_size_px > jump_px)
 
@@ -96,10 +78,10 @@ class BoundaryMatch:
                 f"{list(true_px.shape)}"
             )
         unknown = ~np.isfinite(true_px)
-        judged = _distance_to(unknown) > max(tolerances_px)
+        judged = distance_to_px(unknown) > max(tolerances_px)
         estimated, true = occluding_contour(estimated_px), occluding_contour(true_px)
-        to_true = _distance_to(true)[estimated & judged]
-        to_estimated = _distance_to(estimated)[true]
+        to_true = distance_to_px(true)[estimated & judged]
+        to_estimated = distance_to_px(estimated)[true]
         return {
             tolerance: cls(
                 to_true.size,
@@ -132,18 +114,3 @@ class BoundaryMatch:
         if not self.estimated_near_true or not self.true_near_estimated:
             return 0.0
         return 2 / (1 / self.precision + 1 / self.recall)
-
-
-def _around(blur_size_px: NDArray[np.floating]) -> tuple[DoubleArray, DoubleArray]:
-    """Return the least and the greatest known value of every pixel's 3 x 3 neighbours."""
-    known = np.isfinite(blur_size_px)
-    lowest = ndimage.minimum_filter(np.where(known, blur_size_px, np.inf), 3)
-    highest = ndimage.maximum_filter(np.where(known, blur_size_px, -np.inf), 3)
-    return lowest, highest
-
-
-def _distance_to(pixels: BoolArray) -> DoubleArray:
-    if not pixels.any():  # the transform would measure to a point outside of the picture
-        return np.full(pixels.shape, np.inf)
-    distance: DoubleArray = ndimage.distance_transform_edt(~pixels)
-    return distance

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import coo_array, csgraph
 
-from coded_aperture_benchmarks.metrics.edges import EDGE_JUMP_PX, occluding_contour
+from coded_aperture_benchmarks.metrics.edges import occluding_contour
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
+from coded_aperture_ros.metrics.edges import EDGE_JUMP_PX
 
 # Each includes its lower bound, the last its upper bound too.
 WIDTHS_PX = ((2, 4), (4, 8), (8, 20))

@@ -12,15 +12,16 @@ from coded_aperture_benchmarks.frames.blind_planes import (
     make_blind_planes,
     mask_correlation,
 )
-from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import load_textures
 from coded_aperture_ros.calibration.blind import find
 from coded_aperture_ros.calibration.pictures import blind_picture
-from coded_aperture_ros.cli.options import mask_of, noise_level
+from coded_aperture_ros.core.arguments import noise_level
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.io import write_image
+from coded_aperture_ros.optics import load_mask
 
 _METHODS = ("fast", "cg")
 _COLUMNS = {
@@ -63,7 +64,7 @@ def _cells(args: options.Args) -> list[Cell]:
 
 def measure(cell: Cell) -> Row:
     """Find the mask of one set of planes, and compare."""
-    mask = mask_of(cell.mask)
+    mask = load_mask(cell.mask)
     textures = load_textures("natural", cell.images)
     planes = make_blind_planes(mask, textures, cell.sigma, cell.seed, cell.planes, cell.size)
     row: Row = {"mask": mask.name, "seed": cell.seed}

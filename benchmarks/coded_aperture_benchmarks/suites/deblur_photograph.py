@@ -13,11 +13,12 @@ from coded_aperture_benchmarks.options import RESULTS, Args, option
 from coded_aperture_benchmarks.pictures import as_rgb, enlarged, side_by_side
 from coded_aperture_benchmarks.reference.deblurring import deblur_by_planes
 from coded_aperture_benchmarks.restoration import noise_of, residual_rms
-from coded_aperture_benchmarks.rows import columns, or_dash
+from coded_aperture_benchmarks.rows import or_dash
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import training_textures
 from coded_aperture_ros.core.archive import read_archive
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.optics import PsfStack

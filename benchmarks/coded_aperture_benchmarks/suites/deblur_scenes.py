@@ -14,9 +14,10 @@ from coded_aperture_benchmarks import deblurring, options
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, bank_for, scene_camera
 from coded_aperture_benchmarks.pictures import as_rgb, enlarged, of_width, side_by_side
 from coded_aperture_benchmarks.restoration import overshoot, picture_score
-from coded_aperture_benchmarks.rows import columns, or_dash, tables
+from coded_aperture_benchmarks.rows import or_dash, tables
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import training_textures
+from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.frames import SRGB, decode
 from coded_aperture_ros.io import write_image

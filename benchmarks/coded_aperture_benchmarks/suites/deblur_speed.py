@@ -8,10 +8,10 @@ import numpy as np
 
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.deblurring import own_methods
-from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.speed.frames import moving_frames
 from coded_aperture_benchmarks.speed.machine import opencv_threads
+from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.metrics.times import Times
 from coded_aperture_ros.optics import Mask, render_psf_stack

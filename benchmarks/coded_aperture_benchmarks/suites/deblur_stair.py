@@ -29,9 +29,10 @@ from coded_aperture_benchmarks.restoration import deblurring_error
 from coded_aperture_benchmarks.rows import grouped, mean_of, tables, unique
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import load_textures, training_textures
-from coded_aperture_ros.cli.options import mask_of, table
+from coded_aperture_ros.core.text import table
 from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.io import write_image
+from coded_aperture_ros.optics import load_mask
 
 # Of the stair that reference methods find their strength on: it covers all blur sizes.
 _PRACTICE_LEVELS = 10
@@ -63,7 +64,7 @@ class Cell(MethodOnFrames):
     def stair(self, seed: int) -> Stair:
         """Return one of the stairs that are scored."""
         setting, textures = self.setting, load_textures(self.texture, self.images)
-        mask = mask_of(setting.mask)
+        mask = load_mask(setting.mask)
         return make_stair(mask, textures, setting.sigma, seed, setting.levels, self.side_px)
 
     def practice(self) -> deblurring.Practice:
@@ -71,7 +72,7 @@ class Cell(MethodOnFrames):
         setting = self.setting
         textures = load_textures("random") if self.texture == "random" else training_textures()
         levels = min(setting.levels, _PRACTICE_LEVELS)
-        mask = mask_of(setting.mask)
+        mask = load_mask(setting.mask)
         stair = make_stair(
             mask, textures, setting.sigma, deblurring.PRACTICE_SEED, levels, self.side_px
         )

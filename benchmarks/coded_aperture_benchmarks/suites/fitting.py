@@ -19,9 +19,10 @@ from coded_aperture_benchmarks.frames.ray_traced import (
 )
 from coded_aperture_benchmarks.frames.video import load_video
 from coded_aperture_benchmarks.metrics.published import COVERED, WRONG, published
-from coded_aperture_benchmarks.rows import columns, grouped, mean_of
+from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
 from coded_aperture_ros.io import read_image
 from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig

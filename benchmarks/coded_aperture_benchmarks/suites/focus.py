@@ -7,17 +7,18 @@ from pathlib import Path
 import numpy as np
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.layered import LayeredScene, random_scene
 from coded_aperture_benchmarks.pictures import frames_and_depths
-from coded_aperture_benchmarks.rows import columns, grouped, mean_of
+from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.cli.options import mask_of
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
 from coded_aperture_ros.depth.focus_pair import FocusPair
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
+from coded_aperture_ros.optics import load_mask
 from coded_aperture_ros.simulation import SensorModel
+from coded_aperture_ros.simulation.layered import LayeredScene, random_scene
 
 _LEVELS, _SIZE, _MARGIN = 30, (288, 384), 0.02
 _FIRST_SCENE = 4_500_000
@@ -63,7 +64,7 @@ def measure(cell: Cell) -> Measured:
     """Look at a scene with one frame, with one of twice the exposure, and with two."""
     side = "far" if cell.setting == "beyond" else "both"
     seed, blur_px = _FIRST_SCENE + cell.number, _BLUR_PX[cell.setting]
-    scene = random_scene(seed, mask_of(cell.mask), side, _SIZE, blur_px)
+    scene = random_scene(seed, load_mask(cell.mask), side, _SIZE, blur_px)
     true_m, camera = scene.depth_m(), scene.camera
     near_m, far_m = float(np.nanmin(true_m)), float(np.nanmax(true_m))
     at_focus = 1 / far_m + _SECOND[cell.setting] * (1 / near_m - 1 / far_m)

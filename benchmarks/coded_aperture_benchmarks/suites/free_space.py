@@ -10,16 +10,17 @@ from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.frames.cameras import camera_for_blur
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, learned_bank
 from coded_aperture_benchmarks.frames.room import random_room, walk
-from coded_aperture_benchmarks.layered import random_scene
 from coded_aperture_benchmarks.pictures import frames_and_depths
-from coded_aperture_benchmarks.rows import columns, grouped, mean_of
+from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.cli.options import mask_of, noise_level
+from coded_aperture_ros.core.arguments import noise_level
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.io import write_image
-from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics import Camera, load_mask
 from coded_aperture_ros.simulation import SensorModel
+from coded_aperture_ros.simulation.layered import random_scene
 
 _LEVELS, _SIZE = 30, (288, 384)
 KINDS = ("room", "empty", "layered")
@@ -83,7 +84,7 @@ def _cells(args: argparse.Namespace) -> list[Cell]:
 
 
 def _seen(cell: Cell) -> Seen:
-    mask = mask_of(cell.mask)
+    mask = load_mask(cell.mask)
     if cell.folder is not None:
         scene = RayTracedScene.load(cell.folder, cell.mask)
         return Seen(scene.coded, scene.depth_m, scene.camera)

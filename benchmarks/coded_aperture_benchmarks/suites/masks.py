@@ -14,16 +14,16 @@ from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.frames.random_masks import patches_of_columns, random_masks
 from coded_aperture_benchmarks.frames.stair import LARGEST_BLUR_PX, SMALLEST_BLUR_PX
 from coded_aperture_benchmarks.identification import BANK, Setting
-from coded_aperture_benchmarks.mask_scores.pictures import PictureScorer, patch_side_px
-from coded_aperture_benchmarks.mask_scores.predict import MaskScorer
-from coded_aperture_benchmarks.mask_scores.spectra import SceneConfig
-from coded_aperture_benchmarks.mask_search.grids import random_grids
 from coded_aperture_benchmarks.options import sigmas
-from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.suites import stair
 from coded_aperture_benchmarks.textures import load_textures
-from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.core.progress import progress
+from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.design.scores.pictures import PictureScorer, patch_side_px
+from coded_aperture_ros.design.scores.predict import MaskScorer
+from coded_aperture_ros.design.scores.spectra import SceneConfig
+from coded_aperture_ros.design.search.grids import random_grids
 from coded_aperture_ros.optics import Mask
 
 # Of the crops to predict from: the stairs have seeds from 0 on.

@@ -7,12 +7,13 @@ from coded_aperture_benchmarks.frames import moving_scenes as frames
 from coded_aperture_benchmarks.frames.motion_images import table_masks
 from coded_aperture_benchmarks.options import JSON, OUTPUT, Args, number, option
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.cli.options import mask_of, noise_level, table
+from coded_aperture_ros.core.arguments import noise_level
+from coded_aperture_ros.core.text import table
 from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank_for_camera
 from coded_aperture_ros.likelihood.motion import MotionConfig, MotionModel, learn_motion_bank
-from coded_aperture_ros.optics import Mask
+from coded_aperture_ros.optics import Mask, load_mask
 
 _METHODS = ("none", "cg", "sparse")
 _REFINEMENT_PX = 0.1
@@ -50,7 +51,7 @@ def _cells(args: Args) -> list[Cell]:
 
 
 def _mask(name: str) -> Mask:
-    return table_masks()[0][name] if name in ("A", "B", "C") else mask_of(name)
+    return table_masks()[0][name] if name in ("A", "B", "C") else load_mask(name)
 
 
 @lru_cache(maxsize=1)

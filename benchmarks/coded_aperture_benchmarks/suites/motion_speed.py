@@ -9,9 +9,9 @@ import numpy as np
 
 from coded_aperture_benchmarks.frames import moving_scenes as frames
 from coded_aperture_benchmarks.options import JSON, OUTPUT, Args, frame_size, number
-from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import load_textures
+from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.likelihood.motion import MotionConfig, MotionModel, learn_motion_bank

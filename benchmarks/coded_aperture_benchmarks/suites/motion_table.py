@@ -5,9 +5,10 @@ import itertools
 
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.frames.motion_images import TABLE_7_1, identify_motions, table_masks
-from coded_aperture_benchmarks.rows import columns, tables
+from coded_aperture_benchmarks.rows import tables
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import load_textures
+from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.likelihood.motion import MotionConfig
 
 _MASKS = ("disc", "A", "B", "C")

@@ -14,10 +14,11 @@ from coded_aperture_benchmarks.figures import seen_from_above
 from coded_aperture_benchmarks.frames.video import check_rgbd_video
 from coded_aperture_benchmarks.frames.walks import Walk, of_video, through_room
 from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
-from coded_aperture_benchmarks.rows import columns, grouped, mean_of
+from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.trajectories import Tracker, tracked, write_tum
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.config import VIDEO_FRAMES

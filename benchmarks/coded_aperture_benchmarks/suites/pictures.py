@@ -11,16 +11,16 @@ import numpy as np
 
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.frames.cameras import camera_for_blur
-from coded_aperture_benchmarks.rows import columns, grouped, mean_of
+from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.cli.options import mask_of
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
 from coded_aperture_ros.frames import SRGB, decode, encode
 from coded_aperture_ros.io import read_depth, read_image
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
-from coded_aperture_ros.optics import Mask
+from coded_aperture_ros.optics import Mask, load_mask
 from coded_aperture_ros.simulation import motorcycle_scene, render_coded_frame
 from coded_aperture_ros.simulation.scene import fill_unknown
 
@@ -91,7 +91,7 @@ def _cells(args: options.Args) -> list[Cell]:
 def _mask(name: str) -> Mask:
     """Return a mask by its name, or one that chance has made."""
     if name != _RANDOM:
-        return mask_of(name)
+        return load_mask(name)
     return Mask(name, (np.random.default_rng(5).random((11, 11)) < 0.5).astype(np.float32))
 
 

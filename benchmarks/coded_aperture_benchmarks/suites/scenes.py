@@ -25,17 +25,18 @@ from coded_aperture_benchmarks.dense import (
 from coded_aperture_benchmarks.frames.random_scenes import FIRST_SEED, RandomScene
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, Rods, bank_for, scene_camera
 from coded_aperture_benchmarks.identification import regularizations
-from coded_aperture_benchmarks.layered import SIDES
-from coded_aperture_benchmarks.rows import columns, mean_of
+from coded_aperture_benchmarks.rows import mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_planes
 from coded_aperture_ros.calibration.planes.folder import load_folder
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig
 from coded_aperture_ros.metrics import Reliability
 from coded_aperture_ros.metrics.figures import reliability_diagram
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.simulation.layered import SIDES
 
 _PLANES = "calib"
 # Spread over a video; the frames between are much like them.

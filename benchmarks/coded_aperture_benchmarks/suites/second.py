@@ -10,19 +10,20 @@ import numpy as np
 
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, learned_bank
-from coded_aperture_benchmarks.layered import FENCES, fenced_scene, random_scene
 from coded_aperture_benchmarks.metrics.surfaces import Windows, at_middles, shares, surfaces
 from coded_aperture_benchmarks.pictures import frames_and_depths
-from coded_aperture_benchmarks.rows import columns, grouped, mean_of
+from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.cli.options import mask_of, noise_level
+from coded_aperture_ros.core.arguments import noise_level
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.likelihood.bank import FilterBank
-from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics import Camera, load_mask
 from coded_aperture_ros.simulation import SensorModel
+from coded_aperture_ros.simulation.layered import FENCES, fenced_scene, random_scene
 
 _LEVELS, _SIZE = 30, (288, 384)
 PLAIN = "plain"
@@ -92,7 +93,7 @@ def _seen_and_bank(cell: Cell) -> tuple[Seen, FilterBank]:
 
 
 def _seen(cell: Cell, seed: int) -> Seen:
-    mask = mask_of(cell.mask)
+    mask = load_mask(cell.mask)
     if cell.folder is not None:
         traced = RayTracedScene.load(cell.folder, cell.mask)
         seen = surfaces(_of_map(traced.camera.blur_size_px(traced.depth_m)))

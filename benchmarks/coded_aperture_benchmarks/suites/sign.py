@@ -24,9 +24,9 @@ from coded_aperture_benchmarks.identification import regularizations
 from coded_aperture_benchmarks.rows import mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import load_textures
-from coded_aperture_ros.cli.options import mask_of, table
+from coded_aperture_ros.core.text import table
 from coded_aperture_ros.depth import DepthConfig
-from coded_aperture_ros.optics import Camera, Mask
+from coded_aperture_ros.optics import Camera, Mask, load_mask
 
 _SCENE_REACH_PX = 12.0
 _SHARES = ("right", "confident", "confident_right", "confident_said")
@@ -80,7 +80,7 @@ def _cells(args: options.Args) -> list[Cell]:
 
 def measure(cell: Cell) -> Measured:
     """Measure one mask on planes or on a scene."""
-    mask = mask_of(cell.mask)
+    mask = load_mask(cell.mask)
     if cell.scene is None:
         camera, near_m, far_m = plane_camera(mask)
         frames = _planes(cell, camera)

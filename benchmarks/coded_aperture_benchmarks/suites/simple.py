@@ -13,8 +13,9 @@ from coded_aperture_benchmarks.reference import REFERENCE_METHODS
 from coded_aperture_benchmarks.rows import grouped, mean_of, place, tables, unique
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import load_textures
-from coded_aperture_ros.cli.options import mask_of, table
+from coded_aperture_ros.core.text import table
 from coded_aperture_ros.likelihood.two_pixel import find_holes
+from coded_aperture_ros.optics import load_mask
 
 _REFERENCES = "references"
 _METHODS = (identification.SIMPLE, identification.CONDITIONAL, identification.BANK, _REFERENCES)
@@ -48,7 +49,7 @@ def _cells(args: options.Args) -> list[Cell]:
         for method in methods
     ):
         for mask in args.masks:
-            find_holes(mask_of(mask))
+            find_holes(load_mask(mask))
     options.check_textures(args, (texture for texture, _ in args.cases))
     return [
         Cell(
@@ -68,7 +69,7 @@ def _cells(args: options.Args) -> list[Cell]:
 def measure(cell: Cell) -> Row:
     """Measure one method on all planes of one mask, texture and noise."""
     setting = cell.setting
-    mask, textures = mask_of(setting.mask), load_textures(cell.texture, cell.images)
+    mask, textures = load_mask(setting.mask), load_textures(cell.texture, cell.images)
     margin = cell.side_px // 4
     inner = (slice(margin, cell.side_px - margin),) * 2
     errors, seconds = [], []

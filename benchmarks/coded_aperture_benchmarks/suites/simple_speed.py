@@ -7,16 +7,15 @@ import numpy as np
 
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.frames.stair import blur_stack
-from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.speed.frames import moving_frames
 from coded_aperture_benchmarks.speed.setting import published_size
-from coded_aperture_ros.cli.options import mask_of
+from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.likelihood.two_pixel import SimpleConfig, find_holes, neighbour_model
 from coded_aperture_ros.metrics.times import Times
-from coded_aperture_ros.optics import Mask
+from coded_aperture_ros.optics import Mask, load_mask
 
 _REGULARIZED = ("none", "semiglobal", "graphcut")
 _WINDOWS = (48, 64, 96, 128)
@@ -46,7 +45,7 @@ class Cell:
 
 
 def _cells(args: options.Args) -> list[Cell]:
-    mask = mask_of(args.mask)
+    mask = load_mask(args.mask)
     find_holes(mask)
     SimpleConfig(window_px=args.window)
     if min(args.size) < args.window:

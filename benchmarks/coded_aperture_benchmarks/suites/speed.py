@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_benchmarks import figures, options
-from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.run import RESULTS, Row, Suite
 from coded_aperture_benchmarks.speed import (
     Extent,
@@ -15,8 +14,8 @@ from coded_aperture_benchmarks.speed import (
     has_test_pictures,
     thread_counts,
 )
-from coded_aperture_ros.cli.options import table
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.text import columns, table
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.likelihood import BACKENDS
 

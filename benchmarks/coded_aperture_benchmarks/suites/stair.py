@@ -27,9 +27,10 @@ from coded_aperture_benchmarks.reference.thesis_tables import (
 from coded_aperture_benchmarks.rows import grouped, mean_of, place, tables, unique
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import load_textures
-from coded_aperture_ros.cli.options import mask_of, table
+from coded_aperture_ros.core.text import table
 from coded_aperture_ros.metrics.figures import reliability_diagram
 from coded_aperture_ros.metrics.reliability import Reliability
+from coded_aperture_ros.optics import load_mask
 
 # The steps are wide and flat: the largest window that fits well into one of them.
 _WINDOW_PX, _RANK = 96, 400
@@ -90,7 +91,7 @@ def _measure(cell: Cell, texture: str) -> Measured:
     errors, spreads, estimates, reliabilities = [], [], [], []
     for seed in cell.seeds:
         stair = make_stair(
-            mask_of(setting.mask), textures, setting.sigma, seed, setting.levels, cell.side_px
+            load_mask(setting.mask), textures, setting.sigma, seed, setting.levels, cell.side_px
         )
         found = cell.identify(stair.coded, stair.noise)
         # The steps are levels of the bank: whole numbers, as all estimates of the thesis are.

@@ -13,10 +13,9 @@ from coded_aperture_benchmarks.reference.subspace_distances import (
     SubspaceDistances,
     subspace_distances,
 )
-from coded_aperture_benchmarks.rows import columns
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.cli.options import mask_of
-from coded_aperture_ros.optics import MASK_NAMES
+from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.optics import MASK_NAMES, load_mask
 
 _SMALLEST_PX, _LARGEST_PX = 7.0, 30.0
 
@@ -37,7 +36,7 @@ def _cells(args: options.Args) -> list[Cell]:
 def measure(cell: Cell) -> SubspaceDistances:
     """Compare the subspaces of one mask."""
     sizes = np.linspace(_SMALLEST_PX, _LARGEST_PX, cell.levels)
-    return subspace_distances(mask_of(cell.mask), sizes)
+    return subspace_distances(load_mask(cell.mask), sizes)
 
 
 def _results(args: options.Args, measured: list[SubspaceDistances], _: float) -> Row:

@@ -28,10 +28,11 @@ from coded_aperture_benchmarks.frames.tag_cards import (
     pitch_px,
 )
 from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
-from coded_aperture_benchmarks.rows import columns, grouped, or_dash
+from coded_aperture_benchmarks.rows import grouped, or_dash
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.cli.options import at_least, between
+from coded_aperture_ros.core.arguments import at_least, between
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.frames import SRGB

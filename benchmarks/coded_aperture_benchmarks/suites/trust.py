@@ -22,8 +22,8 @@ from coded_aperture_benchmarks.metrics.published import COVERED, WRONG, publishe
 from coded_aperture_benchmarks.rows import mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.suites.deblur_photograph import photograph
-from coded_aperture_ros.cli.options import table
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.text import table
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
 from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from coded_aperture_benchmarks import figures, identification, options
 from coded_aperture_benchmarks.frames.stair import with_middle
 from coded_aperture_benchmarks.frames.two_plane import make_two_planes, two_plane_error
-from coded_aperture_benchmarks.rows import columns, mean_of, place
+from coded_aperture_benchmarks.rows import mean_of, place
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.textures import load_textures
-from coded_aperture_ros.cli.options import at_least, mask_of
+from coded_aperture_ros.core.arguments import at_least
+from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.optics import load_mask
 
 _PLACE = ("mask", "front_blur_px", "back_blur_px", "sigma")
 _COLUMNS = {
@@ -76,7 +78,7 @@ def _cells(args: options.Args) -> list[Cell]:
 def measure(cell: Cell) -> Measured:
     """Measure one cell, all its repeats."""
     setting = cell.setting
-    mask = mask_of(setting.mask)
+    mask = load_mask(setting.mask)
     textures = load_textures(cell.texture, cell.images)
     errors, profiles, seconds = [], [], []
     for seed in cell.seeds:

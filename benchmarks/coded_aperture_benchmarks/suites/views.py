@@ -2,19 +2,22 @@
 
 import argparse
 import dataclasses
+import sys
 from collections.abc import Callable, Sequence
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.layered import SIDES, LayeredScene, random_scene
-from coded_aperture_benchmarks.layered.tracing import lens_samples, traced
 from coded_aperture_benchmarks.pictures import as_rgb, side_by_side
-from coded_aperture_benchmarks.rows import columns, grouped, mean_of, or_dash
+from coded_aperture_benchmarks.rows import grouped, mean_of, or_dash
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.cli.extension import VIEW
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, opening_centres, view_through
 from coded_aperture_ros.deblur.blur_map import filled_blur_map
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
@@ -25,6 +28,8 @@ from coded_aperture_ros.likelihood.bank.learning import guarded_range
 from coded_aperture_ros.metrics import psnr_db
 from coded_aperture_ros.optics import MASK_NAMES, Camera, Mask
 from coded_aperture_ros.simulation import SensorModel
+from coded_aperture_ros.simulation.layered import SIDES, LayeredScene, random_scene
+from coded_aperture_ros.simulation.layered.tracing import lens_samples, traced
 
 _LEVELS, _BITS = 30, 12
 _METHODS = ("fast", "sparse")
@@ -74,11 +79,21 @@ class Measured:
 
 def _cells(args: argparse.Namespace) -> list[Cell]:
     options.check_known(args, "mask", [args.mask], MASK_NAMES)
-    VIEW.module("refocus", "bench views")
+    _refocused()
     return [
         Cell(scene, args.side, args.mask, args.noise, args.size)
         for scene in range(args.first_scene, args.first_scene + args.scenes)
     ]
+
+
+def _refocused() -> Any:
+    """Return the function by which the viewer refocuses; an `InputError` where it is missing."""
+    if find_spec("coded_aperture_viewer") is None:  # else beside the benchmarks in a checkout
+        sys.path.append(str(Path(__file__).resolve().parents[3] / "viewer"))
+    try:
+        return import_module("coded_aperture_viewer.refocus").refocused
+    except ModuleNotFoundError as error:
+        raise InputError(f"needs {error.name}: pip install ./viewer") from error
 
 
 def measure(cell: Cell) -> Measured:
@@ -166,7 +181,7 @@ def _of_layers(
     filled = filled_blur_map(blur_px, frame)
     depth_m = np.asarray(camera.depth_m(filled), np.float32)
     least, most = np.percentile(filled[np.isfinite(depth_m)], [1, 99])
-    refocused = VIEW.module("refocus", "bench views").refocused
+    refocused = _refocused()
     opening_px = max(float(most - least), 1e-3) / 2
     return np.asarray(refocused(frame, depth_m, float(camera.depth_m(focus_px)), opening_px))
 

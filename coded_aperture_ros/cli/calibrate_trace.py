@@ -1,22 +1,14 @@
 """`coded_aperture calibrate trace`: the PSFs of a lens from its prescription."""
 
 import argparse
-from collections.abc import Sequence
+import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import yaml
-
-from coded_aperture_benchmarks.prescription.fit import traced_camera
-from coded_aperture_benchmarks.prescription.lens import load_lens
 from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.cli.measuring import tell
-from coded_aperture_ros.cli.options import CommandParser, add_options
+from coded_aperture_ros.cli.options import add_options
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.files import atomic_output
-from coded_aperture_ros.optics import load_camera
-from coded_aperture_ros.optics.camera import camera_entries
 
 _EPILOG = """examples:
   what a double Gauss makes of a mask 15 mm wide in its stop:
@@ -30,10 +22,11 @@ behind it (1 and 0: air), diameter, in mm; 0 is flat, and 'stop' ends the line o
 _REPLACED = ("focal_length_mm", "pixel_pitch_um", "lens_mask_distance_mm", "camera_info")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status."""
-    parser = CommandParser(
-        prog="coded_aperture calibrate trace",
+def add_parser(subparsers: Any) -> None:
+    """Add the action to the sub-command's parser."""
+    parser = subparsers.add_parser(
+        "trace",
+        help="trace rays through the prescription of a lens, for its PSFs",
         description="Trace rays through the prescription of a lens, and write a camera file with "
         "the focal length, the mask's extent in the entrance pupil, and the PSFs all over the "
         "image that the lens will give its mask: to learn a bank, to simulate, or to choose a "
@@ -46,14 +39,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add_options(parser, depths, type=float, required=True)
     add_options(parser, {"-o --output YAML": "camera file to write"}, required=True)
     add_options(parser, {"--json": "print the numbers as JSON"})
-    return _trace(parser.parse_args(arguments))
 
 
-def _trace(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
+    """Run the action; return its exit status."""
+    import numpy as np
+    import yaml
+
+    from coded_aperture_ros.calibration.prescription.fit import traced_camera
+    from coded_aperture_ros.calibration.prescription.lens import load_lens
+    from coded_aperture_ros.core.files import atomic_output
+    from coded_aperture_ros.optics import load_camera
+    from coded_aperture_ros.optics.camera import camera_entries
+
     source, output = Path(args.camera), Path(args.output)
     check_output(output, [args.lens, source], suffixes=[".yaml"])
     near_m, far_m = args.depth_range
-    if not 0 < near_m < far_m < np.inf:
+    if not 0 < near_m < far_m < math.inf:
         raise InputError(f"--depth-range: expected two increasing depths, got {near_m} {far_m}")
     camera, entries = load_camera(source), camera_entries(source)
     if "pixel_pitch_um" not in entries or "wavefront" in entries:

@@ -123,10 +123,10 @@ def _packed(layers: list[Layer]) -> tuple[Any, ...]:
     return table, sizes, flat[0], flat[1], bumpy
 
 
-def compiled(kernels: str, what: str) -> Any:
-    """Return a module of compiled loops; only who renders what it is for needs numba."""
+def compiled(module: str, what: str) -> Any:
+    """Return a module of compiled loops, by its full name; an `InputError` without numba."""
     try:
-        return import_module(f"coded_aperture_benchmarks.{kernels}")
+        return import_module(module)
     except ImportError as error:
         raise InputError(
             f"{what} need numba: pip install numba (on Ubuntu: apt install python3-numba)"
@@ -134,4 +134,4 @@ def compiled(kernels: str, what: str) -> Any:
 
 
 def _kernels() -> Any:
-    return compiled("layered.kernels", "random scenes")
+    return compiled("coded_aperture_ros.simulation.layered.kernels", "random scenes")

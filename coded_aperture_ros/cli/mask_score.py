@@ -1,29 +1,15 @@
-"""The command line of the scores, which `coded_aperture mask score` hands its arguments to."""
+"""`coded_aperture mask score`: predicted depth and deblurring error of masks."""
 
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from coded_aperture_benchmarks.crops import Textures, pictures_of
-from coded_aperture_benchmarks.mask_scores.pictures import WINDOWS, PictureScorer, patch_side_px
-from coded_aperture_benchmarks.mask_scores.predict import MaskScorer
-from coded_aperture_benchmarks.mask_scores.spectra import SceneConfig
 from coded_aperture_ros.cli.measuring import tell
-from coded_aperture_ros.cli.options import (
-    CommandParser,
-    add_config_options,
-    add_options,
-    at_least,
-    config_from,
-    mask_of,
-    noise_level,
-    table,
-)
-from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.optics import MASK_NAMES, Mask
+from coded_aperture_ros.cli.options import add_options, config_from, settings_of
+from coded_aperture_ros.core.arguments import at_least, noise_level
+from coded_aperture_ros.core.progress import progress
+from coded_aperture_ros.core.text import table
 
 _EPILOG = """examples:
   all masks with names:
@@ -36,10 +22,11 @@ _EPILOG = """examples:
 """
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status."""
-    parser = CommandParser(
-        prog="coded_aperture mask score",
+def add_parser(subparsers: Any) -> None:
+    """Add the action to the sub-command's parser."""
+    parser = subparsers.add_parser(
+        "score",
+        help="predict depth and deblurring error of masks",
         description="Predict the depth error and the deblurring error of masks, from the spectra "
         "that they make of texture. With pictures, their sharp windows are blurred with each mask "
         "too, and told apart as depth estimation does. Predictions are for comparing masks; bench "
@@ -55,16 +42,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add_options(parser, {"--images DIR": folder})
     add_options(parser, {"--windows N": windows}, type=at_least(1))
     add_options(parser, {"--json": "print the scores as JSON"})
-    add_config_options(parser, SceneConfig, "what the mask has to tell apart")
-    args = parser.parse_args(arguments)
+    parser.add_late_options = settings_of(
+        {"design.scores.spectra.SceneConfig": "what the mask has to tell apart"}
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the action; return its exit status."""
+    from coded_aperture_ros.design.scores.predict import MaskScorer
+    from coded_aperture_ros.design.scores.spectra import SceneConfig
+    from coded_aperture_ros.optics import MASK_NAMES, load_mask
+
     if args.windows is not None and args.images is None:
-        parser.error("--windows: these are windows of pictures, give --images too")
-    return _score(args)
-
-
-def _score(args: argparse.Namespace) -> int:
+        args.usage_error("--windows: these are windows of pictures, give --images too")
     names = args.masks or list(MASK_NAMES)
-    masks = [mask_of(name) for name in names]
+    masks = [load_mask(name) for name in names]
     scene = config_from(args, SceneConfig)
     predicted = MaskScorer(scene, args.sigmas).score(masks)
     with_pictures = _with_pictures(args, scene, masks)
@@ -83,9 +75,14 @@ def _score(args: argparse.Namespace) -> int:
 
 
 def _with_pictures(
-    args: argparse.Namespace, scene: SceneConfig, masks: Sequence[Mask]
+    args: argparse.Namespace, scene: Any, masks: Sequence[Any]
 ) -> list[dict[str, float] | None]:
     """Return the depth error of every mask with the pictures, at every noise, if there are any."""
+    import numpy as np
+
+    from coded_aperture_ros.design.scores.crops import Textures, pictures_of
+    from coded_aperture_ros.design.scores.pictures import WINDOWS, PictureScorer, patch_side_px
+
     if args.images is None:
         return [None] * len(masks)
     textures = Textures.of_files("natural", pictures_of(Path(args.images)))

@@ -1,39 +1,21 @@
-"""The command line of the search, which `coded_aperture mask search` hands its arguments to."""
+"""`coded_aperture mask search`: masks with less depth and deblurring error."""
 
 import argparse
 import logging
 import multiprocessing
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from coded_aperture_benchmarks.cluster import dask_client
-from coded_aperture_benchmarks.mask_scores.spectra import SceneConfig
-from coded_aperture_benchmarks.mask_search.checkpoint import load_checkpoint, save_checkpoint
-from coded_aperture_benchmarks.mask_search.search import (
-    SearchConfig,
-    first_state,
-    run_epoch,
-    search_epochs,
-)
 from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.cli.measuring import tell
-from coded_aperture_ros.cli.options import (
-    CommandParser,
-    add_config_options,
-    add_jobs_option,
-    add_options,
-    config_from,
-    table,
-)
-from coded_aperture_ros.cli.progress import progress
+from coded_aperture_ros.cli.options import add_jobs_option, add_options, config_from, settings_of
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io import write_image
+from coded_aperture_ros.core.progress import progress
+from coded_aperture_ros.core.text import table
 
 RunAll = Callable[[list[tuple[Any, ...]]], list[Any]]
 _SHOWN = 8
@@ -48,10 +30,11 @@ _EPILOG = """examples:
 """
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status."""
-    parser = CommandParser(
-        prog="coded_aperture mask search",
+def add_parser(subparsers: Any) -> None:
+    """Add the action to the sub-command's parser."""
+    parser = subparsers.add_parser(
+        "search",
+        help="look for masks with less depth and deblurring error",
         description="Look for masks of small predicted depth and deblurring error, by annealing "
         "and mixing populations of masks. The best is written as a picture, one pixel for each "
         "cell, which --mask and camera files take.",
@@ -66,12 +49,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add_options(parser, files)
     add_jobs_option(parser)
     add_options(parser, {"--json": "print the Pareto front as JSON"})
-    add_config_options(parser, SearchConfig, "which masks, and how long")
-    add_config_options(parser, SceneConfig, "what the mask has to tell apart")
-    return _search(parser.parse_args(arguments))
+    configs = {
+        "design.search.search.SearchConfig": "which masks, and how long",
+        "design.scores.spectra.SceneConfig": "what the mask has to tell apart",
+    }
+    parser.add_late_options = settings_of(configs)
 
 
-def _search(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
+    """Run the action; return its exit status."""
+    import numpy as np
+
+    from coded_aperture_ros.design.scores.spectra import SceneConfig
+    from coded_aperture_ros.design.search.checkpoint import load_checkpoint, save_checkpoint
+    from coded_aperture_ros.design.search.search import SearchConfig, first_state, search_epochs
+    from coded_aperture_ros.io import write_image
+
     config, scene = config_from(args, SearchConfig), config_from(args, SceneConfig)
     if args.output is not None:
         check_output(args.output, suffixes=(".png", ".npy"))
@@ -120,11 +113,15 @@ def _dask_workers(address: str) -> Iterator[RunAll]:
     A worker that dies loses nothing: an epoch depends only on its arguments, which this process
     keeps, and the scheduler gives it to another worker.
     """
+    from coded_aperture_ros.core.cluster import dask_client
+
     with dask_client(address) as client:
         yield lambda tasks: client.gather(client.map(_run, tasks, pure=False, retries=2))
 
 
 def _run(task: tuple[Any, ...]) -> Any:
+    from coded_aperture_ros.design.search.search import run_epoch
+
     return run_epoch(*task)
 
 

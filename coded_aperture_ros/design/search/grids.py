@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 
-from coded_aperture_benchmarks.mask_scores.predict import squares_only
 from coded_aperture_ros.core.arrays import BoolArray
+from coded_aperture_ros.design.scores.predict import squares_only
 
 SYMMETRIES = ("none", "point", "mirror")
 CARRIERS = ("transparent", "connected")

@@ -13,18 +13,18 @@ from typing import Any
 
 import numpy as np
 
-from coded_aperture_benchmarks.mask_scores.predict import MaskScorer
-from coded_aperture_benchmarks.mask_scores.spectra import SceneConfig
-from coded_aperture_benchmarks.mask_search.grids import (
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.design.scores.predict import MaskScorer
+from coded_aperture_ros.design.scores.spectra import SceneConfig
+from coded_aperture_ros.design.search.grids import (
     CARRIERS,
     SYMMETRIES,
     allowed,
     changed,
     random_grids,
 )
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
-from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.options import check_options, option
 
 _MASKS = 64
 _FRONT = 60

@@ -6,10 +6,10 @@ import os
 
 import numpy as np
 
-from coded_aperture_benchmarks.mask_scores.spectra import SceneConfig
-from coded_aperture_benchmarks.mask_search.search import Front, Island, SearchConfig, SearchState
 from coded_aperture_ros.core.archive import read_archive, write_archive
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.design.scores.spectra import SceneConfig
+from coded_aperture_ros.design.search.search import Front, Island, SearchConfig, SearchState
 
 _SCHEMA = "coded-aperture mask search"
 _SCHEMA_VERSION = 1

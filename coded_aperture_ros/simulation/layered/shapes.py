@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.layered.tracing import FINENESS
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.simulation.layered.tracing import FINENESS
 
 _SHIFT = 4  # OpenCV's fixed-point coordinates: sixteenths of a canvas pixel
 

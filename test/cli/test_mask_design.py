@@ -1,4 +1,4 @@
-"""Which mask for a camera and a range: the benchmark's parts, and the command."""
+"""Which mask for a camera and a range: the trials, and the command."""
 
 import json
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import yaml
 from cli_scene import call, wrong_usage
-from coded_aperture_benchmarks.suites.design import Light
 
+from coded_aperture_ros.design.trials import Light
 from coded_aperture_ros.optics import Camera, Mask
 
 pytest.importorskip("numba")
@@ -85,4 +85,4 @@ def test_what_cannot_be_designed(tmp_path, capsys, camera_file):
     result = call(capsys, "mask", "design", "--camera", camera_file, "--depth-range", 0.2, 4)
     assert (result.status, "focus at 0.45 m" in result.err) == (1, True)
     asked = ("--camera", camera_file, *range_m, "--illuminance-lux", 0)
-    wrong_usage(call(capsys, "mask", "design", *asked), "bench design", "--illuminance-lux")
+    wrong_usage(call(capsys, "mask", "design", *asked), "mask design", "--illuminance-lux")

@@ -11,10 +11,10 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.mask_scores.predict import SIGMAS, check_sigmas, check_two_colours
-from coded_aperture_benchmarks.mask_scores.spectra import SceneConfig, seen_spectra
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.design.scores.predict import SIGMAS, check_sigmas, check_two_colours
+from coded_aperture_ros.design.scores.spectra import SceneConfig, seen_spectra
 from coded_aperture_ros.frames import transfer_function
 from coded_aperture_ros.likelihood import plausible_ratios, take_logarithm
 from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis

@@ -1,35 +1,22 @@
 """`coded_aperture calibrate refine`: what has changed in a camera, from ordinary frames."""
 
 import argparse
-from collections.abc import Sequence
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import yaml
-
-from coded_aperture_benchmarks.footage.refine import Refined, refine_camera
 from coded_aperture_ros.cli.checks import check_output, check_suffix
-from coded_aperture_ros.cli.frames import light_of
 from coded_aperture_ros.cli.measuring import tell
 from coded_aperture_ros.cli.options import (
-    CommandParser,
     add_bits_option,
     add_gamma_option,
     add_mosaic_option,
     add_options,
-    at_least,
 )
-from coded_aperture_ros.cli.progress import progress
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arguments import at_least
 from coded_aperture_ros.core.errors import InputError, naming
-from coded_aperture_ros.core.files import atomic_outputs
-from coded_aperture_ros.frames import grey_image
-from coded_aperture_ros.optics import Camera, load_camera
-from coded_aperture_ros.optics.camera import camera_entries, camera_files
-from coded_aperture_ros.sources import captures, open_files
+from coded_aperture_ros.core.progress import progress
 
 _EPILOG = """example:
     coded_aperture calibrate refine bag:drive --camera camera.yaml -o refined.yaml
@@ -39,10 +26,11 @@ A drive of some metres towards furniture tells the focus; anything with texture 
 """
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status."""
-    parser = CommandParser(
-        prog="coded_aperture calibrate refine",
+def add_parser(subparsers: Any) -> None:
+    """Add the action to the sub-command's parser."""
+    parser = subparsers.add_parser(
+        "refine",
+        help="find out from ordinary frames whether a lens was refocused, or its mask moved",
         description="Find out from the frames of a drive, without any target, whether the lens is "
         "still focused where the camera file says, whether the mask has turned, and whether cells "
         "of it are covered. Takes some minutes.",
@@ -61,16 +49,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--json": "print the numbers as JSON",
     }
     add_options(parser, written)
-    return _refine(parser.parse_args(arguments))
 
 
-def _refine(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
+    """Run the action; return its exit status."""
+    from coded_aperture_ros.calibration.service.refine import refine_camera
+    from coded_aperture_ros.cli.frames import light_of
+    from coded_aperture_ros.frames import grey_image
+    from coded_aperture_ros.optics import load_camera
+    from coded_aperture_ros.optics.camera import camera_files
+    from coded_aperture_ros.sources import captures, open_files
+
     camera = load_camera(args.camera)
     mask_file = Path(args.output or "refined.yaml").with_suffix(".mask.npy")
     if args.output is not None:
         check_suffix(args.output, [".yaml"])
         check_output([Path(args.output), mask_file], camera_files(args.camera))
-    frames: list[FloatArray] = []
+    frames: list[Any] = []
     with closing(open_files(args.frames)) as source, naming(args.frames):
         for capture in progress(islice(captures(source), args.most_frames), None, "frame"):
             grey, _ = grey_image(light_of(capture, args)[0], 1.0)
@@ -100,7 +95,7 @@ def _refine(args: argparse.Namespace) -> int:
     return tell(args, summary, _text, warnings)
 
 
-def _changes(name: str, camera: Camera, found: Refined) -> list[str]:
+def _changes(name: str, camera: Any, found: Any) -> list[str]:
     """Say what is not as the camera file says."""
     mask, focus = found.mask, found.focus
     changes = []
@@ -119,8 +114,14 @@ def _changes(name: str, camera: Camera, found: Refined) -> list[str]:
     return changes
 
 
-def _write(args: argparse.Namespace, camera: Camera, mask_file: Path | None) -> None:
+def _write(args: argparse.Namespace, camera: Any, mask_file: Path | None) -> None:
     """Write the camera file as it was, but for what has changed."""
+    import numpy as np
+    import yaml
+
+    from coded_aperture_ros.core.files import atomic_outputs
+    from coded_aperture_ros.optics.camera import camera_entries
+
     entries, output = camera_entries(args.camera), Path(args.output)
     with atomic_outputs() as write:
         entries["focus_distance_m"] = round(camera.focus_distance_m, 5)

@@ -7,9 +7,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.layered.shapes import THINGS, leaf, net
-from coded_aperture_benchmarks.layered.textures import TEXTURE_COUNT, TEXTURE_PX, texture
-from coded_aperture_benchmarks.layered.tracing import (
+from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.optics import Camera, Mask
+from coded_aperture_ros.simulation.layered.shapes import THINGS, leaf, net
+from coded_aperture_ros.simulation.layered.textures import TEXTURE_COUNT, TEXTURE_PX, texture
+from coded_aperture_ros.simulation.layered.tracing import (
     FEWEST_CELLS,
     FINENESS,
     Layer,
@@ -18,9 +21,6 @@ from coded_aperture_benchmarks.layered.tracing import (
     seen_from_centre,
     traced,
 )
-from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics import Camera, Mask
 
 SIDES = ("far", "near", "both")
 FENCES = ("net", "leaves", "pane")

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import yaml
 from cli_scene import call, texture
-from coded_aperture_benchmarks.footage.focus import fit_focus
-from coded_aperture_benchmarks.footage.mask import fit_mask, turned
-from coded_aperture_benchmarks.footage.tracks import Tracks, tracks_of
 
+from coded_aperture_ros.calibration.service.focus import fit_focus
+from coded_aperture_ros.calibration.service.mask import fit_mask, turned
+from coded_aperture_ros.calibration.service.tracks import Tracks, tracks_of
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera, Mask, load_camera, render_psf
 

@@ -5,9 +5,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from coded_aperture_benchmarks.footage.focus import FocusShift, fit_focus
-from coded_aperture_benchmarks.footage.mask import MaskState, fit_mask
-from coded_aperture_benchmarks.footage.tracks import Tracks, tracks_of
+from coded_aperture_ros.calibration.service.focus import FocusShift, fit_focus
+from coded_aperture_ros.calibration.service.mask import MaskState, fit_mask
+from coded_aperture_ros.calibration.service.tracks import Tracks, tracks_of
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress

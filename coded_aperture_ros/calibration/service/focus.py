@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
-from coded_aperture_benchmarks.footage.tracks import Tracks
+from coded_aperture_ros.calibration.service.tracks import Tracks
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 

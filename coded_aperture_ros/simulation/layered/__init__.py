@@ -1,6 +1,6 @@
 """Random scenes of layers, for learning and for tests: exact occlusion and exact depth."""
 
-from coded_aperture_benchmarks.layered.scene import (
+from coded_aperture_ros.simulation.layered.scene import (
     FENCES,
     SIDES,
     Fenced,

@@ -13,7 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from coded_aperture_benchmarks.mask_scores.spectra import (
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.design.openings import mask_openings
+from coded_aperture_ros.design.scores.spectra import (
     Frequencies,
     SceneConfig,
     autocorrelations,
@@ -21,9 +24,6 @@ from coded_aperture_benchmarks.mask_scores.spectra import (
     expected_spectra,
     lag_matrix,
 )
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
-from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.design import mask_openings
 from coded_aperture_ros.optics import Mask
 
 SIGMAS = (0.001, 0.005)

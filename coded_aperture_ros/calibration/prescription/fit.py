@@ -6,7 +6,7 @@ import math
 import numpy as np
 from scipy.optimize import minimize
 
-from coded_aperture_benchmarks.prescription.lens import Lens, Rays
+from coded_aperture_ros.calibration.prescription.lens import Lens, Rays
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera, Wavefront

@@ -1,0 +1,305 @@
+"""Trials of masks for a camera, a range and some light, from end to end.
+
+Random scenes of the camera's blur sizes are traced through each mask, exposed with shot and read
+noise but without diffraction, and their depth is estimated with defaults.
+"""
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+
+from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.progress import Progress
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.design.diffraction import airy_width_px
+from coded_aperture_ros.design.openings import mask_openings, mask_outlines, narrowest_bar, recut
+from coded_aperture_ros.design.scores.spectra import SceneConfig
+from coded_aperture_ros.design.search.search import (
+    Front,
+    SearchConfig,
+    not_beaten,
+    run_epoch,
+    search_epochs,
+)
+from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank_for_camera
+from coded_aperture_ros.likelihood.bank.learning import guarded_range
+from coded_aperture_ros.metrics.edges import edge_distance_px
+from coded_aperture_ros.optics import Camera, Mask
+from coded_aperture_ros.simulation import SensorModel
+from coded_aperture_ros.simulation.layered import LayeredScene, random_scene
+
+# Scenes to choose by, and others, to say what was chosen is worth.
+CHOOSE = "to choose by"
+UNSEEN = "unseen"
+PARTS = (CHOOSE, UNSEEN)
+
+_SIZE = (288, 384)
+_FOUND = "found"
+_FIRST_SCENE = {CHOOSE: 3_000_000, UNSEEN: 3_500_000}
+_NEAR_EDGES_PX = 16
+# Relative error up to which depth is right.
+_RIGHT = 0.1
+# Photons on a square metre in a second, of white light of one lux.
+_PHOTONS_OF_LUX = 1e16
+# Share of the light that lenses let pass, and that sensors count.
+_LENS = 0.85
+_EFFICIENCY = 0.6
+# Points of the aperture along a side, or some more.
+_POINTS = 44
+# One pixel in so many, for medians over all scenes.
+_THINNED = 7
+_PUBLISHED = DepthConfig().confidence_threshold
+
+
+@dataclasses.dataclass(frozen=True)
+class Light:
+    """How much light there is, and what the sensor makes of it."""
+
+    illuminance_lux: float
+    exposure_ms: float
+    full_well: float  # electrons
+    read_noise: float  # electrons
+
+    def electrons(self, camera: Camera) -> float:
+        """Return how many electrons a white surface makes in a pixel, at most a full well.
+
+        That is `E t M^2 o / (pi f^2)` for a Lambertian surface, with the focal length in pixels: a
+        pixel's area over the square of the focal length needs no pixel pitch.
+        """
+        area_m2 = camera.mask.open_fraction * (1e-3 * camera.mask_extent_mm) ** 2
+        passed = _LENS * self.illuminance_lux * area_m2 / (np.pi * camera.focal_length_px**2)
+        made = _EFFICIENCY * _PHOTONS_OF_LUX * passed * 1e-3 * self.exposure_ms
+        return float(min(made, self.full_well))
+
+    def exposed(self, light: FloatArray, camera: Camera, random: np.random.Generator) -> FloatArray:
+        """Return the frame, with shot and read noise, white at 1 and in 12 bits."""
+        white = self.electrons(camera)
+        counted = random.poisson(np.clip(light, 0, None) * white)
+        noise = random.normal(0, self.read_noise, counted.shape)
+        return SensorModel(bits=12).expose((counted + noise) / white, random)
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """A mask before a scene, of those that choose or of those that do not."""
+
+    camera: Camera
+    range_m: tuple[float, float]
+    levels: int
+    light: Light
+    part: str
+    number: int
+    cut_mm: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class TrialResult:
+    """The relative errors of some pixels, NaN where unknown, as the mask is and cut too wide."""
+
+    trial: Trial
+    errors: FloatArray  # [n]
+    near_edges: FloatArray  # [m]
+    cut_wide: FloatArray  # [n]
+    published: float
+    right_of_published: float
+
+
+def searched_masks(
+    config: SearchConfig, levels: int, blur_px: Sequence[float], count: int, progress: Progress
+) -> list[Mask]:
+    """Return masks that are predicted to be good, of some hundred thousand.
+
+    Parameters
+    ----------
+    config : SearchConfig
+    levels : int
+        Blur sizes that have to be told apart.
+    blur_px : sequence of float
+        The smallest and the largest of them, px, without sign.
+    count : int
+        At most so many masks.
+    progress : Progress
+    """
+    smallest, largest = max(blur_px[0], 0.5), min(blur_px[1], 60.0)
+    scene = SceneConfig(levels=levels, smallest_px=smallest, largest_px=largest)
+    front = Front.empty(config.cells)
+    run_all = partial(map, lambda task: run_epoch(*task))
+    for state in progress(search_epochs(config, scene, run_all)):
+        front = state.front
+    # From the least depth error to the most light, in equal steps.
+    grids = front.grids[not_beaten(front.scores[:, [0, 2]])]
+    chosen = np.unique(np.linspace(0, len(grids) - 1, count).round().astype(int))
+    return [
+        Mask(f"{_FOUND}_{place}", grids[index].astype(np.float32))
+        for place, index in enumerate(chosen, 1)
+    ]
+
+
+def trials_of(
+    camera: Camera,
+    masks: Sequence[Mask],
+    range_m: tuple[float, float],
+    levels: int,
+    light: Light,
+    scenes: tuple[int, int],
+    cut_mm: float,
+) -> list[Trial]:
+    """Return the trials of all masks, before scenes to choose by and before others.
+
+    Parameters
+    ----------
+    camera : Camera
+        Its mask is replaced by each of `masks`.
+    range_m : (float, float)
+        Of the scenes' depths.
+    levels : int
+        Of the banks.
+    light : Light
+    scenes : (int, int)
+        How many to choose by, and how many others.
+    cut_mm : float
+        How much wider openings are cut in the second of the two frames of a trial.
+
+    Raises
+    ------
+    InputError
+        If two masks have one name, a mask cannot be cut, or the camera cannot have the range.
+    """
+    names = [mask.name for mask in masks]
+    for mask in masks:
+        if names.count(mask.name) > 1:
+            raise InputError(f"mask {mask.name}: another one has this name too")
+        mask_outlines(mask)  # refuses what cannot be cut
+    # The frames have the noise of this light, and no other errors of a lens.
+    camera = dataclasses.replace(
+        camera, noise=0.0, noise_gain=0.0, field_curvature=None, diffraction=None
+    )
+    cameras = [dataclasses.replace(camera, mask=mask) for mask in masks]
+    for one in cameras:
+        guarded_range(one, *range_m, levels)
+    return [
+        Trial(one, range_m, levels, light, part, number, cut_mm)
+        for one in cameras
+        for part, count in zip(PARTS, scenes, strict=True)
+        for number in range(count)
+    ]
+
+
+def measure(trial: Trial) -> TrialResult:
+    """Take a frame of the scene through the mask, and compare its depth with the truth."""
+    scene = _scene(trial.camera.side, trial.part, trial.number, _blur_range_px(trial))
+    blur_px = scene.blur_size_px()
+    true_m = np.asarray(trial.camera.depth_m(blur_px), np.float32)
+    edges = edge_distance_px(blur_px) <= _NEAR_EDGES_PX
+    mask = trial.camera.mask
+    found = _errors(trial, mask, scene, true_m)
+    share = trial.cut_mm / trial.camera.mask_extent_mm
+    wide = _errors(trial, recut(mask, share) if share else mask, scene, true_m)
+    sure = found[1] >= _PUBLISHED
+    right = np.abs(found[0][sure]) <= _RIGHT
+    return TrialResult(
+        trial,
+        found[0].ravel()[::_THINNED],
+        found[0][edges][::_THINNED],
+        wide[0].ravel()[::_THINNED],
+        float(sure.mean()),
+        float(right.mean()) if sure.any() else np.nan,
+    )
+
+
+def _errors(
+    trial: Trial, cut: Mask, scene: LayeredScene, true_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return relative error and confidence of every pixel, through a mask as it was cut."""
+    camera = trial.camera
+    random = np.random.default_rng([trial.number, len(trial.part)])
+    # As it is and cut wide it is averaged over the same points, each within a cell of the mask.
+    cells = max(camera.mask.transmission.shape)
+    fewest = cells * -(-_POINTS // cells) if cells <= _POINTS else _POINTS
+    frame = trial.light.exposed(scene.coded(cut, fewest), camera, random)
+    config = DepthConfig(confidence_threshold=0.0)
+    estimator = DepthEstimator(_bank(camera, trial.range_m, trial.levels), config, camera)
+    estimate = estimator.estimate(frame)
+    estimator.close()
+    assert estimate.depth_m is not None
+    relative = np.abs(estimate.depth_m / true_m - 1)
+    return np.where(np.isfinite(true_m), relative, np.nan), estimate.confidence
+
+
+def _blur_range_px(trial: Trial) -> tuple[float, float]:
+    return trial.camera.blur_range_px(*trial.range_m)
+
+
+@lru_cache(maxsize=64)
+def _scene(side: str, part: str, number: int, blur_px: tuple[float, float]) -> LayeredScene:
+    """Return a scene of the camera's blur sizes; the same behind every mask of one extent."""
+    return random_scene(_FIRST_SCENE[part] + number, Mask.named("levin"), side, _SIZE, blur_px)
+
+
+@lru_cache(maxsize=2)
+def _bank(camera: Camera, range_m: tuple[float, float], levels: int) -> FilterBank:
+    return learn_bank_for_camera(camera, *guarded_range(camera, *range_m, levels))
+
+
+def masks_in_order(results: Iterable[TrialResult]) -> list[dict[str, Any]]:
+    """Return a row for each mask, the one with the least error of the scenes to choose by first.
+
+    Those that no other beats in both error and light are marked.
+    """
+    of_mask: dict[str, list[TrialResult]] = {}
+    for result in results:
+        of_mask.setdefault(result.trial.camera.mask.name, []).append(result)
+    rows = [_row(group) for group in of_mask.values()]
+    scores = np.array([[row[CHOOSE]["error"], -row["electrons"]] for row in rows])
+    for row, best in zip(rows, not_beaten(scores), strict=True):
+        row["not_beaten"] = bool(best)
+    return sorted(rows, key=lambda row: row[CHOOSE]["error"])
+
+
+def _row(measured: Sequence[TrialResult]) -> dict[str, Any]:
+    camera, light = measured[0].trial.camera, measured[0].trial.light
+    mask, openings = camera.mask, mask_openings(camera.mask)
+    extent_mm = camera.mask_extent_mm
+    bar_mm = extent_mm * narrowest_bar(mask)
+    return {
+        "mask": mask.name,
+        "light": round(mask.open_fraction, 3),
+        "electrons": round(light.electrons(camera)),
+        "opening_mm": round(extent_mm * openings.smallest_width, 3),
+        "bar_mm": round(bar_mm, 3) if np.isfinite(bar_mm) else None,
+        "loose_parts": openings.loose_parts,
+        "airy_px": round(max(airy_width_px(camera, one) for one in openings.each), 2),
+        **{
+            part: _pooled([one for one in measured if one.trial.part == part])
+            for part in dict.fromkeys(one.trial.part for one in measured)
+        },
+        "rows": ["".join("#" if cell > 0.5 else "." for cell in row) for row in mask.transmission]
+        if max(mask.transmission.shape) <= 16
+        else None,
+    }
+
+
+def _pooled(measured: Sequence[TrialResult]) -> dict[str, Any]:
+    """Return errors over all scenes; what is not known counts as wrong."""
+    right = [one.right_of_published for one in measured if np.isfinite(one.right_of_published)]
+    every, edges, wide = (
+        np.concatenate([getattr(one, name) for one in measured])
+        for name in ("errors", "near_edges", "cut_wide")
+    )
+    return {
+        "error": round(float(np.nanmedian(every)), 4),
+        "right": round(float((every <= _RIGHT).mean()), 3),
+        "right_near_edges": round(float((edges <= _RIGHT).mean()), 3),
+        "cut_wide": round(float(np.nanmedian(wide)), 4),
+        "published": _mean([one.published for one in measured]),
+        "right_of_published": _mean(right) if right else None,
+        "worst": round(max(float(np.nanmedian(one.errors)) for one in measured), 4),
+    }
+
+
+def _mean(values: Sequence[float]) -> float:
+    return round(float(np.mean(values)), 3)
