@@ -30,8 +30,8 @@ from cli_scene import (
     wrong_usage,
 )
 
-from coded_aperture_ros.cli import progress
 from coded_aperture_ros.cli.main import main
+from coded_aperture_ros.core import progress
 from coded_aperture_ros.deblur import Parallax, anaglyph, side_by_side, stereo_pair
 from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.frames import SRGB

@@ -85,6 +85,7 @@ def test_manifest_names_every_package_that_the_code_imports(checkout, manifest):
         "argcomplete",
         "onnxruntime",
         "ezdxf",
+        "optiland",
     }
     declared = {element.text for element in manifest.iter("exec_depend")}
     assert {"rclpy", "sensor_msgs", "diagnostic_msgs", *apt_names.values()} <= declared
