@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from cli_scene import call
+from waiting import scaled
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design.scores.predict import MaskScorer
@@ -25,7 +26,6 @@ from coded_aperture_ros.design.search.search import (
     run_epoch,
     search_epochs,
 )
-from waiting import scaled
 
 SCENE = SceneConfig(levels=5)
 CONFIG = SearchConfig(cells=7, islands=2, epochs=3, generations=3)
