@@ -1,23 +1,29 @@
 """`coded_aperture calibrate blind`: an unknown mask from planes at unknown distances."""
 
-import argparse
+import dataclasses
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output
-from coded_aperture_ros.cli.measuring import (
-    MASK_FILE,
-    add_level_count_option,
-    checked_config,
-    pictures_in,
-    tell,
-    write_report,
-)
-from coded_aperture_ros.cli.options import add_gamma_option, add_options, settings_of
-from coded_aperture_ros.core.progress import progress
+import numpy as np
 
-_EPILOG = """examples:
+from coded_aperture_ros.calibration.blind.config import BlindConfig
+from coded_aperture_ros.calibration.blind.find import BlindMask, find_mask
+from coded_aperture_ros.calibration.pictures import blind_picture, enlarged
+from coded_aperture_ros.cli.checks import check_output
+from coded_aperture_ros.cli.command import Command, UsageError, argument, group
+from coded_aperture_ros.cli.plane_pictures import MASK_FILE, pictures_in, write_report
+from coded_aperture_ros.cli.reading import GammaArguments
+from coded_aperture_ros.cli.results import Summary, print_summary
+from coded_aperture_ros.cli.rules import required
+from coded_aperture_ros.core.files import atomic_outputs
+from coded_aperture_ros.core.progress import progress
+from coded_aperture_ros.io import read_image, write_image
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank, save_bank
+from coded_aperture_ros.optics import render_psf_stack
+
+_EXAMPLES = """examples:
   the mask, and a bank for the blur sizes of the pictures:
     coded_aperture calibrate blind planes --output found -o bank.npz
   pictures blurred by 16 px at most, of a mask of 5 to 9 cells a side:
@@ -28,73 +34,70 @@ Take 8 planes or more, parallel to the sensor, all on one side of the focus, at 
 that need not be known, with fine texture all over. Whether the mask is as found or turned by 180
 degrees, spectra do not tell: if deblurred pictures look worse than blurred ones, turn it.
 """
-_REPORT, _PICTURE_OF_MASK, _PICTURE = "calibrate_blind.json", "mask.png", "spectra.png"
+_REPORT = "calibrate_blind.json"
+_PICTURE_OF_MASK = "mask.png"
+_PICTURE = "spectra.png"
 _LEVEL_COUNT = 40
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the action to the parser of `calibrate`."""
-    parser = subparsers.add_parser(
-        "blind",
-        help="find an unknown mask from pictures of planes at unknown distances",
-        description="Find the mask and the blur size of every picture from their power spectra "
-        "alone (thesis 10.2). The mask is taken to be of square cells, open or closed. It is found "
-        "up to a rotation by 180 degrees.",
-        epilog=_EPILOG,
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arguments(GammaArguments):
+    """Arguments of `calibrate blind`."""
+
+    inputs: tuple[str, ...] = argument("pictures, or a folder of them", written="FOLDER|PICTURE")
+    output: Path | None = argument(
+        f"folder for {MASK_FILE}, {_PICTURE_OF_MASK}, {_PICTURE} and {_REPORT}",
+        None,
+        written="--output DIR",
     )
-    what = "pictures, or a folder of them"
-    parser.add_argument("inputs", nargs="+", metavar="FOLDER|PICTURE", help=what)
-    add_gamma_option(parser)
-    results = f"folder for {MASK_FILE}, {_PICTURE_OF_MASK}, {_PICTURE} and {_REPORT}"
-    add_options(parser, {"--output DIR": results})
-    add_options(parser, {"-o FILE": "bank (.npz) from the least to the largest blur"}, dest="bank")
-    add_level_count_option(parser, _LEVEL_COUNT, f"levels of the bank (default {_LEVEL_COUNT})")
-    add_options(parser, {"--json": "print the numbers as JSON"})
-    settings = {"calibration.blind.config.BlindConfig": "search"}
-    settings |= {"likelihood.bank.LearnConfig": "filters of the bank"}
-    parser.add_late_options = settings_of(settings)
+    bank: str | None = argument(
+        "bank (.npz) from the least to the largest blur", None, written="-o FILE"
+    )
+    level_count: int = argument(
+        "levels of the bank", _LEVEL_COUNT, written="--level-count N", minimum=2
+    )
+    json: bool = argument("print the numbers as JSON", False)
+    search: BlindConfig = group("search", BlindConfig())
+    filters: LearnConfig = group("filters of the bank", LearnConfig())
 
 
-def run(args: argparse.Namespace) -> int:
+_RULES = (required("--output", "-o", note="where the results go"),)
+
+
+def run(args: Arguments) -> int:
     """Run the action; return its exit status."""
-    from coded_aperture_ros.calibration.blind.config import BlindConfig
-    from coded_aperture_ros.calibration.blind.find import find_mask
-    from coded_aperture_ros.io import read_image
-    from coded_aperture_ros.likelihood.bank import LearnConfig
-
-    if args.bank is None and args.output is None:
-        args.usage_error("say where the results go with --output DIR or -o bank.npz, or both")
-    config, filters = checked_config(args, BlindConfig), checked_config(args, LearnConfig)
+    config = args.search
+    filters = args.filters
     names = pictures_in(args.inputs)
     if args.bank is not None:
         check_output(args.bank, map(Path, names), [".npz"])
         if 0 < filters.window_px < config.largest_blur_px:
-            args.usage_error(
+            raise UsageError(
                 f"--window-px: blur of --largest-blur-px {config.largest_blur_px} does not fit "
                 f"patches of {filters.window_px} px"
             )
     if args.output is not None:
         results = (_REPORT, MASK_FILE, _PICTURE_OF_MASK, _PICTURE)
-        check_output((Path(args.output, name) for name in results), map(Path, names))
+        check_output((args.output / name for name in results), map(Path, names))
     start = time.perf_counter()
     images = [read_image(name, args.gamma) for name in names]
     found = find_mask(images, names, config, progress)
     summary = _summary(args, names, found, round(time.perf_counter() - start, 3))
-    _write_files(args, found, filters, summary)
+    _write_files(args, found, summary)
     warning = f"the blur is larger than {config.largest_blur_px} px: try a larger --largest-blur-px"
     warnings = [warning] if found.reaches_limit else []
     if found.doubtful:
         warnings.append("this may not be the mask: try more --starts, or pictures of more planes")
-    return tell(args, summary, _text, warnings)
+    return print_summary(summary, _text, as_json=args.json, warnings=warnings)
 
 
 def _summary(
-    args: argparse.Namespace, names: list[str], found: Any, seconds: float
+    args: Arguments, names: Sequence[str], found: BlindMask, seconds: float
 ) -> dict[str, Any]:
     cells = found.mask.transmission
     return {
         "bank": args.bank,
-        "output": args.output,
+        "output": None if args.output is None else str(args.output),
         "mask": ["".join("#" if cell else "." for cell in row) for row in cells],
         "light": round(found.mask.open_fraction, 4),
         "explained": round(found.explained, 4),
@@ -109,19 +112,11 @@ def _summary(
     }
 
 
-def _write_files(args: argparse.Namespace, found: Any, filters: Any, summary: Any) -> None:
+def _write_files(args: Arguments, found: BlindMask, summary: Summary) -> None:
     """Write the bank and all files of the output folder, or none."""
-    import numpy as np
-
-    from coded_aperture_ros.calibration.pictures import blind_picture, enlarged
-    from coded_aperture_ros.core.files import atomic_outputs
-    from coded_aperture_ros.io import write_image
-    from coded_aperture_ros.likelihood.bank import learn_bank, save_bank
-    from coded_aperture_ros.optics import render_psf_stack
-
     with atomic_outputs() as output:
         if args.output is not None:
-            folder = Path(args.output)
+            folder = args.output
             write_report(output, folder / _REPORT, summary, found.mask)
             write_image(output(folder / _PICTURE_OF_MASK), enlarged(found.mask.transmission, 512))
             write_image(output(folder / _PICTURE), blind_picture(found))
@@ -130,10 +125,10 @@ def _write_files(args: argparse.Namespace, found: Any, filters: Any, summary: An
             levels = np.linspace(sizes.min(), sizes.max(), args.level_count)
             learned_from = f"mask found in {len(sizes)} planes at unknown distances"
             stack = render_psf_stack(found.mask, levels)
-            save_bank(learn_bank(stack, filters, learned_from=learned_from), output(args.bank))
+            save_bank(learn_bank(stack, args.filters, learned_from=learned_from), output(args.bank))
 
 
-def _text(summary: Any) -> str:
+def _text(summary: Summary) -> str:
     planes = sorted(summary["planes"], key=lambda plane: float(plane["blur_size_px"]))
     rows = summary["mask"]
     lines = [
@@ -146,3 +141,14 @@ def _text(summary: Any) -> str:
     ]
     wrote = [str(place) for place in (summary["output"], summary["bank"]) if place]
     return "\n".join([*lines, f"{', '.join(wrote)}; {summary['seconds']:.0f} s"])
+
+
+COMMAND = Command(
+    Arguments,
+    run,
+    description="Find the mask and the blur size of every picture from their power spectra "
+    "alone (thesis 10.2). The mask is taken to be of square cells, open or closed. It is found "
+    "up to a rotation by 180 degrees.",
+    examples=_EXAMPLES,
+    rules=_RULES,
+)

@@ -1,16 +1,30 @@
 """`coded_aperture calibrate field`: how the focus of a lens moves away from the image's middle."""
 
-import argparse
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, inputs_of
-from coded_aperture_ros.cli.measuring import add_planes_arguments, check_size, tell
-from coded_aperture_ros.cli.options import add_gamma_option, add_options
-from coded_aperture_ros.core.progress import progress
+import cv2
+import numpy as np
 
-_EPILOG = """examples:
+from coded_aperture_ros.calibration.planes.field import FieldFit, fit_field
+from coded_aperture_ros.calibration.planes.folder import load_planes
+from coded_aperture_ros.calibration.planes.wavefront import fit_wavefront
+from coded_aperture_ros.cli.checks import check_output, input_files
+from coded_aperture_ros.cli.command import Command, argument
+from coded_aperture_ros.cli.field_report import field_page
+from coded_aperture_ros.cli.plane_pictures import PlanesArguments, check_size
+from coded_aperture_ros.cli.results import Summary, print_summary
+from coded_aperture_ros.cli.rules import needs
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.core.progress import progress
+from coded_aperture_ros.io import write_image
+from coded_aperture_ros.likelihood.bank.field import COLUMNS, FieldPsfs
+from coded_aperture_ros.optics import Camera, load_camera
+
+_EXAMPLES = """examples:
     coded_aperture calibrate field planes --camera camera.yaml
     coded_aperture calibrate field planes --camera camera.yaml --psfs --report lens.html
 
@@ -21,46 +35,35 @@ distances are from the entrance pupil of the lens.
 _FIGURES = ("depth_m", "found_m", "error_without", "error")
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the action to the sub-command's parser."""
-    parser = subparsers.add_parser(
-        "field",
-        help="measure the field curvature of a lens from pictures of planes at known depths",
-        description="Measure how the blur falls or grows towards the corners of the image, which "
-        "would pass for another depth, from pictures of textured planes at known depths.",
-        epilog=_EPILOG,
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arguments(PlanesArguments):
+    """Arguments of `calibrate field`."""
+
+    camera: str = argument("camera file, with mask and focus", written="--camera YAML")
+    psfs: bool = argument(
+        "find how the PSF changes over the image, too: astigmatism, coma, spherical aberration, "
+        "and what the lens cuts off; takes minutes",
+        False,
     )
-    add_planes_arguments(parser)
-    add_options(parser, {"--camera YAML": "camera file, with mask and focus"}, required=True)
-    add_gamma_option(parser)
-    add_options(
-        parser,
-        {
-            "--psfs": "find how the PSF changes over the image, too: astigmatism, coma, spherical "
-            "aberration, and what the lens cuts off; takes minutes",
-            "--picture PNG": "with --psfs: draw the PSFs of the parts of the image",
-            "--report HTML": "page with blur, as measured and predicted, and errors by plane and "
-            "radius, and PSFs",
-            "--json": "print the numbers as JSON",
-        },
+    picture: str | None = argument(
+        "with --psfs: draw the PSFs of the parts of the image", None, written="--picture PNG"
     )
+    report: str | None = argument(
+        "page with blur, as measured and predicted, and errors by plane and radius, and PSFs",
+        None,
+        written="--report HTML",
+    )
+    json: bool = argument("print the numbers as JSON", False)
 
 
-def run(args: argparse.Namespace) -> int:
+_RULES = (needs("--picture", "--psfs"),)
+
+
+def run(args: Arguments) -> int:
     """Run the action; return its exit status."""
-    from coded_aperture_ros.calibration.planes.field import fit_field
-    from coded_aperture_ros.calibration.planes.folder import load_planes
-    from coded_aperture_ros.calibration.planes.wavefront import fit_wavefront
-    from coded_aperture_ros.cli.field_report import field_page
-    from coded_aperture_ros.core.files import atomic_output
-    from coded_aperture_ros.io import write_image
-    from coded_aperture_ros.optics import load_camera
-
-    if args.picture is not None and not args.psfs:
-        args.usage_error("--picture: draws what --psfs finds, give both")
     planes = load_planes(args.inputs, args.depths, args.gamma)
     outputs = [Path(name) for name in (args.picture, args.report) if name is not None]
-    check_output(outputs, [*map(Path, planes.names), *inputs_of(args, "camera")])
+    check_output(outputs, [*map(Path, planes.names), *input_files(camera=args.camera)])
     camera = load_camera(args.camera)
     check_size(args.camera, camera, planes)
     found = fit_field(camera, planes, progress)
@@ -80,13 +83,11 @@ def run(args: argparse.Namespace) -> int:
         }
         with atomic_output(args.report) as path:
             path.write_text(field_page(found, field_text(summary), pictures, misplaced), "utf-8")
-    return tell(args, summary, field_text, misplaced)
+    return print_summary(summary, field_text, as_json=args.json, warnings=misplaced)
 
 
-def field_summary(found: Any, camera: Any) -> dict[str, Any]:
+def field_summary(found: FieldFit, camera: Camera) -> dict[str, Any]:
     """Return what planes say of a lens, as numbers; `camera` is the one with what was found."""
-    import numpy as np
-
     curvature = camera.field_curvature or found.curvature
     columns = found.depths_m, found.found_m, found.errors_without, found.errors
     shape = camera.image_height, camera.image_width
@@ -104,7 +105,7 @@ def field_summary(found: Any, camera: Any) -> dict[str, Any]:
     }
 
 
-def misplaced_planes(found: Any) -> list[str]:
+def misplaced_planes(found: FieldFit) -> list[str]:
     """Say which planes are not where they were said to be."""
     return [
         f"{found.names[index]}: at {found.depths_m[index]:g} m, but blurred as at "
@@ -113,20 +114,15 @@ def misplaced_planes(found: Any) -> list[str]:
     ]
 
 
-def _picture(camera: Any, blur_size_px: Any) -> Any:
+def _picture(camera: Camera, blur_size_px: DoubleArray) -> FloatArray:
     """Return the PSFs of the parts of the image, side by side as they lie."""
-    import cv2
-    import numpy as np
-
-    from coded_aperture_ros.likelihood.bank.field import COLUMNS, FieldPsfs
-
     psfs = FieldPsfs.of(camera, blur_size_px).psfs[:, 0]  # type: ignore[union-attr]
     tiles = np.pad(psfs / psfs.max(), ((0, 0), (1, 1), (1, 1)))
     drawn = np.vstack([np.hstack(row) for row in tiles.reshape(-1, COLUMNS, *tiles.shape[1:])])
     return cv2.resize(drawn, None, fx=4, fy=4, interpolation=cv2.INTER_NEAREST)
 
 
-def field_text(summary: dict[str, Any]) -> str:
+def field_text(summary: Summary) -> str:
     """Return the same as lines of a camera file, with remarks."""
     planes = summary["planes"]
     lines = [
@@ -139,3 +135,13 @@ def field_text(summary: dict[str, Any]) -> str:
     ]
     row = "# {depth_m:8.4g}{error_without:10.1%}{error:10.1%}".format
     return "\n".join([*lines, *(row(**plane) for plane in planes)])
+
+
+COMMAND = Command(
+    Arguments,
+    run,
+    description="Measure how the blur falls or grows towards the corners of the image, which "
+    "would pass for another depth, from pictures of textured planes at known depths.",
+    examples=_EXAMPLES,
+    rules=_RULES,
+)

@@ -1,15 +1,18 @@
 """`coded_aperture calibrate noise`: noise of a sensor from frames of something that is still."""
 
-import argparse
 import dataclasses
-from typing import Any
 
-from coded_aperture_ros.cli.measuring import pictures_in, tell
-from coded_aperture_ros.cli.options import add_gamma_option, add_options
+from coded_aperture_ros.calibration.noise import noise_from_frames
+from coded_aperture_ros.cli.command import Command, UsageError, argument
+from coded_aperture_ros.cli.plane_pictures import pictures_in
+from coded_aperture_ros.cli.reading import GammaArguments
+from coded_aperture_ros.cli.results import Summary, print_summary
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.progress import progress
+from coded_aperture_ros.io import read_image
 
-_EPILOG = """example:
+_EXAMPLES = """example:
     coded_aperture calibrate noise frame1.png frame2.png frame3.png
 
 Then: put noise and noise_gain into the camera file, or give them to depth with --noise and
@@ -17,29 +20,20 @@ Then: put noise and noise_gain into the camera file, or give them to depth with 
 """
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the action to the sub-command's parser."""
-    parser = subparsers.add_parser(
-        "noise",
-        help="measure the noise of a sensor from two or more frames of something still",
-        description="Measure the noise of a sensor from two or more frames of one scene, taken "
-        "with camera and scene unmoved and equal exposures. Textured or flat, with parts as dark "
-        "and as bright as possible. Frames have to be linear.",
-        epilog=_EPILOG,
-    )
-    parser.add_argument("frames", nargs="+", metavar="FRAME", help="two or more, or their folder")
-    add_gamma_option(parser)
-    add_options(parser, {"--json": "print the numbers as JSON"})
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arguments(GammaArguments):
+    """Arguments of `calibrate noise`."""
+
+    frames: tuple[str, ...] = argument("two or more, or their folder", written="FRAME")
+    json: bool = argument("print the numbers as JSON", False)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: Arguments) -> int:
     """Run the action; return its exit status."""
-    from coded_aperture_ros.calibration.noise import noise_from_frames
-    from coded_aperture_ros.io import read_image
-
-    names, frames = pictures_in(args.frames), list[Any]()
+    names = pictures_in(args.frames)
+    frames: list[FloatArray] = []
     if len(names) < 2:
-        args.usage_error(f"give two or more frames of one scene: {args.frames[0]} has not so many")
+        raise UsageError(f"give two or more frames of one scene: {args.frames[0]} has not so many")
     for name in progress(names, len(names), "frame"):
         frames.append(read_image(name, args.gamma))
         if frames[-1].shape != frames[0].shape:
@@ -61,13 +55,23 @@ def run(args: argparse.Namespace) -> int:
             "dark: photograph something that has black parts, too"
         )
     summary = {"frames": len(frames), **dataclasses.asdict(found), "warnings": warnings}
-    return tell(args, summary, _text, warnings)
+    return print_summary(summary, _text, as_json=args.json, warnings=warnings)
 
 
-def _text(summary: dict[str, Any]) -> str:
+def _text(summary: Summary) -> str:
     return (
         "noise: {noise:.6f}        # standard deviation in the dark, linear light\n"
         "noise_gain: {noise_gain:.7f}  # variance of shot noise per unit of light\n"
         "# from {frames} frames, light {darkest:.3f} to {brightest:.3f}; "
         "variances lie {fit_error:.1%} off the line"
-    ).format(**summary)
+    ).format_map(summary)
+
+
+COMMAND = Command(
+    Arguments,
+    run,
+    description="Measure the noise of a sensor from two or more frames of one scene, taken "
+    "with camera and scene unmoved and equal exposures. Textured or flat, with parts as dark "
+    "and as bright as possible. Frames have to be linear.",
+    examples=_EXAMPLES,
+)

@@ -1,6 +1,5 @@
 """`coded_aperture calibrate planes`: a bank, focus and blur slope from planes of known depth."""
 
-import argparse
 import dataclasses
 import math
 import sys
@@ -8,26 +7,34 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import yaml
+
+from coded_aperture_ros.calibration.planes.calibrate import PlanesCalibration, calibrate_planes
+from coded_aperture_ros.calibration.planes.field import fit_field
+from coded_aperture_ros.calibration.planes.folder import add_plane, listed_depths_m, load_planes
+from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.cli.calibrate_field import field_summary, field_text, misplaced_planes
-from coded_aperture_ros.cli.checks import check_output, check_suffix, inputs_of
-from coded_aperture_ros.cli.measuring import (
+from coded_aperture_ros.cli.checks import check_output, check_suffix, input_files
+from coded_aperture_ros.cli.command import Command, UsageError, argument, group
+from coded_aperture_ros.cli.plane_pictures import (
     MASK_FILE,
-    above,
-    add_level_count_option,
-    add_planes_arguments,
+    PlanesArguments,
     check_size,
-    checked_config,
-    rounded,
-    tell,
     write_report,
 )
-from coded_aperture_ros.cli.options import add_gamma_option, add_options, settings_of
-from coded_aperture_ros.core.arguments import at_least
+from coded_aperture_ros.cli.results import Summary, print_summary, rounded
+from coded_aperture_ros.cli.rules import excludes, only_with, required
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.files import atomic_outputs
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.core.text import table
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera, save_bank
+from coded_aperture_ros.optics import Camera, load_camera
+from coded_aperture_ros.optics.camera import camera_entries
 
-_EPILOG = """examples:
+_EXAMPLES = """examples:
   a folder of pictures with planes.json or planes.csv (file, depth_m):
     coded_aperture calibrate planes planes -o bank.npz
   pictures and their depths in m:
@@ -44,75 +51,80 @@ Take 10 to 16 planes parallel to the sensor, all on one side of the focus, equal
 depth, with fine texture all over. A blur of more than 24 px needs a --window-px of twice its width.
 --json prints planes, focus_distance_m, slope_px_m, mask, residual_px, left_out_error and more.
 """
-_REPORT, _CAMERA = "calibrate_planes.json", "camera.yaml"
+_REPORT = "calibrate_planes.json"
+_CAMERA = "camera.yaml"
 # A lens whose blur changes by less towards the corners is not the reason.
 _CURVED_PX = 0.5
 _LEVEL_COUNT = 40
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the action to the parser of `calibrate`."""
-    parser = subparsers.add_parser(
-        "planes",
-        help="learn a bank from pictures of planes at known depths, and say how good it is",
-        description="Check pictures of textured planes at known depths, learn a filter bank from "
-        "them, fit the focus distance and the slope of blur over inverse depth, and estimate the "
-        "depth error by leaving out one plane after the other. The mask need not be known.",
-        epilog=_EPILOG,
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arguments(PlanesArguments):
+    """Arguments of `calibrate planes`."""
+
+    depth_range: tuple[float, float] | None = argument(
+        "of the bank, in m (default: nearest to farthest plane)",
+        None,
+        written="--depth-range NEAR FAR",
     )
-    add_planes_arguments(parser)
-    depth_range = "of the bank, in m (default: nearest to farthest plane)"
-    add_options(parser, {"--depth-range NEAR FAR": depth_range}, type=float)
-    add_level_count_option(parser, _LEVEL_COUNT, f"levels of the bank (default {_LEVEL_COUNT})")
-    sources = {
-        "--camera YAML": "camera file: its mask is taken for granted, its focus is compared",
-        "--topic NAME": "take pictures from this ROS topic first",
-    }
-    add_options(parser, sources)
-    for written, kind, default, what in (
-        ("--depth Z", above(0, "a positive distance in m"), None, "distance of the plane in m"),
-        ("--frames N", at_least(1), 8, "a picture is the mean of so many frames"),
-        ("--timeout S", above(0, "a positive time"), 10.0, "longest wait for the frames in s"),
-    ):
-        shown = "" if default is None else f" (default {default:g})"
-        add_options(parser, {written: f"with --topic: {what}{shown}"}, type=kind, default=default)
-    add_gamma_option(parser)
-    parser.add_argument("-o", metavar="FILE", dest="bank", help="bank (.npz)")
-    add_options(parser, {"--output DIR": f"folder for {_REPORT} and, with --camera, {_CAMERA}"})
-    add_options(parser, {"--json": "print the numbers as JSON"})
-    parser.add_late_options = settings_of({"likelihood.bank.LearnConfig": "filters"})
+    level_count: int = argument(
+        "levels of the bank", _LEVEL_COUNT, written="--level-count N", minimum=2
+    )
+    camera: str | None = argument(
+        "camera file: its mask is taken for granted, its focus is compared",
+        None,
+        written="--camera YAML",
+    )
+    topic: str | None = argument(
+        "take pictures from this ROS topic first", None, written="--topic NAME"
+    )
+    depth: float | None = argument(
+        "with --topic: distance of the plane", None, written="--depth Z", unit="m", above=0
+    )
+    frames: int = argument(
+        "with --topic: a picture is the mean of so many frames", 8, written="--frames N", minimum=1
+    )
+    timeout: float = argument(
+        "with --topic: longest wait for the frames", 10.0, written="--timeout S", unit="s", above=0
+    )
+    bank: str | None = argument("bank (.npz)", None, written="-o FILE")
+    output: Path | None = argument(
+        f"folder for {_REPORT} and, with --camera, {_CAMERA}", None, written="--output DIR"
+    )
+    json: bool = argument("print the numbers as JSON", False)
+    filters: LearnConfig = group("filters", LearnConfig())
 
 
-def run(args: argparse.Namespace) -> int:
+_RULES = (
+    required("-o", "--topic", note="where the bank goes"),
+    only_with("--depth", "--topic", note="the depths of pictures are given by --depths"),
+    excludes("--topic", "--depths"),
+)
+
+
+def run(args: Arguments) -> int:
     """Run the action; return its exit status."""
-    if args.topic is None:
-        if args.depth is not None:
-            args.usage_error("--depth needs --topic; the depths of pictures are given by --depths")
-        if args.bank is None:
-            args.usage_error("say where the bank goes with -o bank.npz")
-    else:
-        if len(args.inputs) != 1 or args.depths is not None:
-            args.usage_error("--topic needs one folder, and no --depths")
+    if args.topic is not None:
+        if len(args.inputs) != 1:
+            raise UsageError("--topic: needs one folder")
         if args.depth is None and not sys.stdin.isatty():
-            args.usage_error("--topic without a terminal needs --depth")
-        _capture(args)
-        if args.bank is None:
-            return 0
-    return _calibrate(args)
+            raise UsageError("--topic: without a terminal needs --depth too")
+        _capture(args, args.topic)
+    return 0 if args.bank is None else _calibrate(args, args.bank)
 
 
-def _capture(args: argparse.Namespace) -> None:
+def _capture(args: Arguments, topic: str) -> None:
     """Take pictures of planes into the folder, one or as many as the user asks for."""
-    from coded_aperture_ros.calibration.planes.folder import add_plane, listed_depths_m
-
     folder = Path(args.inputs[0])
     check_output(folder / "planes.json")
     there = listed_depths_m(folder)
     if there:
         _say(f"{folder}: has planes at {', '.join(f'{depth:g}' for depth in there)} m")
+
+    # rclpy is only on machines that have ROS.
     from coded_aperture_ros.ros.plane_capture import FrameGrabber
 
-    with FrameGrabber(args.topic, args.gamma) as grabber:
+    with FrameGrabber(topic, args.gamma) as grabber:
 
         def take(depth_m: float) -> None:
             image = grabber.mean_frame(args.frames, args.timeout)
@@ -129,9 +141,7 @@ def _capture(args: argparse.Namespace) -> None:
                 _say(str(error))
 
 
-def _light(image: Any) -> str:
-    import numpy as np
-
+def _light(image: FloatArray) -> str:
     saturated = float(np.mean(image >= 0.995))
     return f"99 % of the pixels below {np.quantile(image, 0.99):.2f}, {saturated:.1%} saturated"
 
@@ -157,52 +167,42 @@ def _say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def _calibrate(args: argparse.Namespace) -> int:
-    from coded_aperture_ros.calibration.planes.calibrate import calibrate_planes
-    from coded_aperture_ros.calibration.planes.folder import load_planes
-    from coded_aperture_ros.likelihood.bank import LearnConfig
-    from coded_aperture_ros.optics import load_camera
-
-    config = checked_config(args, LearnConfig)
-    check_suffix(args.bank, [".npz"])
+def _calibrate(args: Arguments, bank_file: str) -> int:
+    check_suffix(bank_file, [".npz"])
     camera = None if args.camera is None else load_camera(args.camera)
     start = time.perf_counter()
     planes = load_planes(args.inputs, args.depths, args.gamma)
-    folder = None if args.output is None else Path(args.output)
-    beside = [folder / name for name in (_REPORT, MASK_FILE, _CAMERA)] if folder else []
-    inputs = [*map(Path, planes.names), *inputs_of(args, "camera")]
-    check_output([Path(args.bank), *beside], inputs)
+    names = (_REPORT, MASK_FILE, _CAMERA) if args.output is not None else ()
+    beside = [Path(args.output or "", name) for name in names]
+    inputs = [*map(Path, planes.names), *input_files(camera=args.camera)]
+    check_output([Path(bank_file), *beside], inputs)
     if camera is not None:
-        check_size(args.camera, camera, planes)
+        check_size(str(args.camera), camera, planes)
     try:
         found = calibrate_planes(
             planes,
             args.level_count,
-            config,
-            None if args.depth_range is None else tuple(args.depth_range),
+            args.filters,
+            args.depth_range,
             None if camera is None else camera.mask,
             progress,
         )
     except InputError as error:
         if camera is None:
             raise
-        return _calibrate_field(args, camera, planes, config, error)
+        return _calibrate_field(args, bank_file, camera, planes, error)
     summary = _summary(args, found, camera, round(time.perf_counter() - start, 3))
-    _write_files(args, found, camera, summary)
-    return tell(args, summary, _text)
+    _write_files(args, bank_file, found, camera, summary)
+    return print_summary(summary, _text, as_json=args.json)
 
 
 def _calibrate_field(
-    args: argparse.Namespace, camera: Any, planes: Any, config: Any, refused: InputError
+    args: Arguments, bank_file: str, camera: Camera, planes: Planes, refused: InputError
 ) -> int:
     """Learn the bank from the camera file and the field curvature of its lens, if that explains it.
 
     Else the error that planes are refused with is raised.
     """
-    from coded_aperture_ros.calibration.planes.field import fit_field
-    from coded_aperture_ros.core.files import atomic_outputs
-    from coded_aperture_ros.likelihood.bank import learn_bank_for_camera, save_bank
-
     try:
         found = fit_field(camera, planes, progress)
     except InputError:
@@ -213,22 +213,25 @@ def _calibrate_field(
     if abs(summary["corner_px"]) < _CURVED_PX:
         raise refused
     near_m, far_m = args.depth_range or planes.depths_m[[0, -1]].tolist()
-    bank = learn_bank_for_camera(found.camera, near_m, far_m, args.level_count, config)
+    bank = learn_bank_for_camera(found.camera, near_m, far_m, args.level_count, args.filters)
     with atomic_outputs() as output:
         if args.output is not None:
-            write_report(output, Path(args.output) / _REPORT, summary, camera.mask)
-        save_bank(bank, output(args.bank))
+            write_report(output, args.output / _REPORT, summary, camera.mask)
+        save_bank(bank, output(bank_file))
     warning = (
         "the lens is focused elsewhere towards the corners: the bank is that of the camera file "
         "with the lines below, which belong into it; calibrate field --psfs finds more"
     )
-    return tell(args, summary, field_text, [warning])
+    return print_summary(summary, field_text, as_json=args.json, warnings=[warning])
 
 
-def _summary(args: argparse.Namespace, found: Any, camera: Any, seconds: float) -> dict[str, Any]:
-    import numpy as np
-
-    pattern, bank, left_out = found.pattern, found.bank, found.left_out
+def _summary(
+    args: Arguments, found: PlanesCalibration, camera: Camera | None, seconds: float
+) -> dict[str, Any]:
+    pattern = found.pattern
+    bank = found.bank
+    left_out = found.left_out
+    depths_m = np.asarray(bank.stack.depths_m)
     fitted = pattern.blur_size_px(found.planes.depths_m)
     planes = [
         {
@@ -244,10 +247,10 @@ def _summary(args: argparse.Namespace, found: Any, camera: Any, seconds: float) 
     ]
     summary = {
         "bank": args.bank,
-        "output": args.output,
+        "output": None if args.output is None else str(args.output),
         "levels": bank.levels,
-        "near_m": float(bank.stack.depths_m.min()),
-        "far_m": float(bank.stack.depths_m.max()),
+        "near_m": float(np.min(depths_m)),
+        "far_m": float(np.max(depths_m)),
         "mask": pattern.mask.name,
         "mask_is_known": found.mask_is_known,
         "focus_distance_m": rounded(pattern.focus_distance_m, 5),
@@ -270,27 +273,25 @@ def _summary(args: argparse.Namespace, found: Any, camera: Any, seconds: float) 
     return summary
 
 
-def _write_files(args: argparse.Namespace, found: Any, camera: Any, summary: Any) -> None:
+def _write_files(
+    args: Arguments,
+    bank_file: str,
+    found: PlanesCalibration,
+    camera: Camera | None,
+    summary: Summary,
+) -> None:
     """Write the bank and all files of the output folder, or none."""
-    from coded_aperture_ros.core.files import atomic_outputs
-    from coded_aperture_ros.likelihood.bank import save_bank
-
     with atomic_outputs() as output:
         if args.output is not None:
-            folder = Path(args.output)
-            write_report(output, folder / _REPORT, summary, found.pattern.mask)
+            write_report(output, args.output / _REPORT, summary, found.pattern.mask)
             if camera is not None and math.isfinite(found.pattern.focus_distance_m):
-                text = _camera_text(summary, Path(args.camera))
-                output(folder / _CAMERA).write_text(text, encoding="utf-8")
-        save_bank(found.bank, output(args.bank))
+                text = _camera_text(summary, Path(str(args.camera)))
+                output(args.output / _CAMERA).write_text(text, encoding="utf-8")
+        save_bank(found.bank, output(bank_file))
 
 
-def _camera_text(summary: Any, path: Path) -> str:
+def _camera_text(summary: Summary, path: Path) -> str:
     """Return a camera file with the focus and the mask that were found, for another folder."""
-    import yaml
-
-    from coded_aperture_ros.optics.camera import camera_entries
-
     content = camera_entries(path) | {
         "focus_distance_m": summary["focus_distance_m"],
         "side": summary["side"],
@@ -300,7 +301,7 @@ def _camera_text(summary: Any, path: Path) -> str:
     return str(yaml.safe_dump(content, sort_keys=False))
 
 
-def _text(summary: Any) -> str:
+def _text(summary: Summary) -> str:
     header = "", "depth m", "bright", "noise", "texture", "blur px", "fit px", "left out m", "error"
     rows = [
         (
@@ -346,3 +347,14 @@ def _text(summary: Any) -> str:
 
 def _depth(depth_m: float | None, none: str, unit: str = " m") -> str:
     return none if depth_m is None else f"{depth_m:.4g}{unit}"
+
+
+COMMAND = Command(
+    Arguments,
+    run,
+    description="Check pictures of textured planes at known depths, learn a filter bank from "
+    "them, fit the focus distance and the slope of blur over inverse depth, and estimate the "
+    "depth error by leaving out one plane after the other. The mask need not be known.",
+    examples=_EXAMPLES,
+    rules=_RULES,
+)

@@ -1,27 +1,31 @@
 """`coded_aperture calibrate psf`: PSFs from photographs of dots."""
 
-import argparse
+import dataclasses
 import math
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, inputs_of
-from coded_aperture_ros.cli.measuring import (
-    add_depths_option,
-    add_level_count_option,
-    pictures_in,
-    rounded,
-    tell,
-)
-from coded_aperture_ros.cli.options import add_gamma_option, add_options
+from coded_aperture_ros.calibration.pictures import psf_picture
+from coded_aperture_ros.calibration.psf.centre import CentredPsf
+from coded_aperture_ros.calibration.psf.dots import DotPsf, psf_from_dots
+from coded_aperture_ros.calibration.psf.stack import psf_stack
+from coded_aperture_ros.cli.checks import check_output, input_files
+from coded_aperture_ros.cli.command import Command, UsageError, argument
+from coded_aperture_ros.cli.plane_pictures import pictures_in
+from coded_aperture_ros.cli.reading import GammaArguments, read_numbers
+from coded_aperture_ros.cli.results import Summary, print_summary, rounded
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
+from coded_aperture_ros.core.files import atomic_outputs
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.core.text import table
+from coded_aperture_ros.io import read_image, write_image
+from coded_aperture_ros.optics import PsfStack, load_camera, load_mask
 
-_EPILOG = """examples:
+_EXAMPLES = """examples:
   from pictures of a grid of dots, one for each depth, with the depth in the name:
     coded_aperture calibrate psf dots_2.3m.png dots_2.9m.png dots_4.0m.png \\
         --camera config/demo_camera.yaml -o psfs.npz --picture psfs.png
@@ -37,47 +41,43 @@ _WRONG_SIZE = 0.05
 _DEPTH_IN_NAME = re.compile(r"(\d+(?:\.\d+)?)m$")
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the action to the sub-command's parser."""
-    parser = subparsers.add_parser(
-        "psf",
-        help="measure PSFs from pictures of dots",
-        description="Measure the PSFs of a camera, for a stack of equally spaced blur sizes: from "
-        "one picture for each depth of a square grid of equal small lights on black, parallel to "
-        "the sensor. Pictures have to be linear. The middle of the mask's extent is that of the "
-        "PSF; the mask is that of --camera or --mask.",
-        epilog=_EPILOG,
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arguments(GammaArguments):
+    """Arguments of `calibrate psf`."""
+
+    inputs: tuple[str, ...] = argument(
+        "pictures of dots, or a folder of them", written="FOLDER|PICTURE"
     )
-    what = "pictures of dots, or a folder of them"
-    parser.add_argument("inputs", nargs="+", metavar="FOLDER|PICTURE", help=what)
-    add_depths_option(
-        parser,
+    depths: tuple[float, ...] | None = argument(
         "depth in m of each picture, by name in a folder (default: as the names end, such as "
         "a_1.25m.png)",
+        None,
+        written="--depths Z1,Z2,...",
+        parse=read_numbers,
     )
-    known = {
-        "--camera YAML": "camera file: its mask and its side; with depths, its blur sizes are "
-        "compared",
-        "--mask NAME|FILE": "the mask (default: the camera file's; without either, a PSF's centre "
-        "of light is its centre, and blur sizes are right in proportion only)",
-    }
-    add_options(parser, known)
-    add_level_count_option(parser, None, "PSFs to write (default: one for each picture)", least=1)
-    add_gamma_option(parser)
-    add_options(parser, {"-o --output FILE": "PSF stack (.npz)"}, required=True)
-    further = {
-        "--picture PNG": "picture of the measured PSFs to write",
-        "--json": "print the numbers as JSON",
-    }
-    add_options(parser, further)
+    camera: str | None = argument(
+        "camera file: its mask and its side; with depths, its blur sizes are compared",
+        None,
+        written="--camera YAML",
+    )
+    mask: str | None = argument(
+        "the mask (default: the camera file's; without either, a PSF's centre of light is its "
+        "centre, and blur sizes are right in proportion only)",
+        None,
+        written="--mask NAME|FILE",
+    )
+    level_count: int | None = argument(
+        "PSFs to write (default: one for each picture)", None, written="--level-count N", minimum=1
+    )
+    output: str = argument("PSF stack (.npz)", written="-o --output FILE")
+    picture: str | None = argument(
+        "picture of the measured PSFs to write", None, written="--picture PNG"
+    )
+    json: bool = argument("print the numbers as JSON", False)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: Arguments) -> int:
     """Run the action; return its exit status."""
-    from coded_aperture_ros.calibration.psf.dots import psf_from_dots
-    from coded_aperture_ros.calibration.psf.stack import psf_stack
-    from coded_aperture_ros.optics import load_camera, load_mask
-
     names, depths_m = _checked(args)
     camera = None if args.camera is None else load_camera(args.camera)
     if camera is not None and camera.side == "both":
@@ -90,9 +90,10 @@ def run(args: argparse.Namespace) -> int:
     expected = None if camera is None or depths_m is None else camera.blur_size_px(depths_m)
     start = time.perf_counter()
     size: tuple[int, ...] | None = None
-    measured, centred = [], []
+    measured: list[DotPsf] = []
+    centred: list[CentredPsf] = []
     for name in progress(names, len(names), "picture"):
-        picture = _picture(name, args.gamma, names[0], size)
+        picture = _picture(args, name, names[0], size)
         size = picture.shape[:2]
         with naming(name):
             measured.append(psf_from_dots(picture, mask, sign))
@@ -121,34 +122,34 @@ def run(args: argparse.Namespace) -> int:
         "warnings": warnings,
         "seconds": round(time.perf_counter() - start, 3),
     }
-    return tell(args, summary, _text, warnings)
+    return print_summary(summary, _text, as_json=args.json, warnings=warnings)
 
 
-def _checked(args: argparse.Namespace) -> tuple[list[str], list[float] | None]:
+def _checked(args: Arguments) -> tuple[list[str], Sequence[float] | None]:
     """Return the pictures and their depths; refuse what does not go together."""
     depths_m = args.depths
     if depths_m is not None and not all(0 < depth < math.inf for depth in depths_m):
-        args.usage_error("--depths: expected distances of more than 0 m")
+        raise UsageError("--depths: expected distances of more than 0 m")
     names = pictures_in(args.inputs)
     count, least = args.level_count, min(2, len(names))
     if count is not None and count > 1 and len(names) == 1:
-        args.usage_error(
+        raise UsageError(
             "--level-count: one PSF cannot be interpolated, give pictures of more depths"
         )
     if count is not None and count < least:
-        args.usage_error(f"--level-count: at least {least}, got {count}")
-    given = [*map(Path, names), *inputs_of(args, "camera", "mask")]
+        raise UsageError(f"--level-count: at least {least}, got {count}")
+    given = [*map(Path, names), *input_files(args.mask, camera=args.camera)]
     check_output(args.output, given, [".npz"])
     if args.picture is not None:
         check_output(args.picture, given, [".png"])
     if depths_m is None:
         return names, _depths_in_names(names)
     if len(depths_m) != len(names):
-        args.usage_error(f"--depths: {len(depths_m)} for {len(names)} pictures: give one for each")
+        raise UsageError(f"--depths: {len(depths_m)} for {len(names)} pictures: give one for each")
     return names, depths_m
 
 
-def _depths_in_names(names: list[str]) -> list[float] | None:
+def _depths_in_names(names: Sequence[str]) -> list[float] | None:
     """Return the depths that all names end in, or None if none does."""
     found = [_DEPTH_IN_NAME.search(Path(name).stem) for name in names]
     if not any(found):
@@ -162,10 +163,8 @@ def _depths_in_names(names: list[str]) -> list[float] | None:
     return [float(match[1]) for match in found if match is not None]
 
 
-def _picture(name: str, gamma: Any, first: str, size: tuple[int, ...] | None) -> Any:
-    from coded_aperture_ros.io import read_image
-
-    picture = read_image(name, gamma)
+def _picture(args: Arguments, name: str, first: str, size: tuple[int, ...] | None) -> FloatArray:
+    picture = read_image(name, args.gamma)
     if size is not None and picture.shape[:2] != size:
         raise InputError(
             f"{name}: has {picture.shape[1]}x{picture.shape[0]} px, but {first} has "
@@ -174,12 +173,8 @@ def _picture(name: str, gamma: Any, first: str, size: tuple[int, ...] | None) ->
     return picture
 
 
-def _write(args: argparse.Namespace, stack: Any, centred: Any) -> None:
+def _write(args: Arguments, stack: PsfStack, centred: Sequence[CentredPsf]) -> None:
     """Write the stack and the picture, or neither."""
-    from coded_aperture_ros.calibration.pictures import psf_picture
-    from coded_aperture_ros.core.files import atomic_outputs
-    from coded_aperture_ros.io import write_image
-
     width = max(one.width_px for one in centred)
     with atomic_outputs() as output:
         if args.picture is not None:
@@ -188,7 +183,7 @@ def _write(args: argparse.Namespace, stack: Any, centred: Any) -> None:
         stack.save(output(args.output))
 
 
-def _row(measured: Any) -> dict[str, Any]:
+def _row(measured: DotPsf) -> dict[str, Any]:
     return {
         "snr": round(measured.snr, 2),
         "field_variation": rounded(measured.field_variation, 4),
@@ -225,7 +220,7 @@ def _warnings(row: dict[str, Any]) -> Iterator[str]:
         )
 
 
-def _text(summary: dict[str, Any]) -> str:
+def _text(summary: Summary) -> str:
     rows = summary["pictures"]
     columns = {
         "picture": ("picture", ""),
@@ -250,3 +245,14 @@ def _text(summary: dict[str, Any]) -> str:
         f"{summary['output']}: {count} PSF{'s' if count > 1 else ''} of {sizes[0]:.2f} to "
         f"{sizes[-1]:.2f} px; {summary['seconds']:.1f} s"
     )
+
+
+COMMAND = Command(
+    Arguments,
+    run,
+    description="Measure the PSFs of a camera, for a stack of equally spaced blur sizes: from "
+    "one picture for each depth of a square grid of equal small lights on black, parallel to "
+    "the sensor. Pictures have to be linear. The middle of the mask's extent is that of the "
+    "PSF; the mask is that of --camera or --mask.",
+    examples=_EXAMPLES,
+)

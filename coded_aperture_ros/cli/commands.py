@@ -19,22 +19,20 @@ _CALIBRATE = Actions(
     coded_aperture calibrate planes --help
 """,
     actions={
-        "blind": OldEntry(
-            "calibrate_blind", "find an unknown mask from planes at unknown distances"
-        ),
-        "field": OldEntry(
+        "blind": Entry("calibrate_blind", "find an unknown mask from planes at unknown distances"),
+        "field": Entry(
             "calibrate_field",
             "measure the field curvature of a lens from pictures of planes at known depths",
         ),
-        "noise": OldEntry(
+        "noise": Entry(
             "calibrate_noise",
             "measure the noise of a sensor from two or more frames of something still",
         ),
-        "planes": OldEntry(
+        "planes": Entry(
             "calibrate_planes",
             "learn a bank from pictures of planes at known depths, and say how good it is",
         ),
-        "psf": OldEntry("calibrate_psf", "measure PSFs from pictures of dots"),
+        "psf": Entry("calibrate_psf", "measure PSFs from pictures of dots"),
         "refine": OldEntry(
             "calibrate_refine",
             "find out from ordinary frames whether a lens was refocused, or its mask moved",
