@@ -154,14 +154,14 @@ def test_a_camera_of_another_size(tmp_path, folder, capsys):
     ("arguments", "phrase"),
     [
         ((), "the following arguments are required"),
-        (("planes",), "-o bank.npz"),
-        (("planes", "--depth", 1, "-o", "b.npz"), "--depth needs --topic"),
-        (("planes", "--topic", "image_raw", "--depth", -1), "--depth: expected a positive"),
-        (("planes", "--topic", "image_raw"), "--topic without a terminal needs --depth"),
-        (("planes", "--topic", "t", "--depth", 1, "--frames", 0), "--frames: expected at least 1"),
-        (("a", "b", "--topic", "t", "--depth", 1), "--topic needs one folder"),
+        (("planes",), "required: -o or --topic (where the bank goes)"),
+        (("planes", "--depth", 1, "-o", "b.npz"), "--depth: only with --topic"),
+        (("planes", "--topic", "image_raw", "--depth", -1), "--depth: -1.0 is out of range"),
+        (("planes", "--topic", "image_raw"), "--topic: without a terminal needs --depth"),
+        (("planes", "--topic", "t", "--depth", 1, "--frames", 0), "--frames: 0 is out of range"),
+        (("a", "b", "--topic", "t", "--depth", 1), "--topic: needs one folder"),
         (("planes", "--depths", "1,x", "-o", "b.npz"), "--depths: expected numbers"),
-        (("planes", "--level-count", 1, "-o", "b.npz"), "--level-count: expected at least 2"),
+        (("planes", "--level-count", 1, "-o", "b.npz"), "--level-count: 1 is out of range"),
     ],
 )
 def test_wrong_usage(capsys, monkeypatch, arguments, phrase):

@@ -289,8 +289,8 @@ def test_the_examples_of_calibrate_blind(folder, capsys, known, caplog):
 @pytest.mark.parametrize(
     ("arguments", "phrase"),
     [
-        (("planes",), "--output DIR or -o bank.npz"),
-        (("planes", "-o", "bank.npz", "--level-count", 1), "--level-count: expected at least 2"),
+        (("planes",), "required: --output or -o (where the results go)"),
+        (("planes", "-o", "bank.npz", "--level-count", 1), "--level-count: 1 is out of range (at least 2)"),
         (("planes", "--output", "x", "--least-cells", 9, "--most-cells", 8), "--least-cells: 9"),
         (("planes", "-o", "b.npz", "--window-px", 24), "does not fit patches of 24 px"),
     ],
