@@ -1,24 +1,29 @@
 """`coded_aperture calibrate refine`: what has changed in a camera, from ordinary frames."""
 
-import argparse
+import dataclasses
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
+import numpy as np
+import yaml
+
+from coded_aperture_ros.calibration.service.refine import Refined, refine_camera
 from coded_aperture_ros.cli.checks import check_output, check_suffix
-from coded_aperture_ros.cli.measuring import tell
-from coded_aperture_ros.cli.options import (
-    add_bits_option,
-    add_gamma_option,
-    add_mosaic_option,
-    add_options,
-)
-from coded_aperture_ros.core.arguments import at_least
+from coded_aperture_ros.cli.command import Command, argument
+from coded_aperture_ros.cli.frames import light_of
+from coded_aperture_ros.cli.reading import PixelArguments
+from coded_aperture_ros.cli.results import Summary, print_summary
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
+from coded_aperture_ros.core.files import atomic_outputs
 from coded_aperture_ros.core.progress import progress
+from coded_aperture_ros.frames import grey_image
+from coded_aperture_ros.optics import Camera, load_camera
+from coded_aperture_ros.optics.camera import camera_entries, camera_files
+from coded_aperture_ros.sources import captures, open_files
 
-_EPILOG = """example:
+_EXAMPLES = """example:
     coded_aperture calibrate refine bag:drive --camera camera.yaml -o refined.yaml
 
 Then: learn the bank again, with the camera file that it wrote; or turn the mask back, or clean it.
@@ -26,46 +31,33 @@ A drive of some metres towards furniture tells the focus; anything with texture 
 """
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the action to the sub-command's parser."""
-    parser = subparsers.add_parser(
-        "refine",
-        help="find out from ordinary frames whether a lens was refocused, or its mask moved",
-        description="Find out from the frames of a drive, without any target, whether the lens is "
-        "still focused where the camera file says, whether the mask has turned, and whether cells "
-        "of it are covered. Takes some minutes.",
-        epilog=_EPILOG,
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arguments(PixelArguments):
+    """Arguments of `calibrate refine`."""
+
+    frames: str = argument(
+        "video, bag (bag:PATH#TOPIC) or folder of pictures, in order", written="FRAMES"
     )
-    what = "video, bag (bag:PATH#TOPIC) or folder of pictures, in order"
-    parser.add_argument("frames", metavar="FRAMES", help=what)
-    add_options(parser, {"--camera YAML": "camera file as it was set up"}, required=True)
-    add_mosaic_option(parser)
-    add_bits_option(parser)
-    add_gamma_option(parser)
-    most = {"--most-frames N": "stop after so many (default %(default)s)"}
-    add_options(parser, most, type=at_least(2), default=400)
-    written = {
-        "-o --output YAML": "camera file to write, with the mask beside it where it has changed",
-        "--json": "print the numbers as JSON",
-    }
-    add_options(parser, written)
+    camera: str = argument("camera file as it was set up", written="--camera YAML")
+    most_frames: int = argument(
+        "stop after so many", 400, written="--most-frames N", minimum=2, daily=False
+    )
+    output: Path | None = argument(
+        "camera file to write, with the mask beside it where it has changed",
+        None,
+        written="-o --output YAML",
+    )
+    json: bool = argument("print the numbers as JSON", False)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: Arguments) -> int:
     """Run the action; return its exit status."""
-    from coded_aperture_ros.calibration.service.refine import refine_camera
-    from coded_aperture_ros.cli.frames import light_of
-    from coded_aperture_ros.frames import grey_image
-    from coded_aperture_ros.optics import load_camera
-    from coded_aperture_ros.optics.camera import camera_files
-    from coded_aperture_ros.sources import captures, open_files
-
     camera = load_camera(args.camera)
-    mask_file = Path(args.output or "refined.yaml").with_suffix(".mask.npy")
+    mask_file = (args.output or Path("refined.yaml")).with_suffix(".mask.npy")
     if args.output is not None:
         check_suffix(args.output, [".yaml"])
-        check_output([Path(args.output), mask_file], camera_files(args.camera))
-    frames: list[Any] = []
+        check_output([args.output, mask_file], camera_files(args.camera))
+    frames: list[FloatArray] = []
     with closing(open_files(args.frames)) as source, naming(args.frames):
         for capture in progress(islice(captures(source), args.most_frames), None, "frame"):
             grey, _ = grey_image(light_of(capture, args)[0], 1.0)
@@ -74,7 +66,8 @@ def run(args: argparse.Namespace) -> int:
         if len(frames) < 2:
             raise InputError("expected the frames of a video")
         found = refine_camera(camera, frames, progress)
-    mask, focus = found.mask, found.focus
+    mask = found.mask
+    focus = found.focus
     summary = {
         "frames": len(frames),
         "turned_deg": round(mask.turned_deg, 2),
@@ -91,13 +84,16 @@ def run(args: argparse.Namespace) -> int:
     }
     warnings = [f"focus: {found.unknown}"] if found.unknown else []
     if args.output is not None:
-        _write(args, found.camera, mask_file if found.camera.mask != camera.mask else None)
-    return tell(args, summary, _text, warnings)
+        _write(
+            args, args.output, found.camera, mask_file if found.camera.mask != camera.mask else None
+        )
+    return print_summary(summary, _text, as_json=args.json, warnings=warnings)
 
 
-def _changes(name: str, camera: Any, found: Any) -> list[str]:
+def _changes(name: str, camera: Camera, found: Refined) -> list[str]:
     """Say what is not as the camera file says."""
-    mask, focus = found.mask, found.focus
+    mask = found.mask
+    focus = found.focus
     changes = []
     if found.is_turned:
         way = "clockwise" if mask.turned_deg > 0 else "anticlockwise"
@@ -114,15 +110,9 @@ def _changes(name: str, camera: Any, found: Any) -> list[str]:
     return changes
 
 
-def _write(args: argparse.Namespace, camera: Any, mask_file: Path | None) -> None:
+def _write(args: Arguments, output: Path, camera: Camera, mask_file: Path | None) -> None:
     """Write the camera file as it was, but for what has changed."""
-    import numpy as np
-    import yaml
-
-    from coded_aperture_ros.core.files import atomic_outputs
-    from coded_aperture_ros.optics.camera import camera_entries
-
-    entries, output = camera_entries(args.camera), Path(args.output)
+    entries = camera_entries(args.camera)
     with atomic_outputs() as write:
         entries["focus_distance_m"] = round(camera.focus_distance_m, 5)
         if mask_file is not None:
@@ -131,7 +121,7 @@ def _write(args: argparse.Namespace, camera: Any, mask_file: Path | None) -> Non
         write(output).write_text(yaml.safe_dump(entries, sort_keys=False), encoding="utf-8")
 
 
-def _text(summary: dict[str, Any]) -> str:
+def _text(summary: Summary) -> str:
     as_said = "the mask is as the camera file says" + (", and so is the focus" * summary["told"])
     lines = summary["changed"] or [as_said]
     known = "not known"
@@ -139,3 +129,13 @@ def _text(summary: dict[str, Any]) -> str:
         known = "{dioptres:+.4f} ± {dioptres_std:.4f} dioptres from where it was".format(**summary)
     numbers = "# {frames} frames: mask turned by {turned_deg:.2f} ± {turned_std_deg:.2f} degrees, "
     return "\n".join([*lines, numbers.format(**summary) + f"focus {known}"])
+
+
+COMMAND = Command(
+    Arguments,
+    run,
+    description="Find out from the frames of a drive, without any target, whether the lens is "
+    "still focused where the camera file says, whether the mask has turned, and whether cells "
+    "of it are covered. Takes some minutes.",
+    examples=_EXAMPLES,
+)

@@ -1,16 +1,23 @@
 """`coded_aperture calibrate trace`: the PSFs of a lens from its prescription."""
 
-import argparse
+import dataclasses
 import math
 from pathlib import Path
-from typing import Any
 
+import numpy as np
+import yaml
+
+from coded_aperture_ros.calibration.prescription.fit import traced_camera
+from coded_aperture_ros.calibration.prescription.lens import load_lens
 from coded_aperture_ros.cli.checks import check_output
-from coded_aperture_ros.cli.measuring import tell
-from coded_aperture_ros.cli.options import add_options
+from coded_aperture_ros.cli.command import Command, argument
+from coded_aperture_ros.cli.results import Summary, print_summary
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.optics import load_camera
+from coded_aperture_ros.optics.camera import camera_entries
 
-_EPILOG = """examples:
+_EXAMPLES = """examples:
   what a double Gauss makes of a mask 15 mm wide in its stop:
     coded_aperture calibrate trace dgauss.zmx --camera camera.yaml --depth-range 1 4 -o traced.yaml
 
@@ -22,45 +29,30 @@ behind it (1 and 0: air), diameter, in mm; 0 is flat, and 'stop' ends the line o
 _REPLACED = ("focal_length_mm", "pixel_pitch_um", "lens_mask_distance_mm", "camera_info")
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the action to the sub-command's parser."""
-    parser = subparsers.add_parser(
-        "trace",
-        help="trace rays through the prescription of a lens, for its PSFs",
-        description="Trace rays through the prescription of a lens, and write a camera file with "
-        "the focal length, the mask's extent in the entrance pupil, and the PSFs all over the "
-        "image that the lens will give its mask: to learn a bank, to simulate, or to choose a "
-        "lens before it is bought. Distances are from the entrance pupil.",
-        epilog=_EPILOG,
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Arguments of `calibrate trace`."""
+
+    lens: Path = argument(".zmx file, or a table", written="LENS")
+    camera: Path = argument("camera file: mask, sensor and focus", written="--camera YAML")
+    depth_range: tuple[float, float] = argument(
+        "where the blur has to be right, in m", written="--depth-range NEAR FAR"
     )
-    parser.add_argument("lens", type=Path, metavar="LENS", help=".zmx file, or a table")
-    add_options(parser, {"--camera YAML": "camera file: mask, sensor and focus"}, required=True)
-    depths = {"--depth-range NEAR FAR": "where the blur has to be right, in m"}
-    add_options(parser, depths, type=float, required=True)
-    add_options(parser, {"-o --output YAML": "camera file to write"}, required=True)
-    add_options(parser, {"--json": "print the numbers as JSON"})
+    output: Path = argument("camera file to write", written="-o --output YAML")
+    json: bool = argument("print the numbers as JSON", False)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: Arguments) -> int:
     """Run the action; return its exit status."""
-    import numpy as np
-    import yaml
-
-    from coded_aperture_ros.calibration.prescription.fit import traced_camera
-    from coded_aperture_ros.calibration.prescription.lens import load_lens
-    from coded_aperture_ros.core.files import atomic_output
-    from coded_aperture_ros.optics import load_camera
-    from coded_aperture_ros.optics.camera import camera_entries
-
-    source, output = Path(args.camera), Path(args.output)
-    check_output(output, [args.lens, source], suffixes=[".yaml"])
+    check_output(args.output, [args.lens, args.camera], suffixes=[".yaml"])
     near_m, far_m = args.depth_range
     if not 0 < near_m < far_m < math.inf:
         raise InputError(f"--depth-range: expected two increasing depths, got {near_m} {far_m}")
-    camera, entries = load_camera(source), camera_entries(source)
+    camera = load_camera(args.camera)
+    entries = camera_entries(args.camera)
     if "pixel_pitch_um" not in entries or "wavefront" in entries:
         raise InputError(
-            f"camera file {source}: expected focal_length_mm, pixel_pitch_um and no wavefront"
+            f"camera file {args.camera}: expected focal_length_mm, pixel_pitch_um and no wavefront"
         )
     lens = load_lens(args.lens, camera.wavelength_nm)
     pitch_um = float(entries["pixel_pitch_um"])
@@ -75,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         "wavefront": found.wavefront.entry,
     }
     kept = {name: value for name, value in entries.items() if name not in _REPLACED}
-    with atomic_output(output) as temporary:
+    with atomic_output(args.output) as temporary:
         temporary.write_text(yaml.safe_dump(kept | changed, sort_keys=False), encoding="utf-8")
     at_corner = np.array([0.0, found.wavefront.corner])
     summary = {
@@ -87,12 +79,12 @@ def run(args: argparse.Namespace) -> int:
         ),
         "corner_light": round(found.wavefront.transmitted_share(found.mask, at_corner), 3),
         "left_px": round(left_px, 3),
-        "output": str(output),
+        "output": str(args.output),
     }
-    return tell(args, summary, _text)
+    return print_summary(summary, _text, as_json=args.json)
 
 
-def _text(summary: dict[str, Any]) -> str:
+def _text(summary: Summary) -> str:
     return (
         "focal length {focal_length_mm:g} mm; the entrance pupil, from which distances count, is "
         "{entrance_pupil_mm:g} mm behind the first surface;\nthe mask's extent in it is "
@@ -100,3 +92,14 @@ def _text(summary: dict[str, Any]) -> str:
         "corner the blur is {corner_px:g} px less, and {corner_light:.0%} of the light gets "
         "through; rays land within {left_px:g} px (RMS) of\nwhat {output} says".format(**summary)
     )
+
+
+COMMAND = Command(
+    Arguments,
+    run,
+    description="Trace rays through the prescription of a lens, and write a camera file with "
+    "the focal length, the mask's extent in the entrance pupil, and the PSFs all over the "
+    "image that the lens will give its mask: to learn a bank, to simulate, or to choose a "
+    "lens before it is bought. Distances are from the entrance pupil.",
+    examples=_EXAMPLES,
+)

@@ -33,11 +33,11 @@ _CALIBRATE = Actions(
             "learn a bank from pictures of planes at known depths, and say how good it is",
         ),
         "psf": Entry("calibrate_psf", "measure PSFs from pictures of dots"),
-        "refine": OldEntry(
+        "refine": Entry(
             "calibrate_refine",
             "find out from ordinary frames whether a lens was refocused, or its mask moved",
         ),
-        "trace": OldEntry(
+        "trace": Entry(
             "calibrate_trace", "trace rays through the prescription of a lens, for its PSFs"
         ),
     },
@@ -57,13 +57,13 @@ _MASK = Actions(
         "print": Entry(
             "mask_print", "draw a mask at true scale, with a ruler and cut lines (PDF, SVG or DXF)"
         ),
-        "score": OldEntry("mask_score", "predict depth and deblurring error of masks"),
-        "search": OldEntry("mask_search", "look for masks with less depth and deblurring error"),
-        "design": OldEntry(
+        "score": Entry("mask_score", "predict depth and deblurring error of masks"),
+        "search": Entry("mask_search", "look for masks with less depth and deblurring error"),
+        "design": Entry(
             "mask_design",
             "compare masks for a camera, a depth range and some light, from end to end",
         ),
-        "motion": OldEntry(
+        "motion": Entry(
             "mask_motion",
             "find the placement of holes that preserves most under defocus and motion",
         ),

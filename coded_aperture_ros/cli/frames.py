@@ -174,7 +174,7 @@ def single_frame(path: str, args: argparse.Namespace) -> tuple[Any, float]:
     return image, hidden
 
 
-def light_of(capture: Any, args: argparse.Namespace) -> tuple[Any, Any, float]:
+def light_of(capture: Any, args: Any) -> tuple[Any, Any, float]:
     """Return the light of a capture, in colour too, and what noise compression has hidden."""
     from coded_aperture_ros.frames import hidden_noise
     from coded_aperture_ros.io.messages import frame_from_pixels

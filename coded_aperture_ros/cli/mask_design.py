@@ -1,20 +1,39 @@
 """`coded_aperture mask design`: which mask for a camera, a range and some light, end to end."""
 
-import argparse
+import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.options import add_jobs_option, add_options, written_name
+from coded_aperture_ros.cli.command import Command, argument
 from coded_aperture_ros.cli.results_folder import RESULTS, check_results_folder, write_results
-from coded_aperture_ros.core.arguments import at_least
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.core.processes import map_in_processes
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.workers import processors
+from coded_aperture_ros.design.mask_figures import draw_masks_by_light
+from coded_aperture_ros.design.search.search import SearchConfig
+from coded_aperture_ros.design.setting import resolutions_m
+from coded_aperture_ros.design.sheet import mask_sheet
+from coded_aperture_ros.design.sheet_files import sheet_svg
+from coded_aperture_ros.design.trials import (
+    CHOOSE,
+    PARTS,
+    UNSEEN,
+    Light,
+    Trial,
+    masks_in_order,
+    measure,
+    searched_masks,
+    trials_of,
+)
+from coded_aperture_ros.io import write_image
+from coded_aperture_ros.optics import Camera, Mask, load_camera, load_mask
 
-_NAMED = ("levin", "zhou", "four_hole", "four_wide", "three_wide")
-_EPILOG = """examples:
+_EXAMPLES = """examples:
   a mask for half a metre to four metres in a room (some minutes), with pictures and cut files:
     coded_aperture mask design --camera camera.yaml --depth-range 0.5 4 --illuminance-lux 200 \\
         --output design/
@@ -22,98 +41,82 @@ _EPILOG = """examples:
     coded_aperture mask design --camera camera.yaml --depth-range 0.5 4 --illuminance-lux 200 \\
         --masks levin mine.png --rounds 0
 """
+_NAMED = ("levin", "zhou", "four_hole", "four_wide", "three_wide")
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the action to the sub-command's parser."""
-    parser = subparsers.add_parser(
-        "design",
-        help="compare masks for a camera, a depth range and some light, from end to end",
-        description="Compare masks for a camera, a depth range and some light, end to end: random "
-        "scenes of the camera's blur sizes are traced through each mask, exposed with shot and "
-        "read noise but without diffraction, and their depth is estimated with defaults. Named "
-        "masks, files, and those that a search finds. Some scenes choose, others say what that is "
-        "worth.",
-        epilog=_EPILOG,
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Arguments of `mask design`."""
+
+    camera: str = argument("camera file", written="--camera YAML")
+    depth_range: tuple[float, float] = argument("m", written="--depth-range NEAR FAR")
+    illuminance_lux: float = argument(
+        "light on the scene: a dim room has 50, an office 300, a cloudy day 10,000",
+        200.0,
+        written="--illuminance-lux E",
+        above=0,
     )
-    add_options(parser, {"--camera YAML": "camera file"}, required=True)
-    add_options(parser, {"--depth-range NEAR FAR": "m"}, type=float, required=True)
-    _add_light_options(parser)
-    masks = f"names or files (default {' '.join(_NAMED)})"
-    add_options(parser, {"--masks MASK": masks}, nargs="+", default=list(_NAMED))
-    _add_search_options(parser)
-    counts = {
-        "--scenes N": (1, 8, "to choose by"),
-        "--unseen N": (0, 16, "scenes that nothing is chosen by"),
-    }
-    _add_counts(parser, counts)
-    cut = {"--cut-mm MM": "how much wider openings may be cut (default %(default)s)"}
-    add_options(parser, cut, type=float, default=0.05)
-    _add_counts(
-        parser, {"--levels N": (8, 30, "of the banks"), "--seed N": (0, 0, "of the search")}
+    exposure_ms: float = argument("time of exposure", 10.0, written="--exposure-ms T", above=0)
+    full_well: float = argument(
+        "electrons that a pixel holds", 10_000.0, written="--full-well N", above=0
     )
-    add_jobs_option(parser)
-    results = {
-        "--json": "print the results as JSON",
-        "--output DIR": f"write {RESULTS} and figures (PNG)",
-    }
-    add_options(parser, results)
+    read_noise: float = argument(
+        "of the sensor, electrons", 3.0, written="--read-noise N", minimum=0
+    )
+    masks: tuple[str, ...] = argument(
+        f"names or files (default {' '.join(_NAMED)})", _NAMED, written="--masks MASK"
+    )
+    found: int = argument(
+        "how many of the masks that are found are tried", 6, written="--found N", minimum=1
+    )
+    rounds: int = argument("of the search; 0: none", 4, written="--rounds N", minimum=0)
+    cells: int = argument(
+        "along a side of the masks that are looked for", 11, written="--cells N", minimum=7
+    )
+    smallest_opening: int = argument(
+        "cells along a side of the smallest opening", 1, written="--smallest-opening N", minimum=1
+    )
+    carrier: str = argument(
+        "what holds closed cells: film, or they hang together",
+        "transparent",
+        choices=("transparent", "connected"),
+    )
+    scenes: int = argument("to choose by", 8, written="--scenes N", minimum=1)
+    unseen: int = argument("scenes that nothing is chosen by", 16, written="--unseen N", minimum=0)
+    cut_mm: float = argument(
+        "how much wider openings may be cut", 0.05, written="--cut-mm MM", unit="mm", minimum=0
+    )
+    levels: int = argument("of the banks", 30, written="--levels N", minimum=8)
+    seed: int = argument("of the search", 0, written="--seed N", minimum=0)
+    jobs: int = argument(
+        "processes (default: one for each processor)", processors(), written="--jobs N", minimum=1
+    )
+    json: bool = argument("print the results as JSON", False)
+    output: Path | None = argument(
+        f"write {RESULTS} and figures (PNG)", None, written="--output DIR"
+    )
 
 
-def _add_light_options(parser: argparse.ArgumentParser) -> None:
-    values = {
-        "--illuminance-lux E": (
-            200.0,
-            "light on the scene: a dim room has 50, an office 300, a cloudy day 10,000",
-        ),
-        "--exposure-ms T": (10.0, "time of exposure"),
-        "--full-well N": (10_000.0, "electrons that a pixel holds"),
-        "--read-noise N": (3.0, "of the sensor, electrons"),
-    }
-    for written, (default, what) in values.items():
-        described = {written: f"{what} (default {default:g})"}
-        add_options(parser, described, type=float, default=default)
-
-
-def _add_search_options(parser: argparse.ArgumentParser) -> None:
-    counts = {
-        "--found N": (1, 6, "how many of the masks that are found are tried"),
-        "--rounds N": (0, 4, "of the search; 0: none"),
-        "--cells N": (7, 11, "along a side of the masks that are looked for"),
-        "--smallest-opening N": (1, 1, "cells along a side of the smallest opening"),
-    }
-    _add_counts(parser, counts)
-    holds = "what holds closed cells: film, or they hang together (default %(default)s)"
-    add_options(parser, {"--carrier {transparent,connected}": holds})
-
-
-def _add_counts(parser: argparse.ArgumentParser, counts: dict[str, tuple[int, int, str]]) -> None:
-    """Add whole numbers: the least, the default and what it is, by how each is written."""
-    for written, (least, default, what) in counts.items():
-        described = {written: f"{what} (default {default})"}
-        add_options(parser, described, type=at_least(least), default=default)
-
-
-def run(args: argparse.Namespace) -> int:
+def run(args: Arguments) -> int:
     """Run the action; return its exit status."""
-    from coded_aperture_ros.core.processes import map_in_processes
-    from coded_aperture_ros.design.trials import masks_in_order, measure
-
     trials = _trials(args)
-    check_results_folder(args)
+    check_results_folder(args.output)
     start = time.perf_counter()
     measured = map_in_processes(measure, trials, args.jobs, "trial")
     seconds = round(time.perf_counter() - start, 1)
     rows = masks_in_order(measured)
     cameras = {trial.camera.mask.name: trial.camera for trial in trials}
     results = _results(args, rows, trials[0].camera, seconds)
-    return write_results(args, results, _text, lambda folder: _draw(args, rows, cameras, folder))
+    return write_results(
+        results,
+        _text,
+        lambda folder: _draw(args, rows, cameras, folder),
+        args.output,
+        as_json=args.json,
+    )
 
 
-def _trials(args: argparse.Namespace) -> list[Any]:
-    from coded_aperture_ros.design.trials import Light, trials_of
-    from coded_aperture_ros.optics import load_camera, load_mask
-
+def _trials(args: Arguments) -> list[Trial]:
     camera = load_camera(args.camera)
     if camera.side == "both":
         raise InputError(
@@ -121,12 +124,6 @@ def _trials(args: argparse.Namespace) -> list[Any]:
         )
     near_m, far_m = args.depth_range
     blur_px = camera.blur_range_px(near_m, far_m)
-    for name in ("illuminance_lux", "exposure_ms", "full_well", "read_noise", "cut_mm"):
-        least = 0 if name in ("read_noise", "cut_mm") else 1e-9
-        if not getattr(args, name) >= least:
-            args.usage_error(
-                f"{written_name(name)}: expected {'0 or ' if not least else ''}more than 0"
-            )
     light = Light(args.illuminance_lux, args.exposure_ms, args.full_well, args.read_noise)
     masks = [load_mask(name) for name in dict.fromkeys(args.masks)]
     if args.rounds:
@@ -135,10 +132,7 @@ def _trials(args: argparse.Namespace) -> list[Any]:
     return trials_of(camera, masks, (near_m, far_m), args.levels, light, scenes, args.cut_mm)
 
 
-def _searched(args: argparse.Namespace, blur_px: Sequence[float]) -> list[Any]:
-    from coded_aperture_ros.design.search.search import SearchConfig
-    from coded_aperture_ros.design.trials import searched_masks
-
+def _searched(args: Arguments, blur_px: Sequence[float]) -> list[Mask]:
     config = SearchConfig(
         cells=args.cells,
         smallest_opening=args.smallest_opening,
@@ -158,10 +152,8 @@ def _searched(args: argparse.Namespace, blur_px: Sequence[float]) -> list[Any]:
 
 
 def _results(
-    args: argparse.Namespace, rows: list[dict[str, Any]], camera: Any, seconds: float
+    args: Arguments, rows: list[dict[str, Any]], camera: Camera, seconds: float
 ) -> dict[str, Any]:
-    from coded_aperture_ros.design.setting import resolutions_m
-
     asked = ("depth_range", "illuminance_lux", "exposure_ms", "scenes", "unseen")
     return {
         "benchmark": "design",
@@ -184,8 +176,6 @@ def _share(value: float | None) -> str:
 
 def _against(rows: Sequence[dict[str, Any]], first: str) -> dict[str, Any]:
     """Compare the chosen mask with the first one that was named, on scenes of both parts."""
-    from coded_aperture_ros.design.trials import PARTS
-
     by_name = {row["mask"]: row for row in rows}
     other = by_name[first if first in by_name else Path(first).name]
     return {
@@ -199,8 +189,6 @@ def _against(rows: Sequence[dict[str, Any]], first: str) -> dict[str, Any]:
 
 
 def _text(results: dict[str, Any]) -> str:
-    from coded_aperture_ros.design.trials import CHOOSE, UNSEEN
-
     part = UNSEEN if results["unseen"] else CHOOSE
     shown = {
         "mask": lambda row: row["mask"] + (" *" if row["not_beaten"] else ""),
@@ -241,16 +229,9 @@ def _text(results: dict[str, Any]) -> str:
 
 
 def _draw(
-    args: argparse.Namespace, rows: list[dict[str, Any]], cameras: dict[str, Any], folder: Path
+    args: Arguments, rows: list[dict[str, Any]], cameras: Mapping[str, Camera], folder: Path
 ) -> None:
     """Draw all masks by light and error, and write pictures and cut files of those not beaten."""
-    from coded_aperture_ros.core.files import atomic_output
-    from coded_aperture_ros.design.mask_figures import draw_masks_by_light
-    from coded_aperture_ros.design.sheet import mask_sheet
-    from coded_aperture_ros.design.sheet_files import sheet_svg
-    from coded_aperture_ros.design.trials import CHOOSE, UNSEEN
-    from coded_aperture_ros.io import write_image
-
     part = UNSEEN if args.unseen else CHOOSE
     draw_masks_by_light(
         [(cameras[row["mask"]].mask, row["light"], row[part]["error"]) for row in rows],
@@ -263,3 +244,15 @@ def _draw(
             sheet = mask_sheet(camera.mask, camera.mask_extent_mm)
             with atomic_output(folder / f"{row['mask']}.svg") as path:
                 path.write_text(sheet_svg(sheet))
+
+
+COMMAND = Command(
+    Arguments,
+    run,
+    description="Compare masks for a camera, a depth range and some light, end to end: random "
+    "scenes of the camera's blur sizes are traced through each mask, exposed with shot and "
+    "read noise but without diffraction, and their depth is estimated with defaults. Named "
+    "masks, files, and those that a search finds. Some scenes choose, others say what that is "
+    "worth.",
+    examples=_EXAMPLES,
+)

@@ -1,61 +1,52 @@
 """`coded_aperture mask motion`: how an aperture is best cut up, if things move (thesis 7.4)."""
 
-import argparse
+import dataclasses
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.options import add_options
+import numpy as np
+
+from coded_aperture_ros.cli.command import Command, argument
 from coded_aperture_ros.cli.results_folder import RESULTS, check_results_folder, write_results
-from coded_aperture_ros.core.arguments import at_least
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.core.text import table
+from coded_aperture_ros.design import fragmentation as design
+from coded_aperture_ros.design.mask_figures import draw_fragmented_responses
 
-_NOISE_RANGES = ((0.01, 0.04), (0.05, 0.08), (0.09, 0.10))
-_EPILOG = """examples:
+_EXAMPLES = """examples:
   the 84 ways to place 3 holes in a 3x3 grid, for a 50 mm lens at F/7.1:
     coded_aperture mask motion --grid 3 --holes 3 --output fragmentation
   4 holes in a 4x4 grid:
     coded_aperture mask motion --grid 4 --holes 4
 """
+_NOISE_RANGES = ((0.01, 0.04), (0.05, 0.08), (0.09, 0.10))
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the action to the sub-command's parser."""
-    parser = subparsers.add_parser(
-        "motion",
-        help="find the placement of holes that preserves most under defocus and motion",
-        description="Count the spatial frequencies that stay above the noise behind every way to "
-        "place square holes in a grid, over blur sizes of 7 to 25 px and 64 motions of up to 12 px "
-        "(M. Martinello, Coded Aperture Imaging, PhD thesis, 2012, section 7.4), beside a disc of "
-        "equal light. With more placements than can be tried, some are drawn and improved.",
-        epilog=_EPILOG,
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Arguments of `mask motion`."""
+
+    grid: int = argument("cells along a side of the grid", 3, written="--grid N", minimum=2)
+    holes: int = argument("open cells", 3, written="--holes N", minimum=1)
+    best: int = argument("how many placements to show", 5, written="--best N", minimum=1)
+    seed: int = argument("of the placements that are drawn", 0, written="--seed N", minimum=0)
+    focal_length_mm: float = argument("of the lens", 50.0, written="--focal-length-mm F")
+    f_number: float = argument(
+        "of the disc with the light of all holes", 7.1, written="--f-number N"
     )
-    grid = {"--grid N": "cells along a side of the grid (default %(default)s)"}
-    add_options(parser, grid, type=at_least(2), default=3)
-    holes = {"--holes N": "open cells (default %(default)s)"}
-    add_options(parser, holes, type=at_least(1), default=3)
-    best = {"--best N": "how many placements to show (default %(default)s)"}
-    add_options(parser, best, type=at_least(1), default=5)
-    seed = {"--seed N": "of the placements that are drawn (default %(default)s)"}
-    add_options(parser, seed, type=at_least(0), default=0)
-    focal_length = {"--focal-length-mm F": "of the lens (default 50)"}
-    add_options(parser, focal_length, type=float, default=50.0)
-    f_number = {"--f-number N": "of the disc with the light of all holes (default 7.1)"}
-    add_options(parser, f_number, type=float, default=7.1)
-    results = {
-        "--json": "print the results as JSON",
-        "--output DIR": f"write {RESULTS}, the masks (.npy) and a figure (.png) into this folder",
-    }
-    add_options(parser, results)
+    json: bool = argument("print the results as JSON", False)
+    output: Path | None = argument(
+        f"write {RESULTS}, the masks (.npy) and a figure (.png) into this folder",
+        None,
+        written="--output DIR",
+    )
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: Arguments) -> int:
     """Run the action; return its exit status."""
-    from coded_aperture_ros.design import fragmentation as design
-
     side_mm = design.hole_side_mm(args.focal_length_mm, args.f_number, args.holes)
-    check_results_folder(args)
+    check_results_folder(args.output)
     analysis = design.analyse_fragmentation(
         args.grid,
         args.holes,
@@ -83,7 +74,9 @@ def run(args: argparse.Namespace) -> int:
             for mask, shares in zip(analysis.masks[: args.best], analysis.preserved, strict=False)
         ],
     }
-    return write_results(args, results, _text, lambda folder: _draw(args, analysis, folder))
+    return write_results(
+        results, _text, lambda folder: _draw(args, analysis, folder), args.output, as_json=args.json
+    )
 
 
 def _rounded(values: Iterable[float], digits: int = 4) -> list[float]:
@@ -111,11 +104,18 @@ def _text(results: dict[str, Any]) -> str:
     )
 
 
-def _draw(args: argparse.Namespace, analysis: Any, folder: Path) -> None:
-    import numpy as np
-
-    from coded_aperture_ros.design.mask_figures import draw_fragmented_responses
-
+def _draw(args: Arguments, analysis: design.Fragmentation, folder: Path) -> None:
     for mask in analysis.masks[: args.best]:
         np.save(folder / f"{mask.name}.npy", mask.transmission)
     draw_fragmented_responses(analysis, _NOISE_RANGES, folder / "fragmentation.png")
+
+
+COMMAND = Command(
+    Arguments,
+    run,
+    description="Count the spatial frequencies that stay above the noise behind every way to "
+    "place square holes in a grid, over blur sizes of 7 to 25 px and 64 motions of up to 12 px "
+    "(M. Martinello, Coded Aperture Imaging, PhD thesis, 2012, section 7.4), beside a disc of "
+    "equal light. With more placements than can be tried, some are drawn and improved.",
+    examples=_EXAMPLES,
+)

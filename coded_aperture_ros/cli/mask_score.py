@@ -1,17 +1,24 @@
 """`coded_aperture mask score`: predicted depth and deblurring error of masks."""
 
-import argparse
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.measuring import tell
-from coded_aperture_ros.cli.options import add_options, config_from, settings_of
-from coded_aperture_ros.core.arguments import at_least, noise_level
+import numpy as np
+
+from coded_aperture_ros.cli.command import Command, argument, group
+from coded_aperture_ros.cli.results import print_summary
+from coded_aperture_ros.cli.rules import needs
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.core.text import table
+from coded_aperture_ros.design.scores.crops import Textures, pictures_of
+from coded_aperture_ros.design.scores.pictures import WINDOWS, PictureScorer, patch_side_px
+from coded_aperture_ros.design.scores.predict import MaskScorer
+from coded_aperture_ros.design.scores.spectra import SceneConfig
+from coded_aperture_ros.optics import MASK_NAMES, Mask, load_mask
 
-_EPILOG = """examples:
+_EXAMPLES = """examples:
   all masks with names:
     coded_aperture mask score
   two of them, at one noise, 20 blur sizes from 5 to 20 px, where things move:
@@ -22,44 +29,42 @@ _EPILOG = """examples:
 """
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the action to the sub-command's parser."""
-    parser = subparsers.add_parser(
-        "score",
-        help="predict depth and deblurring error of masks",
-        description="Predict the depth error and the deblurring error of masks, from the spectra "
-        "that they make of texture. With pictures, their sharp windows are blurred with each mask "
-        "too, and told apart as depth estimation does. Predictions are for comparing masks; bench "
-        "accuracy stair measures.",
-        epilog=_EPILOG,
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Arguments of `mask score`."""
+
+    masks: tuple[str, ...] = argument("masks (default: all with names)", (), written="NAME|FILE")
+    sigmas: tuple[float, ...] = argument(
+        "noise behind an open aperture, above 0 (default 0.001 0.005)",
+        (0.001, 0.005),
+        written="--sigmas S",
+        minimum=0,
+        maximum=0.5,
     )
-    what = "masks (default: all with names)"
-    parser.add_argument("masks", nargs="*", metavar="NAME|FILE", help=what)
-    sigmas = {"--sigmas S": "noise behind an open aperture, above 0 (default 0.001 0.005)"}
-    add_options(parser, sigmas, nargs="+", type=noise_level, default=[0.001, 0.005])
-    folder = "predict the depth error with the sharp pictures of this folder too"
-    windows = "of the pictures, in all (default 768; a quarter of a second for each mask)"
-    add_options(parser, {"--images DIR": folder})
-    add_options(parser, {"--windows N": windows}, type=at_least(1))
-    add_options(parser, {"--json": "print the scores as JSON"})
-    parser.add_late_options = settings_of(
-        {"design.scores.spectra.SceneConfig": "what the mask has to tell apart"}
+    images: Path | None = argument(
+        "predict the depth error with the sharp pictures of this folder too",
+        None,
+        written="--images DIR",
     )
+    windows: int | None = argument(
+        f"of the pictures, in all (default {WINDOWS}; a quarter of a second for each mask)",
+        None,
+        written="--windows N",
+        minimum=1,
+    )
+    json: bool = argument("print the scores as JSON", False)
+    scene: SceneConfig = group("what the mask has to tell apart", SceneConfig())
 
 
-def run(args: argparse.Namespace) -> int:
+_RULES = (needs("--windows", "--images"),)
+
+
+def run(args: Arguments) -> int:
     """Run the action; return its exit status."""
-    from coded_aperture_ros.design.scores.predict import MaskScorer
-    from coded_aperture_ros.design.scores.spectra import SceneConfig
-    from coded_aperture_ros.optics import MASK_NAMES, load_mask
-
-    if args.windows is not None and args.images is None:
-        args.usage_error("--windows: these are windows of pictures, give --images too")
     names = args.masks or list(MASK_NAMES)
     masks = [load_mask(name) for name in names]
-    scene = config_from(args, SceneConfig)
-    predicted = MaskScorer(scene, args.sigmas).score(masks)
-    with_pictures = _with_pictures(args, scene, masks)
+    predicted = MaskScorer(args.scene, args.sigmas).score(masks)
+    with_pictures = _with_pictures(args, masks)
     rows = [
         {
             "mask": name,
@@ -71,24 +76,17 @@ def run(args: argparse.Namespace) -> int:
         for index, name in enumerate(names)
     ]
     scores = {"sigmas": args.sigmas, "masks": rows}
-    return tell(args, scores, lambda _: _text(rows, args.sigmas))
+    return print_summary(scores, lambda _: _text(rows, args.sigmas), as_json=args.json)
 
 
-def _with_pictures(
-    args: argparse.Namespace, scene: Any, masks: Sequence[Any]
-) -> list[dict[str, float] | None]:
+def _with_pictures(args: Arguments, masks: Sequence[Mask]) -> list[dict[str, float] | None]:
     """Return the depth error of every mask with the pictures, at every noise, if there are any."""
-    import numpy as np
-
-    from coded_aperture_ros.design.scores.crops import Textures, pictures_of
-    from coded_aperture_ros.design.scores.pictures import WINDOWS, PictureScorer, patch_side_px
-
     if args.images is None:
         return [None] * len(masks)
-    textures = Textures.of_files("natural", pictures_of(Path(args.images)))
-    side = patch_side_px(scene)
+    textures = Textures.of_files("natural", pictures_of(args.images))
+    side = patch_side_px(args.scene)
     patches = textures.crops(args.windows or WINDOWS, side, side, np.random.default_rng(0))
-    scorer = PictureScorer(patches, scene, args.sigmas)
+    scorer = PictureScorer(patches, args.scene, args.sigmas)
     errors = [scorer.depth_error(mask) for mask in progress(masks, len(masks), "mask")]
     return [_of_noises(args.sigmas, error) for error in errors]
 
@@ -123,3 +121,15 @@ def _text(rows: Sequence[dict[str, Any]], sigmas: Sequence[float]) -> str:
         "predicted error in levels, and of deblurring as a share of the texture; less is better\n"
         + table(header, lines)
     )
+
+
+COMMAND = Command(
+    Arguments,
+    run,
+    description="Predict the depth error and the deblurring error of masks, from the spectra "
+    "that they make of texture. With pictures, their sharp windows are blurred with each mask "
+    "too, and told apart as depth estimation does. Predictions are for comparing masks; bench "
+    "accuracy stair measures.",
+    examples=_EXAMPLES,
+    rules=_RULES,
+)

@@ -1,6 +1,6 @@
 """`coded_aperture mask search`: masks with less depth and deblurring error."""
 
-import argparse
+import dataclasses
 import logging
 import multiprocessing
 from collections.abc import Callable, Iterator
@@ -10,16 +10,29 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from coded_aperture_ros.cli.checks import check_output
-from coded_aperture_ros.cli.measuring import tell
-from coded_aperture_ros.cli.options import add_jobs_option, add_options, config_from, settings_of
+from coded_aperture_ros.cli.command import Command, argument, group
+from coded_aperture_ros.cli.results import Summary, print_summary
+from coded_aperture_ros.core.arrays import BoolArray
+from coded_aperture_ros.core.cluster import dask_client
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.core.text import table
+from coded_aperture_ros.core.workers import processors
+from coded_aperture_ros.design.scores.spectra import SceneConfig
+from coded_aperture_ros.design.search.checkpoint import load_checkpoint, save_checkpoint
+from coded_aperture_ros.design.search.search import (
+    SearchConfig,
+    SearchState,
+    first_state,
+    run_epoch,
+    search_epochs,
+)
+from coded_aperture_ros.io import write_image
 
-RunAll = Callable[[list[tuple[Any, ...]]], list[Any]]
-_SHOWN = 8
-_EPILOG = """examples:
+_EXAMPLES = """examples:
   a mask of 11x11 cells, for a minute or two; it goes on where it stood if it is started again:
     coded_aperture mask search --checkpoint search.npz -o mask.png
   a short search for a mask to be cut out of cardboard, with openings of at least 2x2 cells:
@@ -28,50 +41,45 @@ _EPILOG = """examples:
   on the workers of a Dask scheduler:
     coded_aperture mask search --islands 32 --epochs 200 --scheduler tcp://host:8786 -o mask.png
 """
+RunAll = Callable[[list[tuple[Any, ...]]], list[Any]]
+_SHOWN = 8
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the action to the sub-command's parser."""
-    parser = subparsers.add_parser(
-        "search",
-        help="look for masks with less depth and deblurring error",
-        description="Look for masks of small predicted depth and deblurring error, by annealing "
-        "and mixing populations of masks. The best is written as a picture, one pixel for each "
-        "cell, which --mask and camera files take.",
-        epilog=_EPILOG,
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Arguments of `mask search`."""
+
+    output: str | None = argument(
+        "picture of the best mask to write (.png or .npy)", None, written="-o --output FILE"
     )
-    files = {
-        "-o --output FILE": "picture of the best mask to write (.png or .npy)",
-        "--checkpoint NPZ": "file that the search is saved to after every round, and goes on from",
-        "--scheduler ADDRESS": "Dask scheduler whose workers share the search, instead of "
-        "processes here",
-    }
-    add_options(parser, files)
-    add_jobs_option(parser)
-    add_options(parser, {"--json": "print the Pareto front as JSON"})
-    configs = {
-        "design.search.search.SearchConfig": "which masks, and how long",
-        "design.scores.spectra.SceneConfig": "what the mask has to tell apart",
-    }
-    parser.add_late_options = settings_of(configs)
+    checkpoint: Path | None = argument(
+        "file that the search is saved to after every round, and goes on from",
+        None,
+        written="--checkpoint NPZ",
+    )
+    scheduler: str | None = argument(
+        "Dask scheduler whose workers share the search, instead of processes here",
+        None,
+        written="--scheduler ADDRESS",
+    )
+    jobs: int = argument(
+        "processes (default: one for each processor)", processors(), written="--jobs N", minimum=1
+    )
+    json: bool = argument("print the Pareto front as JSON", False)
+    search: SearchConfig = group("which masks, and how long", SearchConfig())
+    scene: SceneConfig = group("what the mask has to tell apart", SceneConfig())
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: Arguments) -> int:
     """Run the action; return its exit status."""
-    import numpy as np
-
-    from coded_aperture_ros.design.scores.spectra import SceneConfig
-    from coded_aperture_ros.design.search.checkpoint import load_checkpoint, save_checkpoint
-    from coded_aperture_ros.design.search.search import SearchConfig, first_state, search_epochs
-    from coded_aperture_ros.io import write_image
-
-    config, scene = config_from(args, SearchConfig), config_from(args, SceneConfig)
+    config = args.search
+    scene = args.scene
     if args.output is not None:
         check_output(args.output, suffixes=(".png", ".npy"))
     state = None
     if args.checkpoint is not None:
         check_output(args.checkpoint, suffixes=[".npz"])
-        if Path(args.checkpoint).exists():
+        if args.checkpoint.exists():
             state = load_checkpoint(args.checkpoint, config, scene)
             logging.info("%s: going on after round %d", args.checkpoint, state.epoch)
     state = state or first_state(config)
@@ -84,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
                 save_checkpoint(args.checkpoint, state, config, scene)
     if args.output is not None:
         write_image(args.output, state.best.astype(np.float32))
-    return tell(args, _summary(state), _text)
+    return print_summary(_summary(state), _text, as_json=args.json)
 
 
 @contextmanager
@@ -113,19 +121,15 @@ def _dask_workers(address: str) -> Iterator[RunAll]:
     A worker that dies loses nothing: an epoch depends only on its arguments, which this process
     keeps, and the scheduler gives it to another worker.
     """
-    from coded_aperture_ros.core.cluster import dask_client
-
     with dask_client(address) as client:
         yield lambda tasks: client.gather(client.map(_run, tasks, pure=False, retries=2))
 
 
 def _run(task: tuple[Any, ...]) -> Any:
-    from coded_aperture_ros.design.search.search import run_epoch
-
     return run_epoch(*task)
 
 
-def _summary(state: Any) -> dict[str, Any]:
+def _summary(state: SearchState) -> dict[str, Any]:
     front = state.front
     rows = [
         {
@@ -140,7 +144,7 @@ def _summary(state: Any) -> dict[str, Any]:
     return {"masks_scored": state.scored, "rounds": state.epoch, "best": best, "front": rows}
 
 
-def _text(found: dict[str, Any]) -> str:
+def _text(found: Summary) -> str:
     lines = [
         [f"{row['depth_error']:.3f}", f"{row['deblurring_error']:.3f}", f"{row['light']:.2f}"]
         for row in found["front"][:: max(1, len(found["front"]) // _SHOWN)]
@@ -150,5 +154,15 @@ def _text(found: dict[str, Any]) -> str:
     return "\n".join([*found["best"], what, errors])
 
 
-def _rows(grid: Any) -> list[str]:
+def _rows(grid: BoolArray) -> list[str]:
     return ["".join("#" if cell else "." for cell in row) for row in grid]
+
+
+COMMAND = Command(
+    Arguments,
+    run,
+    description="Look for masks of small predicted depth and deblurring error, by annealing "
+    "and mixing populations of masks. The best is written as a picture, one pixel for each "
+    "cell, which --mask and camera files take.",
+    examples=_EXAMPLES,
+)

@@ -1,6 +1,5 @@
 """Results that go into a folder, as numbers and figures, and are printed."""
 
-import argparse
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -8,15 +7,16 @@ from typing import Any
 
 from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.design.page import finite
 
 RESULTS = "results.json"
 
 
-def check_results_folder(args: argparse.Namespace) -> None:
-    """Refuse, before anything is computed, an `--output` that cannot be written."""
-    if args.output is None:
+def check_results_folder(folder: Path | None) -> None:
+    """Refuse, before anything is computed, a folder that cannot be written."""
+    if folder is None:
         return
-    folder = Path(args.output)
     if folder.is_file():
         raise InputError(f"cannot write {folder}: it is a file, expected a folder")
     check_output(folder / RESULTS)
@@ -29,12 +29,14 @@ def check_results_folder(args: argparse.Namespace) -> None:
 
 
 def write_results(
-    args: argparse.Namespace,
     results: dict[str, Any],
     text: Callable[[dict[str, Any]], str],
     draw: Callable[[Path], None],
+    folder: Path | None,
+    *,
+    as_json: bool,
 ) -> int:
-    """Write results into the folder of `--output`, print them, and return the exit status.
+    """Write results into a folder, if there is one, and print them; return the exit status.
 
     Parameters
     ----------
@@ -44,17 +46,16 @@ def write_results(
         From the results to what is printed without `--json`.
     draw : callable
         Writes figures into a folder.
+    folder : Path or None
+    as_json : bool
+        Whether JSON is printed instead of text.
     """
-    from coded_aperture_ros.core.files import atomic_output
-    from coded_aperture_ros.design.page import finite
-
-    as_json = json.dumps(finite(results), indent=1, allow_nan=False)
-    if args.output is not None:
-        folder = Path(args.output)
+    written = json.dumps(finite(results), indent=1, allow_nan=False)
+    if folder is not None:
         with atomic_output(folder / RESULTS) as path:
-            path.write_text(as_json + "\n")
+            path.write_text(written + "\n")
         draw(folder)
-    print(as_json if args.json else text(results))
-    if args.output is not None and not args.json:
-        print(f"figures and {RESULTS}: {args.output}")
+    print(written if as_json else text(results))
+    if folder is not None and not as_json:
+        print(f"figures and {RESULTS}: {folder}")
     return 0
