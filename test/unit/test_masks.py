@@ -201,7 +201,7 @@ def test_score_command_says_what_pictures_cannot(tmp_path, capsys):
     assert "motion_px: the prediction from pictures knows none" in result.err
     result = call(capsys, "mask", "score", "levin", "--windows", "10")
     assert result.status == 2
-    assert "give --images too" in result.err
+    assert "--windows: needs --images too" in result.err
     result = call(capsys, "mask", "score", "levin", "--images", tmp_path / "nothing")
     assert result.status == 1
     assert "expected a folder with pictures" in result.err
