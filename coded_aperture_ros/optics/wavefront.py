@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -120,7 +121,7 @@ class Wavefront:
         """Return how many dioptres of defocus fit the rays best, away from the axis."""
         places, light = _pupil(mask, _FEWEST_RAYS)
         moved, passed = self.trace(places, 0.0, 1.0, np.array([0.0, tangent]))
-        light *= passed
+        light = light * passed
         apart = places - np.average(places, axis=1, weights=light)[:, None]
         return float(2 * np.sum(light * apart * moved) / np.sum(light * apart * apart))
 
@@ -143,27 +144,36 @@ class Wavefront:
         down, right = tangent / field if field else (0.0, 1.0)
         turn = np.array([[down, right], [-right, down]])
         p, q = turn @ places
-        h, squared = field / self.corner, p * p + q * q
+        h = field / self.corner
         passed = np.ones_like(p)
         for radius, shift in (self.rims[:2], self.rims[2:]):
             inside = radius - np.hypot(p - shift * h, q)
             passed *= np.clip(inside / _SOFT + 0.5, 0, 1)
-        along, across = np.zeros_like(p), np.zeros_like(p)
-        for coefficient, (of_field, of_radius, m) in zip(self.coefficients, TERMS, strict=True):
-            if not (scale := coefficient * h**of_field):
-                continue
-            half = (of_radius - m) // 2
-            radial, angular = squared**half, p**m
-            if half:
-                both = scale * 2 * half * squared ** (half - 1) * angular
-                along += both * p
-                across += both * q
-            if m:
-                along += scale * m * radial * p ** (m - 1)
+        along, across = self._gradient(p, q, h)
         moved = blur_size_px / 2 * np.array([p, q]) + per_dioptre_px / 4 * np.array([along, across])
         return turn.T @ moved, passed
 
+    def _gradient(
+        self, p: DoubleArray, q: DoubleArray, h: float
+    ) -> tuple[DoubleArray, DoubleArray]:
+        """Return the derivatives of W by p and by q, at points [n] of the mask and the field h."""
+        strengths: dict[tuple[int, int], float] = {}
+        for coefficient, (of_field, of_radius, m) in zip(self.coefficients, TERMS, strict=True):
+            term = (of_radius - m) // 2, m
+            strengths[term] = strengths.get(term, 0.0) + coefficient * h**of_field
+        squared = p * p + q * q
+        radial = [np.ones_like(p), squared, squared**2, squared**2 * squared]
+        angular = [radial[0], p, p**2, p**2 * p]
+        of_radius_part, of_angle_part = np.zeros_like(p), np.zeros_like(p)
+        for (half, m), strength in strengths.items():
+            if half and strength:
+                of_radius_part += 2 * half * strength * radial[half - 1] * angular[m]
+            if m and strength:
+                of_angle_part += m * strength * radial[half] * angular[m - 1]
+        return of_radius_part * p + of_angle_part, of_radius_part * q
 
+
+@lru_cache(maxsize=16)
 def _pupil(mask: Mask, rays: int) -> tuple[DoubleArray, DoubleArray]:
     """Return evenly spread points [2, n] of the mask's openings, and how much light they pass."""
     cells = mask.transmission

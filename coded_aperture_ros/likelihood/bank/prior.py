@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -62,15 +62,30 @@ def power_spectrum(
     drawn from it has unit variance. `slope` is the exponent of the power law, and `deviation` by
     how much the logarithm of the power departs from it, as a function of that of the frequency in
     cycles per pixel. The zero frequency gets the power of one cycle per image, because a power law
-    has none there.
+    has none there. Without a deviation the array is read-only.
     """
     rows, columns = shape
-    frequency = np.hypot(np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(columns))
-    frequency[0, 0] = 1 / max(shape)
-    power = frequency**-slope
-    if deviation is not None:
-        power *= np.exp(deviation(np.log(frequency)))
+    if deviation is None:
+        return _power_law(slope, rows, columns)
+    frequency = _frequency(rows, columns)
+    power = frequency**-slope * np.exp(deviation(np.log(frequency)))
     return power / np.mean(np.fft.irfft2(power, shape)[0, 0])
+
+
+# Learning asks for the same few of them thousands of times.
+@lru_cache(maxsize=16)
+def _power_law(slope: float, rows: int, columns: int) -> DoubleArray:
+    power = _frequency(rows, columns) ** -slope
+    power /= np.mean(np.fft.irfft2(power, (rows, columns))[0, 0])
+    power.flags.writeable = False
+    return power
+
+
+def _frequency(rows: int, columns: int) -> DoubleArray:
+    """Cycles per pixel, with one cycle per image in place of zero."""
+    frequency = np.hypot(np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(columns))
+    frequency[0, 0] = 1 / max(rows, columns)
+    return frequency
 
 
 def image_prior(shape: Shape) -> FloatArray:
