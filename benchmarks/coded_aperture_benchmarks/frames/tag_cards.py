@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
 from coded_aperture_ros.optics import Camera, Mask
-from coded_aperture_ros.simulation.layered.scene import LayeredScene, random_scene
+from coded_aperture_ros.simulation.layered import LayeredScene, random_scene
 from coded_aperture_ros.simulation.layered.tracing import FINENESS, Layer, prefiltered
 
 TAG, QR = "tag", "qr"
