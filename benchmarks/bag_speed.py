@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from coded_aperture_benchmarks.frames.video import CodedVideo, load_video
+from coded_aperture_benchmarks.datasets.video import CodedVideo, load_video
 
 from coded_aperture_ros.bags import bag_output
 from coded_aperture_ros.bags.codec import (

@@ -13,7 +13,7 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
-from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, bank_for
+from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene, bank_for
 from coded_aperture_benchmarks.scripts import exit_status
 
 from coded_aperture_ros.core.arguments import at_least

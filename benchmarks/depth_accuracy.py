@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, bank_for
+from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene, bank_for
 from coded_aperture_benchmarks.scripts import data_folder, data_parser, exit_status, print_rows
 
 from coded_aperture_ros.deblur import Deblurrer

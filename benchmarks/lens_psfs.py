@@ -11,7 +11,7 @@ import re
 from pathlib import Path
 
 import numpy as np
-from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene
+from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene
+from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene
 from coded_aperture_benchmarks.scripts import data_folder, data_parser, exit_status, print_rows
 from numpy.typing import NDArray
 

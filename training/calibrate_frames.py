@@ -14,8 +14,8 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-from coded_aperture_benchmarks.frames.cameras import camera_for_blur
-from coded_aperture_benchmarks.frames.room import random_room, walk
+from coded_aperture_benchmarks.datasets.cameras import camera_for_blur
+from coded_aperture_benchmarks.datasets.room import random_room, walk
 from scipy.optimize import minimize
 from tqdm import tqdm
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from coded_aperture_benchmarks.frames.misfits import MISFITS, Fitting, Recorded, recorded
+from coded_aperture_benchmarks.datasets.misfits import MISFITS, Fitting, Recorded, recorded
 from costs import with_levels
 from scenes import (
     BLUR_STEP,

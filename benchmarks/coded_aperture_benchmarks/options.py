@@ -230,7 +230,7 @@ def check_window(args: Args) -> None:
 
 def check_textures(args: Args, textures: Iterable[str]) -> None:
     """Refuse pictures that are missing before anything is measured."""
-    from coded_aperture_benchmarks.textures import load_textures
+    from coded_aperture_benchmarks.datasets.textures import load_textures
 
     for texture in textures:
         load_textures(texture, images_of(args))

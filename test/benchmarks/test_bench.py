@@ -11,11 +11,20 @@ import time
 
 import numpy as np
 import pytest
-from cli_scene import CAMERA, HEIGHT, WIDTH, call, json_of, texture
-from coded_aperture_benchmarks.frames.misfits import LIGHT, MISFITS, Fitting, recorded
-from coded_aperture_benchmarks.reference import REFERENCE_METHODS
+from cli_scene import (
+    CAMERA,
+    HEIGHT,
+    WIDTH,
+    call,
+    call_benchmarks,
+    json_of,
+    json_of_benchmarks,
+    texture,
+)
+from coded_aperture_benchmarks.datasets.misfits import LIGHT, MISFITS, Fitting, recorded
 from coded_aperture_benchmarks.suites import pictures
-from coded_aperture_benchmarks.suites.stair import lost_cells
+from coded_aperture_benchmarks.thesis.reference import REFERENCE_METHODS
+from coded_aperture_benchmarks.thesis.suites.stair import lost_cells
 from waiting import output_of, run_program, run_python, wait_until
 
 from coded_aperture_ros.cli import extension
@@ -80,7 +89,7 @@ def test_other_processes_measure_the_same(capsys):
 
 def test_the_table_names_the_cells_of_the_thesis(capsys, monkeypatch):
     """Masks down, noise across, our number beside that of the same cell; nothing is computed."""
-    from coded_aperture_benchmarks import identification
+    from coded_aperture_benchmarks.methods import identification
 
     monkeypatch.setattr(identification, "identify", guess_zero)
     result = call(
@@ -99,7 +108,7 @@ def test_the_table_names_the_cells_of_the_thesis(capsys, monkeypatch):
 
 
 def guess_zero(method, coded, noise, setting):
-    from coded_aperture_benchmarks.identification import Identified
+    from coded_aperture_benchmarks.methods.identification import Identified
 
     return Identified(np.zeros(coded.shape), None, None, 0.5)
 
@@ -214,8 +223,8 @@ def test_every_kind_of_misfit_changes_what_is_recorded(kind):
 
 
 def test_trust_is_measured(capsys, folder):
-    arguments = ("bench", "trust", folder, "--kinds", "enlarged", "shrunk", "less light")
-    result = call(capsys, *arguments, "--json")
+    arguments = ("trust", folder, "--kinds", "enlarged", "shrunk", "less light")
+    result = call_benchmarks(capsys, *arguments, "--json")
     assert (result.status, result.err) == (0, "")
     results = json.loads(result.out)
     rows = {(row["kind"], row["strength"]): row for row in results["rows"]}
@@ -226,22 +235,22 @@ def test_trust_is_measured(capsys, folder):
     assert rows["enlarged", 1.0]["health"] < 0.5
     wrong = [row["wrong"] for row in results["rows"] if row["kind"] == "enlarged"]
     assert results["wrong"] == pytest.approx(np.mean(wrong))
-    text = call(capsys, *arguments).out
+    text = call_benchmarks(capsys, *arguments).out
     assert "of 5 cells that leave a trace" in text
-    assert call(capsys, "bench", "trust", folder, "--kinds", "magic").status == 2
+    assert call_benchmarks(capsys, "trust", folder, "--kinds", "magic").status == 2
 
 
 def test_what_fits_is_said_to_fit(capsys, folder):
-    arguments = ("bench", "fitting", folder)
-    results = json_of(capsys, *arguments)
+    arguments = ("fitting", folder)
+    results = json_of_benchmarks(capsys, *arguments)
     assert (results["fitting"], results["changing"]) == (5, 0)
     alarms = [row for row in results["rows"] if row["health"] < 0.5]
     assert results["said_to_fit"] == pytest.approx(1 - len(alarms) / 5)
     assert results["rows"][0]["health"] > 0.5
     assert results["rows"][0]["error"] < 0.05
     assert all(row["coverage"] <= row["coverage_unchecked"] for row in results["rows"])
-    assert "of 5 frames that fit" in call(capsys, *arguments).out
-    assert "use levin" in call(capsys, "bench", "fitting", folder, "--masks", "zhou").err
+    assert "of 5 frames that fit" in call_benchmarks(capsys, *arguments).out
+    assert "use levin" in call_benchmarks(capsys, "fitting", folder, "--masks", "zhou").err
 
 
 def test_pictures_are_seen_by_many_cameras(capsys, tmp_path):
@@ -261,8 +270,8 @@ def test_a_camera_gets_its_data_sheet(capsys, tmp_path):
         "focal_length_px: 300\nfocus_distance_m: 1.0\nimage_width: 160\nimage_height: 120\n"
         "side: far\nmask: {name: levin}\nmask_extent_mm: 60\n"
     )
-    arguments = ("bench", "datasheet", "--camera", path, "--pictures", 1, "--depth-range")
-    sheet = json_of(capsys, *arguments, 1.5, 3.0)
+    arguments = ("datasheet", "--camera", path, "--pictures", 1, "--depth-range")
+    sheet = json_of_benchmarks(capsys, *arguments, 1.5, 3.0)
     across, down = sheet["field_of_view_deg"]
     assert across == pytest.approx(2 * np.degrees(np.arctan(80 / 300)), abs=0.1)
     assert down == pytest.approx(2 * np.degrees(np.arctan(60 / 300)), abs=0.1)
@@ -271,8 +280,8 @@ def test_a_camera_gets_its_data_sheet(capsys, tmp_path):
     inner = sheet["rows"][2:6]
     assert all(row["fill"] > 0.5 and abs(row["bias"]) < 0.1 for row in inner)
     assert all(0 < row["temporal"] < row["rms"] for row in inner)
-    assert "fill rate" in call(capsys, *arguments, 1.5, 3.0).out
-    assert call(capsys, *arguments, 3.0, 1.5).status == 2
+    assert "fill rate" in call_benchmarks(capsys, *arguments, 1.5, 3.0).out
+    assert call_benchmarks(capsys, *arguments, 3.0, 1.5).status == 2
 
 
 def test_a_lens_is_measured_with_planes(capsys, folder, tmp_path):
@@ -284,13 +293,13 @@ def test_a_lens_is_measured_with_planes(capsys, folder, tmp_path):
         write_image(tmp_path / f"{seed}.png", render_coded_frame(texture(seed=seed), flat, bent))
         listed.append({"file": f"{seed}.png", "depth_m": depth_m})
     (tmp_path / "planes.json").write_text(json.dumps(listed))
-    arguments = ("bench", "lens", folder, "--planes", tmp_path, "--levels", 12)
-    without, with_ = json_of(capsys, *arguments)["cells"]
+    arguments = ("lens", folder, "--planes", tmp_path, "--levels", 12)
+    without, with_ = json_of_benchmarks(capsys, *arguments)["cells"]
     assert (without["field_curvature"], with_["field_curvature"]) == (False, True)
     assert without["all"] < 0.05  # this scene has none
     assert with_["outer"] > without["outer"]
-    assert "by thirds of the radius" in call(capsys, *arguments).out
-    assert call(capsys, "bench", "lens", folder).status == 2
+    assert "by thirds of the radius" in call_benchmarks(capsys, *arguments).out
+    assert call_benchmarks(capsys, "lens", folder).status == 2
 
 
 def test_depth_of_a_scene_is_scored(capsys, folder):
@@ -369,7 +378,7 @@ def test_rods_of_random_scenes_are_counted(capsys):
 
 def test_rods_count_where_what_is_behind_is_clearly_farther():
     pytest.importorskip("numba", reason="random scenes need numba")
-    from coded_aperture_benchmarks.frames.random_scenes import RandomScene
+    from coded_aperture_benchmarks.datasets.random_scenes import RandomScene
 
     from coded_aperture_ros.simulation.layered import LayeredScene, rod_scene
 
@@ -390,8 +399,8 @@ def test_rods_count_where_what_is_behind_is_clearly_farther():
 
 
 def test_known_rods_are_found_if_half_of_their_pixels_are_right():
-    from coded_aperture_benchmarks.dense import score_rods
-    from coded_aperture_benchmarks.frames.ray_traced import Rods
+    from coded_aperture_benchmarks.datasets.ray_traced import Rods
+    from coded_aperture_benchmarks.metrics.dense import score_rods
 
     labels = np.repeat(np.int32([[1, 2, 3, 0]]), 4, axis=0)
     errors = np.full((4, 4), 0.5)
@@ -456,7 +465,7 @@ def test_bad_input_is_one_line(capsys, tmp_path, monkeypatch, arguments, hint):
 def test_results_that_cannot_be_written_are_not_computed(capsys, tmp_path, monkeypatch):
     from coded_aperture_benchmarks import run
 
-    monkeypatch.setattr(run, "measure_cells", pytest.fail)
+    monkeypatch.setattr(run, "map_in_processes", pytest.fail)
     (tmp_path / "file").touch()
     result = call(capsys, *STAIR, "--output", tmp_path / "file")
     assert (result.status, result.out) == (1, "")
@@ -521,7 +530,7 @@ def test_planes_are_found_if_they_are_of_the_same_camera(tmp_path, folder):
     assert planes_of(folder, "levin") == []
 
 
-@pytest.mark.parametrize("words", [(), ("accuracy",), ("motion",), ("blind",)])
+@pytest.mark.parametrize("words", [(), ("accuracy",), ("speed",)])
 def test_bench_hands_on_everything_after_its_name(capsys, words):
     """Even where that begins with an option, which the program itself has too."""
     result = call(capsys, "bench", *words, "--help")
@@ -529,6 +538,22 @@ def test_bench_hands_on_everything_after_its_name(capsys, words):
     assert result.out.startswith(" ".join(("usage: coded_aperture bench", *words)))
     refused = call(capsys, "bench", *words, "--version")
     assert (refused.status, refused.out) == (2, "")
+
+
+def test_bench_names_the_program_of_other_benchmarks(capsys):
+    result = call(capsys, "bench", "blind", "--masks", "levin")
+    assert (result.status, result.out, result.err.count("\n")) == (1, "", 1)
+    assert "use 'python -m coded_aperture_benchmarks blind'" in result.err
+    refused = call(capsys, "bench", "no-such-benchmark")
+    assert refused.status == 2 and "no-such-benchmark" in refused.err
+
+
+@pytest.mark.parametrize("words", [(), ("motion",), ("blind",)])
+def test_every_benchmark_has_a_program_of_its_own(capsys, words):
+    result = call_benchmarks(capsys, *words, "--help")
+    assert (result.status, result.err) == (0, "")
+    assert result.out.startswith(" ".join(("usage: python -m coded_aperture_benchmarks", *words)))
+    assert call_benchmarks(capsys, *words, "--nothing").status == 2
 
 
 def test_benchmarks_that_are_not_there_are_one_line(capsys, tmp_path, monkeypatch):

@@ -7,24 +7,24 @@ import cv2
 import numpy as np
 import pytest
 from cli_scene import CAMERA, call, json_of, texture
-from coded_aperture_benchmarks.deblurring import ahead, ahead_text, own_methods
-from coded_aperture_benchmarks.frames.random_scenes import RandomScene
-from coded_aperture_benchmarks.frames.ray_traced import bank_for
-from coded_aperture_benchmarks.frames.stair import make_stair
-from coded_aperture_benchmarks.reference.deblurring import (
-    PLANE_METHODS,
-    best_strength,
-    deblur_by_planes,
-)
-from coded_aperture_benchmarks.reference.thesis_tables import thesis_deblurring_error
-from coded_aperture_benchmarks.restoration import (
+from coded_aperture_benchmarks.datasets.random_scenes import RandomScene
+from coded_aperture_benchmarks.datasets.ray_traced import bank_for
+from coded_aperture_benchmarks.datasets.textures import load_textures
+from coded_aperture_benchmarks.methods.deblurring import ahead, ahead_text, own_methods
+from coded_aperture_benchmarks.metrics.restoration import (
     deblurring_error,
     noise_of,
     overshoot,
     picture_score,
     residual_rms,
 )
-from coded_aperture_benchmarks.textures import load_textures
+from coded_aperture_benchmarks.thesis.reference.deblurring import (
+    PLANE_METHODS,
+    best_strength,
+    deblur_by_planes,
+)
+from coded_aperture_benchmarks.thesis.stair import make_stair
+from coded_aperture_benchmarks.thesis.tables import thesis_deblurring_error
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
@@ -227,7 +227,7 @@ def test_a_stair_is_deblurred_by_both_depths(capsys, tmp_path):
 
 
 def test_the_table_shows_the_cell_of_the_thesis():
-    from coded_aperture_benchmarks.suites.deblur_stair import tables_of
+    from coded_aperture_benchmarks.thesis.suites.deblur_stair import tables_of
 
     def row(mask, sigma, depth, error, thesis):
         return {

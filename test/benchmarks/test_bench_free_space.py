@@ -1,7 +1,7 @@
-"""`coded_aperture bench free-space`: a few frames, and what is counted."""
+"""`python -m coded_aperture_benchmarks free-space`: a few frames, and what is counted."""
 
 import pytest
-from cli_scene import json_of
+from cli_scene import json_of_benchmarks
 from coded_aperture_benchmarks.suites import free_space
 
 pytest.importorskip("numba", reason="random scenes need numba")
@@ -9,8 +9,8 @@ pytest.importorskip("numba", reason="random scenes need numba")
 
 def test_a_few_random_frames(capsys, tmp_path):
     pytest.importorskip("matplotlib")
-    arguments = ("bench", "free-space", "--frames", 1, "--risks", 0.01, 0.001, "--jobs", 1)
-    results = json_of(capsys, *arguments, "--output", tmp_path)
+    arguments = ("free-space", "--frames", 1, "--risks", 0.01, 0.001, "--jobs", 1)
+    results = json_of_benchmarks(capsys, *arguments, "--output", tmp_path)
     assert [(row["of"], row["risk"]) for row in results["by_kind"]] == [
         (kind, risk) for kind in free_space.KINDS for risk in (0.01, 0.001)
     ]

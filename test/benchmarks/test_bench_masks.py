@@ -5,8 +5,8 @@ import re
 
 import numpy as np
 import pytest
-from cli_scene import call, picture_folder
-from coded_aperture_benchmarks.frames.random_masks import patches_of_columns
+from cli_scene import call_benchmarks, picture_folder
+from coded_aperture_benchmarks.datasets.random_masks import patches_of_columns
 
 from coded_aperture_ros.design.scores.crops import Textures
 
@@ -24,7 +24,7 @@ def test_patches_of_columns_have_seams():
 
 def test_benchmark_command(capsys):
     small = ["--levels", "5", "--side", "48", "--window", "48", "--rank", "32", "--repeats", "1"]
-    result = call(capsys, "bench", "masks", "--count", "3", *small, "--jobs", "1", "--json")
+    result = call_benchmarks(capsys, "masks", "--count", "3", *small, "--jobs", "1", "--json")
     results = json.loads(result.out)
     assert len(results["masks"]) == 3
     assert set(results["rank_correlation"]) == {"0.001", "0.005"}
@@ -37,8 +37,8 @@ def test_benchmark_command_with_pictures_of_a_folder(tmp_path, capsys):
     folder = picture_folder(tmp_path)
     small = ["--levels", "5", "--side", "48", "--window", "48", "--rank", "32", "--repeats", "1"]
     small += ["--count", "3", "--windows", "40", "--sigmas", "0.005", "--jobs", "1"]
-    of_folder = call(capsys, "bench", "masks", *small, "--images", folder, "--json")
-    built_in = call(capsys, "bench", "masks", *small)
+    of_folder = call_benchmarks(capsys, "masks", *small, "--images", folder, "--json")
+    built_in = call_benchmarks(capsys, "masks", *small)
     results = json.loads(of_folder.out)
     assert (results["images"], results["windows"]) == (str(folder), 40)
     first = results["masks"][0]

@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 import pytest
 from cli_scene import call
-from coded_aperture_benchmarks.frames.stair import blur_stack
 from coded_aperture_benchmarks.speed import accuracy, baselines, frames, machine, thread_counts
 from coded_aperture_benchmarks.speed.ratios import ratio
 from coded_aperture_benchmarks.speed.setting import Setting, published_size
 from coded_aperture_benchmarks.speed.work import fitted_slope
 from coded_aperture_benchmarks.suites import speed as bench_speed
 from coded_aperture_benchmarks.suites.speed import _text
+from coded_aperture_benchmarks.thesis.stair import blur_stack
 
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.io import read_image

@@ -1,7 +1,7 @@
-"""`coded_aperture bench second` and `bench focus`: a few frames, and what is counted."""
+"""Two surfaces, and two focus settings: a few frames, and what is counted."""
 
 import pytest
-from cli_scene import json_of
+from cli_scene import json_of_benchmarks
 from coded_aperture_benchmarks.suites import focus, second
 
 pytest.importorskip("numba", reason="random scenes need numba")
@@ -9,8 +9,8 @@ pytest.importorskip("numba", reason="random scenes need numba")
 
 def test_a_few_fences(capsys, tmp_path):
     pytest.importorskip("matplotlib")
-    arguments = ("bench", "second", "--frames", 1, "--jobs", 1, "--output", tmp_path)
-    results = json_of(capsys, *arguments)
+    arguments = ("second", "--frames", 1, "--jobs", 1, "--output", tmp_path)
+    results = json_of_benchmarks(capsys, *arguments)
     by_kind = {row["of"]: row for row in results["by_kind"]}
     assert tuple(by_kind) == second.KINDS
     plain = by_kind[second.PLAIN]
@@ -23,8 +23,8 @@ def test_a_few_fences(capsys, tmp_path):
 
 def test_a_few_pairs(capsys, tmp_path):
     pytest.importorskip("matplotlib")
-    arguments = ("bench", "focus", "--scenes", 1, "--masks", "levin", "--output", tmp_path)
-    results = json_of(capsys, *arguments)
+    arguments = ("focus", "--scenes", 1, "--masks", "levin", "--output", tmp_path)
+    results = json_of_benchmarks(capsys, *arguments)
     pooled = {(row["setting"], row["given"]): row for row in results["pooled"]}
     assert len(pooled) == 3 * len(focus.SETTINGS)
     for setting in ("within", "both within"):

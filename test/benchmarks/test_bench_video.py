@@ -5,8 +5,8 @@ import json
 import cv2
 import numpy as np
 import pytest
-from cli_scene import call, texture
-from coded_aperture_benchmarks.frames.video import (
+from cli_scene import call, call_benchmarks, texture
+from coded_aperture_benchmarks.datasets.video import (
     CodedVideo,
     check_rgbd_video,
     check_video,
@@ -14,7 +14,7 @@ from coded_aperture_benchmarks.frames.video import (
     moving_pixels,
     score_video,
 )
-from coded_aperture_benchmarks.frames.walks import of_video
+from coded_aperture_benchmarks.datasets.walks import of_video
 from coded_aperture_benchmarks.suites.video import ratios, tables_of, ways
 
 from coded_aperture_ros.core.errors import InputError
@@ -471,7 +471,7 @@ def test_real_videos_are_read(data_dir):
 
 
 def test_light_that_changes_in_a_video_is_measured(capsys, ray_traced, rgbd):
-    result = call(capsys, "bench", "fitting", ray_traced, rgbd, "--json")
+    result = call_benchmarks(capsys, "fitting", ray_traced, rgbd, "--json")
     assert (result.status, result.err) == (0, "")
     results = json.loads(result.out)
     assert results["fitting"] == 2 * LENGTH

@@ -1,9 +1,9 @@
-"""`coded_aperture bench views`: true views, other focuses, and one tiny scene."""
+"""`python -m coded_aperture_benchmarks views`: true views, other focuses, and one tiny scene."""
 
 import cv2
 import numpy as np
 import pytest
-from cli_scene import call, json_of, wrong_usage
+from cli_scene import call_benchmarks, json_of_benchmarks
 from coded_aperture_benchmarks.suites import views
 
 from coded_aperture_ros.metrics import psnr_db
@@ -50,8 +50,8 @@ def test_opposite_openings():
 
 def test_one_tiny_scene(capsys, tmp_path):
     pytest.importorskip("matplotlib")
-    arguments = ("bench", "views", "--scenes", 1, "--first-scene", 1, "--size", "96x80")
-    results = json_of(capsys, *arguments, "--jobs", 1, "--output", tmp_path)
+    arguments = ("views", "--scenes", 1, "--first-scene", 1, "--size", "96x80")
+    results = json_of_benchmarks(capsys, *arguments, "--jobs", 1, "--output", tmp_path)
     rows = {row["given"]: row for row in results["rows"]}
     assert list(rows) == [
         "true",
@@ -94,6 +94,8 @@ def test_the_worst_scene_comes_first():
     assert [line.split()[0] for line in lines[3:6]] == ["1", "0", "2"]
 
 
-def test_wrong_options_are_refused(capsys):
-    wrong_usage(call(capsys, "bench", "views", "--mask", "levins"), "bench views", "'levins'")
-    wrong_usage(call(capsys, "bench", "views", "--side", "left"), "bench views", "--side")
+@pytest.mark.parametrize(("option", "value"), [("--mask", "levins"), ("--side", "left")])
+def test_wrong_options_are_refused(capsys, option, value):
+    refused = call_benchmarks(capsys, "views", option, value)
+    assert (refused.status, refused.out) == (2, "")
+    assert option in refused.err and value in refused.err

@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 import scipy.fft
 import scipy.signal
-from coded_aperture_benchmarks.reference import REFERENCE_METHODS, HypothesisPlanes, deconvolve
+from coded_aperture_benchmarks.thesis.reference import (
+    REFERENCE_METHODS,
+    HypothesisPlanes,
+    deconvolve,
+)
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood.bank import power_spectrum

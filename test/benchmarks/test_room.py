@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from coded_aperture_benchmarks.frames.room import Board, Room, random_room, walk
-from coded_aperture_benchmarks.trajectories import tracked, write_tum
+from coded_aperture_benchmarks.datasets.room import Board, Room, random_room, walk
+from coded_aperture_benchmarks.metrics.trajectories import tracked, write_tum
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack

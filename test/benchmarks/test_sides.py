@@ -6,9 +6,9 @@ import json
 import numpy as np
 import pytest
 import yaml
-from cli_scene import call
-from coded_aperture_benchmarks.frames.sides import SideEstimates, SideFrame, SideScore
-from coded_aperture_benchmarks.textures import load_textures
+from cli_scene import call, call_benchmarks
+from coded_aperture_benchmarks.datasets.sides import SideEstimates, SideFrame, SideScore
+from coded_aperture_benchmarks.datasets.textures import load_textures
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
@@ -300,14 +300,14 @@ def test_the_program_works_by_the_camera_file_alone(tmp_path, capsys, caplog, pi
 
 @pytest.mark.slow
 def test_the_benchmark_tells_masks_apart(capsys):
-    arguments = ("bench", "sign", "--masks", "zhou", "disc", "--planes", 4, "--levels", 15)
-    result = call(capsys, *arguments, "--jobs", 1, "--json")
+    arguments = ("sign", "--masks", "zhou", "disc", "--planes", 4, "--levels", 15)
+    result = call_benchmarks(capsys, *arguments, "--jobs", 1, "--json")
     assert result.status == 0
     zhou, disc = json.loads(result.out)["cells"]
     assert zhou["right"] > 0.9 and zhou["confident_right"] > 0.95
     assert zhou["level_error"] < 1.5 * zhou["told_level_error"] + 0.5
     assert disc["confident"] == 0 and disc["confident_right"] is None
-    assert "oracle" in call(capsys, *arguments[:-3], 2, "--levels", 9, "--jobs", 1).out
+    assert "oracle" in call_benchmarks(capsys, *arguments[:-3], 2, "--levels", 9, "--jobs", 1).out
 
 
 def test_a_wrong_side_is_scored_as_one(camera):

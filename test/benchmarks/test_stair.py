@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
-from coded_aperture_benchmarks import textures as module
-from coded_aperture_benchmarks.frames.stair import (
+from coded_aperture_benchmarks.datasets import textures as module
+from coded_aperture_benchmarks.datasets.textures import load_textures, training_textures
+from coded_aperture_benchmarks.thesis.reference.subspace_distances import LETTER_OF_MASK
+from coded_aperture_benchmarks.thesis.stair import (
     blur_stack,
     level_error,
     make_stair,
     noise_behind,
     spread_per_step,
 )
-from coded_aperture_benchmarks.reference.subspace_distances import LETTER_OF_MASK
-from coded_aperture_benchmarks.reference.thesis_tables import LETTERS, METHODS, thesis_error
-from coded_aperture_benchmarks.textures import load_textures, training_textures
+from coded_aperture_benchmarks.thesis.tables import LETTERS, METHODS, thesis_error
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from coded_aperture_benchmarks.reference.subspace import learn_subspace_bank
+from coded_aperture_benchmarks.thesis.reference.subspace import learn_subspace_bank
 from scipy.signal import fftconvolve
 from textures import blurred_texture
 

@@ -1,4 +1,4 @@
-"""`coded_aperture bench tags`: cards, what is read of them, and over what range."""
+"""`python -m coded_aperture_benchmarks tags`: cards, what is read of them, and over what range."""
 
 import dataclasses
 import sys
@@ -6,9 +6,9 @@ import sys
 import cv2
 import numpy as np
 import pytest
-from cli_scene import call, json_of
-from coded_aperture_benchmarks.codes import Code, CodeReader, code_of, distance_error
-from coded_aperture_benchmarks.frames.tag_cards import QR, TAG, Card, card_scene, modules_of
+from cli_scene import call_benchmarks, json_of_benchmarks
+from coded_aperture_benchmarks.datasets.tag_cards import QR, TAG, Card, card_scene, modules_of
+from coded_aperture_benchmarks.metrics.codes import Code, CodeReader, code_of, distance_error
 from coded_aperture_benchmarks.suites import tags
 
 from coded_aperture_ros.core.errors import InputError
@@ -136,8 +136,8 @@ def test_the_range_is_the_longest_run_of_parts():
 
 def test_codes_are_read_from_every_frame(capsys, reader, tmp_path):
     pytest.importorskip("matplotlib")
-    arguments = ("bench", "tags", "--scenes", 1, "--jobs", 1, "--electrons", 9000)
-    results = json_of(capsys, *arguments, "--output", tmp_path)
+    arguments = ("tags", "--scenes", 1, "--jobs", 1, "--electrons", 9000)
+    results = json_of_benchmarks(capsys, *arguments, "--output", tmp_path)
     rows = {row["given"]: row for row in results["rows"]}
     assert results["cards"] == 12
     assert rows["sharp"]["read"] == rows["ordinary 1"]["read"] == 1
@@ -161,7 +161,7 @@ def test_codes_are_read_from_every_frame(capsys, reader, tmp_path):
 
 def test_libraries_that_are_missing_are_one_line(capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "zxingcpp", None)
-    result = call(capsys, "bench", "tags")
+    result = call_benchmarks(capsys, "tags")
     assert (result.status, result.out, result.err.count("\n")) == (1, "", 1)
     assert "pip install zxing-cpp" in result.err
     monkeypatch.delattr(cv2.aruco, "ArucoDetector")
@@ -181,14 +181,14 @@ def test_libraries_that_are_missing_are_one_line(capsys, monkeypatch):
     ],
 )
 def test_wrong_usage_is_refused_with_a_hint(capsys, arguments, hint):
-    result = call(capsys, "bench", "tags", *arguments)
+    result = call_benchmarks(capsys, "tags", *arguments)
     assert (result.status, result.out) == (2, "")
     assert hint in result.err
 
 
 @pytest.mark.slow
 def test_focused_in_the_middle_all_is_read(capsys, reader):
-    arguments = ("bench", "tags", "--scenes", 1, "--jobs", 1, "--electrons", 9000)
-    results = json_of(capsys, *arguments, "--focus", "middle")
+    arguments = ("tags", "--scenes", 1, "--jobs", 1, "--electrons", 9000)
+    results = json_of_benchmarks(capsys, *arguments, "--focus", "middle")
     assert results["focus"] == "middle"
     assert results["goal"][0]["ratio"] == 1

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from coded_aperture_benchmarks.frames.two_plane import (
+from coded_aperture_benchmarks.datasets.textures import load_textures
+from coded_aperture_benchmarks.datasets.two_plane import (
     composite,
     make_two_planes,
     reach_px,
     two_plane_error,
 )
-from coded_aperture_benchmarks.textures import load_textures
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import fftconvolve

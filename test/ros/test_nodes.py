@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from coded_aperture_benchmarks.textures import load_textures
+from coded_aperture_benchmarks.datasets.textures import load_textures
 from diagnostic_msgs.msg import DiagnosticArray
 from node_chains import DEPTH_OUTPUTS, FREE_SPACE, SECOND, Chain, DeblurChain, mono8, stamped, wall
 from rcl_interfaces.msg import Parameter as ParameterMessage

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import yaml
-from cli_scene import call
+from cli_scene import call_benchmarks
 from sensor_msgs.msg import Image
 from small_camera import CAMERA, DEPTH_M, FAR_M, NEAR_M, coded_wall
 from std_msgs.msg import Header
@@ -66,8 +66,8 @@ def test_what_cannot_be_is_one_clear_line(ros, tmp_path, mask, changes, said):
 
 @pytest.mark.slow
 def test_benchmark_of_speed(capsys):
-    arguments = ("bench", "simple-speed", "--size", "160x128", "--frames", 1, "--threads", 1)
-    result = call(capsys, *arguments, "--levels", 6, "--json")
+    arguments = ("simple-speed", "--size", "160x128", "--frames", 1, "--threads", 1)
+    result = call_benchmarks(capsys, *arguments, "--levels", 6, "--json")
     assert result.status == 0, result.err
     found = json.loads(result.out)
     assert [row["regularize"] for row in found["regularize"]] == ["none", "semiglobal", "graphcut"]
@@ -76,4 +76,4 @@ def test_benchmark_of_speed(capsys):
     products = {row["window_px"]: row["products"] for row in found["window"]}
     assert len(set(products.values())) == 1
     assert len(products) > 2
-    assert "levin" in call(capsys, *arguments, "--mask", "levin").err
+    assert "levin" in call_benchmarks(capsys, *arguments, "--mask", "levin").err

@@ -34,11 +34,11 @@ class Result:
     err: str
 
 
-def call(capsys, *arguments):
+def call(capsys, *arguments, program=main):
     """Call the program in this process."""
     capsys.readouterr()
     try:
-        status = main([str(argument) for argument in arguments])
+        status = program([str(argument) for argument in arguments])
     except SystemExit as error:
         status = error.code
     return Result(status, *capsys.readouterr())
@@ -50,9 +50,23 @@ def parsed(*words):
     return command.prepare(program, rest).args[0]
 
 
-def json_of(capsys, *arguments):
+def call_benchmarks(capsys, *arguments):
+    """Call the benchmarks' own program in this process."""
+    from coded_aperture_benchmarks.__main__ import main_of_all
+
+    return call(capsys, *arguments, program=main_of_all)
+
+
+def json_of_benchmarks(capsys, *arguments):
+    """Call the benchmarks' own program, and return the JSON that it prints."""
+    from coded_aperture_benchmarks.__main__ import main_of_all
+
+    return json_of(capsys, *arguments, program=main_of_all)
+
+
+def json_of(capsys, *arguments, program=main):
     """Call the program, and return the JSON that it prints."""
-    result = call(capsys, *arguments, "--json")
+    result = call(capsys, *arguments, "--json", program=program)
     assert (result.status, result.err) == (0, "")
     return json.loads(result.out)
 

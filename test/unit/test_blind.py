@@ -6,13 +6,13 @@ import json
 import numpy as np
 import pytest
 from blind_scene import CONFIG, MASK, SIZES_PX, names, plane, planes
-from cli_scene import call, examples, wrong_usage
-from coded_aperture_benchmarks.frames.blind_planes import (
+from cli_scene import call, call_benchmarks, examples, wrong_usage
+from coded_aperture_benchmarks.datasets.blind_planes import (
     deblurring_loss,
     make_blind_planes,
     mask_correlation,
 )
-from coded_aperture_benchmarks.textures import load_textures
+from coded_aperture_benchmarks.datasets.textures import load_textures
 
 from coded_aperture_ros.calibration.blind.config import BlindConfig
 from coded_aperture_ros.calibration.blind.find import BlindMask, find_mask
@@ -312,8 +312,8 @@ def test_bench_blind_compares_with_the_truth(tmp_path, capsys, monkeypatch, know
             np.diff(make_blind_planes(MASK, Textures("random", ()), 0, seed, 4).blur_sizes_px) > 0
         )
     )
-    given = ("bench", "blind", "--masks", "levin", "--seed", seed, *size, "--output", "out")
-    result = call(capsys, *given, "--json")
+    given = ("blind", "--masks", "levin", "--seed", seed, *size, "--output", "out")
+    result = call_benchmarks(capsys, *given, "--json")
     assert (result.status, result.err) == (0, "")
     (row,) = json.loads(result.out)["masks"]
     assert (row["correlation"], row["cells"], row["largest_size_error"]) == (1, [11, 11], 0)
@@ -321,9 +321,9 @@ def test_bench_blind_compares_with_the_truth(tmp_path, capsys, monkeypatch, know
         assert row[method]["largest_loss_db"] == pytest.approx(0, abs=0.01)
         assert row[method]["true_db"] > 15
     assert (tmp_path / "out" / f"levin_{seed}.png").is_file()
-    table = call(capsys, *given).out
+    table = call_benchmarks(capsys, *given).out
     assert "1.000  11x11" in table
     refuse = "coded_aperture_ros.calibration.blind.find.find_mask"
     monkeypatch.setattr(refuse, lambda *_: (_ for _ in ()).throw(InputError("no mask")))
-    result = call(capsys, *given)
+    result = call_benchmarks(capsys, *given)
     assert (result.status, f"levin {seed}: no mask" in result.out) == (0, True)

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from coded_aperture_benchmarks.dense import score
 from coded_aperture_benchmarks.metrics.deltas import delta_shares
+from coded_aperture_benchmarks.metrics.dense import score
 from coded_aperture_benchmarks.metrics.edges import BoundaryMatch, occluding_contour
 from coded_aperture_benchmarks.metrics.sparsification import Sparsification
 from coded_aperture_benchmarks.metrics.thin import pieces_found, thin_pieces

@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from cli_scene import call, picture_folder
-from coded_aperture_benchmarks.reference.subspace_distances import subspace_distances
+from cli_scene import call, call_benchmarks, picture_folder
+from coded_aperture_benchmarks.thesis.reference.subspace_distances import subspace_distances
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design.scores.predict import MaskScorer, smallest_openings
@@ -161,7 +161,7 @@ def test_score_command(capsys):
 def test_subspaces_beside_those_of_the_thesis(tmp_path, capsys):
     pytest.importorskip("matplotlib")
     arguments = ("--masks", "levin", "disc", "--levels", "8", "--output", tmp_path, "--json")
-    rows = json.loads(call(capsys, "bench", "subspaces", *arguments).out)["masks"]
+    rows = json.loads(call_benchmarks(capsys, "subspaces", *arguments).out)["masks"]
     assert [row["thesis_l1"] for row in rows] == [5.63, None]
     assert rows[0]["l1"] < rows[1]["l1"]
     assert (tmp_path / "distances.png").stat().st_size > 1000

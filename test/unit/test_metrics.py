@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, load_sharp
+from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene, load_sharp
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.metrics.errors import depth_error, psnr_db

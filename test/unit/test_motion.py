@@ -135,7 +135,7 @@ def test_defocus_and_motion_are_identified_together(bank, level, motion):
 
 
 def test_depth_of_what_moves_in_front_of_a_scene():
-    scenes = pytest.importorskip("coded_aperture_benchmarks.frames.moving_scenes")
+    scenes = pytest.importorskip("coded_aperture_benchmarks.datasets.moving_scenes")
     pytest.importorskip("skimage")
     (scene,) = scenes.make_moving_scenes(MASK, 0.001, which=[1])
     camera = scenes.scene_camera(MASK)

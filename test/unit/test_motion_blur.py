@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from cli_scene import CAMERA, HEIGHT, WIDTH, call, camera_file, texture
-from coded_aperture_benchmarks.frames.moving_frame import MovingObject, render_moving_frame
+from cli_scene import CAMERA, HEIGHT, WIDTH, call, call_benchmarks, camera_file, texture
+from coded_aperture_benchmarks.datasets.moving_frame import MovingObject, render_moving_frame
 from deblur_scene import assert_adjoint
 from scipy.signal import fftconvolve
 
@@ -295,8 +295,8 @@ def test_the_program_finds_masks_for_motion(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_the_table_of_the_thesis(capsys):
-    arguments = ("bench", "motion", "table", "--cases", "random,0", "--masks", "A", "--jobs", 1)
-    result = call(capsys, *arguments, "--json")
+    arguments = ("motion", "table", "--cases", "random,0", "--masks", "A", "--jobs", 1)
+    result = call_benchmarks(capsys, *arguments, "--json")
     (cell,) = json.loads(result.out)["cells"]
     assert cell["defocus"]["thesis"] == [0.41, 0.808]
     assert cell["defocus"]["accuracy"] > 0.95
@@ -304,4 +304,4 @@ def test_the_table_of_the_thesis(capsys):
     assert cell["length"]["accuracy"] > 0.6
     assert cell["length"]["mean_error"] < 0.8
     for wrong in (("--window", 41), ("--cases", "random")):
-        assert call(capsys, *arguments, *wrong).status == 2
+        assert call_benchmarks(capsys, *arguments, *wrong).status == 2

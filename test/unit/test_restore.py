@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from coded_aperture_benchmarks.restoration import residual_rms
+from coded_aperture_benchmarks.metrics.restoration import residual_rms
 from deblur_scene import (
     NOISE,
     assert_adjoint,

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 from cli_scene import call, camera_file, texture
-from coded_aperture_benchmarks.frames.planes import TABLE_5_1, make_planes
-from coded_aperture_benchmarks.frames.stair import blur_stack
-from coded_aperture_benchmarks.reference.conditional import conditional_levels
-from coded_aperture_benchmarks.textures import load_textures
+from coded_aperture_benchmarks.datasets.textures import load_textures
+from coded_aperture_benchmarks.thesis.planes import TABLE_5_1, make_planes
+from coded_aperture_benchmarks.thesis.reference.conditional import conditional_levels
+from coded_aperture_benchmarks.thesis.stair import blur_stack
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError

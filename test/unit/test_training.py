@@ -104,7 +104,7 @@ def test_what_tells_two_surfaces_is_shown_rooms_behind_nets(
 
 
 def test_training_never_sees_the_scenes_of_the_benchmarks(training):
-    from coded_aperture_benchmarks.frames.random_scenes import FIRST_SEED
+    from coded_aperture_benchmarks.datasets.random_scenes import FIRST_SEED
 
     assert FIRST_SEED == 1_000_000
     masks = set()

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from coded_aperture_benchmarks.frames.stair import LEVELS, blur_stack, level_error, make_stair
+from coded_aperture_benchmarks.datasets.textures import load_textures
 from coded_aperture_benchmarks.speed.setting import MASK, Setting
-from coded_aperture_benchmarks.textures import load_textures
+from coded_aperture_benchmarks.thesis.stair import LEVELS, blur_stack, level_error, make_stair
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthEstimator
 from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from coded_aperture_benchmarks.frames.stair import blur_stack
 from coded_aperture_benchmarks.speed.accuracy import StairAccuracy
 from coded_aperture_benchmarks.speed.baselines import (
     NonLocalMeans,
@@ -28,6 +27,7 @@ from coded_aperture_benchmarks.speed.work import (
     FrameWork,
     fitted_slope,
 )
+from coded_aperture_benchmarks.thesis.stair import blur_stack
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank
 from coded_aperture_ros.optics import Mask

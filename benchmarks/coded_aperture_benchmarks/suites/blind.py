@@ -1,4 +1,4 @@
-"""`coded_aperture bench blind`: masks that are found from planes at unknown distances."""
+"""`python -m coded_aperture_benchmarks blind`: masks that are found from planes at unknown distances."""
 
 import dataclasses
 import time
@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.frames.blind_planes import (
+from coded_aperture_benchmarks.datasets.blind_planes import (
     deblurring_loss,
     make_blind_planes,
     mask_correlation,
 )
+from coded_aperture_benchmarks.datasets.textures import load_textures
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_benchmarks.textures import load_textures
 from coded_aperture_ros.calibration.blind import find
 from coded_aperture_ros.calibration.pictures import blind_picture
 from coded_aperture_ros.core.arguments import noise_level
@@ -117,9 +117,9 @@ SUITE = Suite(
     "and with the found PSFs.",
     examples="""examples:
   three masks, 8 planes each, at the noise of 0.001:
-    coded_aperture bench blind
+    python -m coded_aperture_benchmarks blind
   on pictures of a folder, with the found masks and spectra as pictures:
-    coded_aperture bench blind --images pictures --size 640x448 --output blind
+    python -m coded_aperture_benchmarks blind --images pictures --size 640x448 --output blind
 """,
     options=(
         options.masks("levin", "zhou", "four_hole"),

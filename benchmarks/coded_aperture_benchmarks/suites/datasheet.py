@@ -1,4 +1,4 @@
-"""`coded_aperture bench datasheet`: what a camera's data sheet would say, by simulation."""
+"""`python -m coded_aperture_benchmarks datasheet`: what a camera's data sheet would say, by simulation."""
 
 import argparse
 import dataclasses
@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.datasets.textures import load_textures
 from coded_aperture_benchmarks.rows import grouped
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_benchmarks.textures import load_textures
 from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.config import VIDEO_FRAMES
@@ -205,7 +205,7 @@ SUITE = Suite(
     "distance. Temporal noise: median over pixels of the standard deviation over ten frames.",
     examples="""examples:
   the camera of the demo:
-    coded_aperture bench datasheet --camera config/demo_camera.yaml --depth-range 2.1 5.1
+    python -m coded_aperture_benchmarks datasheet --camera config/demo_camera.yaml --depth-range 2.1 5.1
 """,
     options=(
         options.option("--camera", "camera file", type=Path, metavar="YAML", required=True),

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from coded_aperture_benchmarks import deblurring
+from coded_aperture_benchmarks.datasets.textures import training_textures
+from coded_aperture_benchmarks.methods import deblurring
+from coded_aperture_benchmarks.metrics.restoration import noise_of, residual_rms
 from coded_aperture_benchmarks.options import RESULTS, Args, option
 from coded_aperture_benchmarks.pictures import as_rgb, enlarged, side_by_side
-from coded_aperture_benchmarks.reference.deblurring import deblur_by_planes
-from coded_aperture_benchmarks.restoration import noise_of, residual_rms
 from coded_aperture_benchmarks.rows import or_dash
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_benchmarks.textures import training_textures
+from coded_aperture_benchmarks.thesis.reference.deblurring import deblur_by_planes
 from coded_aperture_ros.core.archive import read_archive
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.text import columns

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks import deblurring, options
-from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, bank_for, scene_camera
+from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene, bank_for, scene_camera
+from coded_aperture_benchmarks.datasets.textures import training_textures
+from coded_aperture_benchmarks.methods import deblurring
+from coded_aperture_benchmarks.metrics.restoration import overshoot, picture_score
 from coded_aperture_benchmarks.pictures import as_rgb, enlarged, of_width, side_by_side
-from coded_aperture_benchmarks.restoration import overshoot, picture_score
 from coded_aperture_benchmarks.rows import or_dash, tables
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_benchmarks.textures import training_textures
 from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.frames import SRGB, decode

@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.deblurring import own_methods
+from coded_aperture_benchmarks.methods.deblurring import own_methods
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.speed.frames import moving_frames
 from coded_aperture_benchmarks.speed.machine import opencv_threads

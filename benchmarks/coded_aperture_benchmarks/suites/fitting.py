@@ -1,4 +1,4 @@
-"""`coded_aperture bench fitting`: frames that fit their bank, and videos whose light changes."""
+"""`python -m coded_aperture_benchmarks fitting`: frames that fit their bank, and videos whose light changes."""
 
 import dataclasses
 import itertools
@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.frames.misfits import FITTING_LIGHT
-from coded_aperture_benchmarks.frames.ray_traced import (
+from coded_aperture_benchmarks.datasets.misfits import FITTING_LIGHT
+from coded_aperture_benchmarks.datasets.ray_traced import (
     RayTracedScene,
     bank_for,
     scene_camera,
     scene_meta,
 )
-from coded_aperture_benchmarks.frames.video import load_video
+from coded_aperture_benchmarks.datasets.video import load_video
 from coded_aperture_benchmarks.metrics.published import COVERED, WRONG, published
 from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
@@ -224,7 +224,7 @@ SUITE = Suite(
     "as lamps do.",
     examples="""examples:
   all that there is, three masks, in two processes:
-    coded_aperture bench fitting desk/ chess/ planes/ video/ --masks levin zhou four_hole --jobs 2
+    python -m coded_aperture_benchmarks fitting desk/ chess/ planes/ video/ --masks levin zhou four_hole --jobs 2
 """,
     options=(
         options.folders(

@@ -1,4 +1,4 @@
-"""`coded_aperture bench focus`: two frames at two focus settings, beside one of twice the light."""
+"""`python -m coded_aperture_benchmarks focus`: two frames at two focus settings, beside one of twice the light."""
 
 import argparse
 import dataclasses
@@ -180,7 +180,7 @@ SUITE = Suite(
     "go through it.",
     examples="""examples:
   12 scenes of each kind (some minutes), with pictures:
-    coded_aperture bench focus --output focus/
+    python -m coded_aperture_benchmarks focus --output focus/
 """,
     options=(
         options.number("--scenes", 1, 12, "of each kind"),

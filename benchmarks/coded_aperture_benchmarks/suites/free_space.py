@@ -1,4 +1,4 @@
-"""`coded_aperture bench free-space`: how often something is nearer than the bound, at what cost."""
+"""`python -m coded_aperture_benchmarks free-space`: how often something is nearer than the bound, at what cost."""
 
 import argparse
 import dataclasses
@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.frames.cameras import camera_for_blur
-from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, learned_bank
-from coded_aperture_benchmarks.frames.room import random_room, walk
+from coded_aperture_benchmarks.datasets.cameras import camera_for_blur
+from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene, learned_bank
+from coded_aperture_benchmarks.datasets.room import random_room, walk
 from coded_aperture_benchmarks.pictures import frames_and_depths
 from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
@@ -222,9 +222,9 @@ SUITE = Suite(
     "that is nearer than the bound, and how much of the range is given up for that.",
     examples="""examples:
   36 random frames of each kind (some minutes), with pictures:
-    coded_aperture bench free-space --output bounds/
+    python -m coded_aperture_benchmarks free-space --output bounds/
   a ray-traced scene (see accuracy scenes):
-    coded_aperture bench free-space desk/
+    python -m coded_aperture_benchmarks free-space desk/
 """,
     options=(
         options.folders("ray-traced scenes, in place of random ones", "*"),

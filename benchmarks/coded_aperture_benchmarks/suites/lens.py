@@ -1,4 +1,4 @@
-"""`coded_aperture bench lens`: depth through a real lens, before and after `calibrate field`."""
+"""`python -m coded_aperture_benchmarks lens`: depth through a real lens, before and after `calibrate field`."""
 
 import argparse
 import dataclasses
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.frames.ray_traced import RANGE_MARGIN, RayTracedScene
+from coded_aperture_benchmarks.datasets.ray_traced import RANGE_MARGIN, RayTracedScene
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.calibration.planes.field import fit_field
 from coded_aperture_ros.calibration.planes.folder import load_planes
@@ -134,7 +134,7 @@ SUITE = Suite(
     "corners, with a camera file as from the data sheet, and with what calibrate field finds from "
     "pictures of planes.",
     examples="""examples:
-  coded_aperture bench lens desk/ --planes calib/
+  python -m coded_aperture_benchmarks lens desk/ --planes calib/
 """,
     options=(
         options.folders("ray-traced scenes of levin's mask"),

@@ -1,4 +1,4 @@
-"""`coded_aperture bench masks`: predicted against measured errors of random masks."""
+"""`python -m coded_aperture_benchmarks masks`: predicted against measured errors of random masks."""
 
 import dataclasses
 import tempfile
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.frames.random_masks import patches_of_columns, random_masks
-from coded_aperture_benchmarks.frames.stair import LARGEST_BLUR_PX, SMALLEST_BLUR_PX
-from coded_aperture_benchmarks.identification import BANK, Setting
+from coded_aperture_benchmarks.datasets.random_masks import patches_of_columns, random_masks
+from coded_aperture_benchmarks.datasets.textures import load_textures
+from coded_aperture_benchmarks.methods.identification import BANK, Setting
 from coded_aperture_benchmarks.options import sigmas
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_benchmarks.suites import stair
-from coded_aperture_benchmarks.textures import load_textures
+from coded_aperture_benchmarks.thesis.stair import LARGEST_BLUR_PX, SMALLEST_BLUR_PX
+from coded_aperture_benchmarks.thesis.suites import stair
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.design.scores.pictures import PictureScorer, patch_side_px
@@ -162,9 +162,9 @@ SUITE = Suite(
     "agree (Spearman's correlation); and how many masks a second are scored from the mask alone.",
     examples="""examples:
   30 random masks, two noises:
-    coded_aperture bench masks
+    python -m coded_aperture_benchmarks masks
   six masks on a small stair:
-    coded_aperture bench masks --count 6 --levels 9 --side 48 --window 48 --rank 64
+    python -m coded_aperture_benchmarks masks --count 6 --levels 9 --side 48 --window 48 --rank 64
 """,
     options=(
         options.number("--count", 3, 30, "random masks"),

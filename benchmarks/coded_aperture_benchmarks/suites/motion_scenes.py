@@ -1,12 +1,12 @@
-"""`coded_aperture bench motion scenes`: scenes in which an object moves."""
+"""`python -m coded_aperture_benchmarks motion scenes`: scenes in which an object moves."""
 
 import dataclasses
 from functools import lru_cache
 
-from coded_aperture_benchmarks.frames import moving_scenes as frames
-from coded_aperture_benchmarks.frames.motion_images import table_masks
+from coded_aperture_benchmarks.datasets import moving_scenes as frames
 from coded_aperture_benchmarks.options import JSON, OUTPUT, Args, number, option
 from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_benchmarks.thesis.motion_images import table_masks
 from coded_aperture_ros.core.arguments import noise_level
 from coded_aperture_ros.core.text import table
 from coded_aperture_ros.deblur import DeblurConfig
@@ -139,9 +139,9 @@ SUITE = Suite(
     "frames.",
     examples="""examples:
   depth of six scenes with and without motion as a hypothesis:
-    coded_aperture bench motion scenes
+    python -m coded_aperture_benchmarks motion scenes
   Levin's mask, and all-in-focus frames too:
-    coded_aperture bench motion scenes --mask levin --deblur cg --smoothness 0.3
+    python -m coded_aperture_benchmarks motion scenes --mask levin --deblur cg --smoothness 0.3
 """,
     options=(
         option("--mask", "name or file, or A, B or C of the frames table", "A", metavar="MASK"),

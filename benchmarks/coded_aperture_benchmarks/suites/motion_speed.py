@@ -1,4 +1,4 @@
-"""`coded_aperture bench motion speed`: what motion costs beside defocus alone."""
+"""`python -m coded_aperture_benchmarks motion speed`: what motion costs beside defocus alone."""
 
 import dataclasses
 import time
@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from coded_aperture_benchmarks.frames import moving_scenes as frames
+from coded_aperture_benchmarks.datasets import moving_scenes as frames
+from coded_aperture_benchmarks.datasets.textures import load_textures
 from coded_aperture_benchmarks.options import JSON, OUTPUT, Args, frame_size, number
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_benchmarks.textures import load_textures
 from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
@@ -82,9 +82,9 @@ SUITE = Suite(
     "motions, and with those that a gyroscope lets expect. The three take turns on the same frame.",
     examples="""examples:
   640x480, 30 levels, 64 motions:
-    coded_aperture bench motion speed
+    python -m coded_aperture_benchmarks motion speed
   with the patches of depth maps that are twice as fine:
-    coded_aperture bench motion speed --stride 8
+    python -m coded_aperture_benchmarks motion speed --stride 8
 """,
     options=(
         frame_size(480, 640),

@@ -1,4 +1,4 @@
-"""`coded_aperture bench odometry`: how far a robot drifts that has nothing but these frames."""
+"""`python -m coded_aperture_benchmarks odometry`: how far a robot drifts that has nothing but these frames."""
 
 import argparse
 import dataclasses
@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.datasets.video import check_rgbd_video
+from coded_aperture_benchmarks.datasets.walks import Walk, of_video, through_room
 from coded_aperture_benchmarks.figures import seen_from_above
-from coded_aperture_benchmarks.frames.video import check_rgbd_video
-from coded_aperture_benchmarks.frames.walks import Walk, of_video, through_room
+from coded_aperture_benchmarks.metrics.trajectories import Tracker, tracked, write_tum
 from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
 from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_benchmarks.trajectories import Tracker, tracked, write_tum
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
@@ -231,12 +231,12 @@ SUITE = Suite(
     "would lead. Drift: root mean square of how far it is off after a metre, wherever that begins.",
     examples="""examples:
   two walks of 20 m (half an hour on two cores), with figures and trajectories for evo:
-    coded_aperture bench odometry --output walks/
+    python -m coded_aperture_benchmarks odometry --output walks/
   a short one:
-    coded_aperture bench odometry --rooms 1 --length 2
+    python -m coded_aperture_benchmarks odometry --rooms 1 --length 2
   an RGB-D video (see accuracy video) as a coded camera would see it, against odometry with its
   own depth:
-    coded_aperture bench odometry livingroom/
+    python -m coded_aperture_benchmarks odometry livingroom/
 """,
     options=(
         options.folders("an RGB-D video, in place of rooms", "*"),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.frames.cameras import camera_for_blur
+from coded_aperture_benchmarks.datasets.cameras import camera_for_blur
 from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray

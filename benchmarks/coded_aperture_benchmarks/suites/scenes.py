@@ -12,7 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.dense import (
+from coded_aperture_benchmarks.datasets.random_scenes import FIRST_SEED, RandomScene
+from coded_aperture_benchmarks.datasets.ray_traced import (
+    RayTracedScene,
+    Rods,
+    bank_for,
+    scene_camera,
+)
+from coded_aperture_benchmarks.methods.identification import regularizations
+from coded_aperture_benchmarks.metrics.dense import (
     DELTAS,
     NEAR_EDGE_PX,
     RIGHT_WITHIN,
@@ -22,9 +30,6 @@ from coded_aperture_benchmarks.dense import (
     score,
     score_rods,
 )
-from coded_aperture_benchmarks.frames.random_scenes import FIRST_SEED, RandomScene
-from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, Rods, bank_for, scene_camera
-from coded_aperture_benchmarks.identification import regularizations
 from coded_aperture_benchmarks.rows import mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_planes

@@ -1,4 +1,4 @@
-"""`coded_aperture bench second`: nets, leaves and panes before something, and both their depths."""
+"""`python -m coded_aperture_benchmarks second`: nets, leaves and panes before something, and both their depths."""
 
 import argparse
 import dataclasses
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, learned_bank
+from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene, learned_bank
 from coded_aperture_benchmarks.metrics.surfaces import Windows, at_middles, shares, surfaces
 from coded_aperture_benchmarks.pictures import frames_and_depths
 from coded_aperture_benchmarks.rows import grouped, mean_of
@@ -255,9 +255,9 @@ SUITE = Suite(
     "often there is only one.",
     examples="""examples:
   108 random frames of each kind (eight minutes on two processors), with pictures:
-    coded_aperture bench second --output second/
+    python -m coded_aperture_benchmarks second --output second/
   ray-traced scenes (see accuracy scenes):
-    coded_aperture bench second cables/ leaves/
+    python -m coded_aperture_benchmarks second cables/ leaves/
 """,
     options=(
         options.folders("ray-traced scenes, in place of random ones", "*"),

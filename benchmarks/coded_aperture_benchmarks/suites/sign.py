@@ -1,4 +1,4 @@
-"""`coded_aperture bench sign`: which side of the focal plane, in front or behind."""
+"""`python -m coded_aperture_benchmarks sign`: which side of the focal plane, in front or behind."""
 
 import dataclasses
 import itertools
@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from coded_aperture_benchmarks import figures, options
-from coded_aperture_benchmarks.frames.ray_traced import RANGE_MARGIN, load_sharp
-from coded_aperture_benchmarks.frames.sides import (
+from coded_aperture_benchmarks.datasets.ray_traced import RANGE_MARGIN, load_sharp
+from coded_aperture_benchmarks.datasets.sides import (
     REACH_PX,
     SideEstimators,
     SideFrame,
@@ -20,10 +20,10 @@ from coded_aperture_benchmarks.frames.sides import (
     make_scene_on_both_sides,
     plane_camera,
 )
-from coded_aperture_benchmarks.identification import regularizations
+from coded_aperture_benchmarks.datasets.textures import load_textures
+from coded_aperture_benchmarks.methods.identification import regularizations
 from coded_aperture_benchmarks.rows import mean_of
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_benchmarks.textures import load_textures
 from coded_aperture_ros.core.text import table
 from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.optics import Camera, Mask, load_mask
@@ -182,11 +182,11 @@ SUITE = Suite(
     "estimator for each side, where the side of every pixel is known.",
     examples="""examples:
   planes on both sides, through masks that are symmetric under a half turn and others:
-    coded_aperture bench sign
+    python -m coded_aperture_benchmarks sign
   two masks on a few planes, also of each patch by itself:
-    coded_aperture bench sign --masks zhou disc --planes 9 --levels 17 --regularize none semiglobal
+    python -m coded_aperture_benchmarks sign --masks zhou disc --planes 9 --levels 17 --regularize none semiglobal
   the sharp pictures and depths of ray-traced scenes, with the focus in their middle:
-    coded_aperture bench sign --masks zhou three_wide --scenes desk/ corridor/ --output results/
+    python -m coded_aperture_benchmarks sign --masks zhou three_wide --scenes desk/ corridor/ --output results/
 """,
     options=(
         options.masks("zhou", "three_wide", "three_hole", "veeraraghavan", "disc", "levin"),

@@ -1,4 +1,4 @@
-"""`coded_aperture bench simple-speed`: how long a frame behind a simple mask takes, and why."""
+"""`python -m coded_aperture_benchmarks simple-speed`: how long a frame behind a simple mask takes, and why."""
 
 import dataclasses
 import time
@@ -6,10 +6,10 @@ import time
 import numpy as np
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.frames.stair import blur_stack
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.speed.frames import moving_frames
 from coded_aperture_benchmarks.speed.setting import published_size
+from coded_aperture_benchmarks.thesis.stair import blur_stack
 from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
@@ -150,9 +150,9 @@ SUITE = Suite(
     "holes and with the window.",
     examples="""examples:
   640x480, 33 levels, two holes, on all processors:
-    coded_aperture bench simple-speed
+    python -m coded_aperture_benchmarks simple-speed
   four holes, and a window every 16 px:
-    coded_aperture bench simple-speed --mask four_hole --stride 16
+    python -m coded_aperture_benchmarks simple-speed --mask four_hole --stride 16
 """,
     options=(
         options.frame_size(480, 640),

@@ -1,4 +1,4 @@
-"""`coded_aperture bench tags`: over what distances tags and QR codes are read."""
+"""`python -m coded_aperture_benchmarks tags`: over what distances tags and QR codes are read."""
 
 import argparse
 import dataclasses
@@ -13,10 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.codes import CodeReader, code_of, distance_error
-from coded_aperture_benchmarks.figures import shares_over_distance
-from coded_aperture_benchmarks.frames.cameras import camera_for_blur
-from coded_aperture_benchmarks.frames.tag_cards import (
+from coded_aperture_benchmarks.datasets.cameras import camera_for_blur
+from coded_aperture_benchmarks.datasets.tag_cards import (
     CARDS_M,
     QR,
     SIZE,
@@ -27,6 +25,8 @@ from coded_aperture_benchmarks.frames.tag_cards import (
     card_scene,
     pitch_px,
 )
+from coded_aperture_benchmarks.figures import shares_over_distance
+from coded_aperture_benchmarks.metrics.codes import CodeReader, code_of, distance_error
 from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
 from coded_aperture_benchmarks.rows import grouped, or_dash
 from coded_aperture_benchmarks.run import Row, Suite
@@ -499,11 +499,11 @@ SUITE = Suite(
     "half is read; in dioptres, as blur goes by these.",
     examples="""examples:
   three frames of twelve cards (a minute and a half), with pictures and a figure:
-    coded_aperture bench tags --output tags/
+    python -m coded_aperture_benchmarks tags --output tags/
   a single one, in good light:
-    coded_aperture bench tags --scenes 1 --electrons 10000
+    python -m coded_aperture_benchmarks tags --scenes 1 --electrons 10000
   the coded camera in focus in the middle too, behind a wider aperture:
-    coded_aperture bench tags --focus middle --aperture 1.5
+    python -m coded_aperture_benchmarks tags --focus middle --aperture 1.5
 """,
     options=(
         options.number("--scenes", 1, 3, "frames of cards"),

@@ -1,4 +1,4 @@
-"""`coded_aperture bench trust`: frames that do not fit their bank."""
+"""`python -m coded_aperture_benchmarks trust`: frames that do not fit their bank."""
 
 import dataclasses
 from functools import lru_cache
@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.frames.misfits import (
+from coded_aperture_benchmarks.datasets.misfits import (
     FITTING_LIGHT,
     LIGHT,
     MISFITS,
@@ -17,7 +17,7 @@ from coded_aperture_benchmarks.frames.misfits import (
     Recorded,
     recorded,
 )
-from coded_aperture_benchmarks.frames.ray_traced import RANGE_MARGIN, RayTracedScene
+from coded_aperture_benchmarks.datasets.ray_traced import RANGE_MARGIN, RayTracedScene
 from coded_aperture_benchmarks.metrics.published import COVERED, WRONG, published
 from coded_aperture_benchmarks.rows import mean_of
 from coded_aperture_benchmarks.run import Row, Suite
@@ -250,9 +250,9 @@ SUITE = Suite(
     "a frame: a bank that knows its camera refuses them.",
     examples="""examples:
   two scenes and a photograph:
-    coded_aperture bench trust desk/ chess/ --photographs real_photo/
+    python -m coded_aperture_benchmarks trust desk/ chess/ --photographs real_photo/
   some kinds only:
-    coded_aperture bench trust desk/ --kinds "no mask" JPEG
+    python -m coded_aperture_benchmarks trust desk/ --kinds "no mask" JPEG
 """,
     options=(
         options.folders("scenes; see bench accuracy scenes"),

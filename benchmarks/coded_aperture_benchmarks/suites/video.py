@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.frames.ray_traced import bank_for
-from coded_aperture_benchmarks.frames.video import (
+from coded_aperture_benchmarks.datasets.ray_traced import bank_for
+from coded_aperture_benchmarks.datasets.video import (
     WARM_UP_FRAMES,
     CodedVideo,
     check_video,
     load_video,
     score_video,
 )
-from coded_aperture_benchmarks.identification import regularizations
+from coded_aperture_benchmarks.methods.identification import regularizations
 from coded_aperture_benchmarks.pictures import WHITE, as_rgb, titled
 from coded_aperture_benchmarks.rows import or_dash, place, unique
 from coded_aperture_benchmarks.run import Row, Suite

@@ -1,4 +1,4 @@
-"""`coded_aperture bench views`: the light field behind one coded frame, against the true one."""
+"""`python -m coded_aperture_benchmarks views`: the light field behind one coded frame, against the true one."""
 
 import argparse
 import dataclasses
@@ -321,9 +321,9 @@ SUITE = Suite(
     "against the way in which the viewer focuses.",
     examples="""examples:
   eight scenes, with pictures of opposite openings:
-    coded_aperture bench views --output views/
+    python -m coded_aperture_benchmarks views --output views/
   before the focal plane:
-    coded_aperture bench views --side near
+    python -m coded_aperture_benchmarks views --side near
 """,
     options=(
         options.number("--scenes", 1, 8, "how many"),

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.frames.ray_traced import Rods
+from coded_aperture_benchmarks.datasets.ray_traced import Rods
 from coded_aperture_benchmarks.metrics.deltas import DELTA_BOUNDS, delta_shares
 from coded_aperture_benchmarks.metrics.edges import TOLERANCES_PX, BoundaryMatch
 from coded_aperture_benchmarks.metrics.sparsification import Sparsification

@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from coded_aperture_benchmarks.metrics.restoration import missing_scikit_image
 from coded_aperture_benchmarks.options import Add, Args, check_known, option
-from coded_aperture_benchmarks.reference.deblurring import (
+from coded_aperture_benchmarks.rows import place
+from coded_aperture_benchmarks.run import Row
+from coded_aperture_benchmarks.thesis.reference.deblurring import (
     DEBLURRING_METHODS,
     PLANE_METHODS,
     best_strength,
     deblur_by_planes,
 )
-from coded_aperture_benchmarks.restoration import missing_scikit_image
-from coded_aperture_benchmarks.rows import place
-from coded_aperture_benchmarks.run import Row
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import options_of
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, Uncertainty

@@ -6,13 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from coded_aperture_benchmarks import identification, options
-from coded_aperture_benchmarks.frames.planes import LEVELS, SIGMA, TABLE_5_1, make_planes
-from coded_aperture_benchmarks.frames.stair import level_error
-from coded_aperture_benchmarks.reference import REFERENCE_METHODS
+from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.datasets.textures import load_textures
+from coded_aperture_benchmarks.methods import identification
 from coded_aperture_benchmarks.rows import grouped, mean_of, place, tables, unique
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_benchmarks.textures import load_textures
+from coded_aperture_benchmarks.thesis.planes import LEVELS, SIGMA, TABLE_5_1, make_planes
+from coded_aperture_benchmarks.thesis.reference import REFERENCE_METHODS
+from coded_aperture_benchmarks.thesis.stair import level_error
 from coded_aperture_ros.core.text import table
 from coded_aperture_ros.likelihood.two_pixel import find_holes
 from coded_aperture_ros.optics import load_mask

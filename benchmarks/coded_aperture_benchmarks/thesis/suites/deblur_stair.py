@@ -8,8 +8,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks import deblurring, options
-from coded_aperture_benchmarks.frames.stair import (
+from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.datasets.textures import load_textures, training_textures
+from coded_aperture_benchmarks.methods import deblurring
+from coded_aperture_benchmarks.methods.identification import BANK, MethodOnFrames, Setting
+from coded_aperture_benchmarks.metrics.restoration import deblurring_error
+from coded_aperture_benchmarks.pictures import as_rgb, enlarged, side_by_side
+from coded_aperture_benchmarks.rows import grouped, mean_of, tables, unique
+from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_benchmarks.thesis.stair import (
     LEVELS,
     SIDE_PX,
     Stair,
@@ -17,18 +24,12 @@ from coded_aperture_benchmarks.frames.stair import (
     make_stair,
     with_middle,
 )
-from coded_aperture_benchmarks.identification import BANK, MethodOnFrames, Setting
-from coded_aperture_benchmarks.pictures import as_rgb, enlarged, side_by_side
-from coded_aperture_benchmarks.reference.thesis_tables import (
+from coded_aperture_benchmarks.thesis.tables import (
     IN_WORDS,
     OUR_METHOD,
     mask_with_letter,
     thesis_deblurring_error,
 )
-from coded_aperture_benchmarks.restoration import deblurring_error
-from coded_aperture_benchmarks.rows import grouped, mean_of, tables, unique
-from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_benchmarks.textures import load_textures, training_textures
 from coded_aperture_ros.core.text import table
 from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.io import write_image

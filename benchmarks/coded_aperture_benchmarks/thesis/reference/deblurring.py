@@ -13,12 +13,12 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.reference.deconvolution import (
+from coded_aperture_benchmarks.metrics.restoration import missing_scikit_image
+from coded_aperture_benchmarks.thesis.reference.deconvolution import (
     PeriodicPicture,
     SparseDescent,
     sparse_descent,
 )
-from coded_aperture_benchmarks.restoration import missing_scikit_image
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames import transfer_function
 from coded_aperture_ros.optics import PsfStack

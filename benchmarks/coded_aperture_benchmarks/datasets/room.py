@@ -106,7 +106,7 @@ class Room:
             )
             for board in self.boards
         ]
-        found = compiled("coded_aperture_benchmarks.frames.room_kernels", "rooms").trace(
+        found = compiled("coded_aperture_benchmarks.datasets.room_kernels", "rooms").trace(
             np.array(boards, np.float32),
             np.array(boxes, np.float32),
             np.array(paint, np.float64),

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.frames.stair import blur_stack, make_stair
-from coded_aperture_benchmarks.reference import REFERENCE_METHODS, HypothesisPlanes
-from coded_aperture_benchmarks.reference.conditional import conditional_levels
-from coded_aperture_benchmarks.reference.subspace import SubspaceBank, learn_subspace_bank
-from coded_aperture_benchmarks.textures import training_textures
+from coded_aperture_benchmarks.datasets.textures import training_textures
+from coded_aperture_benchmarks.thesis.reference import REFERENCE_METHODS, HypothesisPlanes
+from coded_aperture_benchmarks.thesis.reference.conditional import conditional_levels
+from coded_aperture_benchmarks.thesis.reference.subspace import SubspaceBank, learn_subspace_bank
+from coded_aperture_benchmarks.thesis.stair import blur_stack, make_stair
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import options_of
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from coded_aperture_benchmarks.frames.stair import (
+from coded_aperture_benchmarks.thesis.stair import (
     blur_stack,
     check_frame_options,
     crops_generator,

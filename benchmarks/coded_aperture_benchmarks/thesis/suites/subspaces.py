@@ -1,4 +1,4 @@
-"""`coded_aperture bench subspaces`: how far apart the subspaces of levels lie (thesis 9.1)."""
+"""`python -m coded_aperture_benchmarks subspaces`: how far apart the subspaces of levels lie (thesis 9.1)."""
 
 import dataclasses
 from pathlib import Path
@@ -7,13 +7,13 @@ import numpy as np
 
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.figures import distance_matrices
-from coded_aperture_benchmarks.reference.subspace_distances import (
+from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_benchmarks.thesis.reference.subspace_distances import (
     LETTER_OF_MASK,
     THESIS_L1,
     SubspaceDistances,
     subspace_distances,
 )
-from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.optics import MASK_NAMES, load_mask
 
@@ -77,7 +77,7 @@ SUITE = Suite(
     "their distances to the ideal, in which all are orthogonal. Less is better.",
     examples="""examples:
   all masks with names, next to table 9.1 of the thesis, with figure 9.5:
-    coded_aperture bench subspaces --output subspaces/
+    python -m coded_aperture_benchmarks subspaces --output subspaces/
 """,
     options=(options.masks(*MASK_NAMES), options.blur_levels(16), *options.RESULTS),
     cells=_cells,

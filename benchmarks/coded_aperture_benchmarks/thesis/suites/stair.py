@@ -10,23 +10,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks import figures, identification, options
-from coded_aperture_benchmarks.frames.stair import (
+from coded_aperture_benchmarks import figures, options
+from coded_aperture_benchmarks.datasets.textures import load_textures
+from coded_aperture_benchmarks.methods import identification
+from coded_aperture_benchmarks.rows import grouped, mean_of, place, tables, unique
+from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_benchmarks.thesis.stair import (
     LEVELS,
     SIDE_PX,
     level_error,
     make_stair,
     spread_per_step,
 )
-from coded_aperture_benchmarks.reference.thesis_tables import (
+from coded_aperture_benchmarks.thesis.tables import (
     IN_WORDS,
     OUR_METHOD,
     mask_with_letter,
     thesis_error,
 )
-from coded_aperture_benchmarks.rows import grouped, mean_of, place, tables, unique
-from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_benchmarks.textures import load_textures
 from coded_aperture_ros.core.text import table
 from coded_aperture_ros.metrics.figures import reliability_diagram
 from coded_aperture_ros.metrics.reliability import Reliability

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.frames.tag_cards import QR, TAG, Card
+from coded_aperture_benchmarks.datasets.tag_cards import QR, TAG, Card
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames import Gamma, pixels_from_linear

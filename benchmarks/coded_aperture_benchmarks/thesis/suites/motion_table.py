@@ -1,13 +1,13 @@
-"""`coded_aperture bench motion table`: defocus, direction and length of motion, table 7.1."""
+"""`python -m coded_aperture_benchmarks motion table`: defocus, direction and length of motion, table 7.1."""
 
 import dataclasses
 import itertools
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.frames.motion_images import TABLE_7_1, identify_motions, table_masks
+from coded_aperture_benchmarks.datasets.textures import load_textures
 from coded_aperture_benchmarks.rows import tables
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_benchmarks.textures import load_textures
+from coded_aperture_benchmarks.thesis.motion_images import TABLE_7_1, identify_motions, table_masks
 from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.likelihood.motion import MotionConfig
 
@@ -92,9 +92,9 @@ SUITE = Suite(
     "analysis of fragmentation finds (see mask motion).",
     examples="""examples:
   the table of the thesis, and natural texture:
-    coded_aperture bench motion table
+    python -m coded_aperture_benchmarks motion table
   two masks, all hypotheses exact, which takes twice as long as frames can:
-    coded_aperture bench motion table --masks disc C --cases random,0.0005 --exact
+    python -m coded_aperture_benchmarks motion table --masks disc C --cases random,0.0005 --exact
 """,
     options=(
         options.option(

@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.frames.moving_frame import (
+from coded_aperture_benchmarks.datasets.moving_frame import (
     MovingFrame,
     MovingObject,
     render_moving_frame,
 )
-from coded_aperture_benchmarks.frames.stair import with_noise
-from coded_aperture_benchmarks.textures import TEST_PICTURES, load_textures
+from coded_aperture_benchmarks.datasets.textures import TEST_PICTURES, load_textures
+from coded_aperture_benchmarks.thesis.stair import with_noise
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthEstimate
 from coded_aperture_ros.optics import Camera, Mask, PsfStack

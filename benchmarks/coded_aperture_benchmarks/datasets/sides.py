@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from coded_aperture_benchmarks.frames.stair import check_frame_options, crops_generator, with_noise
+from coded_aperture_benchmarks.thesis.stair import check_frame_options, crops_generator, with_noise
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
 from coded_aperture_ros.design.scores.crops import Textures

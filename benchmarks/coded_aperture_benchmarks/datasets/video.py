@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from coded_aperture_benchmarks.frames.cameras import camera_for_blur
-from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene
+from coded_aperture_benchmarks.datasets.cameras import camera_for_blur
+from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import read_depth, read_image

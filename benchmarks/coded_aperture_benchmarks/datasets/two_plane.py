@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.frames.stair import (
+from coded_aperture_benchmarks.thesis.stair import (
     LARGEST_BLUR_PX,
     LEVELS,
     SMALLEST_BLUR_PX,

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from coded_aperture_benchmarks.frames.stair import crops_generator, with_noise
+from coded_aperture_benchmarks.thesis.stair import crops_generator, with_noise
 from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.design.fragmentation import (
     BLUR_SIZES_PX,

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from coded_aperture_benchmarks.frames.stair import check_frame_options, crops_generator, with_noise
+from coded_aperture_benchmarks.thesis.stair import check_frame_options, crops_generator, with_noise
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.design.scores.crops import Textures

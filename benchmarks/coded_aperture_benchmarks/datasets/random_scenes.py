@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from coded_aperture_benchmarks.frames.ray_traced import RayTracedScene, Rods
+from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene, Rods
 from coded_aperture_ros.optics import load_mask
 from coded_aperture_ros.simulation.layered import LayeredScene, random_scene, rod_scene
 

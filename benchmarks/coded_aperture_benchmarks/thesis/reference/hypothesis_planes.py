@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks.reference.deconvolution import (
+from coded_aperture_benchmarks.thesis.reference.deconvolution import (
     DECONVOLVERS,
     PeriodicPicture,
     check_method,

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from coded_aperture_benchmarks.frames.cameras import camera_for_blur
-from coded_aperture_benchmarks.frames.room import random_room, walk
-from coded_aperture_benchmarks.frames.video import load_video, sharp_frames
+from coded_aperture_benchmarks.datasets.cameras import camera_for_blur
+from coded_aperture_benchmarks.datasets.room import random_room, walk
+from coded_aperture_benchmarks.datasets.video import load_video, sharp_frames
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.io.messages import luminance
 from coded_aperture_ros.optics import Camera, Mask

@@ -5,7 +5,10 @@ M. Martinello, *Coded Aperture Imaging*, PhD thesis, Heriot-Watt University, 201
 figure 4.4, the noise is divided by a mask's open fraction.
 """
 
-from coded_aperture_benchmarks.reference.subspace_distances import LETTER_OF_MASK, SAME_PATTERN
+from coded_aperture_benchmarks.thesis.reference.subspace_distances import (
+    LETTER_OF_MASK,
+    SAME_PATTERN,
+)
 
 LETTERS = "abcdefgh"
 OUR_METHOD = "thesis"
@@ -160,7 +163,7 @@ def thesis_deblurring_error(texture: str, sigma: float, method: str, mask: str) 
 
     It is ``sqrt(|f - f*|^2 + |grad f - grad f*|^2)``, and every method deblurs by the blur that it
     identified itself, with the error that `thesis_error` returns. See
-    `coded_aperture_benchmarks.restoration.deblurring_error` for how the norm is read.
+    `coded_aperture_benchmarks.metrics.restoration.deblurring_error` for how the norm is read.
 
     Parameters
     ----------
