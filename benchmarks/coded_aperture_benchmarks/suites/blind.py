@@ -1,4 +1,4 @@
-"""`python -m coded_aperture_benchmarks blind`: masks that are found from planes at unknown distances."""
+"""Masks that are found from planes at unknown distances."""
 
 import dataclasses
 import time

@@ -1,4 +1,4 @@
-"""`python -m coded_aperture_benchmarks datasheet`: what a camera's data sheet would say, by simulation."""
+"""What a camera's data sheet would say, by simulation."""
 
 import argparse
 import dataclasses
@@ -205,7 +205,8 @@ SUITE = Suite(
     "distance. Temporal noise: median over pixels of the standard deviation over ten frames.",
     examples="""examples:
   the camera of the demo:
-    python -m coded_aperture_benchmarks datasheet --camera config/demo_camera.yaml --depth-range 2.1 5.1
+    python -m coded_aperture_benchmarks datasheet --camera config/demo_camera.yaml \\
+        --depth-range 2.1 5.1
 """,
     options=(
         options.option("--camera", "camera file", type=Path, metavar="YAML", required=True),

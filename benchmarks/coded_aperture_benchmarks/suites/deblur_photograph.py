@@ -1,4 +1,4 @@
-"""`coded_aperture bench deblur photograph`: a flat page, whose PSF was measured."""
+"""A flat page, whose PSF was measured."""
 
 import dataclasses
 from functools import lru_cache, partial

@@ -1,4 +1,4 @@
-"""`coded_aperture bench deblur scenes`: all-in-focus frames of ray-traced scenes."""
+"""All-in-focus frames of ray-traced scenes."""
 
 import dataclasses
 import itertools

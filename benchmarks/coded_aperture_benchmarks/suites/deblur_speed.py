@@ -1,4 +1,4 @@
-"""`coded_aperture bench deblur speed`: how long a frame takes to become all-in-focus."""
+"""How long a frame takes to become all-in-focus."""
 
 import dataclasses
 import itertools

@@ -1,4 +1,4 @@
-"""`python -m coded_aperture_benchmarks fitting`: frames that fit their bank, and videos whose light changes."""
+"""Frames that fit their bank, and videos whose light changes."""
 
 import dataclasses
 import itertools
@@ -224,7 +224,8 @@ SUITE = Suite(
     "as lamps do.",
     examples="""examples:
   all that there is, three masks, in two processes:
-    python -m coded_aperture_benchmarks fitting desk/ chess/ planes/ video/ --masks levin zhou four_hole --jobs 2
+    python -m coded_aperture_benchmarks fitting desk/ chess/ planes/ video/ \\
+        --masks levin zhou four_hole --jobs 2
 """,
     options=(
         options.folders(

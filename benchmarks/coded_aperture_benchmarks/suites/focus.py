@@ -1,4 +1,4 @@
-"""`python -m coded_aperture_benchmarks focus`: two frames at two focus settings, beside one of twice the light."""
+"""Two frames at two focus settings, beside one of twice the light."""
 
 import argparse
 import dataclasses

@@ -1,4 +1,4 @@
-"""`python -m coded_aperture_benchmarks free-space`: how often something is nearer than the bound, at what cost."""
+"""How often something is nearer than the bound, at what cost."""
 
 import argparse
 import dataclasses

@@ -1,4 +1,4 @@
-"""`python -m coded_aperture_benchmarks lens`: depth through a real lens, before and after `calibrate field`."""
+"""Depth through a real lens, before and after `calibrate field`."""
 
 import argparse
 import dataclasses

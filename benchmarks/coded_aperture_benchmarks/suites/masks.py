@@ -1,4 +1,4 @@
-"""`python -m coded_aperture_benchmarks masks`: predicted against measured errors of random masks."""
+"""Predicted against measured errors of random masks."""
 
 import dataclasses
 import tempfile

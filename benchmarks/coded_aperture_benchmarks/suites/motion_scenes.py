@@ -1,4 +1,4 @@
-"""`python -m coded_aperture_benchmarks motion scenes`: scenes in which an object moves."""
+"""Scenes in which an object moves."""
 
 import dataclasses
 from functools import lru_cache

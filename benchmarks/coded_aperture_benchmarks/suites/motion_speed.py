@@ -1,4 +1,4 @@
-"""`python -m coded_aperture_benchmarks motion speed`: what motion costs beside defocus alone."""
+"""What motion costs beside defocus alone."""
 
 import dataclasses
 import time

@@ -1,4 +1,4 @@
-"""`python -m coded_aperture_benchmarks odometry`: how far a robot drifts that has nothing but these frames."""
+"""How far a robot drifts that has nothing but these frames."""
 
 import argparse
 import dataclasses

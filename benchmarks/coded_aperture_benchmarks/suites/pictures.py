@@ -1,4 +1,4 @@
-"""`coded_aperture bench accuracy pictures`: pictures with measured depth, behind many masks."""
+"""Pictures with measured depth, behind many masks."""
 
 import dataclasses
 import itertools

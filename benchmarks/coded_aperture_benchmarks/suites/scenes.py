@@ -1,4 +1,4 @@
-"""`coded_aperture bench accuracy scenes`: metric depth of ray-traced scenes."""
+"""Metric depth of ray-traced scenes."""
 
 import dataclasses
 import itertools

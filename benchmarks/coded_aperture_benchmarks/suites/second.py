@@ -1,4 +1,4 @@
-"""`python -m coded_aperture_benchmarks second`: nets, leaves and panes before something, and both their depths."""
+"""Nets, leaves and panes before something, and both their depths."""
 
 import argparse
 import dataclasses

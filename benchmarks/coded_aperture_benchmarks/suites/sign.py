@@ -1,4 +1,4 @@
-"""`python -m coded_aperture_benchmarks sign`: which side of the focal plane, in front or behind."""
+"""Which side of the focal plane, in front or behind."""
 
 import dataclasses
 import itertools
@@ -184,9 +184,11 @@ SUITE = Suite(
   planes on both sides, through masks that are symmetric under a half turn and others:
     python -m coded_aperture_benchmarks sign
   two masks on a few planes, also of each patch by itself:
-    python -m coded_aperture_benchmarks sign --masks zhou disc --planes 9 --levels 17 --regularize none semiglobal
+    python -m coded_aperture_benchmarks sign --masks zhou disc --planes 9 --levels 17 \\
+        --regularize none semiglobal
   the sharp pictures and depths of ray-traced scenes, with the focus in their middle:
-    python -m coded_aperture_benchmarks sign --masks zhou three_wide --scenes desk/ corridor/ --output results/
+    python -m coded_aperture_benchmarks sign --masks zhou three_wide --scenes desk/ corridor/ \\
+        --output results/
 """,
     options=(
         options.masks("zhou", "three_wide", "three_hole", "veeraraghavan", "disc", "levin"),

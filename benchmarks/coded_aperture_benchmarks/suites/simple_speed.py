@@ -1,4 +1,4 @@
-"""`python -m coded_aperture_benchmarks simple-speed`: how long a frame behind a simple mask takes, and why."""
+"""How long a frame behind a simple mask takes, and why."""
 
 import dataclasses
 import time

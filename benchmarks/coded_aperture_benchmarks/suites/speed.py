@@ -1,4 +1,4 @@
-"""`coded_aperture bench speed`: how long a frame takes, and why."""
+"""How long a frame takes, and why."""
 
 import argparse
 from collections.abc import Callable, Sequence

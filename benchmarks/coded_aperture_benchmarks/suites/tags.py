@@ -1,4 +1,4 @@
-"""`python -m coded_aperture_benchmarks tags`: over what distances tags and QR codes are read."""
+"""Over what distances tags and QR codes are read."""
 
 import argparse
 import dataclasses

@@ -1,4 +1,4 @@
-"""`python -m coded_aperture_benchmarks trust`: frames that do not fit their bank."""
+"""Frames that do not fit their bank."""
 
 import dataclasses
 from functools import lru_cache

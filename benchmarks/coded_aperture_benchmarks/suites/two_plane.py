@@ -1,4 +1,4 @@
-"""`coded_aperture bench accuracy two-plane`: blur identification at an occluding edge."""
+"""Blur identification at an occluding edge."""
 
 import dataclasses
 import itertools

@@ -1,4 +1,4 @@
-"""`coded_aperture bench accuracy video`: depth of videos, with and without filtering over time."""
+"""Depth of videos, with and without filtering over time."""
 
 import argparse
 import dataclasses

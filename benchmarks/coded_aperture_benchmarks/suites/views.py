@@ -1,4 +1,4 @@
-"""`python -m coded_aperture_benchmarks views`: the light field behind one coded frame, against the true one."""
+"""The light field behind one coded frame, against the true one."""
 
 import argparse
 import dataclasses

@@ -1,4 +1,4 @@
-"""`coded_aperture bench deblur stair`: the error of deblurring of thesis 6.3.1."""
+"""The error of deblurring of thesis 6.3.1."""
 
 import dataclasses
 import itertools

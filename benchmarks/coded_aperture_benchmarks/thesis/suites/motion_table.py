@@ -1,4 +1,4 @@
-"""`python -m coded_aperture_benchmarks motion table`: defocus, direction and length of motion, table 7.1."""
+"""Defocus, direction and length of motion, table 7.1."""
 
 import dataclasses
 import itertools

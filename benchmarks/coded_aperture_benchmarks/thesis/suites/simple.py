@@ -1,4 +1,4 @@
-"""`coded_aperture bench accuracy simple`: masks of a few equal holes, thesis table 5.1."""
+"""Masks of a few equal holes, thesis table 5.1."""
 
 import dataclasses
 import itertools

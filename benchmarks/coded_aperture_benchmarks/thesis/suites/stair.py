@@ -1,4 +1,4 @@
-"""`coded_aperture bench accuracy stair`: the stair of blur sizes of thesis 6.3.1."""
+"""The stair of blur sizes of thesis 6.3.1."""
 
 import dataclasses
 import itertools

@@ -1,4 +1,4 @@
-"""`python -m coded_aperture_benchmarks subspaces`: how far apart the subspaces of levels lie (thesis 9.1)."""
+"""How far apart the subspaces of levels lie (thesis 9.1)."""
 
 import dataclasses
 from pathlib import Path
