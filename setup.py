@@ -27,6 +27,7 @@ setup(
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
+        NAME: ["py.typed"],
         f"{NAME}.cli": ["demo_page.html"],
         f"{NAME}.deblur.blend": ["*.npz"],
         f"{NAME}.depth.quality": ["*.npz"],

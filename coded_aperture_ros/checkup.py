@@ -13,12 +13,17 @@ from coded_aperture_ros.design.setting import design_setting, resolutions_m
 from coded_aperture_ros.likelihood.bank import FilterBank, check_frame_size, check_setting
 from coded_aperture_ros.optics import Camera
 
-OK, WARNING, FAILED = "ok", "warning", "failed"
+OK = "ok"
+WARNING = "warning"
+FAILED = "failed"
 # A hole's blur below this, px, is no code any more; an Airy disc of this radius hides it.
-_LEAST_HOLE_PX, _AIRY_PX = 0.5, 1.0
-_FEWEST_LEVELS, _FEW_LEVELS = 2.0, 5.0
+_LEAST_HOLE_PX = 0.5
+_AIRY_PX = 1.0
+_FEWEST_LEVELS = 2.0
+_FEW_LEVELS = 5.0
 _LITTLE_LIGHT = 0.15
-_SATURATED_SOME, _SATURATED_MUCH = 0.01, 0.1
+_SATURATED_SOME = 0.01
+_SATURATED_MUCH = 0.1
 _NOISE_FACTOR = 2.0
 _COVERED = 0.2
 
@@ -46,7 +51,8 @@ def camera_findings(camera: Camera, near_m: float, far_m: float) -> list[Finding
         f"{step:.2g} m at {depth:.3g} m" if math.isfinite(step) else f"none beyond {depth:.3g} m"
         for depth, step in told_apart.values()
     )
-    few, fewest = setting.levels < _FEW_LEVELS, setting.levels < _FEWEST_LEVELS
+    few = setting.levels < _FEW_LEVELS
+    fewest = setting.levels < _FEWEST_LEVELS
     told = FAILED if fewest else WARNING if few else OK
     holes_px = min(setting.hole_blur_near_px, setting.hole_blur_far_px)
     largest_px = max(setting.hole_blur_near_px, setting.hole_blur_far_px)
@@ -104,7 +110,8 @@ class FrameCheckup:
 
     def __init__(self, camera: Camera, bank: FilterBank) -> None:
         check_setting(bank, camera)
-        self._camera, self._bank = camera, dataclasses.replace(bank, noise=0.0)
+        self._camera = camera
+        self._bank = dataclasses.replace(bank, noise=0.0)
         self._estimator: DepthEstimator | None = None  # for frames of one size
 
     def findings(self, frame: FloatArray, hidden_noise: float = 0.0) -> list[Finding]:
@@ -136,7 +143,8 @@ class FrameCheckup:
             self._estimator.close()
 
     def _noise(self, estimate: DepthEstimate) -> Finding:
-        said, found = self._camera.noise, estimate.noise
+        said = self._camera.noise
+        found = estimate.noise
         numbers = {"noise": found, "noise_of_the_file": said}
         if not said:
             return Finding("noise", OK, f"{found:.4f}; the camera file says nothing", "", numbers)
@@ -156,11 +164,13 @@ def _failed(about: str, error: InputError) -> Finding:
 
 
 def _saturation(frame: FloatArray) -> Finding:
-    share, black = float((~(frame < DepthConfig().saturation)).mean()), float((frame <= 0).mean())
+    share = float((~(frame < DepthConfig().saturation)).mean())
+    black = float((frame <= 0).mean())
     state = FAILED if share > _SATURATED_MUCH else WARNING if share > _SATURATED_SOME else OK
     remedy = "" if state == OK else "expose for less time: saturated light has no depth"
     if state == OK and black > _SATURATED_SOME:
-        state, remedy = WARNING, "expose longer, or lower the black level: what is cut off is lost"
+        state = WARNING
+        remedy = "expose longer, or lower the black level: what is cut off is lost"
     text = f"{100 * share:.1f} % saturated, {100 * black:.1f} % black"
     return Finding("light", state, text, remedy, {"saturated": share, "black": black})
 

@@ -101,10 +101,12 @@ def noise_from_frames(frames: Sequence[NDArray[np.floating]]) -> SensorNoise:
             f"the noise does not go by the light as a sensor's does ({100 * fit_error:.0f} % off): "
             "something moved between the frames, or they are not linear light (gamma)"
         )
-    darkest, brightest = float(light[0]), float(light[-1])
+    darkest = float(light[0])
+    brightest = float(light[-1])
     known = brightest - darkest >= _LEAST_SPREAD
     if not known:
-        dark, gain = float(np.median(variance)), 0.0
+        dark = float(np.median(variance))
+        gain = 0.0
     return SensorNoise(float(np.sqrt(dark)), gain, darkest, brightest, known, fit_error)
 
 
@@ -127,7 +129,8 @@ def _compared(one: NDArray, two: NDArray) -> NDArray:
 def _binned(light: NDArray, squares: NDArray, steep: NDArray) -> tuple[NDArray, NDArray]:
     """Return mean light and variance of groups of equally many pixels, darkest first."""
     bins = np.array_split(np.argsort(light, kind="stable"), _BINS)
-    even, uneven = [], []
+    even = []
+    uneven = []
     for group in bins:
         is_even = steep[group] <= np.median(steep[group])
         even.append(squares[group][is_even].mean())
@@ -154,7 +157,8 @@ def _robust_line(light: NDArray, variance: NDArray) -> tuple[float, float, float
     """Fit a line, never negative, to relative errors (Huber): dark, slope, relative error."""
     terms = np.stack([np.ones_like(light), light], axis=1)
     least = 1e-3 * variance.mean() + 1e-30
-    trust, fitted = np.ones_like(light), variance
+    trust = np.ones_like(light)
+    fitted = variance
     for _ in range(_ROUNDS):
         weights = trust / np.maximum(fitted, least)
         line, _ = optimize.nnls(terms * weights[:, None], variance * weights)

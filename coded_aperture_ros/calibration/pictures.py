@@ -10,8 +10,12 @@ from coded_aperture_ros.calibration.blind.find import BlindMask
 from coded_aperture_ros.core.arrays import FloatArray
 
 _GAP_PX = 6
-_TILE_PX, _TILES_PER_ROW, _TILE_GAP_LIGHT = 192, 5, 0.3
-_WIDTH_PX, _PER_ROW, _GAP_LIGHT = 120, 8, 0.25
+_TILE_PX = 192
+_TILES_PER_ROW = 5
+_TILE_GAP_LIGHT = 0.3
+_WIDTH_PX = 120
+_PER_ROW = 8
+_GAP_LIGHT = 0.25
 
 
 def _tiled(tiles: Sequence[NDArray[np.floating]], per_row: int, gap_light: float) -> FloatArray:

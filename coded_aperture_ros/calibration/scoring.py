@@ -13,11 +13,13 @@ from coded_aperture_ros.core.workers import thread_count
 from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.likelihood.bank.prior import NaturalImagePrior
 
-FOURIER, _PRIOR = WindowedFourierBasis(48, 0.46), NaturalImagePrior()
+FOURIER = WindowedFourierBasis(48, 0.46)
+_PRIOR = NaturalImagePrior()
 _COUNTED = FOURIER.multiplicity > 0
 _COUNTS = FOURIER.multiplicity[_COUNTED].astype(np.float64)
 _CONTRASTS = np.array(_PRIOR.contrasts)
-_MOST_DAMPING, _ENOUGH = 1e4, 1.0
+_MOST_DAMPING = 1e4
+_ENOUGH = 1.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -86,7 +88,9 @@ class Scoring:
         where it is told.
         """
         count = sum(len(each.powers) for each in windows)
-        prior, state, damping = count * np.diag(spread**-2), first if begin is None else begin, 1e-2
+        prior = count * np.diag(spread**-2)
+        state = first if begin is None else begin
+        damping = 1e-2
         information = prior
         for number in progress(range(rounds)):
             moving = active(number)
@@ -97,12 +101,14 @@ class Scoring:
             information += prior[np.ix_(moving, moving)]
             gained = 0.0
             while damping < _MOST_DAMPING:
-                damped, moved = information + damping * np.diag(np.diag(information)), state.copy()
+                damped = information + damping * np.diag(np.diag(information))
+                moved = state.copy()
                 moved[moving] -= np.linalg.solve(damped, gradient)
                 ahead = moved - first
                 gained = cost - self.cost(moved, textures) - float(ahead @ prior @ ahead)
                 if gained > 0:
-                    state, damping = moved, damping / 10
+                    state = moved
+                    damping = damping / 10
                     break
                 damping *= 10
             if len(moving) == len(first) and gained < _ENOUGH * count:
@@ -142,7 +148,8 @@ class Scoring:
 
         By the `active` parts of the state.
         """
-        total, gradient = 0.0, np.zeros(len(active))
+        total = 0.0
+        gradient = np.zeros(len(active))
         information = np.zeros((len(active), len(active)))
         steps = np.diag(self.steps)[active]
 

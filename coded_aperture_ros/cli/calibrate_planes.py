@@ -32,7 +32,7 @@ from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.core.text import table
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera, save_bank
 from coded_aperture_ros.optics import Camera, load_camera
-from coded_aperture_ros.optics.camera import camera_entries
+from coded_aperture_ros.optics.camera_file import camera_entries
 
 _EXAMPLES = """examples:
   a folder of pictures with planes.json or planes.csv (file, depth_m):

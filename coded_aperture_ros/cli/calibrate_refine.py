@@ -20,7 +20,7 @@ from coded_aperture_ros.core.files import atomic_outputs
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.frames import grey_image
 from coded_aperture_ros.optics import Camera, load_camera
-from coded_aperture_ros.optics.camera import camera_entries, camera_files
+from coded_aperture_ros.optics.camera_file import camera_entries, camera_files
 from coded_aperture_ros.sources import captures, open_files
 
 _EXAMPLES = """example:

@@ -15,7 +15,7 @@ from coded_aperture_ros.cli.results import Summary, print_summary
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.optics import load_camera
-from coded_aperture_ros.optics.camera import camera_entries
+from coded_aperture_ros.optics.camera_file import camera_entries
 
 _EXAMPLES = """examples:
   what a double Gauss makes of a mask 15 mm wide in its stop:

@@ -17,7 +17,7 @@ def check_suffix(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:
 
 def inputs_of(args: argparse.Namespace, *names: str) -> list[Path]:
     """Return the files that options give to read, and what a camera file among them names."""
-    from coded_aperture_ros.optics.camera import camera_files
+    from coded_aperture_ros.optics.camera_file import camera_files
 
     given = {name: value for name in names if isinstance(value := getattr(args, name, None), str)}
     camera = given.pop("camera", None)
@@ -26,7 +26,7 @@ def inputs_of(args: argparse.Namespace, *names: str) -> list[Path]:
 
 def input_files(*paths: str | None, camera: str | None = None) -> list[Path]:
     """Return the files that are read, of those that are given: also what a camera file names."""
-    from coded_aperture_ros.optics.camera import camera_files
+    from coded_aperture_ros.optics.camera_file import camera_files
 
     given = [Path(path) for path in paths if path]
     return [*given, *(camera_files(camera) if camera else ())]

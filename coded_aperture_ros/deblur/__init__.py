@@ -14,3 +14,23 @@ from coded_aperture_ros.deblur.stereo import (
 )
 from coded_aperture_ros.deblur.uncertainty import FILLED, SEEN, UNCERTAIN, Uncertainty
 from coded_aperture_ros.deblur.views import opening_centres, view_through
+
+__all__ = [
+    "FILLED",
+    "SEEN",
+    "UNCERTAIN",
+    "AnyDeblurrer",
+    "DeblurConfig",
+    "Deblurrer",
+    "Parallax",
+    "Uncertainty",
+    "anaglyph",
+    "blur_levels",
+    "check_parallax",
+    "covers_frame",
+    "make_deblurrer",
+    "opening_centres",
+    "side_by_side",
+    "stereo_pair",
+    "view_through",
+]

@@ -12,13 +12,15 @@ _LIKE_ONE_PIXEL = 0.05
 # Sharper specks narrower than this are outliers of the depth, px of the frame.
 _SPECK_PX = 9
 # How far blur sizes are averaged, px, and how much they may differ on one surface.
-_SMOOTH_PX, _SAME_SURFACE_PX = 20, 1.0
+_SMOOTH_PX = 20
+_SAME_SURFACE_PX = 1.0
 # What the model of blur leaves unexplained on a plane without noise: standard deviation, linear
 # light.
 MODEL_ERROR = 0.0015
 # What a change of blur size around a pixel leaves unexplained there, per pixel of its standard
 # deviation, linear light; and how far around.
-_ERROR_PER_PX, _AROUND_PX = 0.0014, 15
+_ERROR_PER_PX = 0.0014
+_AROUND_PX = 15
 
 
 def covers_frame(map_shape: tuple[int, ...], frame_shape: tuple[int, ...]) -> bool:

@@ -51,7 +51,9 @@ class Deblurrer:
     def __init__(
         self, stack: PsfStack, config: DeblurConfig | None = None, progress: Progress = iter
     ) -> None:
-        self.stack, self.config, self._progress = stack, config or DeblurConfig(), progress
+        self.stack = stack
+        self.config = config or DeblurConfig()
+        self._progress = progress
         self._basis = cache(lambda: PsfBasis.from_stack(stack))
         self._workers = Workers(thread_count(self.config.threads))
         self._closed_form = self._new_closed_form()
@@ -76,7 +78,8 @@ class Deblurrer:
         Another `rank`, `band`, `network` or number of `threads` makes the filters anew: the next
         frame waits unless `prepare` is called. Another `temporal_frames` begins another video.
         """
-        old, self.config = self.config, config
+        old = self.config
+        self.config = config
         if config.threads != old.threads:
             self._workers.close()
             self._workers = Workers(thread_count(config.threads))
@@ -202,7 +205,8 @@ class Deblurrer:
         return ClosedForm(self.stack, self.config.rank, self.config.band, self._workers)
 
     def _new_blend(self) -> Blend | None:
-        method, band = self.config.method, self.config.band
+        method = self.config.method
+        band = self.config.band
         closed = method == "inverse" or (method == "fast" and band == "half")
         if closed or unsupported_reason(self.stack):
             return None

@@ -47,7 +47,8 @@ class Inverse:
     removes_motion = False
 
     def __init__(self, config: DeblurConfig, closed_form: ClosedForm) -> None:
-        self._config, self._closed_form = config, closed_form
+        self._config = config
+        self._closed_form = closed_form
         self.reduction = closed_form.reduction
 
     def restore(self, problem: Problem, _: VideoState) -> FloatArray:
@@ -71,7 +72,8 @@ class Fast:
     removes_motion = False
 
     def __init__(self, config: DeblurConfig, blend: Blend) -> None:
-        self._config, self._blend = config, blend
+        self._config = config
+        self._blend = blend
 
     def restore(self, problem: Problem, _: VideoState) -> FloatArray:
         """Return the all-in-focus frame."""

@@ -22,7 +22,8 @@ from coded_aperture_ros.optics.wavefront import field_tangents
 
 # Half as many along a side as depth has: all of them are 0.3 dB better, and take three times as
 # long (a ray-traced double Gauss).
-_ROWS, _COLUMNS = ROWS // 2, COLUMNS // 2
+_ROWS = ROWS // 2
+_COLUMNS = COLUMNS // 2
 # By so much parts overlap, and are blended.
 _MARGIN_PX = 28
 
@@ -100,7 +101,8 @@ class FieldDeblurrer:
         known = known_pixels(blur_size_px, frame.shape)
         blur = np.where(known, filled, np.float32(np.nan))
         motion = full_resolution_motion(motion_px, frame.shape)
-        sharp, weight = np.zeros_like(frame), np.zeros(frame.shape[:2], np.float32)
+        sharp = np.zeros_like(frame)
+        weight = np.zeros(frame.shape[:2], np.float32)
         for part, deblurrer in zip(_parts(frame.shape[:2]), self._deblurrers, strict=True):
             # A part without any depth takes that of its neighbours.
             of_part = blur if known[part.where].any() else filled
@@ -144,9 +146,11 @@ def _parts(shape: Shape) -> tuple[_Part, ...]:
 
 def _stretches(length: int, count: int) -> list[tuple[slice, FloatArray]]:
     """Cut a side into parts with margins; weights fall to the margins' ends."""
-    places, found = np.arange(length), []
+    places = np.arange(length)
+    found = []
     for number in range(count):
-        first, end = number * length // count, (number + 1) * length // count
+        first = number * length // count
+        end = (number + 1) * length // count
         # Half way into the margin lies the border, where two parts count alike.
         before = np.ones(length) if not number else (places - first + _MARGIN_PX) / _MARGIN_PX / 2
         after = np.ones(length) if end == length else (end + _MARGIN_PX - places) / _MARGIN_PX / 2

@@ -29,7 +29,8 @@ _EXTENSION_PX = 32
 # There is a basis for each of these noises; the nearest one is used.
 _NOISES = (0.001, 0.003, 0.01, 0.03)
 # Frequencies that `HalfBandFilters` deblur, cycles/px: all below the first, none above the second.
-_ALL_BELOW, _NONE_ABOVE = 0.17, 0.25
+_ALL_BELOW = 0.17
+_NONE_ABOVE = 0.25
 # Colour differences have less texture than brightness, but as much noise: they are deblurred as if
 # they had so many times more, and by half as many kernels.
 COLOUR_NOISE = 2.0
@@ -50,7 +51,8 @@ class InverseFilters:
     steps_per_error = 4
 
     def __init__(self, stack: PsfStack, rank: int, workers: Workers) -> None:
-        self._stack, self._workers = stack, workers
+        self._stack = stack
+        self._workers = workers
         # A PSF reaches so far across the passage from one border to the other, and no farther.
         self._extension_px = max(_EXTENSION_PX, stack.psfs.shape[-1] - 1)
         self._order = np.argsort(stack.blur_sizes_px)
@@ -143,7 +145,8 @@ def _index_among(places: NDArray[np.floating], values: FloatArray) -> NDArray[np
     if last == 0 or not steps[0] or np.ptp(steps) > 1e-6 * np.abs(steps).mean():
         return np.interp(values, places, np.arange(last + 1))
     # Equally spaced, as they usually are: several times as fast.
-    first, step = np.float32(places[0]), np.float32((places[-1] - places[0]) / last)
+    first = np.float32(places[0])
+    step = np.float32((places[-1] - places[0]) / last)
     return np.clip((values - first) / step, 0, np.float32(last))
 
 
@@ -192,7 +195,8 @@ class HalfBandFilters(InverseFilters):
         whole = self._basis(noise).transforms((2 * shape[0], 2 * shape[1]))
         rows = np.fft.fftfreq(shape[0], 1 / shape[0]).astype(np.intp)
         lower = whole[:, rows, : shape[1] // 2 + 1]
-        down, across = np.fft.fftfreq(shape[0]) / 2, np.fft.rfftfreq(shape[1]) / 2
+        down = np.fft.fftfreq(shape[0]) / 2
+        across = np.fft.rfftfreq(shape[1]) / 2
         share = _share(down)[:, None] * _share(across)
         return ((lower - lower[:, :1, :1]) * share).astype(np.complex64)
 

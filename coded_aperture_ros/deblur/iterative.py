@@ -28,7 +28,9 @@ _SEEN_OF_HIDDEN = 0.02
 # How much of the blend there is in the result, where the depth is known and where it is not, and
 # how far around that is looked at, px. They are wrong in other places: the mean gains up to
 # 0.4 dB with estimated depth, and loses nothing with the true one.
-_OF_BLEND, _OF_BLEND_IN_GAPS, _GAP_PX = 0.1, 0.6, 9
+_OF_BLEND = 0.1
+_OF_BLEND_IN_GAPS = 0.6
+_GAP_PX = 9
 # Ranges of blur sizes that the preconditioners tell apart.
 RANGES = 4
 # From an array to one of its shape.
@@ -69,15 +71,20 @@ class Iterative:
         basis: Callable[[], PsfBasis],  # it takes time to make the first time
         workers: Workers,
     ) -> None:
-        self._minimise, self._basis, self._workers = minimise, basis, workers
-        self._config, self._closed_form, self._blend = config, closed_form, blend
+        self._minimise = minimise
+        self._basis = basis
+        self._workers = workers
+        self._config = config
+        self._closed_form = closed_form
+        self._blend = blend
 
     def restore(self, problem: Problem, video: VideoState) -> FloatArray:
         """Return the all-in-focus frame; see `Method`."""
         count = problem.frame_count
         most = float(np.max(count))
         noise = problem.noise / float(np.sqrt(most))
-        blur, motion = problem.blur_size_px, problem.motion_px
+        blur = problem.blur_size_px
+        motion = problem.motion_px
         operator = blur_operator(self._basis(), blur, self._workers, self._config.occlusion, motion)
         weight = problem.measured * (count / np.float32(most))
         if operator.hidden is None:
@@ -106,7 +113,8 @@ class Iterative:
 
     def _closed_forms(self, problem: Problem, noise: float) -> list[FloatArray]:
         """Return about what the scene is."""
-        blur, channels = problem.blur_size_px, problem.channels
+        blur = problem.blur_size_px
+        channels = problem.channels
         if (blend := self._blend_for(problem)) is not None:
             return blend.restore(channels, blur, problem.known, noise)
         # Edges that are too sharp are found and lost again more easily than blurred ones.
@@ -183,7 +191,8 @@ def conjugate_gradients(
     solution = start + 0
     residual = right_side - system(solution)
     enough = tolerance**2 * _product(right_side, right_side)
-    direction, last = 0 * solution, 1.0
+    direction = 0 * solution
+    last = 1.0
     for iteration, _ in zip(range(iterations), steps, strict=False):
         if _product(residual, residual) <= enough:
             return solution, iteration

@@ -23,23 +23,28 @@ _COLOUR = 3.0
 # It was best like this from 0.001 to 0.01, not proportional to the variance: the weights of a
 # sparse prior already follow the noise that is left in the solution. More with occlusion, where the
 # depth is estimated: from the best on random scenes.
-_ALPHA, _ALPHA_OF_ESTIMATED = 4.5, 5.5
+_ALPHA = 4.5
+_ALPHA_OF_ESTIMATED = 5.5
 # Rounding of a frame to 8 bits, about: the least noise that is reckoned with.
 _LEAST_NOISE = 0.0002
 # Discrepancy principle, where the PSFs are all that the model has: while more is left unexplained
 # than so many times the noise, alpha is too large, and becomes so much smaller with every set of
 # weights. Not before the larger alpha has nearly been solved, which takes fewer iterations.
-_DISCREPANCY, _LESS = 1.2, 0.7
+_DISCREPANCY = 1.2
+_LESS = 0.7
 # Turns the median absolute value of a normal distribution into its standard deviation.
 _MEDIAN_TO_STD = 1.4826
 # Of `cg` and of `sparse`: iterations between two updates of the prior's weights, and of all.
 # Without occlusion in the model alpha is looked for, which takes more of them.
-_FEW, _MANY, _LOOKING = (4, 8), (8, 32), (8, 112)
+_FEW = (4, 8)
+_MANY = (8, 32)
+_LOOKING = (8, 112)
 # The tolerance for one set of weights, relative to the configured one.
 _OF_ONE_SET = 0.01
 # Residual, in units of the noise, from which a pixel's depth is taken for wrong, and how far around
 # a pixel it is looked at, px.
-_MISFIT, _MISFIT_REACH_PX = 2.5, 1.2
+_MISFIT = 2.5
+_MISFIT_REACH_PX = 1.2
 # So many times as much may be left by where `cg` begins: what a few steps would explain by ringing,
 # such as rods that the depth misses, has to be known before. `sparse` finds out by itself.
 _AT_FIRST = 4.0
@@ -47,7 +52,8 @@ _AT_FIRST = 4.0
 _LEAST_WEIGHT = 1e-3
 # How strongly a scene is held near what is expected where its pixels are not explained, relative
 # to a pixel that is not blurred; and how far around them, px.
-_HELD, _HELD_PX = np.float32(0.003), 9
+_HELD = np.float32(0.003)
+_HELD_PX = 9
 
 
 def solve_least_squares(fit: Fit) -> list[FloatArray]:
@@ -70,7 +76,10 @@ def restore_sparse(fit: Fit, iterations: int, between: int, wary: bool = False) 
     there is held near `Fit.expected`; if `wary`, before the first iteration too. The channels share
     their edges.
     """
-    operator, channels, noise, config = fit.operator, fit.channels, fit.noise, fit.config
+    operator = fit.operator
+    channels = fit.channels
+    noise = fit.noise
+    config = fit.config
     # What is seen of brightness in all channels together has less noise than each of them.
     together = noise / float(np.sqrt(len(channels)))
     unexplained = float(np.hypot(together, MODEL_ERROR))

@@ -42,7 +42,8 @@ class OccludedBlur(BlurOperator):
         super().__init__(basis, blur_size_px.shape, basis.margin_px, workers)
         rows, columns = self.shape
         surfaces = _Surfaces.of(scene_around(blur_size_px, self), self.margin_px)
-        self.hidden, self._origin = surfaces.hidden, surfaces.origin
+        self.hidden = surfaces.hidden
+        self._origin = surfaces.origin
         self._steps = basis.table_steps(surfaces.front)
         self._offsets, taps = _taps(basis)
         # Where each of them lies in the scene for the frame's first pixel.
@@ -135,7 +136,8 @@ class _Surfaces:
             away = cv2.distanceTransform((~farther).astype(np.uint8), cv2.DIST_L2, 5)
             hidden = (front.ravel()[origin] > front + _EDGE_PX) & (away <= reach_px + 1)
         else:
-            origin, hidden = np.zeros(front.shape, np.intp), np.zeros(front.shape, bool)
+            origin = np.zeros(front.shape, np.intp)
+            hidden = np.zeros(front.shape, bool)
         behind = np.where(hidden, front.ravel()[origin], np.float32(NOTHING))
         edge = (cv2.dilate(front, around) - least > _EDGE_PX).astype(np.uint8)
         near_edges = cv2.dilate(edge, np.ones((2 * reach_px + 3,) * 2, np.uint8)) > 0
@@ -175,7 +177,8 @@ class _Light:
         return place.astype(np.int32), pixel.astype(np.int32), weights.ravel()[seen]
 
     def _of(self, sizes: FloatArray, steps: IndexArray, band: slice) -> FloatArray:
-        front, offsets = self.surfaces.front, self.operator._offsets
+        front = self.surfaces.front
+        offsets = self.operator._offsets
         shape = len(self.taps), band.stop - band.start, self.operator.shape[1]
         weights = np.empty(shape, np.float32)
         scene = front, self._least, sizes, steps, self._near_edges

@@ -37,7 +37,9 @@ class BlurOperator(abc.ABC):
     ) -> None:
         self.shape: Shape = (shape[0], shape[1])
         self.scene_shape = periodic_shape(self.shape, 2 * margin_px)
-        self.margin_px, self.workers, self._basis = margin_px, workers or Workers(), basis
+        self.margin_px = margin_px
+        self.workers = workers or Workers()
+        self._basis = basis
 
     @abc.abstractmethod
     def forward(self, scene: FloatArray) -> FloatArray:
@@ -90,7 +92,8 @@ def motion_parts(motion_px: FloatArray) -> MotionParts:
     known = np.isfinite(motion_px).all(axis=2, keepdims=True)
     coarse = np.rint(np.where(known, motion_px, 0) / _STEP_PX)
     # Blur does not tell one way along a line from the other.
-    right, down = coarse[..., 0], coarse[..., 1]
+    right = coarse[..., 0]
+    down = coarse[..., 1]
     back = (right < 0) | ((right == 0) & (down < 0))
     coarse = np.where(back[..., None], -coarse, coarse) + 0.0
     found, labels, counts = np.unique(

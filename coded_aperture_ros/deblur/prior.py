@@ -15,7 +15,8 @@ _SMALL = 0.01
 
 def differences(image: FloatArray) -> list[FloatArray]:
     """Return first and second differences of an image, each of its shape; 0 across its border."""
-    down, right = _difference(image, 0), _difference(image, 1)
+    down = _difference(image, 0)
+    right = _difference(image, 1)
     return [down, right, *(_difference(*pair) for pair in ((down, 0), (right, 1), (down, 1)))]
 
 
@@ -75,7 +76,8 @@ class SparsePrior:
 
     def of_hidden(self) -> FloatArray:
         """Return about how much each pixel of the second plane counts by itself."""
-        first, second = self.of_behind[:2].sum(axis=0), self.of_behind[2:].sum(axis=0)
+        first = self.of_behind[:2].sum(axis=0)
+        second = self.of_behind[2:].sum(axis=0)
         return 2 * first + 6 * second
 
 
@@ -101,8 +103,10 @@ def _loop(image: FloatArray, weights: FloatArray, gradient: FloatArray) -> None:
             below = image[min(y + 1, rows - 1), x]
             beside = image[y, min(x + 1, columns - 1)]
             # Differences end at the border, where they are 0.
-            down, right = below - here, beside - here
-            flow_down, flow_right = weights[0, y, x] * down, weights[1, y, x] * right
+            down = below - here
+            right = beside - here
+            flow_down = weights[0, y, x] * down
+            flow_right = weights[1, y, x] * right
             if y < rows - 1:
                 twice = image[min(y + 2, rows - 1), x] - below - down
                 part = weights[2, y, x] * twice
@@ -148,5 +152,6 @@ def _difference(image: FloatArray, axis: int) -> FloatArray:
 
 
 def _adjoint(part: FloatArray, axis: int) -> FloatArray:
-    inner, zero = part[:-1] if axis == 0 else part[:, :-1], np.float32(0)
+    inner = part[:-1] if axis == 0 else part[:, :-1]
+    zero = np.float32(0)
     return -np.diff(inner, axis=axis, prepend=zero, append=zero)

@@ -111,7 +111,8 @@ class VideoState:
 
     def reset(self) -> None:
         """Forget the frames so far."""
-        self._averages, self._restored = [], None
+        self._averages = []
+        self._restored = None
 
     def add(self, channels: list[FloatArray], noise: float) -> tuple[list[FloatArray], FloatArray]:
         """Return the mean with one more frame, and how many frames it is of.

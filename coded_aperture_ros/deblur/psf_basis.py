@@ -46,7 +46,8 @@ class PsfBasis:
         # What is seen of the PSFs in photographs, against each other [L, L].
         gram = seen @ seen.T * 2 / side**2
         powers, directions = np.linalg.eigh(gram)
-        powers, directions = powers[::-1], directions[:, ::-1]
+        powers = powers[::-1]
+        directions = directions[:, ::-1]
         left_out = (
             np.max(directions[:, rank:] ** 2 @ np.maximum(powers[rank:], 0))
             for rank in range(1, len(psfs) + 1)

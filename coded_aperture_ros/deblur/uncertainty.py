@@ -16,7 +16,8 @@ FILLED, UNCERTAIN, SEEN = range(3)
 _LEAST_SEEN = 0.5
 # By how much the blur of another surface beside differs, px. Levels without sizes are other
 # surfaces in any case.
-_OTHER_PX, _OTHER_LEVEL = 1.5, 0.5
+_OTHER_PX = 1.5
+_OTHER_LEVEL = 0.5
 # The error of a pixel is about so many times what deblurring has changed around it, to a power: of
 # 71 random scenes behind three masks, noise 0.001 to 0.005, all methods but `inverse`. Half of the
 # scenes set these numbers; of the others' pixels 70 % are within, of their worst scene's 44 %.
@@ -24,7 +25,8 @@ _OF_CHANGE = np.array([0.36, 0.29, 0.27], np.float32)  # by `FILLED` and so on
 _POWER = 0.7
 _AROUND_PX = 5
 # What is left of the noise in any case: in standard deviations, and as a change.
-_OF_NOISE, _LEAST_CHANGE = 1.5, 0.7
+_OF_NOISE = 1.5
+_LEAST_CHANGE = 0.7
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -23,7 +23,8 @@ def opening_centres(mask: Mask, most: int = 11) -> dict[tuple[int, int], tuple[f
 
     Where a mask is more than `most` cells high or wide, the middles of the light of groups of them.
     """
-    shape, side = mask.transmission.shape, max(mask.transmission.shape)
+    shape = mask.transmission.shape
+    side = max(mask.transmission.shape)
     rows, columns = (np.arange(0, length, -(-side // most)) for length in shape)
     places = ((np.indices(shape).T + 0.5 - np.divide(shape, 2)) / side).T
     parts = np.array([np.ones(shape), *places]) * mask.transmission
@@ -73,7 +74,8 @@ def _moved(sharp: FloatArray, shift: FloatArray, slope: float) -> FloatArray:
         nearer = cv2.dilate(shift, np.ones((3, 3), np.uint8))
         shift = np.where(nearer - shift > _TEAR_PX, nearer, shift)
     height, width = shift.shape
-    row, column = np.arange(height)[:, None], np.arange(width)
+    row = np.arange(height)[:, None]
+    column = np.arange(width)
     # Sheared, the lines along which pixels move are rows; beyond the frame its border goes on.
     down = np.rint(slope * column).astype(np.intp)
     line = np.arange(-down.max(), height - down.min())[:, None]
@@ -96,7 +98,8 @@ def _seen_columns(shift: FloatArray) -> FloatArray:
     torn = np.abs(np.diff(shift, axis=1)) > _TEAR_PX
     # A pixel reaches half-way to its neighbours; where the surface ends, half a pixel.
     half_way = (place[:, 1:] + place[:, :-1]) / 2
-    start, stop = place - 0.5, place + 0.5
+    start = place - 0.5
+    stop = place + 0.5
     start[:, 1:] = np.where(torn, start[:, 1:], half_way)
     stop[:, :-1] = np.where(torn, stop[:, :-1], half_way)
 
@@ -105,7 +108,8 @@ def _seen_columns(shift: FloatArray) -> FloatArray:
     # Where several pixels land on one, the leftmost is the nearest: it has moved the most. So all
     # are painted from right to left, and need no comparison of their depths.
     row = np.repeat(np.arange(height), width)
-    start, stop = start[:, ::-1].ravel(), stop[:, ::-1].ravel()
+    start = start[:, ::-1].ravel()
+    stop = stop[:, ::-1].ravel()
     pixel, target, distance = _painted(row, start, stop, width)
     origin = np.tile(column[::-1], height)[pixel]
     seen.reshape(-1)[target] = origin - np.float32(0.5) + distance / (stop - start)[pixel]

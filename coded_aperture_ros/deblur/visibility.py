@@ -36,16 +36,20 @@ def _loop(
     count, rows, columns = weights.shape
     height, width = front.shape
     for k in range(count):
-        down, right = offsets[k, 0], offsets[k, 1]
+        down = offsets[k, 0]
+        right = offsets[k, 1]
         length = max(abs(down), abs(right))
         one_pixel = 1 / max(length, 1)
         towards = 2 * (down > 0) + (right > 0)
         for y in range(rows):
-            py, first_x = top + y + margin, margin + right
+            py = top + y + margin
+            first_x = margin + right
             sizes_here = sizes[py + down][first_x : first_x + columns]
             steps_here = steps[py + down][first_x : first_x + columns]
             least_here = least[towards, py][margin : margin + columns]
-            edges_here, weights_here, tap = edges[top + y], weights[k, y], taps[k]
+            edges_here = edges[top + y]
+            weights_here = weights[k, y]
+            tap = taps[k]
             for x in range(columns):
                 size = sizes_here[x]
                 weights_here[x] = tap[steps_here[x]] if size > NOTHING else 0
@@ -58,9 +62,11 @@ def _loop(
                 if abs(size) < _SHARP_PX:
                     continue
                 begin = int(np.floor(nearest / size * length))
-                first, last = begin - 1, length
+                first = begin - 1
+                last = length
                 if begin > length:
-                    first, last = length + 1, begin + 1
+                    first = length + 1
+                    last = begin + 1
                 elif begin >= 0 and least_here[x] >= size - _IN_FRONT_PX:
                     continue
                 per_pixel = size * one_pixel

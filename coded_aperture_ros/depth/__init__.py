@@ -10,3 +10,24 @@ from coded_aperture_ros.depth.levels import Levels, blur_sizes_px, depths_are_me
 from coded_aperture_ros.depth.points import nearest_obstacle_m, points_of_depth
 from coded_aperture_ros.depth.quality import CAUSES, Health
 from coded_aperture_ros.depth.video import estimate_video
+
+__all__ = [
+    "CAUSES",
+    "DEPTH_EDGE_PX",
+    "MAP_SIZES",
+    "REGULARIZERS",
+    "DepthConfig",
+    "DepthEstimate",
+    "DepthEstimator",
+    "Health",
+    "Levels",
+    "Regularizer",
+    "blur_sizes_px",
+    "depths_are_measured",
+    "estimate_video",
+    "map_size",
+    "nearest_obstacle_m",
+    "points_of_depth",
+    "refinement_note",
+    "side_warning",
+]

@@ -8,3 +8,13 @@ from coded_aperture_ros.design.curves import (
 )
 from coded_aperture_ros.design.openings import mask_openings
 from coded_aperture_ros.design.setting import DesignConfig, design_setting
+
+__all__ = [
+    "DesignConfig",
+    "best_settings",
+    "default_extent_range_mm",
+    "default_focus_range_m",
+    "design_curves",
+    "design_setting",
+    "mask_openings",
+]

@@ -22,7 +22,8 @@ def diffraction_warning(camera: Camera, blur_size_px: float) -> str:
     lost = [one for one in openings if airy_width_px(camera, one) > one.width * size]
     if not lost:
         return ""
-    first, extent_mm = lost[0], camera.mask_extent_mm
+    first = lost[0]
+    extent_mm = camera.mask_extent_mm
     others = f" (and {len(lost) - 1} of the {len(openings)} openings more)" if lost[1:] else ""
     airy_px = airy_width_px(camera, first)
     f_number = f", f/{camera.f_number:.1f}" if camera.f_number else ""

@@ -14,7 +14,8 @@ from coded_aperture_ros.optics import Mask
 # Widths are exact to this part of a cell; for openings made of square cells, exact.
 _POINTS_PER_CELL = 4
 # Cells a side of masks whose openings are made wider or narrower; four times as many for less.
-_RECUT_CELLS, _LARGE_CHANGE = 1000, 0.005
+_RECUT_CELLS = 1000
+_LARGE_CHANGE = 0.005
 Point = tuple[float, float]
 Outline = list[Point]
 # Curved masks are stored as coverage of cells; their outline is drawn in steps of this part of a
@@ -181,10 +182,12 @@ def _trace(cells: BoolArray) -> list[list[tuple[int, int]]]:
     while edges:
         here = next(iter(edges))
         direction = edges[here][0]
-        points, directions = [], []
+        points = []
+        directions = []
         while here in edges:
             # Where two cells touch at a corner, the right turn stays at the same cell.
-            right, choices = (-direction[1], direction[0]), edges[here]
+            right = (-direction[1], direction[0])
+            choices = edges[here]
             direction = right if right in choices else choices[0]
             choices.remove(direction)
             if not choices:

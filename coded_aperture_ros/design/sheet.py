@@ -8,7 +8,8 @@ from coded_aperture_ros.design.openings import Outline, Point, mask_openings, ma
 from coded_aperture_ros.optics import Mask
 
 # A4, and what of it every printer reaches.
-WIDTH_MM, HEIGHT_MM = 210.0, 297.0
+WIDTH_MM = 210.0
+HEIGHT_MM = 297.0
 _LARGEST_MM = 170.0
 _TOP_MM = 62.0
 # Cardboard left between the openings and the edge of the piece: by default, and at least.
@@ -122,7 +123,8 @@ def loose_parts_note(count: int) -> str:
 def _piece(outlines: list[Outline], outer_mm: float, reach_mm: float) -> list[Shape]:
     """Draw the black piece with its cut lines, and triangles that point up."""
     radius_mm = outer_mm / 2
-    x, y = WIDTH_MM / 2, _TOP_MM + radius_mm
+    x = WIDTH_MM / 2
+    y = _TOP_MM + radius_mm
     holes = [[(x + dx, y + dy) for dx, dy in outline] for outline in outlines]
     angles = [2 * math.pi * k / _CIRCLE_CORNERS for k in range(_CIRCLE_CORNERS)]
     rim = [(x + radius_mm * math.cos(one), y + radius_mm * math.sin(one)) for one in angles]

@@ -68,11 +68,13 @@ def sheet_pdf(sheet: Sheet) -> bytes:
         b"<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica /Encoding /WinAnsiEncoding >>",
         b"<< /Title " + _string(sheet.title).encode("cp1252", "replace") + b" >>",
     ]
-    data, offsets = b"%PDF-1.4\n", []
+    data = b"%PDF-1.4\n"
+    offsets = []
     for number, body in enumerate(objects, start=1):
         offsets.append(len(data))
         data += b"%d 0 obj\n%s\nendobj\n" % (number, body)
-    size_of_table, start_of_table = len(objects) + 1, len(data)
+    size_of_table = len(objects) + 1
+    start_of_table = len(data)
     data += b"xref\n0 %d\n0000000000 65535 f \n" % size_of_table
     data += b"".join(b"%010d 00000 n \n" % offset for offset in offsets)
     data += b"trailer\n<< /Size %d /Root 1 0 R /Info %d 0 R >>\n" % (size_of_table, len(objects))

@@ -28,3 +28,37 @@ from coded_aperture_ros.frames.noise import (
 from coded_aperture_ros.frames.patches import PatchGrid, brightness_at, usable_windows
 from coded_aperture_ros.frames.periodic import periodic, periodic_shape, transfer_function
 from coded_aperture_ros.frames.static_average import StaticAverage, frames_of_patches
+
+__all__ = [
+    "MOSAICS",
+    "SRGB",
+    "Gamma",
+    "GreyNoise",
+    "KnownNoise",
+    "PatchGrid",
+    "StaticAverage",
+    "brightness_at",
+    "channel_mean",
+    "channel_noise",
+    "check_frame",
+    "colour_from_mosaic",
+    "decode",
+    "decode_picture",
+    "encode",
+    "estimate_noise",
+    "filled",
+    "frames_of_patches",
+    "gamma_from_text",
+    "grey_from_mosaic",
+    "grey_image",
+    "grey_noise",
+    "hidden_noise",
+    "linear_from_pixels",
+    "mosaic_from_colour",
+    "periodic",
+    "periodic_shape",
+    "pixels_from_linear",
+    "resampled",
+    "transfer_function",
+    "usable_windows",
+]

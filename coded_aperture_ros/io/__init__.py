@@ -14,3 +14,16 @@ from coded_aperture_ros.io.picture_file import (
     write_depth,
     write_image,
 )
+
+__all__ = [
+    "PICTURE_SUFFIXES",
+    "confidence_picture",
+    "depth_picture",
+    "error_picture",
+    "grey_picture",
+    "picture_files",
+    "read_depth",
+    "read_image",
+    "write_depth",
+    "write_image",
+]

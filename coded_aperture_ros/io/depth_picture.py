@@ -10,11 +10,15 @@ from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 
 # Unknown is hatched: no single colour is unlike all depths.
-UNKNOWN_RGB, _HATCH_RGB, _HATCH_PX = (225, 225, 225), (170, 170, 170), 6
+UNKNOWN_RGB = (225, 225, 225)
+_HATCH_RGB = (170, 170, 170)
+_HATCH_PX = 6
 _BAR_HEIGHT = 14
 _STRIP_HEIGHT = 40
 _MARGIN = 12
-_FONT, _FONT_SCALE, _STROKE = cv2.FONT_HERSHEY_SIMPLEX, 0.4, 1
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_FONT_SCALE = 0.4
+_STROKE = 1
 
 
 def depth_picture(
@@ -117,5 +121,6 @@ def _ticks(near_m: float, far_m: float, count: int) -> DoubleArray:
     raw = (far_m - near_m) / count
     power = 10.0 ** np.floor(np.log10(raw))
     step = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= raw * (1 - 1e-9))
-    first, last = np.ceil(near_m / step - 1e-9), np.floor(far_m / step + 1e-9)
+    first = np.ceil(near_m / step - 1e-9)
+    last = np.floor(far_m / step + 1e-9)
     return np.arange(first, last + 0.5) * step

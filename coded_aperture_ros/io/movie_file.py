@@ -21,7 +21,9 @@ def movie(path: str | os.PathLike[str]) -> Iterator[Callable[[NDArray], None]]:
     another size, or there is none.
     """
     with atomic_output(path) as file:
-        writer, size, count = cv2.VideoWriter(), (0, 0), 0
+        writer = cv2.VideoWriter()
+        size = (0, 0)
+        count = 0
 
         def add(picture: NDArray) -> None:
             nonlocal size, count

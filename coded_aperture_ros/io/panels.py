@@ -6,8 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_TITLE_HEIGHT, _GAP = 28, 6
-_FONT, _FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.5
+_TITLE_HEIGHT = 28
+_GAP = 6
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_FONT_SCALE = 0.5
 _WHITE = 255
 
 

@@ -16,3 +16,20 @@ from coded_aperture_ros.likelihood.protocol import (
     MotionField,
 )
 from coded_aperture_ros.likelihood.scoring import plausible_ratios, relative_cost, take_logarithm
+
+__all__ = [
+    "BACKENDS",
+    "BlurLevels",
+    "Cost",
+    "EngineLikelihood",
+    "Likelihood",
+    "LikelihoodModel",
+    "MotionField",
+    "NumpyEngine",
+    "Plan",
+    "check_backend",
+    "new_engine",
+    "plausible_ratios",
+    "relative_cost",
+    "take_logarithm",
+]

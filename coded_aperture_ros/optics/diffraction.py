@@ -17,19 +17,20 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.optics.mask import Mask
 
-# Below this many half waves of defocus at the mask's edge the phase is that in focus.
-_IN_FOCUS = 1e-3
-# Beyond what a PSF keeps of its tails lies at most this share of the light, unless that is far.
-_LOST, _FARTHEST_PX = 0.02, 8
+# Half waves of defocus at the mask's edge below which the phase is that in focus.
+_MIN_DEFOCUS = 1e-3
+# Tails of a PSF are cut off where this share of the light lies beyond, or at this distance.
+_LOST_SHARE = 0.02
+_MAX_TAIL_PX = 8
 # Points of the integral over a pixel beyond what the finest fringes need, for 6 digits.
-_MORE_POINTS = 5
+_EXTRA_QUADRATURE_POINTS = 5
 
 
 def scatter_length_px(mask: Mask, diffraction_px: float) -> float:
-    """Return how far a mask's edges throw light, px: beyond d px falls this divided by d of it.
+    """Length l of a mask's diffraction tails, px: beyond d px lies a share of l / d of the light.
 
-    It is ``q P / (2 pi^2 A)`` of perimeter P and area A of the openings, the tail of every
-    diffraction pattern: for a slit of width w, ``q / (pi^2 w)``. `diffraction_px` is q.
+    ``q P / (2 pi^2 A)`` of perimeter P and area A of the openings, the tail of every diffraction
+    pattern: for a slit of width w, ``q / (pi^2 w)``. `diffraction_px` is q.
     """
     grid = np.pad(mask.transmission.astype(np.float64), 1)
     perimeter = sum(np.abs(np.diff(grid, axis=axis)).sum() for axis in (0, 1))
@@ -39,8 +40,8 @@ def scatter_length_px(mask: Mask, diffraction_px: float) -> float:
 
 
 def diffraction_tail_px(mask: Mask, diffraction_px: float) -> int:
-    """Return how many pixels beyond the geometric one a PSF is wide on each side."""
-    return min(int(np.ceil(scatter_length_px(mask, diffraction_px) / _LOST)), _FARTHEST_PX)
+    """Pixels by which a PSF with diffraction is wider on each side than the geometric one."""
+    return min(int(np.ceil(scatter_length_px(mask, diffraction_px) / _LOST_SHARE)), _MAX_TAIL_PX)
 
 
 def diffracted_psf(
@@ -51,30 +52,37 @@ def diffracted_psf(
     centre_px: tuple[float, float] = (0.0, 0.0),
     part: Mask | None = None,
 ) -> DoubleArray:
-    """Return the light on every pixel, float64 [width_px, width_px], as a share of all light.
+    """Light of each pixel, float64 [width_px, width_px], as a share of all light.
 
     The field of a square cell is a product of two Fresnel integrals, so that it is exact; the
     intensity is integrated over the pixels by Gauss's rule, with points enough for its fringes.
-    Sizes and centre are those of `render_psf`, and `diffraction_px` is ``q`` above, more than 0.
-    With a `part`, some of the mask's cells, the result is what comes through them, ``Re(U_part*
-    U)``: of all parts together it is the PSF, of one it has its light, and may be negative in
-    places.
+
+    Parameters
+    ----------
+    mask, blur_size_px, width_px, centre_px
+        As in `render_psf`.
+    diffraction_px : float
+        ``q`` above, px, more than 0.
+    part : Mask, optional
+        Some of the mask's cells. The result is then the light through them, ``Re(U_part* U)``:
+        summed over all parts it is the PSF; of one part it may be negative in places.
     """
-    count = int(np.ceil(np.pi / (2 * diffraction_px))) + _MORE_POINTS
+    count = int(np.ceil(np.pi / (2 * diffraction_px))) + _EXTRA_QUADRATURE_POINTS
     nodes, weights = np.polynomial.legendre.leggauss(count)
     places = (np.arange(width_px)[:, None] - (width_px - 1) / 2 + nodes / 2).ravel()
     amplitude = np.sqrt(mask.transmission.astype(np.float64))
     # A row of the grid is not as long as the extent where the grid is higher than wide.
     cell, (down, across) = 1 / max(amplitude.shape), amplitude.shape
     rows, columns = (
-        _fields(
+        _slit_fields(
             (np.arange(cells + 1) - cells / 2) * cell, places - beside, blur_size_px, diffraction_px
         )
         for cells, beside in zip((down, across), centre_px, strict=True)
     )
     chosen = amplitude if part is None else np.sqrt(part.transmission.astype(np.float64))
     light = np.empty((width_px, width_px))
-    across_whole, across_chosen = amplitude @ columns.T, chosen @ columns.T
+    across_whole = amplitude @ columns.T
+    across_chosen = chosen @ columns.T
     # A row of pixels at a time: all points together can take gigabytes.
     for pixels, of_row in zip(light, rows.reshape(width_px, count, down), strict=True):
         whole = of_row @ across_whole
@@ -85,15 +93,19 @@ def diffracted_psf(
     return light / 4 / (diffraction_px**2 * float((amplitude**2).sum()) * cell**2)
 
 
-def _fields(edges: DoubleArray, u: DoubleArray, size_px: float, q: float) -> NDArray[np.complex128]:
-    """Return the field of each slit between neighbouring edges [n + 1] at places u, [u, n].
+def _slit_fields(
+    edges: DoubleArray, u: DoubleArray, size_px: float, q: float
+) -> NDArray[np.complex128]:
+    """Field of each slit between neighbouring edges [n + 1] at positions u, [u, n].
 
-    But for a phase that all slits share at a place, and, with negative sizes, its conjugate: the
-    intensity does not see them.
+    Without a phase that all slits share at a position and, for negative sizes, without the
+    conjugate: the intensity does not depend on them.
     """
-    frequency, curvature = u[:, None] / q, size_px / q
-    if abs(curvature) < _IN_FOCUS:
-        middle, width = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
+    frequency = u[:, None] / q
+    curvature = size_px / q
+    if abs(curvature) < _MIN_DEFOCUS:
+        middle = (edges[1:] + edges[:-1]) / 2
+        width = np.diff(edges)
         return width * np.sinc(width * frequency) * np.exp(-2j * np.pi * middle * frequency)
     scale = np.sqrt(2 * abs(curvature))
     sine, cosine = scipy.special.fresnel(scale * (edges - frequency / curvature))

@@ -1,6 +1,6 @@
-"""The pinhole model of a camera, and the YAML file in which ROS tools keep it.
+"""The pinhole model of a camera, and its file (YAML) as ROS tools write it.
 
-That is the format of `camera_calibration` and `camera_info_manager`: `image_width`, `image_height`,
+The format is that of `camera_calibration` and `camera_info_manager`: `image_width`, `image_height`,
 `camera_name`, `distortion_model`, and matrices with `rows`, `cols` and `data`.
 """
 
@@ -23,35 +23,42 @@ from coded_aperture_ros.core.options import has_type
 from coded_aperture_ros.optics.view import View
 
 _IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-# How many coefficients the models of ROS have.
-_COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,)}
-# Of undoing distortion: OpenCV's five leave pixels.
-_ITERATIONS = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-7)
+# Numbers of coefficients that each distortion model of ROS may have.
+_COEFFICIENT_COUNTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,)}
+# For undistortion: the five iterations of OpenCV's default leave errors of pixels.
+_UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-7)
 _MATRICES = {"camera_matrix": (3, 3), "rectification_matrix": (3, 3), "projection_matrix": (3, 4)}
 
 
 @dataclasses.dataclass(frozen=True)
 class Intrinsics:
-    """What `sensor_msgs/CameraInfo` says about a camera.
+    """Pinhole model with distortion: the content of a `sensor_msgs/CameraInfo`.
 
-    Attributes
+    Parameters
     ----------
     image_width, image_height : int
+        px.
     camera_matrix : tuple of 9 float
         K, row by row: focal lengths and principal point in px. Pixel centres are whole numbers.
-    distortion_coefficients : tuple of float
+    distortion_coefficients : tuple of float, optional
         D; empty if there is no distortion.
-    distortion_model : str
-    rectification_matrix : tuple of 9 float
+    distortion_model : {"plumb_bob", "rational_polynomial", "equidistant"}, optional
+    rectification_matrix : tuple of 9 float, optional
         R.
-    projection_matrix : tuple of 12 float
-        P, row by row.
-    camera_name : str
+    projection_matrix : tuple of 12 float, optional
+        P, row by row; by default K.
+    camera_name : str, optional
 
     Raises
     ------
     InputError
         Naming the value that no camera can have.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Intrinsics
+    >>> Intrinsics.pinhole(500.0, 640, 480).camera_matrix
+    (500.0, 0.0, 319.5, 0.0, 500.0, 239.5, 0.0, 0.0, 1.0)
     """
 
     image_width: int
@@ -76,15 +83,16 @@ class Intrinsics:
             values = getattr(self, name)
             if len(values) != rows_ * columns or not all(map(math.isfinite, values)):
                 raise InputError(f"{name}: expected {rows_ * columns} finite numbers")
-        k, p = self.camera_matrix, self.projection_matrix
+        k = self.camera_matrix
+        p = self.projection_matrix
         if not (k[0] > 0 and k[4] > 0 and p[0] > 0 and p[5] > 0):
             raise InputError("camera_matrix: the focal lengths have to be more than 0 px")
         d = self.distortion_coefficients
-        expected = _COEFFICIENTS.get(self.distortion_model)
+        expected = _COEFFICIENT_COUNTS.get(self.distortion_model)
         if expected is None:
             raise InputError(
                 f"distortion_model: {self.distortion_model!r} is not known, use one of "
-                f"{', '.join(_COEFFICIENTS)}"
+                f"{', '.join(_COEFFICIENT_COUNTS)}"
             )
         if (d and len(d) not in expected) or not all(map(math.isfinite, d)):
             counts = " or ".join(map(str, expected))
@@ -95,50 +103,59 @@ class Intrinsics:
 
     @classmethod
     def pinhole(cls, focal_length_px: float, image_width: int, image_height: int) -> "Intrinsics":
-        """Return the model without distortion, with the principal point in the middle.
+        """Model without distortion, with the principal point in the middle.
 
         Pixel centres have whole coordinates, so the middle of a row of w pixels is (w - 1) / 2.
         """
         f = float(focal_length_px)
-        cx, cy = (image_width - 1) / 2.0, (image_height - 1) / 2.0
+        cx = (image_width - 1) / 2.0
+        cy = (image_height - 1) / 2.0
         matrix = (f, 0.0, cx, 0.0, f, cy, 0.0, 0.0, 1.0)
         return cls(image_width, image_height, matrix)
 
     def rays(self, rows: int, columns: int) -> FloatArray:
-        """Return `rays` through the pixels of the same view in a picture of this size."""
+        """Ray slopes x / z and y / z of the whole view's pixels, float32 [rows, columns, 2]."""
         model = self.resized(columns, rows)
         distorted = model.distortion_model, model.camera_matrix, model.distortion_coefficients
         return pixel_rays(*distorted, rows, columns)
 
     def resized(self, width: int, height: int) -> "Intrinsics":
-        """Return the model of the same view resized; distortion acts on normalised coordinates."""
-        return self._placed(width, height, width / self.image_width, height / self.image_height)
+        """Model of the same view in another size; distortion acts on normalised coordinates."""
+        return self._transformed(
+            width, height, width / self.image_width, height / self.image_height
+        )
 
     def for_view(self, view: View) -> "Intrinsics":
-        """Return the model of a part of the view, of which this is the whole."""
-        return self._placed(view.width, view.height, 1.0, 1.0, view.left, view.top)
+        """Model of frames that show a part of the view, of which this model is the whole."""
+        return self._transformed(view.width, view.height, 1.0, 1.0, view.left, view.top)
 
-    def _placed(self, width: int, height: int, *place: float) -> "Intrinsics":
-        """Return the model of a picture of this size; for its place see `scaled_matrix`."""
+    def _transformed(self, width: int, height: int, *transform: float) -> "Intrinsics":
+        """Model of a picture of this size; `transform`: the last arguments of `scaled_matrix`."""
         return dataclasses.replace(
             self,
             image_width=width,
             image_height=height,
-            camera_matrix=scaled_matrix(self.camera_matrix, *place),
-            projection_matrix=scaled_matrix(self.projection_matrix, *place),
+            camera_matrix=scaled_matrix(self.camera_matrix, *transform),
+            projection_matrix=scaled_matrix(self.projection_matrix, *transform),
         )
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the file, which appears whole or not at all; an `InputError` if it cannot be."""
+        """Write the calibration file, whole or not at all.
+
+        Raises
+        ------
+        InputError
+            If it cannot be written.
+        """
         content = {
             "image_width": self.image_width,
             "image_height": self.image_height,
             "camera_name": self.camera_name,
-            "camera_matrix": _matrix(self.camera_matrix, 3),
+            "camera_matrix": _matrix_entry(self.camera_matrix, 3),
             "distortion_model": self.distortion_model,
-            "distortion_coefficients": _matrix(self.distortion_coefficients, 1),
-            "rectification_matrix": _matrix(self.rectification_matrix, 3),
-            "projection_matrix": _matrix(self.projection_matrix, 3),
+            "distortion_coefficients": _matrix_entry(self.distortion_coefficients, 1),
+            "rectification_matrix": _matrix_entry(self.rectification_matrix, 3),
+            "projection_matrix": _matrix_entry(self.projection_matrix, 3),
         }
         with atomic_output(path) as temporary:
             text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
@@ -148,7 +165,7 @@ class Intrinsics:
 def scaled_matrix(
     matrix: Sequence[float], x: float, y: float, left: float = 0.0, top: float = 0.0
 ) -> tuple[float, ...]:
-    """Return K or P, row by row, of a view from `left` and `top` on that is resized by x and y.
+    """K or P, row by row, of a view that begins at `left` and `top` and is resized by x and y.
 
     Pixel centres have whole coordinates: a scale s moves x to s (x - left + 1/2) - 1/2.
     """
@@ -164,28 +181,50 @@ def scaled_matrix(
 def pixel_rays(
     model: str, k: tuple[float, ...], d: tuple[float, ...], rows: int, columns: int
 ) -> FloatArray:
-    """Return x / z and y / z of what every pixel sees, float32 [rows, columns, 2].
+    """Ray slopes x / z and y / z of the pixels, float32 [rows, columns, 2], without distortion.
 
-    The arguments are those of `sensor_msgs/CameraInfo`; its distortion is undone. An `InputError`
-    if it has too many or too few coefficients.
+    `model`, `k` and `d` are those of a `sensor_msgs/CameraInfo`. Raises `InputError` if the number
+    of coefficients does not suit the model.
     """
     pixels = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).astype(np.float64)
-    matrix, shape = np.reshape(k, (3, 3)), pixels.shape
+    matrix = np.reshape(k, (3, 3))
+    shape = pixels.shape
     arguments = pixels.reshape(-1, 1, 2), matrix, np.array(d)
     try:
         if any(d) and model == "equidistant":
             pixels = cv2.fisheye.undistortPoints(*arguments, P=matrix)
         elif any(d):
-            pixels = cv2.undistortImagePoints(*arguments, None, _ITERATIONS)
+            pixels = cv2.undistortImagePoints(*arguments, None, _UNDISTORT_CRITERIA)
     except cv2.error as error:
         raise InputError(f"camera_info: {len(d)} coefficients do not suit {model}") from error
     return np.asarray((pixels.reshape(shape) - [k[2], k[5]]) / [k[0], k[4]], np.float32)
 
 
 def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
-    """Read a camera calibration as ROS tools write it.
+    """Pinhole model from a calibration file of ROS tools.
 
-    An `InputError` is one line that names the file and the key.
+    Parameters
+    ----------
+    path : str or path-like
+
+    Returns
+    -------
+    Intrinsics
+
+    Raises
+    ------
+    InputError
+        One line with the file and the key.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> from coded_aperture_ros.optics import Intrinsics, load_intrinsics
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = pathlib.Path(folder, "camera.yaml")
+    ...     Intrinsics.pinhole(500.0, 640, 480).save(file)
+    ...     load_intrinsics(file).image_width
+    640
     """
     content = read_yaml(path, str(path))
     with naming(path):
@@ -198,12 +237,14 @@ def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
         names = ("camera_name", "distortion_model")
         values |= {key: str(content[key]) for key in names if key in content}
         shapes = {**_MATRICES, "distortion_coefficients": (1, None)}
-        values |= {k: _data(k, content[k], *shape) for k, shape in shapes.items() if k in content}
+        values |= {
+            k: _parse_matrix(k, content[k], *shape) for k, shape in shapes.items() if k in content
+        }
         return Intrinsics(**values)
 
 
 def read_yaml(path: str | os.PathLike[str], name: str) -> Any:
-    """Return the content of a YAML file; an `InputError` that calls it `name`, if there is none."""
+    """Content of a YAML file; raises `InputError` with `name` if it cannot be read."""
     try:
         return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
@@ -214,7 +255,7 @@ def read_yaml(path: str | os.PathLike[str], name: str) -> Any:
         raise InputError(f"{name}: not valid YAML{line}") from error
 
 
-def _data(key: str, entry: Any, rows: int, columns: int | None) -> tuple[float, ...]:
+def _parse_matrix(key: str, entry: Any, rows: int, columns: int | None) -> tuple[float, ...]:
     if not isinstance(entry, dict):
         raise InputError(f"{key}: expected rows, cols and data, got {entry!r}")
     for part in ("rows", "cols", "data"):
@@ -231,5 +272,5 @@ def _data(key: str, entry: Any, rows: int, columns: int | None) -> tuple[float, 
     return tuple(float(value) for value in data)
 
 
-def _matrix(values: tuple[float, ...], rows: int) -> dict[str, Any]:
+def _matrix_entry(values: tuple[float, ...], rows: int) -> dict[str, Any]:
     return {"rows": rows, "cols": len(values) // rows, "data": [float(value) for value in values]}

@@ -16,8 +16,8 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames import decode_picture
 
-# Finer than any lens shows, and a picture of a mask may well be a scan of one.
-_MOST_CELLS = 4096
+# Largest side in cells: finer than any lens shows, and a picture of a mask may be a large scan.
+_MAX_CELLS = 4096
 _LEVIN = """
 00110101100 00000100000 11000000011 01001110010 10000100001 10011111001
 10000100001 01001110010 11000000011 00000100000 00110101100
@@ -27,12 +27,12 @@ _ZHOU = """
 00011101100 00011100110 11111101111 11111100111 11111000111 11111000011
 11111000011 10001000000 00001000000 01111111110 00011111100
 """
-# Found by this package's own predictions of depth and deblurring error, see docs/masks.md.
+# Found by searching for the smallest predicted errors of depth and deblurring, see docs/masks.md.
 _FOUR_WIDE = """
 11110001111 10010001111 10110001101 11110001011 00000000000 00000000000
 00000000000 11110000111 11110000011 11110001001 11110001111
 """
-# Found likewise, and by how well the side of the focal plane can be told.
+# Found likewise, with the side of the focal plane as a third criterion.
 _THREE_WIDE = "0000111 0000111 0000111 0000000 1110111 1110111 1110111"
 _MURA_PRIME = 13
 # The holes are 4/17 of the extent wide; half cells are needed to centre one of them.
@@ -46,15 +46,29 @@ _CURVE_SUPERSAMPLING = 16
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Mask:
-    """The pattern of an aperture.
+    """Pattern of an aperture.
 
-    Attributes
+    Parameters
     ----------
     name : str
         One of `MASK_NAMES`, or the name of the file that the mask came from.
-    transmission : ndarray of float32, shape [n, m]
+    transmission : array_like of float, shape [n, m]
         Fraction of the light that each square cell lets through, 0 to 1; row 0 is the top. The
-        longer side of the grid spans the mask's extent. Read-only.
+        longer side of the grid spans the mask's extent. Kept as float32, read-only.
+
+    Raises
+    ------
+    InputError
+        If the grid is not two-dimensional, a value is outside 0 to 1, or no cell is open.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Mask
+    >>> mask = Mask.named("levin")
+    >>> mask.transmission.shape, round(mask.open_fraction, 3)
+    ((11, 11), 0.355)
+    >>> Mask.from_rows(["#.", "##"]).open_fraction
+    0.75
     """
 
     name: str
@@ -75,22 +89,22 @@ class Mask:
 
     @property
     def open_fraction(self) -> float:
-        """Open area over the area of the square that bounds the mask's grid."""
+        """Open area over the area of the square that bounds the mask's grid, 0 to 1."""
         return float(self.transmission.sum(dtype=np.float64)) / max(self.transmission.shape) ** 2
 
     @property
     def asymmetry(self) -> float:
-        """How far the mask is from itself turned by 180 degrees: 0 the same, 1 nothing in common.
+        """Difference between the mask and itself turned by 180 degrees, 0 (equal) to 1 (disjoint).
 
-        Share of the open area that is closed in the turned one. Without any, the blur is the same
-        before and behind the focal plane, and the side cannot be told.
+        Share of the open area that is closed in the turned mask. At 0 the blur is the same before
+        and behind the focal plane, and the side cannot be told.
         """
         grid = self.transmission.astype(np.float64)
         return float(np.abs(grid - grid[::-1, ::-1]).sum() / (2 * grid.sum()))
 
     @property
     def digest(self) -> str:
-        """A hash of the pattern, to tell whether two files speak of the same mask."""
+        """Hash of the pattern (SHA-256, hexadecimal), equal for equal masks."""
         shape = "x".join(str(length) for length in self.transmission.shape)
         return hashlib.sha256(shape.encode() + self.transmission.tobytes()).hexdigest()
 
@@ -102,7 +116,7 @@ class Mask:
 
     @staticmethod
     def named(name: str) -> "Mask":
-        """Return one of the masks of `MASK_NAMES`; an `InputError` if it is none."""
+        """Mask of a name in `MASK_NAMES`; raises `InputError` for another name."""
         if name not in _BUILDERS:
             close = difflib.get_close_matches(str(name), MASK_NAMES, 1)
             hint = f"did you mean {close[0]}? " if close else ""
@@ -111,7 +125,7 @@ class Mask:
 
     @staticmethod
     def from_rows(rows: ArrayLike, name: str = "rows") -> "Mask":
-        """Build a mask from strings, top row first; `1` and `#` are open, all else is closed."""
+        """Mask from strings, top row first; `1` and `#` are open, all else is closed."""
         lines = [str(row) for row in np.atleast_1d(np.asarray(rows))]
         if len({len(line) for line in lines}) != 1:
             raise InputError(f"mask {name}: all rows must have the same length")
@@ -119,9 +133,12 @@ class Mask:
 
     @staticmethod
     def from_file(path: str | os.PathLike[str]) -> "Mask":
-        """Read a mask from a picture (white is open) or from a two-dimensional `.npy` array.
+        """Mask from a picture (white is open) or from a two-dimensional `.npy` array.
 
-        An `InputError` if the file is missing, neither of them, or has values outside 0 to 1.
+        Raises
+        ------
+        InputError
+            If the file is missing, neither of them, or has values outside 0 to 1.
         """
         path = Path(path)
         try:
@@ -129,21 +146,21 @@ class Mask:
         except OSError as error:
             raise InputError(f"cannot read mask {path}: {error.strerror or error}") from error
         if path.suffix.lower() == ".npy":
-            return Mask(path.name, _array_of(path))
+            return Mask(path.name, _read_array(path))
         picture: Any = decode_picture(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
         if picture is None:
             raise InputError(f"cannot read mask {path}: not a picture, use PNG or .npy")
-        if max(picture.shape) > _MOST_CELLS:
+        if max(picture.shape) > _MAX_CELLS:
             raise InputError(
                 f"cannot read mask {path}: {picture.shape[1]}x{picture.shape[0]} cells, "
-                f"at most {_MOST_CELLS} a side: make the picture smaller"
+                f"at most {_MAX_CELLS} a side: make the picture smaller"
             )
         if picture.dtype.kind == "u":
             picture = picture / np.float32(np.iinfo(picture.dtype).max)
         return Mask(path.name, picture)
 
 
-def _array_of(path: Path) -> FloatArray:
+def _read_array(path: Path) -> FloatArray:
     try:
         return np.asarray(np.load(path, allow_pickle=False), dtype=np.float32)
     except (ValueError, EOFError, OSError, TypeError) as error:
@@ -162,7 +179,7 @@ def _square_holes(corners: list[tuple[int, int]]) -> FloatArray:
 
 
 def _ring(inner_radius: float) -> FloatArray:
-    """Return the coverage of a ring with outer radius 1 on a square grid that just holds it."""
+    """Coverage of a ring with outer radius 1, on a square grid that just holds it."""
     fine = _CURVE_GRID * _CURVE_SUPERSAMPLING
     x = (np.arange(fine) + 0.5) / fine * 2.0 - 1.0
     squared_radius = x[:, None] ** 2 + x[None, :] ** 2
@@ -172,7 +189,7 @@ def _ring(inner_radius: float) -> FloatArray:
 
 
 def _mura() -> FloatArray:
-    """Return a modified uniformly redundant array, by the quadratic-residue rule."""
+    """Modified uniformly redundant array, by the quadratic-residue rule."""
     p = _MURA_PRIME
     residues = {i * i % p for i in range(1, p)}
     sign = np.array([1 if i in residues else -1 for i in range(p)])
@@ -182,6 +199,7 @@ def _mura() -> FloatArray:
     return grid
 
 
+# First cells of a hole in the middle and at the end of the grid.
 _MIDDLE = (_HOLE_GRID - _HOLE_SIDE) // 2
 _END = _HOLE_GRID - _HOLE_SIDE
 _BUILDERS: dict[str, Callable[[], FloatArray]] = {

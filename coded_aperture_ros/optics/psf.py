@@ -26,34 +26,44 @@ def render_psf(
     centre_px: tuple[float, float] = (0.0, 0.0),
     diffraction_px: float = 0.0,
 ) -> FloatArray:
-    """Render the PSF of a mask whose extent is `blur_size_px` wide in the image.
+    """PSF of a mask by exact area integration, float32 [k, k], unit sum.
 
     A pixel's value is the mask's transmission integrated over the pixel's square, divided by the
     sum. Cells and pixels are both rectangles, so the integral is the exact overlap, separable
-    into `A @ T @ B.T`, and smooth in the blur size. With diffraction see `diffracted_psf`.
+    into `A @ T @ B.T`, and smooth in the blur size.
 
     Parameters
     ----------
+    mask : Mask
     blur_size_px : float
-        Signed; a negative size, of a point in front of the focal plane, gives the mask rotated
-        by 180 degrees.
+        Width of the mask's extent in the image. Negative, for a point in front of the focal plane,
+        turns the mask by 180 degrees.
     width_px : int, optional
         Odd width of the result; by default the smallest that holds the centred PSF, and of
         diffraction all but 2 % of the light, or 8 px on each side.
-    centre_px : tuple of float
-        How far down and right of the middle of the result the middle of the mask's extent lies.
+    centre_px : tuple of 2 float, optional
+        Shift of the middle of the mask's extent from the middle of the result, down and right.
     diffraction_px : float, optional
         Wavelength times f-number, see `Camera.psf_diffraction_px`; 0: geometric optics.
 
     Returns
     -------
     ndarray of float32, shape [k, k]
-        Unit sum.
 
     Raises
     ------
     InputError
         If the blur size is not finite, or nothing of the PSF lies within the width.
+
+    References
+    ----------
+    Martinello 2012, section 3.4.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Mask, render_psf
+    >>> render_psf(Mask.named("two_hole"), 17.0)[8, ::4].tolist()
+    [0.03125, 0.0, 0.0, 0.0, 0.03125]
     """
     size = abs(float(blur_size_px))
     if not np.isfinite(size):
@@ -76,15 +86,21 @@ def render_psf(
 
 
 def psf_width(blur_size_px: float) -> int:
-    """Smallest odd number of pixels that covers a centred PSF of that size."""
+    """Smallest odd number of pixels that covers a centred PSF of a blur size.
+
+    Examples
+    --------
+    >>> psf_width(4.0), psf_width(-5.5)
+    (5, 7)
+    """
     return 2 * int(np.ceil(max(abs(blur_size_px) - 1.0, 0.0) / 2.0)) + 1
 
 
 def cell_shares(pixels: int, cells: int, cell_px: float, offset_px: ArrayLike = 0.0) -> DoubleArray:
-    """Share of each cell, `cell_px` wide, that each pixel covers, along one axis.
+    """Share of each cell that each pixel covers, along one axis [..., pixels, cells].
 
-    Both are centred on zero but for `offset_px`, of any shape: how far the middle of the cells lies
-    from the middle of the pixels. The shares are [*offset_px.shape, pixels, cells].
+    Cells are `cell_px` wide. `offset_px`, of any shape [...], is the shift of the middle of the
+    cells from the middle of the pixels.
     """
     pixel_edges = np.arange(pixels + 1)[:, None] - pixels / 2.0
     cell_edges = (np.arange(cells + 1) - cells / 2.0) * cell_px
@@ -95,18 +111,30 @@ def cell_shares(pixels: int, cells: int, cell_px: float, offset_px: ArrayLike = 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PsfStack:
-    """PSFs of increasing level, on one common odd support.
+    """PSFs of all levels, on one common odd support.
 
-    Attributes
+    Parameters
     ----------
-    blur_sizes_px : ndarray of float64, shape [L]
-        Signed blur size of each level; the level's index where a measured stack does not say.
-    psfs : ndarray of float32, shape [L, k, k]
-        Centred, unit sum.
-    depths_m : ndarray of float64, shape [L], or None
-        Depth of each level, for measured PSFs that state it.
-    in_pixels : bool
-        Whether the blur sizes are pixels, and not mere indices of levels.
+    blur_sizes_px : array_like of float, shape [L]
+        Signed blur size of each level, px; the level's index where a measured stack has no sizes.
+    psfs : array_like of float, shape [L, k, k]
+        Centred, unit sum; kept as float32.
+    depths_m : array_like of float, shape [L], optional
+        Depth of each level, m, for measured PSFs that state it.
+    in_pixels : bool, optional
+        Whether the blur sizes are pixels, and not indices of levels.
+
+    Raises
+    ------
+    InputError
+        If shapes do not go together, or a value is not finite.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> stack = render_psf_stack(Mask.named("disc"), [3.0, 5.0, 7.0])
+    >>> len(stack), stack.psfs.shape
+    (3, (3, 7, 7))
     """
 
     blur_sizes_px: DoubleArray
@@ -143,12 +171,12 @@ class PsfStack:
 
     @property
     def has_both_sides(self) -> bool:
-        """Whether there are levels in front of and behind the focal plane."""
+        """Whether there are levels both in front of and beyond the focal plane."""
         sizes = self.blur_sizes_px
         return bool(self.in_pixels and (sizes < 0).any() and (sizes > 0).any())
 
     def interpolate_depth(self, level: NDArray[np.floating]) -> FloatArray | None:
-        """Depth in metres at fractional levels; None if the stack does not know depths.
+        """Depth of fractional levels, m, shape of `level`; None without known depths.
 
         Between levels the inverse depth is linear, as it is in the blur size of a thin lens.
         """
@@ -158,7 +186,7 @@ class PsfStack:
         return (1 / inverse).astype(np.float32)
 
     def interpolate_blur_size(self, depth_m: NDArray[np.floating]) -> FloatArray | None:
-        """Blur size in px at depths in metres (NaN stays); None if the stack knows no depths.
+        """Blur size of depths, px, shape of `depth_m`, NaN for NaN; None without known depths.
 
         Depths beyond the first or last level get that level's blur size.
         """
@@ -180,12 +208,16 @@ class PsfStack:
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> "PsfStack":
-        """Read a stack saved by `save`, or measured PSFs.
+        """Stack from a file of `save`, or from measured PSFs.
 
-        A measured file needs `psfs` [N, k, k] only, and may have `sizes_px` [N] and `depths_m`
-        [N]. Measured PSFs may be noisy, slightly negative and not of unit sum: they are divided
-        by their sum. An `InputError` names the file, if it is missing, truncated, of another kind
-        or of a newer version.
+        A measured file needs `psfs` [N, k, k] only, and may have `sizes_px` [N] and `depths_m` [N].
+        Measured PSFs may be noisy, slightly negative and not of unit sum: they are divided by their
+        sum.
+
+        Raises
+        ------
+        InputError
+            With the file's name: it is missing, truncated, of another kind or of a newer version.
         """
         arrays = read_archive(path, _SCHEMA, _SCHEMA_VERSION, foreign=True)
         if "psfs" not in arrays:
@@ -211,19 +243,30 @@ class PsfStack:
 
 
 def render_psf_stack(mask: Mask, blur_sizes_px: ArrayLike, diffraction_px: float = 0.0) -> PsfStack:
-    """Render the PSFs of several blur sizes onto one common support; see `render_psf`.
+    """PSFs of several blur sizes on one common support.
 
     Parameters
     ----------
-    blur_sizes_px : ndarray of float [L]
+    mask : Mask
+    blur_sizes_px : array_like of float, shape [L]
         Signed, px.
     diffraction_px : float, optional
         See `render_psf`; 0: none.
+
+    Returns
+    -------
+    PsfStack
 
     Raises
     ------
     InputError
         If there is no size, or a PSF cannot be rendered.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> render_psf_stack(Mask.named("levin"), [-9.0, 2.0]).has_both_sides
+    True
     """
     sizes = np.atleast_1d(np.asarray(blur_sizes_px, dtype=np.float64))
     if sizes.size == 0:

@@ -1,4 +1,4 @@
-"""What a gyroscope says about blur: the motion that a turning camera gives the picture."""
+"""Motion of the picture predicted from a gyroscope."""
 
 import dataclasses
 import math
@@ -9,23 +9,31 @@ from numpy.typing import ArrayLike
 
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics import Intrinsics
+from coded_aperture_ros.optics.intrinsics import Intrinsics
 
 
 @dataclasses.dataclass(frozen=True)
 class ExpectedMotion:
-    """The motion of the picture while a camera turns during an exposure.
+    """Motion of the picture of a camera that turns during an exposure.
 
-    Attributes
+    Parameters
     ----------
     angle_rad : (float, float, float) or None
-        By which the camera turns around its axes: x to the right, y down, z forward. None if it is
-        not known.
+        Rotation around the axes: x to the right, y down, z forward; None if unknown.
     camera_matrix : tuple of 9 float
         K, row by row, of pictures `image_width` wide.
     image_width : int
-    reason : str
-        Why the angle is not known, for a person to read; empty if it is.
+        px.
+    reason : str, optional
+        Why the angle is unknown, for a person to read; empty if it is known.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Intrinsics
+    >>> pinhole = Intrinsics.pinhole(500.0, 641, 481)
+    >>> turn = ExpectedMotion((0.0, 0.01, 0.0), pinhole.camera_matrix, 641)
+    >>> turn.motion_px([240.0], [320.0], 641)[0, 0].tolist()
+    [-5.0, 0.0]
     """
 
     angle_rad: tuple[float, float, float] | None
@@ -34,10 +42,14 @@ class ExpectedMotion:
     reason: str = ""
 
     def motion_px(self, rows: ArrayLike, columns: ArrayLike, image_width: int) -> DoubleArray:
-        """Return the way of the picture during the exposure, to the right and down, px [r, c, 2].
+        """Motion during the exposure, right and down, px [r, c, 2]; zeros if the angle is unknown.
 
-        In a grid of places, rows [r] and columns [c] of a picture of `image_width`, px; zeros if
-        the angle is not known.
+        Parameters
+        ----------
+        rows, columns : array_like [r], [c]
+            Grid of positions in a picture of `image_width`, px.
+        image_width : int
+            Width of that picture, px.
         """
         scale = image_width / self.image_width
         fx, _, cx, _, fy, cy = self.camera_matrix[:6]
@@ -57,50 +69,61 @@ def expected_motion(
     delay_s: float = 0.0,
     max_delay_s: float = 0.05,
 ) -> ExpectedMotion:
-    """Predict the motion of the picture from a gyroscope.
+    """Motion of the picture predicted from an angular velocity.
 
-    Points at any distance move alike in the picture of a camera that turns; what the camera
-    moves by itself, and what moves before it, is not in the prediction.
+    Points at any distance move alike in the picture of a camera that turns; translation of the
+    camera, and objects that move, are not in the prediction.
 
     Parameters
     ----------
     angular_velocity_rad_s : sequence of 3 float, or None
-        Of the camera, in its optical frame: around x to the right, y down and z forward, rad/s. A
+        In the camera's optical frame: around x to the right, y down and z forward, rad/s. A
         `sensor_msgs/Imu` has it in the frame of its own header. None if there is no measurement.
     exposure_s : float
         Time of the exposure, s.
+    intrinsics : Intrinsics
     delay_s : float, optional
-        How far in time the measurement is from the exposure, s, before or after.
+        Time between measurement and exposure, s, before or after.
     max_delay_s : float, optional
-        From where on that is too far.
+        Delay above which a measurement is not used, s.
 
     Returns
     -------
     ExpectedMotion
-        Never an error: with `reason` where nothing is known, and all motions have to be tried.
+        With a `reason` where it is unknown, and all motions have to be tried.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Intrinsics
+    >>> found = expected_motion((0.0, 0.2, 0.0), 0.01, Intrinsics.pinhole(500.0, 640, 480))
+    >>> found.angle_rad
+    (0.0, 0.002, 0.0)
     """
 
-    def known(angle: tuple[float, float, float] | None, reason: str = "") -> ExpectedMotion:
+    def motion(angle: tuple[float, float, float] | None, reason: str = "") -> ExpectedMotion:
         return ExpectedMotion(angle, intrinsics.camera_matrix, intrinsics.image_width, reason)
 
     if angular_velocity_rad_s is None:
-        return known(None, "no angular velocity")
+        return motion(None, "no angular velocity")
     if len(angular_velocity_rad_s) != 3:
-        return known(None, f"angular velocity: 3 numbers expected, {len(angular_velocity_rad_s)}")
+        return motion(None, f"angular velocity: 3 numbers expected, {len(angular_velocity_rad_s)}")
     if not all(math.isfinite(rate) for rate in angular_velocity_rad_s):
-        return known(None, "angular velocity is not finite")
+        return motion(None, "angular velocity is not finite")
     if not (math.isfinite(exposure_s) and exposure_s > 0):
-        return known(None, f"exposure of {exposure_s:g} s is not known")
+        return motion(None, f"exposure of {exposure_s:g} s is not motion")
     if not abs(delay_s) <= max_delay_s:  # a NaN is late too
-        return known(None, f"angular velocity is {abs(delay_s):.3g} s late")
+        return motion(None, f"angular velocity is {abs(delay_s):.3g} s late")
     x, y, z = (float(rate) * exposure_s for rate in angular_velocity_rad_s)
-    return known((x, y, z))
+    return motion((x, y, z))
 
 
 def parse_imu_axes(axes: str) -> tuple[tuple[int, int], ...]:
-    """Return for each axis of the camera the index of the gyroscope's axis, and its sign.
+    """Index of the gyroscope's axis, and its sign, for each axis of the camera.
 
-    An `InputError` if the text does not name each axis once, or means a mirror and no rotation.
+    Raises
+    ------
+    InputError
+        If the text does not name each axis once, or describes a mirror image.
     """
     found = []
     for word in axes.split():

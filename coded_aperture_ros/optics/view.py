@@ -1,20 +1,33 @@
-"""Which part of a camera's whole view a frame is."""
+"""Position of a frame in a camera's whole view: region of interest and binning."""
 
 import dataclasses
 
 
-def is_same_view(own: tuple[int, int], width: int, height: int) -> bool:
-    """Return whether a picture is one of `own` size (width, height) resized, to a pixel."""
-    return abs(own[1] * width / own[0] - height) <= 1.0
+def is_same_view(whole_size: tuple[int, int], width: int, height: int) -> bool:
+    """Whether a picture is one of `whole_size` (width, height) resized, to a pixel."""
+    return abs(whole_size[1] * width / whole_size[0] - height) <= 1.0
 
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """A frame's place in the whole view, px of the frame: a region has the blur of the whole.
+    """Region of a frame in the whole view, px of the frame.
 
-    `whole_width` and `whole_height` are of the picture that the whole view would be, `left` and
-    `top` say where the frame begins in it, and `is_binned` whether the camera says that it adds up
-    neighbouring pixels, and so knows the scale.
+    Parameters
+    ----------
+    width, height : int
+        Size of the frame.
+    whole_width, whole_height : int
+        Size of a picture of the whole view.
+    left, top : float, optional
+        Position of the frame's corner in the whole view.
+    is_binned : bool, optional
+        Whether the driver reports binning, which makes the scale known.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import View
+    >>> View.whole(640, 480).whole_width
+    640
     """
 
     width: int
@@ -27,5 +40,5 @@ class View:
 
     @classmethod
     def whole(cls, width: int, height: int) -> "View":
-        """Return the view of a frame that shows all of it."""
+        """View of a frame that shows all of it."""
         return cls(width, height, width, height)

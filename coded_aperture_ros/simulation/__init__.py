@@ -2,3 +2,5 @@
 
 from coded_aperture_ros.simulation.render import render_coded_frame
 from coded_aperture_ros.simulation.scene import PanningScene, Scene, SensorModel, motorcycle_scene
+
+__all__ = ["PanningScene", "Scene", "SensorModel", "motorcycle_scene", "render_coded_frame"]

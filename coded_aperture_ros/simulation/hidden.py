@@ -44,7 +44,8 @@ def hidden_surface(visible: Surface, gap_px: float, reach_px: int) -> Surface:
                 np.clip(columns + right, 0, front.shape[1] - 1),
             )
             for surface in (visible, Surface(sizes, colours)):
-                size, colour = surface.blur_size_px[near], surface.colours[near]
+                size = surface.blur_size_px[near]
+                colour = surface.colours[near]
                 farther = size > front[rows, columns] + gap_px
                 count += farther
                 size_sum += np.where(farther, size, 0)

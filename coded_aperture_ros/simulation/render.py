@@ -29,7 +29,9 @@ from coded_aperture_ros.simulation.hidden import Surface, fill_unknown, hidden_s
 _SURFACE_GAP_PX = 1.4
 _LEAST_COVERAGE = 1e-3
 # With a wavefront: parts of the image, and what is rendered around each for its occlusions.
-_ROWS, _COLUMNS, _SURFACE_MARGIN_PX = 6, 8, 24
+_ROWS = 6
+_COLUMNS = 8
+_SURFACE_MARGIN_PX = 24
 
 
 def render_coded_frame(
@@ -80,9 +82,12 @@ def render_coded_frame(
     margin = psf_width(np.abs(blur_size_px).max()) + _SURFACE_MARGIN_PX
     tangents = field_tangents(camera.intrinsics.resized(columns, rows), _ROWS, _COLUMNS)
     for tangent, (row, column) in zip(tangents, np.ndindex(_ROWS, _COLUMNS), strict=True):
-        top, bottom = row * rows // _ROWS, (row + 1) * rows // _ROWS
-        left, right = column * columns // _COLUMNS, (column + 1) * columns // _COLUMNS
-        above, before = max(0, top - margin), max(0, left - margin)
+        top = row * rows // _ROWS
+        bottom = (row + 1) * rows // _ROWS
+        left = column * columns // _COLUMNS
+        right = (column + 1) * columns // _COLUMNS
+        above = max(0, top - margin)
+        before = max(0, left - margin)
         around = np.s_[above : bottom + margin, before : right + margin]
         part = _compose(
             *(colours[around], blur_size_px[around], camera, layer_spacing_px, aperture_blocks),
@@ -166,14 +171,16 @@ def _blur_sizes(depth_m: NDArray, camera: Camera) -> FloatArray:
 def _layers(visible: Surface, hidden: Surface, spacing_px: float) -> Iterator[_Layer]:
     """Cut both surfaces into layers, front (smallest signed blur size) first."""
     # The hidden surface repeats blur sizes of the visible one, so these two bounds hold for both.
-    first, last = float(visible.blur_size_px.min()), float(visible.blur_size_px.max())
+    first = float(visible.blur_size_px.min())
+    last = float(visible.blur_size_px.max())
     count = int(np.ceil((last - first) / spacing_px)) + 1
     step = (last - first) / max(count - 1, 1)
     surface_gap = max(1, round(_SURFACE_GAP_PX / step)) if step else 1
     for number, size in enumerate(np.linspace(first, last, count)):
         share = [_share(surface.blur_size_px, size, step) for surface in (visible, hidden)]
         covered = (share[0] > 0) | (share[1] > 0)
-        rows, columns = np.flatnonzero(covered.any(axis=1)), np.flatnonzero(covered.any(axis=0))
+        rows = np.flatnonzero(covered.any(axis=1))
+        columns = np.flatnonzero(covered.any(axis=0))
         if not rows.size:
             continue
         box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
@@ -238,8 +245,10 @@ def _blur(
     kernel = kernel[::-1, ::-1]
     reach = len(kernel) // 2
     rows, columns = layer.light.shape[:2]
-    bottom, right = layer.top + rows, layer.left + columns
-    top, left = max(0, layer.top - reach), max(0, layer.left - reach)
+    bottom = layer.top + rows
+    right = layer.left + columns
+    top = max(0, layer.top - reach)
+    left = max(0, layer.left - reach)
     region = slice(top, min(height, bottom + reach)), slice(left, min(width, right + reach))
     # Nothing around the layer, but beyond the frame's edges it goes on as at the edge.
     margins = (layer.top - top, region[0].stop - bottom, layer.left - left, region[1].stop - right)
@@ -263,7 +272,8 @@ def _kernel(
 
 def _correlate(light: FloatArray, kernel: FloatArray) -> FloatArray:
     """Correlate with a centred kernel, of which only the part that is not zero is computed."""
-    rows, columns = np.flatnonzero(kernel.any(axis=1)), np.flatnonzero(kernel.any(axis=0))
+    rows = np.flatnonzero(kernel.any(axis=1))
+    columns = np.flatnonzero(kernel.any(axis=0))
     part = np.ascontiguousarray(kernel[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1])
     reach = len(kernel) // 2
     padded = cv2.copyMakeBorder(light, reach, reach, reach, reach, cv2.BORDER_REPLICATE)

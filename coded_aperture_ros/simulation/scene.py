@@ -117,8 +117,11 @@ class PanningScene:
             )
         if not period_s > 0:
             raise InputError(f"period: expected more than 0 s, got {period_s!r}")
-        self._scene, self._camera, self._sensor = scene, camera, sensor or SensorModel()
-        self._period_s, self._seed = period_s, seed
+        self._scene = scene
+        self._camera = camera
+        self._sensor = sensor or SensorModel()
+        self._period_s = period_s
+        self._seed = seed
         # Two blocks a side: the demo should not wait for the last tenth of the accuracy.
         self._coded = render_coded_frame(scene.image, scene.depth_m, camera, aperture_blocks=2)
 
@@ -134,7 +137,8 @@ class PanningScene:
 
     def _window(self, time_s: float) -> tuple[slice, slice]:
         scene_height, scene_width = self._scene.depth_m.shape
-        height, width = self._camera.image_height, self._camera.image_width
+        height = self._camera.image_height
+        width = self._camera.image_width
         turns = time_s / self._period_s
         top = _swing(turns / 2, scene_height - height)
         left = _swing(turns, scene_width - width)

@@ -6,3 +6,17 @@ from coded_aperture_ros.sources.files import PictureSource
 from coded_aperture_ros.sources.opening import SIMULATOR, open_files, open_source
 from coded_aperture_ros.sources.simulator import SimulatorSource
 from coded_aperture_ros.sources.source import Capture, Source, captures
+
+__all__ = [
+    "SIMULATOR",
+    "BagSource",
+    "Capture",
+    "DeviceConfig",
+    "DeviceSource",
+    "PictureSource",
+    "SimulatorSource",
+    "Source",
+    "captures",
+    "open_files",
+    "open_source",
+]

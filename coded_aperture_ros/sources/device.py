@@ -9,7 +9,8 @@ from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.sources.source import Capture
 
 # What drivers of cameras on Linux (V4L2) take for "by hand" and "automatic".
-_MANUAL_EXPOSURE, _AUTO_EXPOSURE = 1, 3
+_MANUAL_EXPOSURE = 1
+_AUTO_EXPOSURE = 3
 
 
 @dataclasses.dataclass(frozen=True)

@@ -33,7 +33,9 @@ class FileSource(ABC, Generic[Stored]):
     damage = ""
 
     def __init__(self, files: tuple[Path, ...], length: int | None, loop: bool) -> None:
-        self.files, self.length, self._loop = files, length, loop
+        self.files = files
+        self.length = length
+        self._loop = loop
         self._row: Generator[Stored, None, None] | None = None
 
     def read(self) -> Capture | None:
@@ -89,7 +91,8 @@ class VideoSource(FileSource[Capture]):
 
     def _stored(self) -> Generator[Capture, None, None]:
         (path,) = self.files
-        video, index = _open_video(path), 0
+        video = _open_video(path)
+        index = 0
         code = int(video.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little")
         lost = 0.0 if code.upper() in _LOSSLESS else _LOST_BY_VIDEO
         try:

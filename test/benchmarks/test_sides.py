@@ -24,7 +24,7 @@ from coded_aperture_ros.io import write_image
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.likelihood.motion import MotionConfig, learn_motion_bank
 from coded_aperture_ros.optics import Mask, render_psf
-from coded_aperture_ros.optics.camera import camera_from_mapping
+from coded_aperture_ros.optics.camera_file import camera_from_mapping
 from coded_aperture_ros.simulation import render_coded_frame
 
 ROWS, COLUMNS = 160, 192

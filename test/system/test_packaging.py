@@ -176,8 +176,10 @@ def test_every_other_file_is_installed(checkout):
         Path("deblur/blend/blend.npz"),
     }
     pages = {Path("design/page.html"), Path("cli/demo_page.html")}
-    assert others == {*pages, *weights}
+    typed = Path("py.typed")
+    assert others == {*pages, *weights, typed}
     setup = (checkout / "setup.py").read_text()
+    assert f'NAME: ["{typed}"]' in setup
     for path in pages:
         assert f'f"{{NAME}}.{path.parent.name}": ["{path.name}"]' in setup
     for path in weights:

@@ -43,9 +43,13 @@ FreeFit = MaskFit[FreeSizes]
 
 _FEWEST = 4
 _HIGHEST_FREQUENCY = 0.4
-_COARSE_PARTS, _FINE_PARTS = 2, 3
-_COARSE_CELLS, _FINE_CELLS = 16, 24
-_COARSE_STEPS, _FINE_STEPS, _SIZE_STEPS = 60, 200, 60
+_COARSE_PARTS = 2
+_FINE_PARTS = 3
+_COARSE_CELLS = 16
+_FINE_CELLS = 24
+_COARSE_STEPS = 60
+_FINE_STEPS = 200
+_SIZE_STEPS = 60
 # The mixture's autocorrelation, relative to its middle, where the mask ends.
 _END = 0.015
 # A grid of the mixture much wider than the mask wastes its cells.
@@ -60,7 +64,8 @@ _PROMISING = 5
 # What a cell more has to gain: to be open or closed is one bit.
 _PER_CELL = 2 * np.log(2)
 _ROUNDS = 2
-_FLIPS, _LIKELY_FLIPS = 12, 12
+_FLIPS = 12
+_LIKELY_FLIPS = 12
 _LEAST_EXPLAINED = 0.25
 # A mixture explains spectra a little better than the right mask, and much better than a wrong one.
 # Twice the negative log-likelihood per coefficient: 0.007 to 0.016 for masks that were found, 0.036
@@ -151,7 +156,8 @@ class _Search:
         if extent < _ROOMY:
             fit = self._mixture(fit.sizes_px * min(extent * _MARGIN, 1))
             extent = _extent(fit)
-        found, least = FoundSpectra.from_fit(fit, self.likelihood), self._value(fit)
+        found = FoundSpectra.from_fit(fit, self.likelihood)
+        least = self._value(fit)
         tried = self._tried(fit, found, extent)
         # The quadratic function is right near the mixture only: the likelihood itself decides.
         refined = [self._refined(fit, found, *one) for one in self.progress(tried)]
@@ -261,7 +267,8 @@ class _Search:
             values = [self._value(one) for one in changed]
             if min(values) >= value:
                 break
-            value, fit = min(values), changed[int(np.argmin(values))]
+            value = min(values)
+            fit = changed[int(np.argmin(values))]
         return fit.optimise(self.likelihood, _SIZE_STEPS, masks=False)
 
     def _value(self, fit: FreeFit) -> float:
@@ -301,7 +308,8 @@ def _cells(fit: FreeFit) -> NDArray:
 
 def _widths(extent: float, cells: int) -> NDArray:
     """Return widths of grids of cells to try, near that of the mask as the mixture has it."""
-    low, high = extent / _UNCERTAIN, min(extent * _UNCERTAIN, 1.0)
+    low = extent / _UNCERTAIN
+    high = min(extent * _UNCERTAIN, 1.0)
     count = int(np.ceil(np.log(high / low) * cells / _CELL_STEP)) + 1
     return np.geomspace(low, high, count)
 

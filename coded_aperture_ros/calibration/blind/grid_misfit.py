@@ -23,9 +23,11 @@ from coded_aperture_ros.core.arrays import DoubleArray
 
 _NEGLIGIBLE = 1e-9
 _GREY_STEPS = 150
-_FLIPS, _PATIENCE = 200, 40
+_FLIPS = 200
+_PATIENCE = 40
 # A cell that was changed stays for so many steps (tabu search).
-_REST, _REST_SPREAD = 8, 6
+_REST = 8
+_REST_SPREAD = 6
 _FEWEST_OPEN = 2
 
 

@@ -24,7 +24,8 @@ _DIRECTIONS = 48
 _STEP = 0.02
 # The lowest frequencies, in cycles per window, lie within the window's own width; the highest, in
 # cycles per pixel, in the corners of the spectrum.
-_LOWEST_CYCLES, _HIGHEST = 4, 0.42
+_LOWEST_CYCLES = 4
+_HIGHEST = 0.42
 # Above this ratio of power to noise the shape of a spectrum is to be seen.
 _ABOVE_NOISE = 1.5
 _SMOOTH_DEGREE = 2
@@ -115,8 +116,10 @@ def _likelihood_of_shifts(first: _Shape, second: _Shape) -> tuple[NDArray, float
         both = scipy.fft.irfft(spectrum.sum(axis=0), period)
         return np.asarray(both[np.arange(-_REACH, _REACH + 1)])
 
-    a, v = first.deviation, first.weight
-    b, w = second.deviation, second.weight
+    a = first.deviation
+    v = first.weight
+    b = second.deviation
+    w = second.weight
     common = np.maximum(correlated(v, w), 0)
     scale = np.sqrt(np.maximum(correlated(v * a**2, w) * correlated(v, w * b**2), 1e-9))
     correlation = np.clip(correlated(v * a, w * b) / scale, 0, 0.99)

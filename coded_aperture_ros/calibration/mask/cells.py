@@ -13,8 +13,10 @@ from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.optics import Mask
 
 # Many starts are cheap; those that are behind after some steps seldom catch up.
-_STARTS, _FIRST_STEPS = 60, 120
-_KEPT, _STEPS = 20, 300
+_STARTS = 60
+_FIRST_STEPS = 120
+_KEPT = 20
+_STEPS = 300
 
 
 def square_cells(mask: Mask) -> DoubleArray:

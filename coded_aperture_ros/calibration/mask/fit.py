@@ -58,7 +58,9 @@ class Variables(Generic[Sizes]):
     """
 
     def __init__(self, fit: MaskFit[Sizes], likelihood: MaskLikelihood, masks: bool = True) -> None:
-        self._fit, self._likelihood, self._masks = fit, likelihood, masks
+        self._fit = fit
+        self._likelihood = likelihood
+        self._masks = masks
         self._groups = likelihood.group(fit.parts, fit.sizes_px, fit.log_noise)
         blocks: list[tuple[NDArray, tuple]] = [
             ((fit.parts / fit.parts.max()).ravel() if masks else np.empty(0), (0, None)),

@@ -77,7 +77,8 @@ class MaskSpectra:
         by_correlation[:, -self.lags[:, 0], -self.lags[:, 1]] += by_lag
         by_psf = scipy.fft.irfft2(scipy.fft.rfft2(by_correlation) * expected.transforms, self.torus)
         by_psf = 2 * by_psf[..., : self.width, : self.width]
-        parts, renderers = expected.parts, expected.renderers
+        parts = expected.parts
+        renderers = expected.renderers
         by_parts = np.einsum("ipa,ripq,iqb->rab", renderers, by_psf, renderers, optimize=True)
         # The renderers are piecewise smooth in the size; a difference is as good as the derivative.
         above, below = (

@@ -174,7 +174,8 @@ def learn_bank_from_planes(
     search = MaskSearch(planes, config.window_px, progress)
     mixture = search.mixture()
     pattern = learned_pattern(mixture, *search.single(mixture), planes.images[0].shape[1])
-    wanted, learned_from = _depth_range(planes), _learned_from(planes, pattern)
+    wanted = _depth_range(planes)
+    learned_from = _learned_from(planes, pattern)
     bank = learn_bank_for_pattern(pattern, *wanted, level_count, config, prior, learned_from)
     return _of_size(bank, planes)
 

@@ -14,10 +14,12 @@ from coded_aperture_ros.frames.noise import NOISE_FLOOR, high_power
 
 _SATURATED = 0.995
 _SOME_SATURATED = 0.001
-_BRIGHTEST, _DIM = 0.99, 0.1
+_BRIGHTEST = 0.99
+_DIM = 0.1
 # A window has texture if its variance is so many times that of the noise.
 _TEXTURE_OVER_NOISE = 4.0
-_LEAST_TEXTURED, _WELL_TEXTURED = 0.2, 0.6
+_LEAST_TEXTURED = 0.2
+_WELL_TEXTURED = 0.6
 _NOISY = 0.01
 _ENOUGH_PLANES = 8
 _WIDEST_GAP = 2.5

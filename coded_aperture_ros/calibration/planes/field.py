@@ -15,14 +15,26 @@ from coded_aperture_ros.likelihood.bank import learn_bank
 from coded_aperture_ros.optics import Camera, FieldCurvature, render_psf, render_psf_stack
 
 # With less blur on the axis the corners may have none, or that of the other side of the focus.
-_LEAST_PX, _SMALLEST_PX, _STEP_PX = 4.0, 1.5, 0.4
-_FEWEST, _CONFIDENT, _EVERY_PX, _SCATTER_PX, _ROUNDS = 3, 0.55, 4, 0.3, 30
+_LEAST_PX = 4.0
+_SMALLEST_PX = 1.5
+_STEP_PX = 0.4
+_FEWEST = 3
+_CONFIDENT = 0.55
+_EVERY_PX = 4
+_SCATTER_PX = 0.3
+_ROUNDS = 30
 # A plane whose depth is off by more than the first, and by more than its own scatter, is elsewhere.
-_OFF, _OF_SCATTER = 0.05, 0.8
+_OFF = 0.05
+_OF_SCATTER = 0.8
 # So is one whose blur, in the middle third and by all its windows, is off the line of the others.
 # Where blur is less, textures that are not like photographs move it more than that.
-_TOLD_PX, _OFF_PX, _MIDDLE, _LEAST_NOISE = 8.0, 0.4, 0.35, 0.003
-_FEWEST_TOLD, _WINDOW_STRIDE_PX, _SIZE_STEP_PX = 5, 24, 0.25
+_TOLD_PX = 8.0
+_OFF_PX = 0.4
+_MIDDLE = 0.35
+_LEAST_NOISE = 0.003
+_FEWEST_TOLD = 5
+_WINDOW_STRIDE_PX = 24
+_SIZE_STEP_PX = 0.25
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -73,7 +85,8 @@ def fit_field(camera: Camera, planes: Planes, progress: Progress = iter) -> Fiel
     tangent2 = FieldCurvature(1.0).defocus_map(camera.intrinsics, (rows, columns))
     unit = camera.blur_per_dioptre_px
     # Nearer to the border no window is centred.
-    points, margin = [], bank.window_px // 2
+    points = []
+    margin = bank.window_px // 2
     some = np.s_[margin:-margin:_EVERY_PX, margin:-margin:_EVERY_PX]
     for index in progress(used):
         found = estimator.estimate(planes.images[index])
@@ -106,7 +119,8 @@ def fit_field(camera: Camera, planes: Planes, progress: Progress = iter) -> Fiel
         predicted = scale * (focus - 1 / true[index]) - np.array(bends) @ powers
         error = np.abs(np.expm1(apart(index, scale, *bends)))
         of_all = np.digitize(tangent2[some], thirds)
-        third, found = np.digitize(powers[0], thirds), np.full((3, 4), np.nan)
+        third = np.digitize(powers[0], thirds)
+        found = np.full((3, 4), np.nan)
         for number, inside in enumerate(third == number for number in range(3)):
             found[number, 3] = inside.sum() / max(1, (of_all == number).sum())
             if inside.any():
@@ -114,7 +128,8 @@ def fit_field(camera: Camera, planes: Planes, progress: Progress = iter) -> Fiel
                 found[number, :3] = [np.median(each) for each in values]
         return found
 
-    everything, thirds = list(range(len(used))), tangent2.max() * np.array([1, 4]) / 9
+    everything = list(range(len(used)))
+    thirds = tangent2.max() * np.array([1, 4]) / 9
     without = [fitted([j for j in everything if j != i]) for i in everything]
     left_out = [apart(i, *without[i]) for i in everything]
     middle = np.array([np.median(each) for each in left_out])
@@ -142,7 +157,8 @@ def fit_field(camera: Camera, planes: Planes, progress: Progress = iter) -> Fiel
 def _off_the_line(camera: Camera, planes: Planes, used: list[int]) -> BoolArray:
     """Return which planes are blurred, in the middle of the image, as at another depth."""
     scoring = Scoring(lambda _, seen: render_psf(camera.mask, seen.blur_size_px), np.ones(1))
-    k, corner = camera.intrinsics.camera_matrix, np.hypot(*planes.images[0].shape[:2]) / 2
+    k = camera.intrinsics.camera_matrix
+    corner = np.hypot(*planes.images[0].shape[:2]) / 2
     expected = np.abs(camera.blur_size_px(planes.depths_m[used]))
     grid = np.arange(_SMALLEST_PX, 1.2 * expected.max(), _SIZE_STEP_PX)
     sizes_px = np.empty(len(used))
@@ -154,7 +170,8 @@ def _off_the_line(camera: Camera, planes: Planes, used: list[int]) -> BoolArray:
         here = (Windows(float(size), np.zeros(2), powers, noise) for size in grid)
         costs = [scoring.costs(np.zeros(1), each).min(axis=1).sum() for each in here]
         sizes_px[number] = grid[int(np.argmin(costs))]
-    off, inverse = np.zeros(len(used), bool), 1 / planes.depths_m[used]
+    off = np.zeros(len(used), bool)
+    inverse = 1 / planes.depths_m[used]
     told = np.maximum(expected, sizes_px) >= _TOLD_PX
     while (told & ~off).sum() >= _FEWEST_TOLD:
         # The worst first: it bends the line of the others.

@@ -15,8 +15,10 @@ from coded_aperture_ros.likelihood.bank import ThinLens
 
 # What lies farther from the line than this has another depth than it was said to have. Narrow blur
 # is often measured wrong by more, and tells little.
-_NARROW_PX, _NARROW_OUTLIER_PX = 4.5, 1.8
-_OUTLIER_PX, _OUTLIER_SHARE = 1.0, 0.08
+_NARROW_PX = 4.5
+_NARROW_OUTLIER_PX = 1.8
+_OUTLIER_PX = 1.0
+_OUTLIER_SHARE = 0.08
 _ITERATIONS = 20
 _NO_LENS = ThinLens(1e-9, 0.0)
 
@@ -87,12 +89,14 @@ def _outliers(fit: ThinLens, depths: NDArray, sizes: NDArray) -> IndexArray:
 
 def _refuse_both_sides(planes: Planes, sizes: NDArray, errors: NDArray, outliers: int) -> None:
     """Name the planes in front of a focus between them, if that leaves fewer outliers."""
-    depths, found = planes.depths_m, None
+    depths = planes.depths_m
+    found = None
     for front in range(1, len(depths)):
         signs = np.where(np.arange(len(depths)) < front, -1, 1)
         fit, off = _line(depths, signs * sizes, errors)
         if off < outliers and depths[0] < fit.focus_distance_m < depths[-1]:
-            outliers, crossing_m = off, fit.focus_distance_m
+            outliers = off
+            crossing_m = fit.focus_distance_m
             nearer = [planes.names[i] for i in np.flatnonzero(depths < crossing_m)]
             found = InputError(
                 f"{_list(nearer)}: in front of the focus at about {crossing_m:.3g} m, while "
@@ -106,7 +110,8 @@ def _refuse_both_sides(planes: Planes, sizes: NDArray, errors: NDArray, outliers
 
 def _refuse_swapped(planes: Planes, sizes: NDArray, errors: NDArray) -> None:
     """Name the two pictures with which everything suits, were they only exchanged."""
-    depths, names = planes.depths_m, planes.names
+    depths = planes.depths_m
+    names = planes.names
     for i, j in itertools.combinations(range(len(depths)), 2):
         order = np.arange(len(depths))
         order[[i, j]] = j, i
@@ -119,7 +124,8 @@ def _refuse_swapped(planes: Planes, sizes: NDArray, errors: NDArray) -> None:
 
 def _refuse_depths(planes: Planes, fit: ThinLens, sizes: NDArray) -> None:
     """Name the pictures whose blur does not suit their depths."""
-    depths, names = planes.depths_m, planes.names
+    depths = planes.depths_m
+    names = planes.names
     signed = _side(fit, depths) * sizes
     off = _outliers(fit, depths, signed)
     if len(off) > len(depths) // 3:
@@ -175,7 +181,9 @@ def leave_one_out(planes: Planes, measured: Sequence[MeasuredPlane], fit: ThinLe
     side = _side(fit, depths_m)
     sizes = side * np.array([plane.size_px for plane in measured])
     errors_px = np.array([plane.error_px for plane in measured])
-    depths, errors, window_errors = [], [], []
+    depths = []
+    errors = []
+    window_errors = []
     for i, plane in enumerate(measured):
         others = np.arange(len(depths_m)) != i
         line = fitted_lens(depths_m[others], sizes[others], errors_px[others])

@@ -19,7 +19,8 @@ from coded_aperture_ros.core.options import has_type
 from coded_aperture_ros.frames import Gamma
 from coded_aperture_ros.io import picture_files, read_image, write_image
 
-PLANES_JSON, PLANES_CSV = "planes.json", "planes.csv"
+PLANES_JSON = "planes.json"
+PLANES_CSV = "planes.csv"
 
 
 def load_planes(
@@ -69,7 +70,8 @@ def load_folder(folder: str | os.PathLike[str], gamma: Gamma = 1.0) -> Planes:
     columns `file` and `depth_m`. Raises `InputError`, naming the file or the entry, and what to do;
     see also `Planes`.
     """
-    json_file, csv_file = Path(folder) / PLANES_JSON, Path(folder) / PLANES_CSV
+    json_file = Path(folder) / PLANES_JSON
+    csv_file = Path(folder) / PLANES_CSV
     if csv_file.exists() and not json_file.exists():
         return _planes(sorted(_read_csv(csv_file), key=itemgetter(1)), gamma)
     return _planes(_read_json(json_file), gamma)

@@ -20,12 +20,15 @@ from coded_aperture_ros.likelihood.bank.learning import RANK_OF_ALL
 from coded_aperture_ros.optics import render_psf_stack
 
 # Blur sizes to choose from: beyond those of all planes on either side.
-_SIZES, _BEYOND, _SMALLEST_PX = 48, 1.2, 0.5
+_SIZES = 48
+_BEYOND = 1.2
+_SMALLEST_PX = 0.5
 # Whole sizes are this uncertain even on the best of planes; sharp planes are worse.
 LEAST_ERROR_PX = 0.1
 _ITERATIONS = 20
 # A tilt is told if it is this sure, and so large.
-_SURE, _TILT_PX = 4.0, 0.6
+_SURE = 4.0
+_TILT_PX = 0.6
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -94,7 +97,8 @@ def _measured(size_px: float, sizes_px: NDArray) -> MeasuredPlane:
         np.linspace(-0.5, 0.5, rows), np.linspace(-0.5, 0.5, columns), indexing="ij"
     )
     terms = np.stack([np.ones(sizes_px.size), right.ravel(), down.ravel()], axis=1)
-    values, weights = sizes_px.ravel(), np.ones(sizes_px.size)
+    values = sizes_px.ravel()
+    weights = np.ones(sizes_px.size)
     for _ in range(_ITERATIONS):  # least absolute deviations: a few windows may be far off
         roots = np.sqrt(weights)[:, None]
         found, *_ = np.linalg.lstsq(roots * terms, roots[:, 0] * values, rcond=None)

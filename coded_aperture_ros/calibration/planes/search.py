@@ -19,14 +19,20 @@ from coded_aperture_ros.optics import Mask
 # Masks are sought up to this part of the window: a wider blur leaves too few independent
 # frequencies in it.
 _WIDEST = 0.5
-_COARSE_CELL_PX, _FINE_CELL_PX = 2.0, 1.0
-_COARSE_PARTS, _FINE_PARTS = 2, 3
-_FIRST_STEPS, _COARSE_STEPS, _FINE_STEPS, _FINE_ROUNDS = 12, 18, 100, 3
+_COARSE_CELL_PX = 2.0
+_FINE_CELL_PX = 1.0
+_COARSE_PARTS = 2
+_FINE_PARTS = 3
+_FIRST_STEPS = 12
+_COARSE_STEPS = 18
+_FINE_STEPS = 100
+_FINE_ROUNDS = 3
 # Of the first guesses so many are worth more than the first steps.
 _PROMISING = 3
 _NEAREST_TO_FOCUS = (0.03, 0.15, 0.35, 0.6)
 # The best of the masks from phase retrieval are worth some steps each.
-_CANDIDATES, _SINGLE_STEPS = 4, 60
+_CANDIDATES = 4
+_SINGLE_STEPS = 60
 
 _logger = logging.getLogger(__name__)
 
@@ -108,7 +114,8 @@ class MaskSearch:
 
 def learned_pattern(fit: LensFit, mask: Mask, extent_px: float, image_width: int) -> LearnedPattern:
     """Return a mask, of an extent at the most blurred plane, with the lens of a fit."""
-    scale, lens = extent_px / fit.sizes.extent_px, fit.sizes.lens
+    scale = extent_px / fit.sizes.extent_px
+    lens = fit.sizes.lens
     return LearnedPattern(
         slope_px_m=lens.slope_px_m * scale,
         inverse_focus=lens.inverse_focus,

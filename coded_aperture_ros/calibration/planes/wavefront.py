@@ -25,7 +25,8 @@ _RIMS = (1.1, 0.4, 1.1, -0.2)
 _STEPS = np.array([0.002, *[0.01] * 4, *[0.005] * len(TERMS)])
 _SPREAD = np.array([1.0, *[0.15, 0.3] * 2, *[0.07] * len(TERMS)])
 _ASTIGMATISM = 0.15 * np.eye(5 + len(TERMS))[5 + TERM_NAMES.index("W222")]
-_ROUNDS, _FIRST_ROUNDS = 20, 5
+_ROUNDS = 20
+_FIRST_ROUNDS = 5
 _WIDER_PX = 6
 
 
@@ -41,7 +42,8 @@ def fit_wavefront(
     k = camera.intrinsics.camera_matrix
     corner = np.hypot(max(k[5], rows - k[5]) / k[4], max(k[2], columns - k[2]) / k[0])
     lens = _Lens(camera, float(corner))
-    scoring, windows = Scoring(lens.psf, _STEPS), list(_windows(camera, planes, used))
+    scoring = Scoring(lens.psf, _STEPS)
+    windows = list(_windows(camera, planes, used))
     curvature = camera.field_curvature or FieldCurvature()
     first = np.array([1.0, *_RIMS, *[0.0] * len(TERMS)])
     first[5 + TERM_NAMES.index("W220")] = -curvature.second * lens.corner**2
@@ -67,7 +69,8 @@ class _Lens:
 
     def camera_of(self, state: DoubleArray) -> Camera:
         """Return the camera with the lens of a state."""
-        wavefront, camera = self._wavefront(state), self.camera
+        wavefront = self._wavefront(state)
+        camera = self.camera
         return dataclasses.replace(
             camera,
             mask_extent_mm=round(camera.mask_extent_mm * float(state[0]), 4),
@@ -92,7 +95,8 @@ class _Lens:
 
 def _windows(camera: Camera, planes: Planes, used: Sequence[int]) -> Iterator[Windows]:
     """Yield the windows of some planes and all parts of the image."""
-    parts, k = field_tangents(camera.intrinsics, ROWS, COLUMNS), camera.intrinsics.camera_matrix
+    parts = field_tangents(camera.intrinsics, ROWS, COLUMNS)
+    k = camera.intrinsics.camera_matrix
     chosen = np.unique(np.linspace(0, len(used) - 1, _MOST_PLANES).round().astype(int))
     for index in np.array(used)[chosen]:
         grey, _ = grey_image(planes.images[index], 1.0)

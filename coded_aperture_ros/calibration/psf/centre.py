@@ -59,7 +59,9 @@ def centred(
     Returns the place, the blur size and the misfit; see `CentredPsf`, and `DotPsf.centred` for the
     other arguments.
     """
-    place, size, misfit = np.zeros(2), 0.0, np.nan
+    place = np.zeros(2)
+    size = 0.0
+    misfit = np.nan
     for _ in range(_ROUNDS):
         psfs = np.stack([at(place + phase) for phase in _PHASES])
         centres, spreads = zip(*(_moments(psf) for psf in psfs), strict=True)

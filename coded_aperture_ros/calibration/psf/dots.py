@@ -270,12 +270,14 @@ def _fit_dots(
     windows: NDArray, fine: FinePsf, offsets: NDArray
 ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """Fit moves [N, 2], strengths [N], background planes and rest, by a Gauss-Newton step."""
-    width, cells = windows.shape[1], len(fine.light)
+    width = windows.shape[1]
+    cells = len(fine.light)
 
     def along(axis: int, aside: float = 0.0) -> DoubleArray:
         return cell_shares(width, cells, fine.cell_px, offsets[:, axis] + aside)
 
-    rows, columns = along(0), along(1).transpose(0, 2, 1)
+    rows = along(0)
+    columns = along(1).transpose(0, 2, 1)
     h = _SLOPE_STEP_PX
     row_slopes = (along(0, h) - along(0, -h)) / (2 * h)
     column_slopes = ((along(1, h) - along(1, -h)) / (2 * h)).transpose(0, 2, 1)

@@ -55,7 +55,8 @@ def fit_fine(
     is the variance of a pixel's noise, for light whose cells have the mean square of `start`, which
     also tells the cells.
     """
-    width, cells = windows.shape[-1], len(start.light)
+    width = windows.shape[-1]
+    cells = len(start.light)
     rows, columns = (cell_shares(width, cells, start.cell_px, offsets[:, axis]) for axis in (0, 1))
     rows = rows * strengths[:, None, None]
     damping = ridge / max(float((start.light**2).mean()), 1e-30)

@@ -78,7 +78,8 @@ def _basis(light: NDArray) -> NDArray:
     height, width = light.shape
     shape = [fft.next_fast_len(2 * length, real=True) for length in light.shape]
     sums = fft.irfft2(np.abs(fft.rfft2(light, shape)) ** 2, shape)
-    down, right = np.arange(height // 2 + 1), np.arange(-(width // 2), width // 2 + 1)
+    down = np.arange(height // 2 + 1)
+    right = np.arange(-(width // 2), width // 2 + 1)
     correlation = sums[np.ix_(down, right)] / np.outer(height - down, width - np.abs(right))
     peaks = ndimage.maximum_filter(correlation, 5, mode="nearest") == correlation
     peaks &= (down[:, None] > 0) | (right[None, :] > 0)
@@ -91,7 +92,8 @@ def _basis(light: NDArray) -> NDArray:
     vectors = vectors[heights > _STEP_HEIGHT * heights.max()].astype(np.float64)
     lengths = np.linalg.norm(vectors, axis=1)
     order = np.argsort(lengths)
-    vectors, lengths = vectors[order], lengths[order]
+    vectors = vectors[order]
+    lengths = lengths[order]
     sine = np.abs(vectors[:, 0] * vectors[0, 1] - vectors[:, 1] * vectors[0, 0])
     across = np.flatnonzero(sine > 0.5 * lengths * lengths[0])
     if not across.size:
@@ -119,7 +121,9 @@ def _steps(hills: NDArray, basis: NDArray) -> tuple[NDArray[np.int64], NDArray[n
     # The hill in the middle may be a speck of dust: start from another one then.
     aside = np.linalg.norm(hills - hills.mean(axis=0), axis=1) if len(hills) else np.empty(0)
     for start in np.argsort(aside)[:5]:
-        found, taken, waiting = {int(start): (0, 0)}, {(0, 0)}, [int(start)]
+        found = {int(start): (0, 0)}
+        taken = {(0, 0)}
+        waiting = [int(start)]
         for here in waiting:  # grows while it is gone through
             for i, j in _NEIGHBOURS:
                 step = found[here][0] + i, found[here][1] + j
@@ -152,7 +156,8 @@ def _missing(steps: NDArray[np.int64], places: NDArray, shape: tuple[int, ...]) 
     """Count the places of the grid, well within the picture, where no dot is."""
     terms = np.column_stack([steps, np.ones(len(steps))])
     affine = np.linalg.lstsq(terms, places, rcond=None)[0]
-    first, last = steps.min(axis=0), steps.max(axis=0)
+    first = steps.min(axis=0)
+    last = steps.max(axis=0)
     i, j = np.mgrid[first[0] : last[0] + 1, first[1] : last[1] + 1].reshape(2, -1)
     expected = np.column_stack([i, j, np.ones(i.size)]) @ affine
     margin = 0.75 * np.abs(affine[:2]).sum(axis=0)

@@ -1,3 +1,5 @@
 """Blends closed forms of several blur sizes by a small network that has learned what rings."""
 
 from coded_aperture_ros.deblur.blend.blend import Blend, unsupported_reason
+
+__all__ = ["Blend", "unsupported_reason"]

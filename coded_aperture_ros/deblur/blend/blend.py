@@ -23,9 +23,11 @@ from coded_aperture_ros.deblur.inverse_filters import COLOUR_NOISE, OpponentFilt
 from coded_aperture_ros.optics import PsfStack
 
 WEIGHTS = "blend.npz"
-SCHEMA, SCHEMA_VERSION = "coded-aperture deblurring network", 1
+SCHEMA = "coded-aperture deblurring network"
+SCHEMA_VERSION = 1
 # How far colours are averaged, px, and how much they may differ: 0.1 to 0.6 dB of the colours.
-_FRINGE_PX, _SAME_COLOUR = 5, 0.06
+_FRINGE_PX = 5
+_SAME_COLOUR = 0.06
 _PIXELS = CELL_PX**2
 
 

@@ -20,7 +20,8 @@ _BLUR_UNIT_PX = 10.0
 def pack_cells(values: FloatArray) -> FloatArray:
     """Return [n, rows, columns] as [n * 16, rows / 4, columns / 4]; padded by the last values."""
     count, rows, columns = values.shape
-    down, right = -rows % _SQUARE_PX, -columns % _SQUARE_PX
+    down = -rows % _SQUARE_PX
+    right = -columns % _SQUARE_PX
     if down or right:
         values = np.pad(values, ((0, 0), (0, down), (0, right)), mode="edge")
     parts = values.reshape(

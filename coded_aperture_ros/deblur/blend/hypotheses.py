@@ -76,9 +76,11 @@ def _loop(
     rows, columns, rank = filtered.shape
     for y in range(rows):
         for h in range(len(taken)):
-            of, error = taken[h, 0], taken[h, 1]
+            of = taken[h, 0]
+            error = taken[h, 1]
             for x in range(columns):
-                weights, kernels = table[steps[of, y, x], error], filtered[y, x]
+                weights = table[steps[of, y, x], error]
+                kernels = filtered[y, x]
                 total = np.float32(0)
                 for r in range(rank):
                     total += weights[r] * kernels[r]

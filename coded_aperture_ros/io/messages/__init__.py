@@ -29,3 +29,27 @@ from coded_aperture_ros.io.messages.frames import (
     millimetres_from_depth,
     pixels_from_frame,
 )
+
+__all__ = [
+    "DEPTH_FORMATS",
+    "ENCODINGS",
+    "MessageError",
+    "array_from_compressed",
+    "array_from_image",
+    "check_pixels",
+    "compressed_depth",
+    "compressed_picture",
+    "depth_from_pixels",
+    "depth_pixels",
+    "frame_from_image",
+    "frame_from_pixels",
+    "limit_depth",
+    "luminance",
+    "millimetres_from_depth",
+    "output_encoding",
+    "parse_encoding",
+    "pixels_from_frame",
+    "scaled_matrices",
+    "stamp_ns",
+    "view_from_camera_info",
+]

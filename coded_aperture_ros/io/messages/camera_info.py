@@ -21,7 +21,8 @@ def view_from_camera_info(info: Any, width: int, height: int, camera: Camera) ->
     whole sensor, the region is all of the file's view.
     """
     left, top, columns, rows = _region(info)
-    x, y = _scale(width, columns, info.binning_x), _scale(height, rows, info.binning_y)
+    x = _scale(width, columns, info.binning_x)
+    y = _scale(height, rows, info.binning_y)
     inside = 0 < left + columns <= info.width and 0 < top + rows <= info.height
     if not inside or min(info.k[0], info.k[4]) <= 0 or abs(rows * x - height) > 1.0:
         return None
@@ -43,7 +44,8 @@ def scaled_matrices(info: Any, width: int, height: int) -> tuple[list[float], li
     if info.width == 0 or info.height == 0 or info.k[0] <= 0 or info.k[4] <= 0:
         raise MessageError("camera_info", "camera_info holds no camera model (size or K is 0)")
     left, top, columns, rows = _region(info)
-    x, y = width / columns, height / rows
+    x = width / columns
+    y = height / rows
     k = list(scaled_matrix(info.k, x, y, left, top))
     if info.p[0] > 0:
         return k, list(scaled_matrix(info.p, x, y, left, top))

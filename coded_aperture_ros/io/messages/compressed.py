@@ -12,9 +12,11 @@ DEPTH_FORMATS = ("png", "rvl")
 # Before the depth: "inverse depth", and the two numbers that a value is turned into metres by.
 _HEADER = struct.Struct("<i2f")
 # Steps of inverse depth to a metre's: image_transport's own number, a tenth of a millimetre at 1 m.
-_STEPS, _LARGEST = 10_100.0, 65535
+_STEPS = 10_100.0
+_LARGEST = 65535
 # Robots have little time and a fast network.
-_PNG, _JPEG = (cv2.IMWRITE_PNG_COMPRESSION, 1), (cv2.IMWRITE_JPEG_QUALITY, 95)
+_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
+_JPEG = (cv2.IMWRITE_JPEG_QUALITY, 95)
 
 
 def compressed_picture(pixels: NDArray, encoding: str) -> tuple[bytes, str]:
@@ -45,7 +47,8 @@ def compressed_depth(depth: NDArray, kind: str = "png") -> tuple[bytes, str]:
     stays so, NaN and -inf become unknown. Millimetres (uint16) are kept exactly. `kind` is png, or
     rvl, which keeps runs and differences (Wilson, Fast Lossless Depth Image Compression, 2017).
     """
-    scale, values = 0.0, depth
+    scale = 0.0
+    values = depth
     if depth.dtype == np.float32:
         known = np.isfinite(depth) & (depth > 0)
         nearest = float(depth[known].min()) if known.any() else 1.0
@@ -75,7 +78,8 @@ def _run_lengths(values: NDArray[np.uint16]) -> bytes:
     steps = np.diff(others, prepend=0)
     folded = (steps << 1) ^ (steps >> 31)
     # Both lengths of a pair stand before its differences.
-    zeros, lengths = runs[::2], runs[1::2]
+    zeros = runs[::2]
+    lengths = runs[1::2]
     starts = np.cumsum(lengths) - lengths
     tokens = np.insert(folded, np.repeat(starts, 2), np.column_stack([zeros, lengths]).ravel())
     return _groups(tokens.astype(np.uint32))

@@ -83,7 +83,9 @@ def array_from_image(message: Any) -> NDArray:
     `MessageError` of kind "encoding", "size", "step" or "data".
     """
     encoding = parse_encoding(message.encoding)
-    height, width, step = message.height, message.width, message.step
+    height = message.height
+    width = message.width
+    step = message.step
     if height == 0 or width == 0:
         raise MessageError("size", f"the image is empty ({width}x{height})")
     row_bytes = width * np.dtype(encoding.dtype).itemsize * encoding.channels

@@ -18,3 +18,28 @@ from coded_aperture_ros.likelihood.bank.learning import (
 from coded_aperture_ros.likelihood.bank.model import DEFAULT_STRIDE_PX, FilterBank
 from coded_aperture_ros.likelihood.bank.pattern import LearnedPattern, ThinLens
 from coded_aperture_ros.likelihood.bank.prior import NaturalImagePrior, image_prior, power_spectrum
+
+__all__ = [
+    "DEFAULT_LEVEL_COUNT",
+    "DEFAULT_STRIDE_PX",
+    "EmpiricalPrior",
+    "FilterBank",
+    "LearnConfig",
+    "LearnedPattern",
+    "NaturalImagePrior",
+    "ThinLens",
+    "WindowedFourierBasis",
+    "check_frame_size",
+    "check_setting",
+    "image_prior",
+    "learn_bank",
+    "learn_bank_for_camera",
+    "learn_bank_for_pattern",
+    "load_bank",
+    "power_spectrum",
+    "psf_stack_for_camera",
+    "relearned",
+    "save_bank",
+    "textures_of",
+    "with_all_frequencies",
+]

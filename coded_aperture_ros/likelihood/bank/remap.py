@@ -19,7 +19,7 @@ from coded_aperture_ros.likelihood.bank.learning import (
 from coded_aperture_ros.likelihood.bank.model import FilterBank
 from coded_aperture_ros.likelihood.bank.pattern import LearnedPattern
 from coded_aperture_ros.optics import Camera, image_distance
-from coded_aperture_ros.optics.camera import check_focus_distance
+from coded_aperture_ros.optics.lens import check_focus_distance
 
 
 def remap_bank(

@@ -8,3 +8,12 @@ from coded_aperture_ros.likelihood.two_pixel.model import (
     neighbour_model,
     neighbour_model_for_camera,
 )
+
+__all__ = [
+    "NeighbourModel",
+    "SimpleConfig",
+    "find_holes",
+    "neighbour_lines",
+    "neighbour_model",
+    "neighbour_model_for_camera",
+]
