@@ -1,4 +1,4 @@
-"""Pictures and depth maps on disk, and conversion between image messages and arrays."""
+"""Images, depth maps and points on disk; messages of ROS in `io.messages`."""
 
 from coded_aperture_ros.io.depth_picture import (
     confidence_picture,

@@ -1,4 +1,4 @@
-"""Pictures of depth and confidence for people to look at."""
+"""Pictures of depth and confidence for display."""
 
 from collections.abc import Callable
 
@@ -24,11 +24,27 @@ _STROKE = 1
 def depth_picture(
     depth_m: NDArray, near_m: float | None = None, far_m: float | None = None, unit: str = "m"
 ) -> NDArray[np.uint8]:
-    """Colour a depth map, near in red and far in blue, above a scale bar in metres.
+    """Coloured depth map with a scale bar, RGB, uint8 [h + strip, w, 3]; near red, far blue.
 
-    The map [h, w] is in metres; NaN, hatched in grey, is unknown. The scale ends at `near_m` and
-    `far_m`, by default those of the finite depths, less 1 % outliers on each side; its numbers are
-    followed by `unit`, where the map does not hold metres. Returns RGB, uint8 [h + strip, w, 3].
+    Parameters
+    ----------
+    depth_m : ndarray [h, w]
+        m; NaN is unknown, and hatched in grey.
+    near_m, far_m : float, optional
+        Ends of the scale; by default those of the finite depths, less 1 % outliers on each side.
+    unit : str, optional
+        Unit of the scale's numbers, if the map is not in metres.
+
+    Raises
+    ------
+    InputError
+        If the map is not two-dimensional, or empty.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> depth_picture(np.linspace(1, 3, 20000).reshape(100, 200)).shape
+    (140, 200, 3)
     """
     if depth_m.ndim != 2 or not depth_m.size:
         raise InputError(f"depth: expected [row, column], got the shape {list(depth_m.shape)}")
@@ -40,10 +56,20 @@ def depth_picture(
 
 
 def error_picture(error: NDArray, largest: float) -> NDArray[np.uint8]:
-    """Colour relative errors, none in blue and large ones in red, above a scale bar in per cent.
+    """Coloured relative errors with a scale bar in per cent, RGB, uint8 [h + strip, w, 3].
 
-    Errors [h, w] are shares, up to the `largest` at the end of the scale; NaN, hatched in grey, is
-    unknown. The picture [h + strip, w, RGB] is as high as a `depth_picture`.
+    Parameters
+    ----------
+    error : ndarray [h, w]
+        Shares; NaN is unknown, and hatched in grey.
+    largest : float
+        Error at the end of the scale.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> error_picture(np.zeros((10, 200)), largest=0.2).shape
+    (50, 200, 3)
     """
     picture = _turbo(np.nan_to_num(error, posinf=largest) / largest)
     _hatch(picture, np.isnan(error))
@@ -52,16 +78,29 @@ def error_picture(error: NDArray, largest: float) -> NDArray[np.uint8]:
 
 
 def confidence_picture(confidence: NDArray) -> NDArray[np.uint8]:
-    """Draw confidences 0 to 1 from black to white above a scale bar; unknown is black.
+    """Confidence 0 to 1 from black to white with a scale bar, uint8 [h + strip, w, 3].
 
-    Shape [h + strip, w, 3].
+    Unknown (NaN) is black.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> confidence_picture(np.full((10, 200), 0.5)).shape
+    (50, 200, 3)
     """
     strip = _scale_strip(confidence.shape[1], 0.0, 1.0, "", rising=True, colours=_greys)
     return np.vstack([_greys(confidence), strip])
 
 
 def grey_picture(values: NDArray) -> NDArray[np.uint8]:
-    """Draw values 0 to 1 from black to white; unknown is black. Shape [h, w]."""
+    """Values 0 to 1 from black to white, uint8, shape of `values`; NaN is black.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> grey_picture(np.array([[0.0, 0.5, np.nan, 2.0]])).tolist()
+    [[0, 128, 0, 255]]
+    """
     return np.rint(np.clip(np.nan_to_num(values), 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
@@ -117,7 +156,7 @@ def _scale_strip(
 
 
 def _ticks(near_m: float, far_m: float, count: int) -> DoubleArray:
-    """Return at most about `count` round numbers (1, 2 or 5 times a power of ten) in the range."""
+    """About `count` or fewer round numbers (1, 2 or 5 times a power of ten) in the range."""
     raw = (far_m - near_m) / count
     power = 10.0 ** np.floor(np.log10(raw))
     step = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= raw * (1 - 1e-9))

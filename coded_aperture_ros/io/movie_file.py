@@ -1,4 +1,4 @@
-"""Videos for people to look at: pictures, one after the other, in an MP4 file."""
+"""MP4 videos for display."""
 
 import os
 from collections.abc import Callable, Iterator

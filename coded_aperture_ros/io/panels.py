@@ -1,4 +1,4 @@
-"""Pictures side by side, each under its title."""
+"""Pictures side by side with titles."""
 
 from collections.abc import Sequence
 
@@ -14,10 +14,9 @@ _WHITE = 255
 
 
 def panels(rows: Sequence[Sequence[tuple[str, NDArray[np.uint8]]]]) -> NDArray[np.uint8]:
-    """Return rows of titled pictures as one picture.
+    """One picture, uint8 [h, w, 3], of rows of titled pictures.
 
-    The pictures, uint8 [h, w, 3] each, are as many in every row; smaller ones get a white border.
-    The result is uint8 [h, w, 3], too.
+    Every row has the same number of pictures, uint8 [h, w, 3]; smaller ones get a white border.
     """
     shapes = np.array([picture.shape[:2] for row in rows for _, picture in row])
     height, width = shapes.max(axis=0)

@@ -1,4 +1,4 @@
-"""Reading and writing pictures and depth maps."""
+"""Reading and writing images and depth maps."""
 
 import os
 from pathlib import Path
@@ -15,19 +15,27 @@ from coded_aperture_ros.frames.light import Gamma, linear_from_pixels, pixels_fr
 from coded_aperture_ros.io.messages.frames import millimetres_from_depth
 
 PICTURE_SUFFIXES = (
-    *(".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".webp", ".ppm", ".pgm"),
+    ".png",
+    ".tif",
+    ".tiff",
+    ".jpg",
+    ".jpeg",
+    ".bmp",
+    ".webp",
+    ".ppm",
+    ".pgm",
     ".npy",
 )
 _TIFF = (".tif", ".tiff")
 _MILLIMETRE = 1e-3
-# Of linear light, where 1 is white: bright lamps may be above, a whole picture is not.
+# Linear light, where 1 is white: lamps may be above, half of a picture is not.
 _FAR_ABOVE_WHITE = 2.0
 # By default OpenCV 4.6 stores float colours in the lossy LogLuv form; 5 is LZW.
 _ENCODING = dict.fromkeys(_TIFF, (cv2.IMWRITE_TIFF_COMPRESSION, 5))
 
 
 def picture_files(folder: Path) -> list[Path]:
-    """Return the pictures of a folder, in the order of their names."""
+    """Paths of the pictures in a folder, sorted by name."""
     return sorted(
         file
         for file in folder.iterdir()
@@ -36,36 +44,46 @@ def picture_files(folder: Path) -> list[Path]:
 
 
 def read_image(path: str | os.PathLike[str], gamma: Gamma = 1.0) -> FloatArray:
-    """Read a picture as linear light.
+    """Image in linear light, float32 [h, w] or [h, w, 3].
 
     Parameters
     ----------
-    path : path-like
+    path : str or path-like
         Any picture that OpenCV reads, or a `.npy` array [row, column] or [row, column, RGB].
-    gamma : float or "srgb"
-        How 8-bit pictures are encoded; 16-bit and float files are linear.
+    gamma : float or "srgb", optional
+        Encoding of 8-bit pictures; 16-bit and float files are linear.
 
     Returns
     -------
     ndarray of float32, shape [h, w] or [h, w, 3]
-        Linear light, RGB, as the sensor's rows and columns were stored: EXIF orientation is
-        ignored. Integer files give 0 to 1; float files keep their values and NaN.
+        RGB, rows and columns as the file stores them: EXIF orientation is ignored. Integer files
+        give 0 to 1; float files keep their values and NaN.
 
     Raises
     ------
     InputError
-        Naming the file, if it is missing, empty, or not a picture, or its numbers are not 0 to 1.
+        With the file's name: it is missing, empty, not a picture, or its numbers are not 0 to 1.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = pathlib.Path(folder, "a.png")
+    ...     write_image(file, np.full((4, 6), 0.25))
+    ...     round(float(read_image(file)[0, 0]), 4)
+    0.25
     """
     return linear_from_pixels(read_compressed(path)[0], gamma)
 
 
 def read_compressed(path: str | os.PathLike[str]) -> tuple[NDArray, float]:
-    """Read a picture as it is stored: uint8, uint16 or float32; and what compression has hidden.
+    """Pixels as stored (uint8, uint16 or float32), and the noise that compression has hidden.
 
     See `read_image` and `lost_by_compression`.
     """
     data = _read_data(Path(path))
-    pixels = _pixels_of(Path(path), data)
+    pixels = _decode(Path(path), data)
     if pixels.ndim == 3 and pixels.shape[2] == 1:
         pixels = pixels[:, :, 0]
     if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3) or not pixels.size:
@@ -88,23 +106,27 @@ def read_compressed(path: str | os.PathLike[str]) -> tuple[NDArray, float]:
 def write_image(
     path: str | os.PathLike[str], image: NDArray, bits: int | None = None, gamma: Gamma = 1.0
 ) -> None:
-    """Write a picture; the suffix decides the format.
+    """Write an image; the suffix decides the format.
 
     Parameters
     ----------
-    path : path-like
+    path : str or path-like
         `.npy` and `.tif` store float32 unless `bits` is given; other formats store integers.
     image : ndarray, shape [h, w] or [h, w, 3]
-        Linear light, RGB; or 8-bit pixels, which are stored as they are.
+        Linear light, RGB; or 8-bit pixels, which are stored unchanged.
     bits : {8, 16}, optional
-        Default 16 for PNG and 8 for formats that hold no more.
-    gamma : float or "srgb"
-        How to encode 8-bit pictures; wider ones are linear.
+        By default 16 for PNG, and 8 for formats that hold no more.
+    gamma : float or "srgb", optional
+        Encoding of 8-bit pictures; wider ones are linear.
 
     Raises
     ------
     InputError
-        Naming the file, if it cannot be written or the format is unknown.
+        With the file's name: it cannot be written, or the format is unknown.
+
+    Examples
+    --------
+    See `read_image`.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -119,25 +141,31 @@ def write_image(
 
 
 def read_depth(path: str | os.PathLike[str], metres_per_unit: float | None = None) -> FloatArray:
-    """Read a depth map in metres: 16-bit PNG in millimetres, or float TIFF or `.npy` in metres.
+    """Depth map in metres, float32 [h, w]; NaN where the file has 0, a negative number or NaN.
 
     Parameters
     ----------
-    path : path-like
+    path : str or path-like
+        16-bit PNG in millimetres, or float TIFF or `.npy` in metres.
     metres_per_unit : float, optional
-        What one unit of the file is, where it is not as above.
-
-    Returns
-    -------
-    ndarray of float32, shape [h, w]
-        NaN where the file has 0, a negative number or NaN.
+        Unit of the file, if it is another.
 
     Raises
     ------
     InputError
-        Naming the file, if it is missing, or not a depth map.
+        With the file's name: it is missing, or not a depth map.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = pathlib.Path(folder, "depth.png")
+    ...     write_depth(file, np.array([[1.5, np.nan]]))
+    ...     read_depth(file).round(3).tolist()
+    [[1.5, nan]]
     """
-    pixels = _pixels_of(Path(path), _read_data(Path(path)))
+    pixels = _decode(Path(path), _read_data(Path(path)))
     if pixels.ndim != 2 or not pixels.size:
         raise InputError(
             f"{path}: expected a depth map [row, column], got the shape {list(pixels.shape)}"
@@ -155,12 +183,20 @@ def read_depth(path: str | os.PathLike[str], metres_per_unit: float | None = Non
 def write_depth(path: str | os.PathLike[str], depth_m: NDArray) -> None:
     """Write a depth map: 16-bit millimetres to `.png`, float metres to `.tif` and `.npy`.
 
-    See `millimetres_from_depth` for what has no distance, and what is beyond 65.535 m.
+    Parameters
+    ----------
+    path : str or path-like
+    depth_m : ndarray [h, w]
+        m. For NaN, infinity and depths beyond 65.535 m see `millimetres_from_depth`.
 
     Raises
     ------
     InputError
-        Naming the file, if it cannot be written or the format is unknown.
+        With the file's name: it cannot be written, or the format is unknown.
+
+    Examples
+    --------
+    See `read_depth`.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -182,8 +218,8 @@ def _read_data(path: Path) -> bytes:
     return data
 
 
-def _pixels_of(path: Path, data: bytes) -> NDArray:
-    """Return a file's pixels as stored, colours in RGB order."""
+def _decode(path: Path, data: bytes) -> NDArray:
+    """Pixels of a file as stored, colours in RGB order."""
     if path.suffix.lower() == ".npy":
         return _read_array(path)
     pixels = decode_picture(data)

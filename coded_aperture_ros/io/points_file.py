@@ -1,4 +1,4 @@
-"""Points in space on disk, as Open3D, PCL, CloudCompare and MeshLab read them."""
+"""Point clouds on disk (PLY), as Open3D, PCL, CloudCompare and MeshLab read them."""
 
 import os
 
@@ -15,7 +15,7 @@ _FIELDS = [
 
 
 def write_points(path: str | os.PathLike[str], points: FloatArray) -> None:
-    """Write the known ones of `points_of_depth`'s points to a binary PLY file."""
+    """Write the known ones of the points of `points_of_depth` to a binary PLY file."""
     known = points[np.isfinite(points[..., 2])]
     rows = np.empty(len(known), _FIELDS)
     packed = np.ascontiguousarray(known[:, 3]).view(np.uint32)

@@ -1,4 +1,4 @@
-"""Errors of depth and pictures, and how reliable a confidence is."""
+"""Errors of depth and images, and calibration of confidence."""
 
 from coded_aperture_ros.metrics.errors import depth_error, psnr_db
 from coded_aperture_ros.metrics.reliability import Reliability

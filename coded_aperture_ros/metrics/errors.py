@@ -1,4 +1,4 @@
-"""How good a result is, in one number."""
+"""Errors of depth maps and images."""
 
 import dataclasses
 
@@ -7,12 +7,13 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
 
-_RIGHT_WITHIN = 0.10
+# A depth counts as right up to this relative error.
+_MAX_RELATIVE_ERROR = 0.10
 
 
 @dataclasses.dataclass(frozen=True)
 class DepthError:
-    """How far a depth map is from the truth."""
+    """Error of a depth map against ground truth."""
 
     # Median of |depth - truth| / truth over the most confident pixels; NaN if none is known.
     median_relative: float
@@ -25,11 +26,33 @@ def depth_error(
     true_depth_m: NDArray[np.floating],
     most_confident: float = 0.7,
 ) -> DepthError:
-    """Compare a depth map with the truth.
+    """Error of a depth map [h, w] against ground truth.
 
-    All maps are [h, w], depths in metres. Unknown (NaN) and infinite ones count as missing; the
-    truth is NaN where it is unknown. The error is taken over the `most_confident` share of the
-    pixels; those of them without a depth are left out. Raises `InputError` if the shapes differ.
+    Parameters
+    ----------
+    depth_m, true_depth_m : ndarray [h, w]
+        m; NaN and infinite values count as missing.
+    confidence : ndarray [h, w]
+    most_confident : float, optional
+        Share of the pixels with a true depth that the error is taken over, most confident first;
+        those of them without a depth are left out.
+
+    Returns
+    -------
+    DepthError
+
+    Raises
+    ------
+    InputError
+        If the shapes differ.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> true = np.array([[1.0, 2.0, 4.0]])
+    >>> found = depth_error(np.array([[1.1, 2.0, np.nan]]), np.ones((1, 3)), true)
+    >>> round(found.median_relative, 3), round(float(found.coverage), 3)
+    (0.05, 0.667)
     """
     _check_shapes(depth_m, confidence, true_depth_m)
     with_truth = np.isfinite(true_depth_m) & (true_depth_m > 0)
@@ -44,9 +67,9 @@ def depth_error(
 
 
 def median(values: NDArray[np.floating]) -> float:
-    """Return the median of at least one value, without NaN, as `numpy.median` does.
+    """Median of at least one value without NaN, equal to that of `numpy.median`.
 
-    A tenth of its time: one partition of the values, not one around each of three places.
+    In a tenth of its time: one partition of the values, not one around each of three indices.
     """
     values = values.reshape(-1)
     middle = values.size // 2
@@ -57,10 +80,28 @@ def median(values: NDArray[np.floating]) -> float:
 
 
 def psnr_db(image: NDArray[np.floating], reference: NDArray[np.floating]) -> float:
-    """Return the peak signal-to-noise ratio of an image with values 0 to 1, in dB.
+    """Peak signal-to-noise ratio of an image with values 0 to 1, dB.
 
-    Pixels that are not finite in either image are left out; infinite for equal images, NaN
-    where nothing is left.
+    Parameters
+    ----------
+    image, reference : ndarray, one shape
+        Pixels that are not finite in either image are left out.
+
+    Returns
+    -------
+    float
+        Infinite for equal images, NaN if no pixel is left.
+
+    Raises
+    ------
+    InputError
+        If the shapes differ.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> round(psnr_db(np.full((4, 4), 0.6), np.full((4, 4), 0.5)), 6)
+    20.0
     """
     _check_shapes(image, reference)
     difference = np.asarray(image, np.float64) - reference
@@ -81,7 +122,7 @@ def _check_shapes(first: NDArray, *others: NDArray) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class RelativeError:
-    """How far depths are from the truth, relative to it; NaN if no pixel has both."""
+    """Errors of depths relative to ground truth; NaN if no pixel has both."""
 
     # Median and mean of |depth - truth| / truth.
     median: float
@@ -92,14 +133,14 @@ class RelativeError:
 
     @staticmethod
     def from_errors(errors: NDArray[np.floating], pixels: int) -> "RelativeError":
-        """Summarise the errors, without sign, of those of so many pixels that have a depth."""
+        """Summary of the absolute relative errors of the known ones of `pixels` pixels."""
         if not errors.size:
             nothing = float("nan")
             return RelativeError(nothing, nothing, nothing, 0.0 if pixels else nothing, pixels)
         return RelativeError(
             median=median(errors),
             mean=float(np.mean(errors, dtype=np.float64)),
-            within_10_percent=float(np.mean(errors <= _RIGHT_WITHIN)),
+            within_10_percent=float(np.mean(errors <= _MAX_RELATIVE_ERROR)),
             coverage=errors.size / pixels,
             pixels=pixels,
         )

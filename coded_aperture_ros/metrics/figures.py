@@ -1,4 +1,4 @@
-"""Figures of how good estimates are."""
+"""Figures of reliability diagrams."""
 
 from collections.abc import Mapping
 
@@ -9,9 +9,9 @@ from coded_aperture_ros.metrics.reliability import Reliability
 
 
 def reliability_diagram(curves: Mapping[str, Reliability], path: PathLike, right: str) -> None:
-    """Draw the share of right estimates against their confidence, and how many there are.
+    """Draw the share of right estimates against their confidence, and the number of estimates.
 
-    `right` says, for the axis, what counts as right.
+    `right` says on the axis what counts as right.
     """
     figure = new_figure(1.8 * PANEL_INCHES, 2.0 * PANEL_INCHES)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])

@@ -1,4 +1,4 @@
-"""Whether a confidence means what it says: how often estimates of a given confidence are right."""
+"""Reliability of a confidence: how often estimates of a given confidence are right."""
 
 import dataclasses
 from functools import reduce
@@ -18,7 +18,16 @@ BINS = 10
 class Reliability:
     """Reliability diagram: estimates sorted into equal bins of confidence from 0 to 1.
 
-    Diagrams of several frames add up.
+    Diagrams of several frames add up with ``+``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> confidence = np.array([0.95, 0.95, 0.15, 0.15])
+    >>> right = np.array([True, True, True, False])
+    >>> found = Reliability.from_estimates(confidence, right)
+    >>> round(found.expected_calibration_error, 6)
+    0.2
     """
 
     count: NDArray[np.int64]  # [bins]; estimates in each bin
@@ -29,7 +38,7 @@ class Reliability:
     def from_estimates(
         cls, confidence: NDArray[np.floating], right: BoolArray, bins: int = BINS
     ) -> "Reliability":
-        """Sort estimates by their confidence, in [0, 1]; `right` says which of them are right.
+        """Diagram of estimates with a confidence in [0, 1]; `right`: which of them are right.
 
         Raises `InputError` if the shapes differ or a confidence is not in [0, 1].
         """
@@ -52,7 +61,7 @@ class Reliability:
 
     @classmethod
     def total(cls, parts: "list[Reliability]") -> "Reliability":
-        """Add up diagrams; at least one."""
+        """Sum of at least one diagram."""
         return reduce(add, parts)
 
     def __add__(self, other: "Reliability") -> "Reliability":
@@ -64,23 +73,23 @@ class Reliability:
 
     @property
     def mean_confidence(self) -> DoubleArray:
-        """What each bin promises; NaN for an empty one."""
+        """Mean confidence of each bin [bins]; NaN for an empty one."""
         return self._per_estimate(self.confidence_sum)
 
     @property
     def share_right(self) -> DoubleArray:
-        """What each bin keeps; NaN for an empty one."""
+        """Share of right estimates of each bin [bins]; NaN for an empty one."""
         return self._per_estimate(self.right)
 
     @property
     def expected_calibration_error(self) -> float:
-        """Mean over the estimates of |promised - kept| of their bin; NaN without estimates."""
+        """Mean over the estimates of |confidence - share right| of their bin; NaN if empty."""
         if not self.count.any():
             return float("nan")
         return float(np.abs(self.confidence_sum - self.right).sum() / self.count.sum())
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the bins that are not empty, for a table or JSON."""
+        """Bins that are not empty, for a table or JSON."""
         edges = np.linspace(0, 1, len(self.count) + 1)
         return [
             {

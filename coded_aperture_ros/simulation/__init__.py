@@ -1,4 +1,4 @@
-"""A simulated coded-aperture camera: rendering with occlusion, sensor noise, a demo scene."""
+"""Simulated coded-aperture camera: rendering with occlusion, sensor noise, scenes."""
 
 from coded_aperture_ros.simulation.render import render_coded_frame
 from coded_aperture_ros.simulation.scene import PanningScene, Scene, SensorModel, motorcycle_scene

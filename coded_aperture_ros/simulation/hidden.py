@@ -1,4 +1,4 @@
-"""What a camera cannot see from its centre: unknown depth, and surfaces behind occluders."""
+"""Unknown depth, and surfaces hidden behind occluders."""
 
 import dataclasses
 
@@ -19,11 +19,11 @@ class Surface:
 
 
 def hidden_surface(visible: Surface, gap_px: float, reach_px: int) -> Surface:
-    """Continue surfaces behind what occludes them.
+    """Continuation of surfaces behind their occluders; NaN where nothing is hidden.
 
-    Wherever a pixel has a neighbour that is farther by more than `gap_px` in blur size, the
-    neighbour's surface is taken to continue behind the pixel, and so on from pixel to pixel up to
-    `reach_px` pixels inwards: as far as light passing the occluder's edge can come from.
+    Where a neighbour of a pixel is farther by more than `gap_px` in blur size, the neighbour's
+    surface continues behind the pixel, and so on from pixel to pixel up to `reach_px` pixels
+    inwards: as far as light passing the occluder's edge can come from.
     """
     front = visible.blur_size_px
     sizes = np.full_like(front, np.nan)
@@ -58,11 +58,16 @@ def hidden_surface(visible: Surface, gap_px: float, reach_px: int) -> Surface:
 
 
 def fill_unknown(depth_m: NDArray) -> FloatArray:
-    """Give unknown depths the farther of the nearest known depths to their left and right.
+    """Depth map [h, w] in m, float32, with unknown (NaN) depth filled from the background.
 
-    Holes in depth maps are mostly what one of two views beside each other could not see: the
-    background. Rows without any known depth are filled from above and below. An `InputError` if no
-    depth is known or one is not positive.
+    Each gets the farther of the nearest known depths to its left and right: holes in depth maps
+    are mostly what one of two views beside each other could not see. Rows without known depth are
+    filled from above and below.
+
+    Raises
+    ------
+    InputError
+        If no depth is known, or one is not positive.
     """
     depth = np.array(depth_m, dtype=np.float32)
     known = ~np.isnan(depth)
@@ -80,6 +85,6 @@ def _fill_rows(depth: FloatArray) -> FloatArray:
 
 
 def _last_known(depth: FloatArray) -> FloatArray:
-    """Repeat in each row the last known value; NaN before the first."""
+    """Last known value in each row up to each pixel; NaN before the first."""
     columns = np.where(np.isnan(depth), 0, np.arange(depth.shape[1]))
     return np.take_along_axis(depth, np.maximum.accumulate(columns, axis=1), axis=1)

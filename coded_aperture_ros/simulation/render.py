@@ -1,11 +1,11 @@
-"""A coded frame from a sharp image and its depth map: space-varying blur with occlusion.
+"""Coded frame from a sharp image and its depth map: space-varying blur with occlusion.
 
 The scene is cut into layers of equal blur size. Each pixel is shared between the two layers that
 enclose its blur size, so that slanted surfaces blur smoothly. The layers are composed from front
-to back; a layer is seen through what the layers in front of it leave open. Light through
-different parts of the aperture passes an occluding edge in different places, so the aperture is
-cut into blocks, each composed on its own: a block is small enough that "how much of it is
-covered" says nearly all about "what of it is covered".
+to back; a layer is seen through the gaps of the layers in front of it. Light through different
+parts of the aperture passes an occluding edge in different places, so the aperture is cut into
+blocks, each composed on its own: within a small block the share of a layer that is covered says
+nearly all about which part is covered.
 """
 
 import dataclasses
@@ -27,10 +27,11 @@ from coded_aperture_ros.simulation.hidden import Surface, fill_unknown, hidden_s
 # Layers closer than this in blur size belong to one surface and do not occlude one another. It
 # must exceed what a slanted surface changes within the reach of a PSF.
 _SURFACE_GAP_PX = 1.4
-_LEAST_COVERAGE = 1e-3
-# With a wavefront: parts of the image, and what is rendered around each for its occlusions.
+_MIN_COVERAGE = 1e-3
+# Parts of the image with a PSF each, for a wavefront.
 _ROWS = 6
 _COLUMNS = 8
+# Rendered around each part, beyond its PSF, for occlusions.
 _SURFACE_MARGIN_PX = 24
 
 
@@ -42,35 +43,50 @@ def render_coded_frame(
     layer_spacing_px: float = 0.5,
     aperture_blocks: int = 3,
 ) -> FloatArray:
-    """Render what a coded-aperture camera records of a scene.
+    """Frame of a coded-aperture camera, without noise, float32, shape of `image`.
 
     Parameters
     ----------
     image : ndarray, shape [h, w] or [h, w, 3]
         The sharp scene, linear light.
     depth_m : ndarray, shape [h, w]
-        Metres, in front of or behind the focal plane; unknown (NaN) depth is taken from the
-        farther known neighbour, left or right.
+        m; in front of or beyond the focal plane. Unknown (NaN) depth is taken from the farther
+        known neighbour, left or right.
     camera : Camera
         Its focal length in pixels must be that of the image; its image size is not used.
-    layer_spacing_px : float
-        Distance between layers in blur size.
-    aperture_blocks : int
-        The aperture is cut into that many blocks in each direction. More blocks are more exact
-        around occluding edges and slower.
+    layer_spacing_px : float, optional
+        Distance between layers in blur size, px.
+    aperture_blocks : int, optional
+        Blocks of the aperture in each direction. More blocks are more exact around occluding edges,
+        and slower.
 
     Returns
     -------
     ndarray of float32, shape of `image`
-        Linear light, without noise. A scene in one plane is exactly the image convolved with
-        `render_psf`, with the image's edges replicated; with diffraction it is but for what the
-        blocks' PSFs lack of their tails. With a wavefront, every part of the image has the PSF of
-        its middle, and light does not fall off.
+        Linear light. A scene in one plane is exactly the image convolved with `render_psf`, with
+        the image's edges replicated; with diffraction, but for the tails that the blocks' PSFs
+        lack. With a wavefront, each part of the image has the PSF of its middle, and light does not
+        fall off.
 
     Raises
     ------
     InputError
         If the shapes differ, a depth is not positive, or no depth is known.
+
+    References
+    ----------
+    Martinello 2012, chapter 3.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from coded_aperture_ros import Camera
+    >>> from coded_aperture_ros.optics import Mask
+    >>> camera = Camera(1000.0, 2.0, 64, 48, Mask.named("levin"), mask_extent_mm=10.0)
+    >>> sharp = np.full((48, 64), 0.5, np.float32)
+    >>> coded = render_coded_frame(sharp, np.full((48, 64), 3.0), camera)
+    >>> coded.shape, round(float(coded.mean()), 3)
+    ((48, 64), 0.5)
     """
     _check(image, depth_m, layer_spacing_px, aperture_blocks)
     blur_size_px = _blur_sizes(fill_unknown(depth_m), camera)
@@ -106,7 +122,7 @@ def _compose(
     blocks: int,
     tangent: DoubleArray | None = None,
 ) -> FloatArray:
-    """Compose a frame, or a part of one whose PSFs are those at a tangent of the wavefront."""
+    """Frame, or a part of one whose PSFs are those at a tangent of the wavefront."""
     visible = Surface(blur_size_px, colours)
     # How far behind an occluder's edge the light that just passes it can come from.
     reach_px = int(np.ceil(np.ptp(blur_size_px) / 2)) + 1
@@ -117,19 +133,19 @@ def _compose(
         passed = 1.0
         if tangent is not None and camera.wavefront is not None:
             passed = camera.wavefront.transmitted_share(block, tangent)
-        if passed > _LEAST_COVERAGE:
+        if passed > _MIN_COVERAGE:
             psf = partial(_kernel, block, camera, tangent=tangent)
             share = passed * block.open_fraction / camera.mask.open_fraction
             total += _through_block(layers, psf, share, colours.shape[:2])
     # Where no light comes through a block, the others make up for it; where none comes at all,
     # the sharp scene is the best guess.
     found = total[..., -1:]
-    return np.divide(total[..., :-1], found, out=colours.copy(), where=found > _LEAST_COVERAGE)
+    return np.divide(total[..., :-1], found, out=colours.copy(), where=found > _MIN_COVERAGE)
 
 
 @dataclasses.dataclass(frozen=True)
 class _Layer:
-    """A layer's premultiplied colours and its coverage, [rows, columns, channels + 1], cut out.
+    """Premultiplied colours and coverage of a layer, [rows, columns, channels + 1], cut out.
 
     Layers whose numbers differ by less than `surface_gap` belong to one surface.
     """
@@ -169,7 +185,7 @@ def _blur_sizes(depth_m: NDArray, camera: Camera) -> FloatArray:
 
 
 def _layers(visible: Surface, hidden: Surface, spacing_px: float) -> Iterator[_Layer]:
-    """Cut both surfaces into layers, front (smallest signed blur size) first."""
+    """Layers of both surfaces, front (smallest signed blur size) first."""
     # The hidden surface repeats blur sizes of the visible one, so these two bounds hold for both.
     first = float(visible.blur_size_px.min())
     last = float(visible.blur_size_px.max())
@@ -192,7 +208,7 @@ def _layers(visible: Surface, hidden: Surface, spacing_px: float) -> Iterator[_L
 
 
 def _share(blur_size_px: NDArray, size: float, step: float) -> FloatArray:
-    """Return the share of each pixel in a layer: 1 at its size, 0 at the next layers' sizes."""
+    """Share of each pixel in a layer: 1 at the layer's blur size, 0 at its neighbours'."""
     if step == 0:
         return np.isfinite(blur_size_px).astype(np.float32)
     share = np.maximum(0, 1 - np.abs(blur_size_px - np.float32(size)) / np.float32(step))
@@ -200,7 +216,7 @@ def _share(blur_size_px: NDArray, size: float, step: float) -> FloatArray:
 
 
 def _blocks(mask: Mask, count: int) -> Iterator[Mask]:
-    """Cut a mask into masks of the same grid, each open in one block only."""
+    """Masks of the same grid, each open in one block only."""
     grid = mask.transmission
     for rows in np.array_split(np.arange(grid.shape[0]), min(count, grid.shape[0])):
         for columns in np.array_split(np.arange(grid.shape[1]), min(count, grid.shape[1])):
@@ -213,12 +229,11 @@ def _blocks(mask: Mask, count: int) -> Iterator[Mask]:
 def _through_block(
     layers: list[_Layer], psf: Callable[[float], FloatArray], share: float, shape: tuple[int, ...]
 ) -> FloatArray:
-    """Compose the light that reaches the sensor through one block of the aperture.
+    """Premultiplied colours and weight of the light through a block [rows, columns, channels + 1].
 
-    `psf` gives the block's PSF by its blur size, and `share` is its part of the light. Returns
-    premultiplied colours and a weight, [rows, columns, channels + 1]: the share. It falls to zero
-    where no surface is known that light comes from: next to steep steps a block may look past the
-    visible surface and what is continued behind it.
+    `psf` returns the block's PSF for a blur size, and `share` is its part of the light. The weight
+    is the share; it falls to zero where no surface is known that light comes from: next to steep
+    steps a block may look past the visible surface and its hidden continuation.
     """
     height, width = shape
     total = np.zeros((height, width, layers[0].light.shape[2]), dtype=np.float32)
@@ -233,14 +248,14 @@ def _through_block(
         blurred *= np.maximum(0, 1 - occluded[region])[..., None]
         total[region] += blurred
         recent.append((layer.number, region, blurred[..., -1]))
-    lit: FloatArray = np.maximum(total[..., -1:], _LEAST_COVERAGE)
+    lit: FloatArray = np.maximum(total[..., -1:], _MIN_COVERAGE)
     return total * (np.float32(share) / lit)
 
 
 def _blur(
     layer: _Layer, kernel: FloatArray, height: int, width: int
 ) -> tuple[tuple[slice, slice], FloatArray]:
-    """Blur a layer; return where in the frame the result belongs, and the result."""
+    """Region of the blurred layer in the frame, and the blurred layer."""
     # OpenCV correlates; turned by 180 degrees, the kernel convolves.
     kernel = kernel[::-1, ::-1]
     reach = len(kernel) // 2
@@ -259,7 +274,7 @@ def _blur(
 def _kernel(
     block: Mask, camera: Camera, blur_size_px: float, tangent: DoubleArray | None
 ) -> FloatArray:
-    """Return the PSF of a block; with diffraction what it adds to that of the whole mask."""
+    """PSF of a block; with diffraction, its contribution to that of the whole mask."""
     if tangent is not None:
         return camera.field_psf(block, blur_size_px, tangent)
     q = camera.psf_diffraction_px
@@ -271,7 +286,7 @@ def _kernel(
 
 
 def _correlate(light: FloatArray, kernel: FloatArray) -> FloatArray:
-    """Correlate with a centred kernel, of which only the part that is not zero is computed."""
+    """Correlation with a centred kernel, of which only the non-zero part is computed."""
     rows = np.flatnonzero(kernel.any(axis=1))
     columns = np.flatnonzero(kernel.any(axis=0))
     part = np.ascontiguousarray(kernel[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1])

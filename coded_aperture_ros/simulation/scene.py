@@ -1,4 +1,4 @@
-"""Scenes to put in front of the simulated camera, and its sensor: noise and quantisation."""
+"""Scenes for the simulated camera, and its sensor: noise and quantisation."""
 
 import dataclasses
 import math
@@ -22,14 +22,27 @@ _MOTORCYCLE_DISPARITY_OFFSET_PX = 31.086
 
 @dataclasses.dataclass(frozen=True)
 class SensorModel:
-    """Additive Gaussian noise, then rounding to steps.
+    """Additive Gaussian noise, then quantisation.
 
-    Attributes
+    Parameters
     ----------
-    noise : float
+    noise : float, optional
         Standard deviation, 1 = full scale.
-    bits : {0, 8, 12, 16}
-        Values are clipped to 0..1 and rounded to `2**bits - 1` steps; 0 leaves them as they are.
+    bits : {0, 8, 12, 16}, optional
+        Values are clipped to 0..1 and rounded to `2**bits - 1` steps; 0: no quantisation.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> sensor = SensorModel(bits=8)
+    >>> exposed = sensor.expose(np.array([0.0, 0.3, 1.2]), np.random.default_rng(0))
+    >>> (255 * exposed).round().tolist()
+    [0.0, 76.0, 255.0]
     """
 
     noise: float = 0.0
@@ -42,7 +55,7 @@ class SensorModel:
             raise InputError(f"bits: expected 0, 8, 12 or 16, got {self.bits!r}")
 
     def expose(self, image: NDArray, rng: np.random.Generator) -> FloatArray:
-        """Return the image as the sensor reads it out; float32, linear, shape of `image`."""
+        """Image as the sensor reads it out, float32, linear light, shape of `image`."""
         exposed = np.array(image, dtype=np.float32)
         if self.noise:
             exposed += np.float32(self.noise) * rng.standard_normal(exposed.shape, np.float32)
@@ -54,7 +67,7 @@ class SensorModel:
 
 @dataclasses.dataclass(frozen=True)
 class Scene:
-    """A sharp picture with the depth of every pixel."""
+    """Sharp image with the depth of every pixel."""
 
     image: FloatArray  # [h, w, 3], linear light, RGB
     depth_m: FloatArray  # [h, w], all known
@@ -62,10 +75,27 @@ class Scene:
 
 
 def motorcycle_scene(scale: float = 1.2) -> Scene:
-    """Return the Middlebury motorcycle that scikit-image ships, 2.1 to 5.0 m away.
+    """Middlebury's motorcycle, which scikit-image ships, 2.1 to 5.0 m away.
 
-    The picture of 741 x 500 is enlarged by `scale`, by default enough for a window of 640 x 480 to
-    move about in. An `InputError` if scikit-image is not installed.
+    Parameters
+    ----------
+    scale : float, optional
+        Enlargement of the picture of 741 x 500; by default enough for a window of 640 x 480 to move
+        in.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InputError
+        If scikit-image is not installed.
+
+    References
+    ----------
+    D. Scharstein et al., *High-Resolution Stereo Datasets with Subpixel-Accurate Ground Truth*,
+    2014.
     """
     try:
         from skimage.data import stereo_motorcycle
@@ -86,7 +116,7 @@ def motorcycle_scene(scale: float = 1.2) -> Scene:
 
 @dataclasses.dataclass(frozen=True)
 class SimulatedFrame:
-    """What the simulated camera records at one time, and the truth behind it."""
+    """Frame of the simulated camera at one time, with ground truth."""
 
     coded: FloatArray  # the frame [h, w, 3], with noise
     sharp: FloatArray  # the same view without blur and noise
@@ -94,11 +124,26 @@ class SimulatedFrame:
 
 
 class PanningScene:
-    """A scene that moves back and forth in front of a simulated coded-aperture camera.
+    """Scene that moves back and forth in front of a simulated coded-aperture camera.
 
-    The whole scene, at least as large as the camera's image, is rendered once, at the start; a view
-    is a window of it, displaced by whole pixels, with fresh noise. `period_s` is the time for once
-    to the right and back; up and down takes twice as long. The same time gives the same view.
+    The scene is rendered once, at the start; a frame is a window of it, moved by whole pixels, with
+    fresh noise. The same time gives the same frame.
+
+    Parameters
+    ----------
+    scene : Scene
+        At least as large as the camera's image.
+    camera : Camera
+    sensor : SensorModel, optional
+    period_s : float, optional
+        Time for once to the right and back, s; up and down takes twice as long.
+    seed : int, optional
+        Of the noise.
+
+    Raises
+    ------
+    InputError
+        If the scene does not suit the camera, or the period is not positive.
     """
 
     def __init__(
@@ -126,7 +171,7 @@ class PanningScene:
         self._coded = render_coded_frame(scene.image, scene.depth_m, camera, aperture_blocks=2)
 
     def frame(self, time_s: float) -> SimulatedFrame:
-        """Return what the camera sees at a time (zero or later)."""
+        """Frame at a time (s, zero or later)."""
         window = self._window(time_s)
         rng = np.random.default_rng([self._seed, round(abs(time_s) * 1e6)])
         return SimulatedFrame(
@@ -140,11 +185,11 @@ class PanningScene:
         height = self._camera.image_height
         width = self._camera.image_width
         turns = time_s / self._period_s
-        top = _swing(turns / 2, scene_height - height)
-        left = _swing(turns, scene_width - width)
+        top = _cosine_position(turns / 2, scene_height - height)
+        left = _cosine_position(turns, scene_width - width)
         return slice(top, top + height), slice(left, left + width)
 
 
-def _swing(turns: float, reach: int) -> int:
-    """Return a position between 0 and `reach` that goes smoothly there and back in a turn."""
-    return round(reach * (1.0 - math.cos(2.0 * math.pi * turns)) / 2.0)
+def _cosine_position(turns: float, max_offset: int) -> int:
+    """Position between 0 and `max_offset` that moves smoothly there and back in one turn."""
+    return round(max_offset * (1.0 - math.cos(2.0 * math.pi * turns)) / 2.0)

@@ -8,14 +8,14 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.sources.source import Capture
 
-# What drivers of cameras on Linux (V4L2) take for "by hand" and "automatic".
+# V4L2's values of the automatic exposure, for manual and automatic.
 _MANUAL_EXPOSURE = 1
 _AUTO_EXPOSURE = 3
 
 
 @dataclasses.dataclass(frozen=True)
 class DeviceConfig:
-    """What a camera device can be told, where it has these settings."""
+    """Settings of a camera device, where it has them."""
 
     parameter_group = "device."
     width: int = option(
@@ -42,13 +42,19 @@ class DeviceConfig:
 
 
 class DeviceSource:
-    """A camera device (its index), a stream (its URL) or a GStreamer pipeline.
+    """Camera device (its index), stream (its URL) or GStreamer pipeline.
 
-    An address with an exclamation mark in it is a pipeline that ends in `appsink`. The device is
-    opened at the first `read`, and again at the next one after a failure, so that a camera may be
+    An address with an exclamation mark is a pipeline that ends in `appsink`. The device is opened
+    at the first `read`, and again at the next one after a failure, so that a camera may be
     unplugged and come back. A `rate_hz` of 0 leaves the device's own. Automatic focus is switched
-    off. `refused` is what the device that is open does not let itself be told, and `automatic` what
-    it goes on to change by itself.
+    off.
+
+    Attributes
+    ----------
+    refused : tuple of str
+        Settings that the open device does not accept.
+    automatic : tuple of str
+        What the device still changes by itself, such as the exposure.
     """
 
     live = True
@@ -67,11 +73,11 @@ class DeviceSource:
         """Change the settings; a new size takes effect when the device is opened again."""
         self._config = config
         if self._device is not None:
-            self.refused = self._set(self._device, _light(config))
+            self.refused = self._set(self._device, _exposure_settings(config))
             self.automatic = self._changes(self._device)
 
     def read(self) -> Capture | None:
-        """Wait for the next frame."""
+        """Next frame; waits for it."""
         device = self._device or self._open()
         succeeded, frame = device.read()
         if not succeeded or frame is None:
@@ -80,7 +86,7 @@ class DeviceSource:
         return Capture(frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Close the device."""
         if self._device is not None:
             self._device.release()
             self._device = None
@@ -106,7 +112,7 @@ class DeviceSource:
             "rate_hz": (cv2.CAP_PROP_FPS, self._rate_hz),
         }
         wanted = {name: setting for name, setting in size.items() if setting[1]}
-        self.refused = self._set(device, {**wanted, **_light(self._config)})
+        self.refused = self._set(device, {**wanted, **_exposure_settings(self._config)})
         device.set(cv2.CAP_PROP_AUTOFOCUS, 0.0)  # most lenses that take a mask have none
         self.automatic = self._changes(device)
         self._device = device
@@ -125,16 +131,16 @@ class DeviceSource:
 
 
 def automatic_controls(autofocus: float, auto_exposure: float) -> tuple[str, ...]:
-    """Return what a device changes by itself, from what it says of these settings.
+    """Names of the controls that a device changes by itself, from its values of these settings.
 
-    One that does not know a setting says 0 or less.
+    A device that does not know a setting reports 0 or less.
     """
     on = {"focus": autofocus > 0, "exposure": auto_exposure == _AUTO_EXPOSURE}
     return tuple(name for name in on if on[name])
 
 
-def _light(config: DeviceConfig) -> dict[str, tuple[int, float]]:
-    """Return what to set for exposure, gain and white balance, by the options' names."""
+def _exposure_settings(config: DeviceConfig) -> dict[str, tuple[int, float]]:
+    """OpenCV's settings for exposure, gain and white balance, by the options' names."""
     wanted: dict[str, tuple[int, float]] = {}
     if config.exposure == 0:
         wanted["automatic exposure"] = (cv2.CAP_PROP_AUTO_EXPOSURE, _AUTO_EXPOSURE)

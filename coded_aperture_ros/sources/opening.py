@@ -1,4 +1,4 @@
-"""From the text that names a source to the source."""
+"""Sources of frames by name."""
 
 import dataclasses
 from pathlib import Path
@@ -19,12 +19,20 @@ _BAG = "bag:"
 
 
 def open_files(text: str, loop: bool = False) -> FileSource[Any]:
-    """Return the source of the frames in files; with `loop` it begins again after the last one.
+    """Source of the frames in files; with `loop` it begins again after the last one.
 
-    `text` is the path of a picture, a folder of pictures (in the order of their names), a video or
-    a bag; or `bag:` and the path of a bag, which may end in `#` and the topic of the frames. Raises
-    `InputError`, naming the path, if it is missing, a folder without pictures, or not readable.
-    Reading a frame may raise it later.
+    Parameters
+    ----------
+    text : str
+        Path of a picture, a folder of pictures (sorted by name), a video or a bag; or `bag:` and
+        the path of a bag, which may end in `#` and the topic of the frames.
+    loop : bool, optional
+
+    Raises
+    ------
+    InputError
+        With the path: it is missing, a folder without pictures, or not readable. Reading a frame
+        may raise it later.
     """
     if text.startswith(_BAG):
         bag, _, topic = text.removeprefix(_BAG).partition("#")
@@ -51,7 +59,7 @@ def open_source(
     noise: float = 0.0,
     device: DeviceConfig | None = None,
 ) -> Source:
-    """Return the source that a text names.
+    """Source of frames by name.
 
     Parameters
     ----------
@@ -59,13 +67,18 @@ def open_source(
         `simulator`; the index of a camera, a device (`/dev/video0`), a URL (`rtsp://...`) or a
         GStreamer pipeline; or files, see `open_files`.
     camera : Camera
-        To simulate, or whose image size to ask a device for.
+        Simulated camera, or the image size that a device is asked for.
     rate_hz : float
-        Of simulator and device.
-    loop : bool
-        Of files.
-    noise : float
-        Of the simulator.
+        Frame rate of simulator and device.
+    loop : bool, optional
+        Whether files begin again after the last frame.
+    noise : float, optional
+        Standard deviation of the simulator's noise, linear light.
+    device : DeviceConfig, optional
+
+    Returns
+    -------
+    Source
 
     Raises
     ------

@@ -11,11 +11,20 @@ _NOISE_MARGIN_PX = 128
 
 
 class SimulatorSource:
-    """A real scene that moves in front of a simulated camera, with the truth about it.
+    """Real scene that moves in front of a simulated camera, with ground truth.
 
-    There are `rate_hz` frames per second of simulated time; `noise` is the standard deviation of
-    the sensor's noise in linear light. Raises `InputError` if the scene does not suit the camera,
-    or is not installed.
+    Parameters
+    ----------
+    camera : Camera
+    rate_hz : float
+        Frames per second of simulated time.
+    noise : float
+        Standard deviation of the sensor's noise, linear light.
+
+    Raises
+    ------
+    InputError
+        If the scene does not suit the camera, or is not installed.
     """
 
     live = False
@@ -33,7 +42,7 @@ class SimulatorSource:
         self._noise = np.float32(noise) * self._random.standard_normal(shape, np.float32)
 
     def read(self) -> Capture | None:
-        """Return the next view."""
+        """Next frame."""
         view = self._scene.frame(self._frames / self._rate_hz)
         self._frames += 1
         height, width = view.depth_m.shape
@@ -42,4 +51,4 @@ class SimulatorSource:
         return Capture(coded, view.depth_m, view.sharp)
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing: there is nothing to close."""

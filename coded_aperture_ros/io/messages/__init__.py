@@ -1,6 +1,6 @@
-"""What is in the messages of ROS, without ROS: pixels, depth, camera models.
+"""Content of ROS messages, without ROS: pixels, depth, camera models.
 
-A message is whatever has the fields of its type: those of rclpy and those read from a bag.
+A message is any object with the fields of its type: those of rclpy and those read from a bag.
 """
 
 from coded_aperture_ros.io.messages.camera_info import scaled_matrices, view_from_camera_info

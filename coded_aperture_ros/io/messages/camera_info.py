@@ -1,7 +1,7 @@
-"""What a `sensor_msgs/CameraInfo` says about a frame: its part of the view, and K and P of that.
+"""Region, binning and matrices of a `sensor_msgs/CameraInfo`.
 
 A camera model is for the whole sensor. A driver that reads a region of it (`roi`) or adds
-neighbouring pixels up (`binning_x`, `binning_y`) says so there, and leaves K and P as they are.
+neighbouring pixels up (`binning_x`, `binning_y`) says so there, and leaves K and P unchanged.
 """
 
 import math
@@ -14,7 +14,7 @@ from coded_aperture_ros.optics.view import View
 
 
 def view_from_camera_info(info: Any, width: int, height: int, camera: Camera) -> View | None:
-    """Return which part of a camera's view a frame of this size is; None if it cannot be one.
+    """View of a frame of this size in a camera's whole view; None if it cannot be a part of it.
 
     A frame of another size than binning gives is taken to be the region resized. Where the focal
     length of the message is that of a camera file for frames of the region, not for those of the
@@ -35,11 +35,11 @@ def view_from_camera_info(info: Any, width: int, height: int, camera: Camera) ->
 
 
 def scaled_matrices(info: Any, width: int, height: int) -> tuple[list[float], list[float]]:
-    """Return K and P of a `sensor_msgs/CameraInfo` for its region at `width` x `height`.
+    """K and P of a `sensor_msgs/CameraInfo` for its region at `width` x `height`.
 
-    Of anything with its fields `width`, `height`, `roi`, `k` and `p`; P is made from K where a
-    driver left it empty. Distortion coefficients act on normalised coordinates and stay. Raises
-    `MessageError` of kind "camera_info", where the message holds no camera model.
+    `info` needs the fields `width`, `height`, `roi`, `k` and `p`; P is made from K where a driver
+    left it empty. Distortion coefficients act on normalised coordinates and stay. Raises
+    `MessageError` of kind "camera_info" if the message has no camera model.
     """
     if info.width == 0 or info.height == 0 or info.k[0] <= 0 or info.k[4] <= 0:
         raise MessageError("camera_info", "camera_info holds no camera model (size or K is 0)")
@@ -53,7 +53,7 @@ def scaled_matrices(info: Any, width: int, height: int) -> tuple[list[float], li
 
 
 def _region(info: Any) -> tuple[int, int, int, int]:
-    """Return left, top, width and height of the region of interest; a size of 0 stands for all."""
+    """Left, top, width and height of the region of interest; a size of 0 stands for all."""
     roi = info.roi
     left, columns = (roi.x_offset, roi.width) if roi.width else (0, info.width)
     top, rows = (roi.y_offset, roi.height) if roi.height else (0, info.height)
@@ -61,6 +61,6 @@ def _region(info: Any) -> tuple[int, int, int, int]:
 
 
 def _scale(pixels: int, length: int, binning: int) -> float:
-    """Return pixels of the frame per pixel of the sensor."""
+    """Pixels of the frame per pixel of the sensor."""
     binned = max(binning, 1)
     return 1 / binned if pixels == length // binned else pixels / max(length, 1)
