@@ -269,6 +269,8 @@ def _reader(field: Field) -> Any:
     checks = not isinstance(option, Argument) or bool(option.allowed)
 
     def read(text: str) -> Any:
+        if text is argparse.SUPPRESS:  # what stands for a positional argument left out
+            return text
         value = kind(text)
         if kind in (int, float, str) and checks:
             try:

@@ -1,10 +1,11 @@
 """The command that writes example files."""
 
+import io
 import json
+from contextlib import redirect_stdout
 
 import numpy as np
 import pytest
-from cli_scene import call
 
 from coded_aperture_ros.bags import Bag
 from coded_aperture_ros.cli.main import main
@@ -14,10 +15,17 @@ from coded_aperture_ros.simulation import render_coded_frame
 
 
 @pytest.fixture(scope="module")
-def sample(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("given") / "new" / "sample"
-    assert main(["sample", str(folder)]) == 0
-    return folder
+def written(tmp_path_factory):
+    """Return the folder that was asked for, and what the command says about it."""
+    folder, said = tmp_path_factory.mktemp("given") / "new" / "sample", io.StringIO()
+    with redirect_stdout(said):
+        assert main(["sample", str(folder), "--json"]) == 0
+    return folder, said.getvalue()
+
+
+@pytest.fixture(scope="module")
+def sample(written):
+    return written[0]
 
 
 def test_the_coded_frame_is_that_of_its_truth(sample):
@@ -65,6 +73,6 @@ def test_nothing_is_left_where_it_cannot_be_written(tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_what_was_written_is_told(tmp_path, capsys):
-    out = json.loads(call(capsys, "sample", tmp_path / "s", "--json").out)
-    assert {path.name for path in (tmp_path / "s").iterdir()} == set(out["files"])
+def test_what_was_written_is_told(written):
+    folder, said = written
+    assert {path.name for path in folder.iterdir()} == set(json.loads(said)["files"])

@@ -19,7 +19,12 @@ def commands_of(text):
 
 
 @pytest.mark.parametrize(
-    ("page", "least"), [("README.md", 6), ("docs/start.md", 8), ("docs/commands.md", 19)]
+    ("page", "least"),
+    [
+        ("README.md", 6),
+        ("docs/start.md", 8),
+        pytest.param("docs/commands.md", 19, marks=pytest.mark.slow),
+    ],
 )
 def test_the_commands_of_a_page_run_one_after_the_other(
     checkout, tmp_path, monkeypatch, capsys, page, least
