@@ -4,54 +4,36 @@ This is where a reader begins. The nodes, the commands, recorded bags and Python
 through `FramePipeline`; `docs/architecture.md` walks on from here.
 """
 
-import dataclasses
-from collections.abc import Callable, Iterable, Iterator
-from functools import cached_property
-from itertools import repeat
+from collections import deque
+from collections.abc import Iterable, Iterator
 from typing import Any
+
+import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.core.stamp_order import StampOrder
-from coded_aperture_ros.deblur import DeblurConfig, make_deblurrer
-from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator, estimate_video
-from coded_aperture_ros.frames import KnownNoise, channel_noise
+from coded_aperture_ros.deblur import AnyDeblurrer, DeblurConfig, make_deblurrer
+from coded_aperture_ros.deblur.levels import RenderedLevels
+from coded_aperture_ros.depth import (
+    DepthConfig,
+    DepthEstimate,
+    DepthEstimator,
+    blur_sizes_px,
+    estimate_video,
+)
+from coded_aperture_ros.depth.levels import check_camera
+from coded_aperture_ros.frames import Frame, KnownNoise, View, channel_noise
 from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.optics import Camera
-from coded_aperture_ros.optics.rotation import ExpectedMotion
+
+# PSFs alone are enough for deblurring by depth from elsewhere.
+AnyModel = LikelihoodModel | RenderedLevels
 
 
 class LateFrameError(InputError):
     """A frame of a video is older than the one before it."""
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class FrameResult:
-    """What was made of a frame.
-
-    Attributes
-    ----------
-    depth : DepthEstimate
-        Level, blur size, depth in metres with its standard deviation, confidence and, where the
-        method finds it, motion.
-    stamp : int or None
-        Of the frame.
-    """
-
-    depth: DepthEstimate
-    stamp: int | None
-    _deblur: Callable[[], FloatArray] = dataclasses.field(repr=False)
-
-    @cached_property
-    def all_in_focus(self) -> FloatArray:
-        """The frame without its blur, float32 in [0, 1], like the frame.
-
-        It is made when first asked for, with the pipeline's settings of that time. With
-        `DeblurConfig.temporal_frames` ask for it frame by frame, in order. An `InputError` if the
-        pipeline does not deblur, or no depth is known in the whole frame.
-        """
-        return self._deblur()
 
 
 class FramePipeline:
@@ -59,10 +41,12 @@ class FramePipeline:
 
     Parameters
     ----------
-    model : LikelihoodModel
-        A filter bank, or what another method knows about the mask; see `new_model`.
+    model : LikelihoodModel or RenderedLevels
+        A filter bank, or what another method knows about the mask; see `new_model`. PSFs alone
+        are enough for deblurring by depth from elsewhere.
     camera : Camera, optional
-        Turns blur sizes into metres, and may know its noise.
+        Of the whole view. It turns blur sizes into metres, and may know its noise.
+    depth : DepthConfig, optional
     deblur : DeblurConfig or None, optional
         None: no all-in-focus pictures.
     progress : callable, optional
@@ -72,19 +56,49 @@ class FramePipeline:
     ------
     InputError
         If the model is not for the camera.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from coded_aperture_ros.likelihood.bank import learn_bank
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> bank = learn_bank(render_psf_stack(Mask.named("levin"), np.linspace(2, 9, 15)))
+    >>> frame = Frame(np.random.default_rng(0).random((96, 128), np.float32))
+    >>> pipeline = FramePipeline(bank)
+    >>> estimate = pipeline(frame)
+    >>> pipeline.deblur(frame, estimate).shape
+    (96, 128)
     """
 
     def __init__(
         self,
-        model: LikelihoodModel,
+        model: AnyModel,
         camera: Camera | None = None,
         depth: DepthConfig | None = None,
         deblur: DeblurConfig | None = DeblurConfig(),  # noqa: B008  frozen
         progress: Progress = iter,
     ) -> None:
-        self.estimator, self._progress = DepthEstimator(model, depth, camera), progress
-        self._deblurrer = None if deblur is None else make_deblurrer(model, deblur, progress)
+        self.model = model
+        self.camera = camera
+        self.depth_config = depth or DepthConfig()
+        self._view: View | None = None  # of the last frame
+        self._estimator = _new_estimator(model, self.depth_config, camera)
+        self._progress = progress
+        self._deblurrer = None if deblur is None else self._new_deblurrer(deblur)
         self._order = StampOrder()
+
+    @property
+    def estimator(self) -> DepthEstimator:
+        """Estimator of depth, for the view of the last frame.
+
+        Raises
+        ------
+        InputError
+            If the model has PSFs only.
+        """
+        if self._estimator is None:
+            raise InputError("depth: PSFs alone give no depth, the pipeline needs a filter bank")
+        return self._estimator
 
     @property
     def deblurs(self) -> bool:
@@ -95,59 +109,92 @@ class FramePipeline:
     def remembers(self) -> bool:
         """Whether what is made of a frame depends on the frames before it."""
         averaged = self._deblurrer is not None and self._deblurrer.config.temporal_frames > 0
-        return averaged or self.estimator.config.temporal_frames > 0
+        return averaged or self.depth_config.temporal_frames > 0
 
-    def __call__(
-        self,
-        frame: FloatArray,
-        stamp: int | None = None,
-        *,
-        size: Shape | None = None,
-        prior: ExpectedMotion | None = None,
-        coloured: FloatArray | None = None,
-        hidden_noise: float = 0.0,
-    ) -> FrameResult:
-        """Work on one frame.
+    def __call__(self, frame: Frame | FloatArray, size: Shape | None = None) -> DepthEstimate:
+        """Depth and everything else that the stages find of one frame.
+
+        Where the stamp has gone back, another video begins.
 
         Parameters
         ----------
-        frame, size, prior, hidden_noise
-            See `DepthEstimator.estimate`.
-        stamp : int, optional
-            Time of the frame, ns. Where time has gone back, another video begins.
-        coloured : ndarray, float32 [rows, columns, 3], optional
-            What is deblurred in place of a grey frame; see `colour_from_mosaic`.
+        frame : Frame or ndarray, float32 [rows, columns] or [rows, columns, 3]
+        size : (int, int), optional
+            Rows and columns of the maps; the frame's by default.
 
         Raises
         ------
         LateFrameError
             If the stamp is a little older than the last one, and frames depend on those before.
         InputError
-            If the frame has a wrong shape or type, or is smaller than the model's window.
+            If the frame has a wrong shape or type, is smaller than the model's window, or shows
+            what cannot be a region of the camera's view.
         """
-        self._follow(stamp)
-        estimate = self.estimator.estimate(frame, size, prior, hidden_noise)
-        return self._result(frame if coloured is None else coloured, estimate, stamp)
+        frame = Frame.of(frame)
+        self._follow(frame.stamp_ns)
+        self._show(frame)
+        return self.estimator.estimate(frame, size)
 
     def video(
-        self,
-        frames: Iterable[FloatArray],
-        size: Shape | None = None,
-        hidden_noise: Iterable[float] = repeat(0.0),
-    ) -> Iterator[FrameResult]:
-        """Work on a recorded video, each frame in the light of those before and after it.
+        self, frames: Iterable[Frame | FloatArray], size: Shape | None = None
+    ) -> Iterator[tuple[Frame, DepthEstimate]]:
+        """Each frame of a recorded video, with its depth by those before and after it.
 
-        Needs `DepthConfig.temporal_frames` above 0. Takes and raises what `estimate_video` does.
+        Needs `DepthConfig.temporal_frames` above 0. Another video begins. Raises what
+        `estimate_video` does.
         """
-        waiting: list[FloatArray] = []
+        self.reset()
+        waiting: deque[Frame] = deque()
 
-        def kept() -> Iterator[FloatArray]:
-            for frame in frames:
+        def kept() -> Iterator[Frame]:
+            for frame in map(Frame.of, frames):
                 waiting.append(frame)
                 yield frame
 
-        for estimate in estimate_video(self.estimator, kept(), size, hidden_noise):
-            yield self._result(waiting.pop(0), estimate, None)
+        for estimate in estimate_video(self.estimator, kept(), size):
+            yield waiting.popleft(), estimate
+
+    def deblur(
+        self, frame: Frame | FloatArray, depth: DepthEstimate | FloatArray | None = None
+    ) -> FloatArray:
+        """All-in-focus picture of a frame.
+
+        With `DeblurConfig.temporal_frames` call it frame by frame, in order.
+
+        Parameters
+        ----------
+        frame : Frame or ndarray, float32 [rows, columns] or [rows, columns, 3]
+        depth : DepthEstimate or ndarray, float32 [map rows, map columns], optional
+            What `pipeline(frame)` has found, or metres from elsewhere: NaN where unknown; by
+            default it is estimated.
+
+        Returns
+        -------
+        ndarray, float32, like `frame.picture`
+            In [0, 1].
+
+        Raises
+        ------
+        InputError
+            If the pipeline was made without deblurring, no depth is known in the whole frame, or a
+            depth map does not have the proportions of the frame.
+        """
+        frame = Frame.of(frame)
+        deblurrer = self._deblurrer
+        if deblurrer is None:
+            raise InputError("deblurring: the pipeline was made without it")
+        if depth is None:
+            depth = self(frame)
+        if isinstance(depth, DepthEstimate):
+            blur_size_px, motion_px = depth.blur_size_px, depth.values("motion")
+        else:
+            self._follow(frame.stamp_ns)
+            self._show(frame)
+            blur_size_px, motion_px = self._blur_size_px(depth), None
+        noise = channel_noise(frame.picture, self._known_noise(deblurrer.config))
+        if not deblurrer.removes_motion:
+            motion_px = None
+        return deblurrer.deblur(frame.picture, blur_size_px, noise, motion_px)
 
     def reset(self) -> None:
         """Forget the frames so far: the next one begins another video."""
@@ -157,7 +204,7 @@ class FramePipeline:
     def reconfigure(
         self,
         *,
-        model: LikelihoodModel | None = None,
+        model: AnyModel | None = None,
         camera: Camera | None = None,
         depth: DepthConfig | None = None,
         deblur: DeblurConfig | None = None,
@@ -168,59 +215,120 @@ class FramePipeline:
         the video is kept; so it is of deblurring while the model stays. If the model is not for the
         camera, there is an `InputError`, and everything stays as it was.
         """
-        old = self.estimator
-        model, depth, camera = model or old.model, depth or old.config, camera or old.camera
-        if model is not old.model or depth != old.config or camera != old.camera:
-            self.estimator = DepthEstimator(model, depth, camera, like=old)
-            old.close()
-        deblurrer = self._deblurrer
-        config = deblur or (deblurrer.config if deblurrer else None)
+        config = deblur or (self._deblurrer.config if self._deblurrer else None)
+        self._change(
+            model or self.model, camera or self.camera, depth or self.depth_config, self._view
+        )
         if config is None:
             return
-        stack = self.estimator.model.stack
-        if deblurrer is not None and deblurrer.stack is stack:
-            deblurrer.reconfigure(config)
-            return
-        self._deblurrer = make_deblurrer(self.estimator.model, config, self._progress)
-        if deblurrer is not None:
-            deblurrer.close()
+        if self._deblurrer is None:
+            self._deblurrer = self._new_deblurrer(config)
+        else:
+            self._deblurrer.reconfigure(config)
+
+    def prepare_deblurring(self, shape: Shape) -> None:
+        """Compute beforehand what the first frame of a shape that is deblurred would wait for."""
+        if self._deblurrer is not None:
+            self._deblurrer.prepare(shape)
 
     def close(self) -> None:
         """End the threads that the work was shared among."""
-        self.estimator.close()
+        if self._estimator is not None:
+            self._estimator.close()
         if self._deblurrer is not None:
             self._deblurrer.close()
 
     def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
         """Send to another process what the pipeline was made of; threads and memory stay behind."""
-        made_of = self.estimator.model, self.estimator.camera, self.estimator.config
-        return FramePipeline, (*made_of, self._deblurrer.config if self._deblurrer else None)
+        deblur = self._deblurrer.config if self._deblurrer else None
+        return FramePipeline, (self.model, self.camera, self.depth_config, deblur)
 
-    def _follow(self, stamp: int | None) -> None:
-        if stamp is None:
+    @property
+    def _view_camera(self) -> Camera | None:
+        """Camera of what the last frame showed."""
+        return _cut(self.camera, self._view)
+
+    def _show(self, frame: Frame) -> None:
+        """Make model and camera those of the region of the view that a frame shows."""
+        if frame.view != self._view:
+            self._change(self.model, self.camera, self.depth_config, frame.view)
+
+    def _change(
+        self, model: AnyModel, camera: Camera | None, depth: DepthConfig, view: View | None
+    ) -> None:
+        """Make anew what model, camera, view or settings of depth have made false."""
+        shown = _cut(camera, view)
+        old, estimator = self._estimator, self._estimator
+        if old is None or old.source_model is not model or (depth, shown) != (
+            old.config,
+            old.camera,
+        ):
+            estimator = _new_estimator(model, depth, shown)
+        other_psfs = model is not self.model or (
+            shown != self._view_camera and model.for_view(shown) is not model
+        )
+        self.model = model
+        self.camera = camera
+        self.depth_config = depth
+        self._view = view
+        self._estimator = estimator
+        if old is not None and old is not estimator:
+            old.close()
+        if other_psfs and self._deblurrer is not None:
+            self._deblurrer.close()
+            self._deblurrer = self._new_deblurrer(self._deblurrer.config)
+
+    def _new_deblurrer(self, config: DeblurConfig) -> AnyDeblurrer:
+        model = self.model.for_view(self._view_camera)
+        return make_deblurrer(model, config, self._progress)
+
+    def _known_noise(self, config: DeblurConfig) -> KnownNoise:
+        """Noise of one channel, as far as it is known; see `KnownNoise.of` for what goes first.
+
+        Not what depth has estimated, which is of the mean of the channels: so the picture is the
+        same as where depth comes from elsewhere.
+        """
+        return KnownNoise.of(config, self.depth_config, self.camera, self.model)
+
+    def _blur_size_px(self, depth_m: FloatArray) -> FloatArray:
+        """Blur sizes of depths of the frame's view, px, NaN where depth is unknown."""
+        sizes = blur_sizes_px(self.model, self._view_camera, depth_m)
+        if sizes is None:
+            raise InputError(
+                "depth: neither the bank nor a camera says what blur a depth has: give the camera"
+            )
+        if not np.isfinite(sizes).any():
+            raise InputError("depth: no depth is known in the whole frame")
+        return sizes
+
+    def _follow(self, stamp_ns: int | None) -> None:
+        """Begin another video where time has gone back."""
+        if stamp_ns is None:
             return
-        order = self._order.follow(stamp)
+        order = self._order.follow(stamp_ns)
         if order == "restart":
             self._forget_video()
         elif order == "late" and self.remembers:
             raise LateFrameError("a frame is older than the one before it")
 
     def _forget_video(self) -> None:
-        self.estimator.reset()
+        if self._estimator is not None:
+            self._estimator.reset()
         if self._deblurrer is not None:
             self._deblurrer.reset()
 
-    def _result(self, frame: FloatArray, estimate: DepthEstimate, stamp: int | None) -> FrameResult:
-        return FrameResult(estimate, stamp, lambda: self._deblurred(frame, estimate))
 
-    def _deblurred(self, frame: FloatArray, estimate: DepthEstimate) -> FloatArray:
-        deblurrer = self._deblurrer
-        if deblurrer is None:
-            raise InputError("deblurring: the pipeline was made without it")
-        motion_px = None
-        if estimate.motion is not None and deblurrer.removes_motion:
-            motion_px = estimate.motion.vectors_px
-        # Not what depth has estimated, which is of the mean of the channels: so the picture is the
-        # same as where depth comes from elsewhere.
-        noise = channel_noise(frame, KnownNoise.of(deblurrer.config, self.estimator.known_noise))
-        return deblurrer.deblur(frame, estimate.blur_size_px, noise, motion_px)
+def _cut(camera: Camera | None, view: View | None) -> Camera | None:
+    """Camera of a region of the whole view."""
+    return camera if camera is None or view is None else camera.for_view(view)
+
+
+def _new_estimator(
+    model: AnyModel, config: DepthConfig, camera: Camera | None
+) -> DepthEstimator | None:
+    """Estimator of a model; None for PSFs alone. An `InputError` if it is not for the camera."""
+    if isinstance(model, RenderedLevels):
+        if camera is not None:
+            check_camera(model, camera)
+        return None
+    return DepthEstimator(model, config, camera)

@@ -35,12 +35,11 @@ from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.figures import new_figure
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import map_size
-from coded_aperture_ros.frames import Gamma
+from coded_aperture_ros.frames import ExpectedMotion, Gamma, View
 from coded_aperture_ros.io.messages import MessageError, view_from_camera_info
 from coded_aperture_ros.likelihood.bank import check_frame_size
 from coded_aperture_ros.likelihood.choose import bank_of
-from coded_aperture_ros.optics import Camera, View
-from coded_aperture_ros.optics.rotation import ExpectedMotion
+from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.pipeline import FramePipeline
 
 REPORT = "report"

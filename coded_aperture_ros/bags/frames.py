@@ -11,9 +11,8 @@ from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stages import Stages
 from coded_aperture_ros.depth import Health
-from coded_aperture_ros.frames import Gamma, hidden_noise
+from coded_aperture_ros.frames import ExpectedMotion, Gamma, hidden_noise
 from coded_aperture_ros.io.messages import MessageError, frame_from_pixels, pixels_from_frame
-from coded_aperture_ros.optics.rotation import ExpectedMotion
 from coded_aperture_ros.pipeline import FramePipeline
 
 

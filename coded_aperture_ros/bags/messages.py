@@ -12,8 +12,9 @@ from coded_aperture_ros.bags.frames import ProcessedFrame
 from coded_aperture_ros.bags.reading import Bag
 from coded_aperture_ros.bags.recorded import Recorded, Topic
 from coded_aperture_ros.bags.topics import Outputs
+from coded_aperture_ros.frames import View
 from coded_aperture_ros.io.messages import MessageError, view_from_camera_info
-from coded_aperture_ros.optics import Camera, View
+from coded_aperture_ros.optics import Camera
 
 # Messages that are copied wait for the next frame, but not more of them than this.
 _WAITING_BYTES = 16 * 2**20

@@ -24,6 +24,12 @@ class RenderedLevels:
         """Side of the smallest frame."""
         return self.stack.psfs.shape[1]
 
+    def for_view(self, camera: Camera | None) -> "RenderedLevels":
+        """Levels for frames of a camera, which may show a part of its view only."""
+        if self.field is None or camera is None:
+            return self
+        return dataclasses.replace(self, field=self.field.for_view(camera))
+
 
 def blur_levels(
     *,

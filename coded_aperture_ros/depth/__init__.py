@@ -6,9 +6,12 @@ from coded_aperture_ros.depth.decoders.regularize import REGULARIZERS, Regulariz
 from coded_aperture_ros.depth.decoders.sides import side_warning
 from coded_aperture_ros.depth.estimate import MAP_SIZES, DepthEstimate, map_size
 from coded_aperture_ros.depth.estimator import DepthEstimator, refinement_note
+from coded_aperture_ros.depth.focus_pair import FocusPair
+from coded_aperture_ros.depth.layer import Layer, LayerSpec
 from coded_aperture_ros.depth.levels import Levels, blur_sizes_px, depths_are_measured
 from coded_aperture_ros.depth.points import nearest_obstacle_m, points_of_depth
 from coded_aperture_ros.depth.quality import CAUSES, Health
+from coded_aperture_ros.depth.stages import layer_specs
 from coded_aperture_ros.depth.video import estimate_video
 
 __all__ = [

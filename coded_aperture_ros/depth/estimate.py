@@ -8,9 +8,9 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth.decoders.posterior import is_unsure
+from coded_aperture_ros.depth.decoders.posterior import below_threshold
+from coded_aperture_ros.depth.layer import Layer
 from coded_aperture_ros.depth.quality import Health
-from coded_aperture_ros.likelihood import MotionField
 
 MAP_SIZES = ("auto", "full", "half", "quarter")
 # Best-effort messages larger than such float images are lost with default DDS settings.
@@ -18,7 +18,6 @@ _LARGEST_AUTO = (240, 320)
 _DIVISORS = {"full": 1, "half": 2, "quarter": 4}
 # Maps that are unknown together.
 _OF_LEVELS = ("level", "blur_size_px", "depth_m", "std_dev_m")
-_BESIDE = ("confidence", "side_confidence", "free_space_m", "second_m", "second_share")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -40,24 +39,16 @@ class DepthEstimate:
         is right to one level).
     noise : float
         Standard deviation of the noise of one channel, as estimated or known; without shot noise.
-    side_confidence : ndarray or None
-        Probability, in [0, 1], that the level is on the right side of the focal plane; it is part
-        of `confidence`. None if the model has levels of one side only.
     std_dev_m : ndarray or None
         Standard deviation of `depth_m` in metres; NaN where that is, +inf where that is. None if
         there are no depths.
-    free_space_m : ndarray or None
-        What is seen is nearer than this, in metres, in a share of the pixels that the configuration
-        says, if frames fit and nothing is nearer than the levels. None if it asks for no bound.
-    second_m, second_share : ndarray or None
-        Depth of another surface in the window around each pixel, such as what is behind a net, or
-        the net, in metres, and the share of the window that it takes, 0 to 1; NaN where there is
-        only one. None if the configuration does not ask, or there are no depths.
-    motion : MotionField or None
-        Motion during the exposure, in maps of the same size; from methods that find it.
     health : Health or None
         How well the frame fits the bank; it is part of `confidence`. None where that cannot be
         told: see `can_be_checked`.
+    layers : mapping of str to Layer
+        What else the stages have found, by name, such as ``free_space`` or ``motion``.
+    stamp_ns : int or None
+        Of the frame.
     seconds : mapping of str to float
         How long every stage of the work took, in their order.
     """
@@ -67,18 +58,19 @@ class DepthEstimate:
     depth_m: FloatArray | None
     confidence: FloatArray
     noise: float
-    side_confidence: FloatArray | None = None
     std_dev_m: FloatArray | None = None
-    free_space_m: FloatArray | None = None
-    second_m: FloatArray | None = None
-    second_share: FloatArray | None = None
-    motion: MotionField | None = None
     health: Health | None = None
+    layers: Mapping[str, Layer] = dataclasses.field(default_factory=dict)
+    stamp_ns: int | None = None
     seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+    def values(self, layer: str) -> FloatArray | None:
+        """Values of a layer, float32 [rows, columns(, 2)]; None if it was not found."""
+        return self.layers[layer].values if layer in self.layers else None
 
     def where_confident(self, threshold: float) -> "DepthEstimate":
         """Return the estimate with NaN wherever the confidence is below the threshold."""
-        return self.without(is_unsure(self.confidence, threshold))
+        return self.without(below_threshold(self.confidence, threshold))
 
     def without(self, unknown: BoolArray) -> "DepthEstimate":
         """Return the estimate with NaN in some places [rows, columns]."""
@@ -99,7 +91,14 @@ class DepthEstimate:
             # Not linearly: that would make up depths in the air beside every edge.
             return np.asarray(cv2.resize(values, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT))
 
-        return self._mapped(large, *_OF_LEVELS, *_BESIDE)
+        layers = {
+            name: layer
+            if layer.values.shape[:2] == size
+            else dataclasses.replace(layer, values=large(layer.values))
+            for name, layer in self.layers.items()
+        }
+        maps = self._mapped(large, *_OF_LEVELS, "confidence")
+        return dataclasses.replace(maps, layers=layers)
 
     def _mapped(self, change: Callable[[FloatArray], FloatArray], *names: str) -> "DepthEstimate":
         values = {name: getattr(self, name) for name in names}

@@ -5,16 +5,18 @@ import dataclasses
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray, IndexArray, Shape
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray, Shape
 from coded_aperture_ros.core.errors import InputError, naming
-from coded_aperture_ros.depth.decoders.network import untrained
+from coded_aperture_ros.depth.decoders.network import unsupported_reason
 from coded_aperture_ros.depth.estimate import DepthEstimate
 from coded_aperture_ros.depth.estimator import DepthEstimator
 from coded_aperture_ros.depth.folding import Folding
-from coded_aperture_ros.depth.observation import Observation
+from coded_aperture_ros.depth.quality import Health
+from coded_aperture_ros.depth.stage import run
+from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.likelihood import Cost
 from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank
-from coded_aperture_ros.optics import render_psf_stack
+from coded_aperture_ros.optics import Camera, render_psf_stack
 
 
 class FocusPair:
@@ -38,69 +40,57 @@ class FocusPair:
     """
 
     def __init__(self, estimator: DepthEstimator, focus_m: float) -> None:
-        bank, camera, depths_m = estimator.model, estimator.camera, estimator.depths_m
-        if not isinstance(bank, FilterBank) or camera is None or depths_m is None:
-            raise InputError("two frames need a filter bank and the camera file that it is for")
-        if bank.mask_digest != camera.mask.digest:
-            raise InputError(
-                "two frames need a bank that was learned from the camera file's mask: see learn "
-                "--camera; PSFs that were measured are of one focus"
-            )
-        if not np.isfinite(depths_m).all():
-            raise InputError(
-                "two frames need a bank without levels at or beyond infinity: see learn --camera"
-            )
+        bank, camera, depths_m = _checked(estimator)
         refocused = camera.refocused(focus_m)
         # Focus breathing: the second frame is brought to the scale of the first.
         self._middle = np.array(camera.intrinsics.camera_matrix)[[2, 5]]
         self._scale = camera.focal_length_px / refocused.focal_length_px
-        other = dataclasses.replace(camera, focus_distance_m=focus_m, side="both")
-        stack = render_psf_stack(
-            camera.mask, other.blur_size_px(depths_m), camera.psf_diffraction_px
+        other_camera = dataclasses.replace(camera, focus_distance_m=focus_m, side="both")
+        other_bank = _bank_of_second_focus(bank, other_camera, depths_m)
+        # What has levels on one side only need not find out which: it decides, if it can as well.
+        one_sided = bank.stack.has_both_sides and not other_bank.stack.has_both_sides
+        reason = unsupported_reason(other_bank, other_bank.stride_px)
+        self._second_decides = one_sided and not reason
+        first, second = (bank, camera), (other_bank, other_camera)
+        deciding, other = (second, first) if self._second_decides else (first, second)
+        config = estimator.config
+        added = _AddedFocus(
+            DepthEstimator(other[0], config, other[1], patches_tell_sides=True),
+            Folding.of(deciding[0].stack.blur_sizes_px),
         )
-        config = LearnConfig(bank.window_px, bank.basis_vectors, 1.0, bank.noise)
-        with naming(f"in focus at {focus_m:g} m"):
-            model = learn_bank(stack, config, bank.prior, mask=camera.mask)
-        model = dataclasses.replace(model, stride_px=bank.stride_px)
-        self._first, self._second = (
-            DepthEstimator(each, estimator.config, its, like=estimator, costs_tell_sides=True)
-            for each, its in ((bank, camera), (model, other))
+        self._estimator = DepthEstimator(
+            deciding[0], config, deciding[1], second_focus=added, patches_tell_sides=True
         )
-        # Who has one side only need not find out which: it decides, if it can as well.
-        one_sided = bank.stack.has_both_sides and not model.stack.has_both_sides
-        self._second_decides = one_sided and not untrained(model, model.stride_px)
 
     def estimate(
-        self,
-        first: FloatArray,
-        second: FloatArray,
-        size: Shape | None = None,
-        hidden_noise: tuple[float, float] = (0.0, 0.0),
+        self, first: Frame | FloatArray, second: Frame | FloatArray, size: Shape | None = None
     ) -> DepthEstimate:
-        """Estimate the depth of every pixel of the first frame; see `DepthEstimator.estimate`.
+        """Depth of every pixel of the first frame; see `DepthEstimator.estimate`.
 
         Nothing may move between the two frames. If one does not fit, neither is trusted. The levels
         and blur sizes may be those of the second frame: only the depths are of both.
+
+        Raises
+        ------
+        InputError
+            As from `DepthEstimator.estimate`, or if the frames differ in shape.
         """
-        if first.shape != second.shape:
+        first, second = Frame.of(first), Frame.of(second)
+        if first.light.shape != second.light.shape:
             raise InputError(
-                f"two frames: expected two of one size, got {first.shape} and {second.shape}"
+                "two frames: expected two of one size, got "
+                f"{first.light.shape} and {second.light.shape}"
             )
-        frames = first, self._at_scale(second)
-        pairs = list(zip((self._first, self._second), frames, hidden_noise, strict=True))
-        deciding, other = pairs[::-1] if self._second_decides else pairs
-        seen, own = _looked(*deciding)
-        seen_by_other, of_other = _looked(*other)
-        health = other[0].decide(seen_by_other, of_other.volume, of_other).health
-        both = _added(own, of_other, *(_folding(one) for one, *_ in (deciding, other)))
-        return deciding[0].decide(seen, both.volume, both, size, others=health)
+        second = dataclasses.replace(second, light=self._at_scale(second.light))
+        deciding, other = (second, first) if self._second_decides else (first, second)
+        return self._estimator.estimate(dataclasses.replace(deciding, refocused=other), size)
 
     def close(self) -> None:
         """End the threads that the work was shared among."""
-        self._first.close()
-        self._second.close()
+        self._estimator.close()
 
     def _at_scale(self, frame: FloatArray) -> FloatArray:
+        """Frame at the scale of the first one; NaN where it did not see anything."""
         if abs(self._scale - 1) * max(frame.shape[:2]) < 0.5:  # less than a pixel at the edges
             return frame
         moved = np.column_stack([np.eye(2) * self._scale, self._middle * (1 - self._scale)])
@@ -109,15 +99,48 @@ class FocusPair:
         return np.asarray(cv2.warpAffine(frame, moved, frame.shape[1::-1], **how))
 
 
-def _looked(
-    estimator: DepthEstimator, frame: FloatArray, hidden_noise: float
-) -> tuple[Observation, Cost]:
-    seen = estimator.observe(frame, hidden_noise)
-    return seen, estimator.cost(seen, seen.grey)
+@dataclasses.dataclass(frozen=True, eq=False)
+class _AddedFocus:
+    """Adds what the frame says that does not decide; see `SecondFocus`."""
+
+    estimator: DepthEstimator  # of that frame
+    folding: Folding  # of the levels of the frame that decides
+
+    def add(self, cost: Cost, frame: Frame) -> tuple[Cost, Health | None]:
+        work = self.estimator.begin(frame)
+        run(self.estimator.front(frame.shape), work)
+        run(self.estimator.back(frame.shape), work)
+        own = Folding.of(self.estimator.model.stack.blur_sizes_px)
+        return _added(cost, work.frame_cost, self.folding, own), work.health
+
+    def close(self) -> None:
+        self.estimator.close()
 
 
-def _folding(estimator: DepthEstimator) -> Folding:
-    return Folding.of(estimator.model.stack.blur_sizes_px)
+def _checked(estimator: DepthEstimator) -> tuple[FilterBank, Camera, DoubleArray]:
+    """Bank, camera and depths of the levels; an `InputError` if they suit no pair of frames."""
+    bank, camera, depths_m = estimator.model, estimator.camera, estimator.depths_m
+    if not isinstance(bank, FilterBank) or camera is None or depths_m is None:
+        raise InputError("two frames need a filter bank and the camera file that it is for")
+    if bank.mask_digest != camera.mask.digest:
+        raise InputError(
+            "two frames need a bank that was learned from the camera file's mask: see learn "
+            "--camera; PSFs that were measured are of one focus"
+        )
+    if not np.isfinite(depths_m).all():
+        raise InputError(
+            "two frames need a bank without levels at or beyond infinity: see learn --camera"
+        )
+    return bank, camera, depths_m
+
+
+def _bank_of_second_focus(bank: FilterBank, camera: Camera, depths_m: DoubleArray) -> FilterBank:
+    """Bank of the same depths, for a camera that is focused elsewhere."""
+    stack = render_psf_stack(camera.mask, camera.blur_size_px(depths_m), camera.psf_diffraction_px)
+    config = LearnConfig(bank.window_px, bank.basis_vectors, 1.0, bank.noise)
+    with naming(f"in focus at {camera.focus_distance_m:g} m"):
+        model = learn_bank(stack, config, bank.prior, mask=camera.mask)
+    return dataclasses.replace(model, stride_px=bank.stride_px)
 
 
 def _added(own: Cost, other: Cost, folding: Folding, of_other: Folding) -> Cost:

@@ -105,6 +105,15 @@ class Levels:
             std_dev_m = std_dev_m * np.square(np.where(np.isinf(axial_m), 1, depth_m / axial_m))
         return found, size_px, depth_m, std_dev_m
 
+    def depth_m(self, level: FloatArray, unknown: BoolArray | None = None) -> FloatArray | None:
+        """Depth of a map of fractional levels of the whole image, m; None if depths are not known.
+
+        NaN where it is unknown; the map has no NaN.
+        """
+        if unknown is None:
+            unknown = np.zeros(level.shape, np.bool_)
+        return self.meaning(level, np.zeros_like(level), unknown)[2]
+
 
 def depths_are_measured(model: BlurLevels) -> bool:
     """Return whether a model knows its depths from measurement, better than by a camera file."""

@@ -1,14 +1,16 @@
 """One frame as numbers: linear light, grey, patches, noise, averages over time."""
 
 from coded_aperture_ros.frames.decoding import decode_picture
-from coded_aperture_ros.frames.frame import channel_mean, check_frame, filled, grey_image, resampled
+from coded_aperture_ros.frames.expected_motion import ExpectedMotion
+from coded_aperture_ros.frames.frame import Frame, PixelFormat
+from coded_aperture_ros.frames.grey import channel_mean, check_frame, filled, grey_image, resampled
 from coded_aperture_ros.frames.light import (
     SRGB,
     Gamma,
+    compression_noise,
     decode,
     encode,
     gamma_from_text,
-    hidden_noise,
     linear_from_pixels,
     pixels_from_linear,
 )
@@ -27,21 +29,27 @@ from coded_aperture_ros.frames.noise import (
 )
 from coded_aperture_ros.frames.patches import PatchGrid, brightness_at, usable_windows
 from coded_aperture_ros.frames.periodic import periodic, periodic_shape, transfer_function
-from coded_aperture_ros.frames.static_average import StaticAverage, frames_of_patches
+from coded_aperture_ros.frames.static_average import StaticAverage, frames_of_patches, join_averages
+from coded_aperture_ros.frames.view import View, is_same_view
 
 __all__ = [
     "MOSAICS",
     "SRGB",
+    "ExpectedMotion",
+    "Frame",
     "Gamma",
     "GreyNoise",
     "KnownNoise",
     "PatchGrid",
+    "PixelFormat",
     "StaticAverage",
+    "View",
     "brightness_at",
     "channel_mean",
     "channel_noise",
     "check_frame",
     "colour_from_mosaic",
+    "compression_noise",
     "decode",
     "decode_picture",
     "encode",
@@ -52,7 +60,8 @@ __all__ = [
     "grey_from_mosaic",
     "grey_image",
     "grey_noise",
-    "hidden_noise",
+    "is_same_view",
+    "join_averages",
     "linear_from_pixels",
     "mosaic_from_colour",
     "periodic",

@@ -1,84 +1,159 @@
-"""From a camera frame to the grey image that the filter bank sees."""
+"""One frame of a camera: its light, and what is known about it before anything is estimated."""
 
-import cv2
+import dataclasses
+from typing import Any
+
 import numpy as np
-from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray
-from coded_aperture_ros.core.errors import InputError
-
-# Black is near 0, but for noise; what is as dark as this is no measurement.
-_DARKEST = -1.0
-# An unusable pixel is filled from a square of this size around it.
-_FILL_FROM = (15, 15)
+from coded_aperture_ros.core.arrays import FloatArray, Shape
+from coded_aperture_ros.frames.expected_motion import ExpectedMotion
+from coded_aperture_ros.frames.grey import check_frame, resampled
+from coded_aperture_ros.frames.light import Gamma, compression_noise, linear_from_pixels
+from coded_aperture_ros.frames.mosaic import colour_from_mosaic, grey_from_mosaic
+from coded_aperture_ros.frames.view import View
 
 
-def check_frame(frame: NDArray[np.floating]) -> None:
-    """Raise `InputError` if an array cannot be a frame.
+@dataclasses.dataclass(frozen=True, eq=False)
+class Frame:
+    """A coded frame; everything that is made of it takes this one argument.
 
-    A frame is [rows, columns] or [rows, columns, 3], and of a floating type.
+    Attributes
+    ----------
+    light : ndarray, float32 [rows, columns] or [rows, columns, 3]
+        Linear light in [0, 1]; NaN where nothing was measured.
+    stamp_ns : int or None
+        Time of the exposure, ns. Where it goes back, another video begins.
+    colour : ndarray, float32 [rows, columns, 3], or None
+        Colour picture beside a grey `light`, as of a sensor with a mosaic of colour filters: it
+        is what is deblurred.
+    compression_noise : float
+        Standard deviation of the noise that lossy compression has hidden, linear light; 0: none.
+    view : View or None
+        Region of the camera's whole view, and binning; None: the whole view.
+    motion : ExpectedMotion or None
+        What is known of the picture's motion during the exposure.
+    refocused : Frame or None
+        A frame of the same view with the lens focused elsewhere; see `FocusPair`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> Frame(np.zeros((48, 64), np.float32)).shape
+    (48, 64)
     """
-    if frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3) or frame.size == 0:
-        raise InputError(
-            f"frame: expected [rows, columns] or [rows, columns, 3], got {list(frame.shape)}"
-        )
-    if not np.issubdtype(frame.dtype, np.floating):
-        raise InputError(f"frame: expected floating values in [0, 1], got {frame.dtype}")
+
+    light: FloatArray
+    stamp_ns: int | None = None
+    colour: FloatArray | None = None
+    compression_noise: float = 0.0
+    view: View | None = None
+    motion: ExpectedMotion | None = None
+    refocused: "Frame | None" = None
+
+    @classmethod
+    def of(cls, frame: "Frame | FloatArray") -> "Frame":
+        """Frame of an array of light; a frame is returned as it is."""
+        return frame if isinstance(frame, Frame) else cls(frame)
+
+    @property
+    def shape(self) -> Shape:
+        """Rows and columns."""
+        rows, columns = self.light.shape[:2]
+        return rows, columns
+
+    @property
+    def channels(self) -> int:
+        """Number of channels of `light`, 1 or 3."""
+        return 1 if self.light.ndim == 2 else self.light.shape[2]
+
+    @property
+    def picture(self) -> FloatArray:
+        """What is deblurred: the colour picture, or else the light."""
+        return self.light if self.colour is None else self.colour
+
+    def resampled(self, scale: float) -> "Frame":
+        """Frame enlarged by a factor; see `coded_aperture_ros.frames.resampled`."""
+        colour = None if self.colour is None else resampled(self.colour, scale)
+        return dataclasses.replace(self, light=resampled(self.light, scale), colour=colour)
+
+    def check(self) -> None:
+        """Raise `InputError` if the light has a shape or type that no frame has."""
+        check_frame(self.light)
 
 
-def channel_mean(frame: NDArray[np.floating]) -> FloatArray:
-    """Return the mean of the channels, float32 [rows, columns]; of a grey frame, itself."""
-    frame = np.ascontiguousarray(frame, np.float32)
-    return frame if frame.ndim == 2 else cv2.transform(frame, np.full((1, 3), 1 / 3, np.float32))
+@dataclasses.dataclass(frozen=True)
+class PixelFormat:
+    """How stored pixels become linear light.
 
-
-def grey_image(frame: FloatArray, saturation: float) -> tuple[FloatArray, BoolArray | None]:
-    """Return the mean of the channels, with unusable pixels filled in, and where those are.
-
-    The frame, float32 [rows, columns] or [rows, columns, 3], is linear light in [0, 1]. NaN,
-    infinite, saturated and far too dark pixels are unusable, saturated ones where any channel is as
-    bright as `saturation`. In the result each has the mean of the usable ones around it. The second
-    result, bool [rows, columns], is None if every pixel is usable. Raises `InputError` if the frame
-    has another shape or is not of a floating type.
+    Attributes
+    ----------
+    gamma : float or "srgb"
+        Transfer curve of 8-bit pixels; wider types are linear.
+    bits : int
+        Bits that 16-bit pixels have, where a sensor's 10 or 12 were not scaled to 16.
+    mosaic : str
+        Order of the colour filters, such as ``rggb``; empty: no mosaic.
     """
-    check_frame(frame)
-    frame = np.ascontiguousarray(frame, np.float32)
-    grey = channel_mean(frame)
-    with np.errstate(invalid="ignore"):  # NaN fails both comparisons
-        if frame.max() < saturation and grey.min() > _DARKEST:
-            return grey, None
-    brightest = grey
-    if frame.ndim == 3:
-        brightest = np.maximum(np.maximum(frame[..., 0], frame[..., 1]), frame[..., 2])
-    usable = brightest < saturation
-    usable &= grey > _DARKEST
-    return filled(grey, usable), ~usable
 
+    gamma: Gamma = 1.0
+    bits: int = 16
+    mosaic: str = ""
 
-def resampled(image: FloatArray, scale: float) -> FloatArray:
-    """Return an image enlarged by `scale`; smaller ones are means of pixels.
+    def light(self, pixels: Any) -> FloatArray:
+        """Linear light of pixels, before a mosaic is taken into account.
 
-    Raises `InputError` if next to nothing would be left of it.
-    """
-    height, width = (round(scale * length) for length in image.shape[:2])
-    if min(height, width) < 1:
-        raise InputError(f"frame scale {scale:g}: nothing is left of {image.shape[:2]} pixels")
-    way = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(image, (width, height), interpolation=way), np.float32)
+        Parameters
+        ----------
+        pixels : ndarray, uint8, uint16 or float [rows, columns] or [rows, columns, RGB]
+            Integers are scaled to [0, 1], floats are taken as they are.
 
+        Returns
+        -------
+        ndarray, float32
+            Of the same shape.
 
-def filled(image: FloatArray, usable: BoolArray) -> FloatArray:
-    """Return a grey image whose unusable pixels have the mean of the usable ones around them."""
-    known = image.copy()
-    known[~usable] = 0
-    weight = usable.astype(np.float32)
-    overall = known.sum() / max(weight.sum(), 1)
-    # Borders of zero weight: pixels beyond the frame are unusable too.
-    total, count = (
-        cv2.boxFilter(values, -1, _FILL_FROM, normalize=False, borderType=cv2.BORDER_CONSTANT)
-        for values in (known, weight)
-    )
-    holes = np.nonzero(~usable)
-    total, count = total[holes], count[holes]
-    known[holes] = np.where(count > 0.5, total / np.maximum(count, 1), overall)
-    return known
+        Raises
+        ------
+        InputError
+            If the pixels have another type.
+        """
+        if self.bits < 16 and pixels.dtype == np.uint16:
+            pixels = np.minimum(pixels, 2**self.bits - 1) << (16 - self.bits)
+        if pixels.dtype == np.float32:
+            return np.asarray(pixels)
+        return linear_from_pixels(pixels, self.gamma)
+
+    def picture(self, pixels: Any) -> FloatArray:
+        """Linear light of pixels, float32; in colour [rows, columns, 3] if they are a mosaic."""
+        light = self.light(pixels)
+        return colour_from_mosaic(light, self.mosaic) if self.mosaic else light
+
+    def frame(
+        self, pixels: Any, compression_loss: float = 0.0, *, colour: bool = True, **known: Any
+    ) -> Frame:
+        """Frame of stored pixels.
+
+        Parameters
+        ----------
+        pixels : ndarray, uint8, uint16 or float [rows, columns] or [rows, columns, RGB]
+            See `light`.
+        compression_loss : float
+            Noise that lossy compression has hidden, as `lost_by_compression` has it, of stored
+            values from 0 to 1.
+        colour : bool
+            Whether a mosaic is turned into a colour picture, too, which takes time.
+        **known
+            Other attributes of the `Frame`.
+
+        Raises
+        ------
+        InputError
+            If the pixels have a type that no picture has, or cannot be a mosaic.
+        """
+        light = self.light(pixels)
+        picture = None
+        if self.mosaic:
+            picture = colour_from_mosaic(light, self.mosaic) if colour else None
+            light = grey_from_mosaic(light, self.mosaic)
+        hidden = compression_noise(compression_loss, light, self.gamma)
+        return Frame(light, colour=picture, compression_noise=hidden, **known)

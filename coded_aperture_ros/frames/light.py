@@ -47,8 +47,8 @@ def encode(light: ArrayLike, gamma: Gamma) -> FloatArray:
     return values if gamma == 1.0 else np.maximum(values, 0.0) ** np.float32(1.0 / gamma)
 
 
-def hidden_noise(lost: float, frame: FloatArray, gamma: Gamma) -> float:
-    """Return about how much noise compression has hidden in a frame, linear light.
+def compression_noise(lost: float, frame: FloatArray, gamma: Gamma) -> float:
+    """Standard deviation of the noise that compression has hidden in a frame, linear light.
 
     Standard deviation; `lost` is what it has hidden of stored values from 0 to 1, 0 for nothing, of
     a frame [rows, columns(, channels)] that is linear light already. NaN counts as dark.

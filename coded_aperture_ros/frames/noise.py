@@ -11,7 +11,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.frames.frame import grey_image
+from coded_aperture_ros.frames.grey import grey_image
 from coded_aperture_ros.frames.patches import PatchGrid, brightness_at, mean_at
 
 # Passes what alternates from pixel to pixel along rows and columns both, and white noise with its

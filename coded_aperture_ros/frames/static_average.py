@@ -80,7 +80,7 @@ def frames_of_patches(frames: FloatArray, grid: PatchGrid) -> FloatArray:
     return np.asarray(1 / grid.at_centres(share, _SQUARE_PX), np.float32)
 
 
-def joined(
+def join_averages(
     forward: tuple[FloatArray, FloatArray],
     backward: tuple[FloatArray, FloatArray],
     grey: FloatArray,

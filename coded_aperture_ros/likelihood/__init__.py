@@ -15,7 +15,12 @@ from coded_aperture_ros.likelihood.protocol import (
     LikelihoodModel,
     MotionField,
 )
-from coded_aperture_ros.likelihood.scoring import plausible_ratios, relative_cost, take_logarithm
+from coded_aperture_ros.likelihood.scoring import (
+    bounded_cost,
+    plausible_ratios,
+    relative_cost,
+    take_logarithm,
+)
 
 __all__ = [
     "BACKENDS",
@@ -27,6 +32,7 @@ __all__ = [
     "MotionField",
     "NumpyEngine",
     "Plan",
+    "bounded_cost",
     "check_backend",
     "new_engine",
     "plausible_ratios",

@@ -7,7 +7,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.stages import Stages
+from coded_aperture_ros.core.timing import LapTimer
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood.numpy_engine import NumpyEngine
 from coded_aperture_ros.likelihood.plan import Plan
@@ -60,9 +60,9 @@ class EngineLikelihood:
         prior: object = None,
     ) -> Cost:
         """See `Likelihood.cost`."""
-        stages = Stages()
+        timer = LapTimer()
         self._engine.project(grey)
-        stages.lap("spectra")
+        timer.lap("spectra")
         energies = self._engine.energies(noise)
         count = self._levels or energies.shape[-1]
         energies, others = energies[..., :count], energies[..., count:]
@@ -73,9 +73,9 @@ class EngineLikelihood:
         )
         # A window has about as many numbers as pixels.
         misfit = least[..., 0] / np.float32(self.grid.window_px**2)
-        stages.lap("energies")
+        timer.lap("energies")
         tried = periodic if periodic.shape[-1] else None
-        return Cost(volume, misfit, periodic=tried, seconds=stages.seconds)
+        return Cost(volume, misfit, periodic=tried, seconds=timer.seconds)
 
     def close(self) -> None:
         """End the engine's threads, and let go of its memory."""

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch
 from coded_aperture_ros.frames import PatchGrid
-from coded_aperture_ros.optics import PsfStack
+from coded_aperture_ros.optics import Camera, PsfStack
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -128,6 +128,12 @@ class LikelihoodModel(BlurLevels, Protocol):
     @property
     def fattening(self) -> float:
         """How far foregrounds are too wide, relative to Hann windows of `window_px`."""
+
+    def for_view(self, camera: Camera | None) -> "LikelihoodModel":
+        """Model for frames of a camera that may show a part of its view only.
+
+        It is the model itself, unless its PSFs change over the image.
+        """
 
     def plan(
         self, shape: tuple[int, ...], stride_px: int, backend: str = "numpy", threads: int = 1

@@ -13,6 +13,8 @@ LEAST_EXCESS = np.float32(1e-3)
 # The likelihood treats the windows' frequencies as independent and the model as perfect: the
 # temperature of the posterior makes up for what that overstates; chosen on ray-traced scenes.
 TEMPERATURE = 4.0
+# Cost of one frame beside those of others counts up to here.
+_LARGEST_COST = 12.0
 
 
 def take_logarithm(excess: FloatArray, textureless: FloatArray, count: float) -> FloatArray:
@@ -46,6 +48,11 @@ def relative_cost(
     if usable is not None:
         cost[~usable] = 0
     return cost
+
+
+def bounded_cost(volume: FloatArray) -> FloatArray:
+    """Cost of one frame [..., L] as far as it counts beside those of others."""
+    return np.minimum(volume, np.float32(_LARGEST_COST))
 
 
 def plausible_ratios(ratios: DoubleArray, contrasts: Sequence[float], noise: float) -> slice:

@@ -7,7 +7,6 @@ from coded_aperture_ros.optics.intrinsics import Intrinsics, load_intrinsics
 from coded_aperture_ros.optics.lens import image_distance
 from coded_aperture_ros.optics.mask import MASK_NAMES, Mask, load_mask
 from coded_aperture_ros.optics.psf import PsfStack, psf_width, render_psf, render_psf_stack
-from coded_aperture_ros.optics.view import View
 from coded_aperture_ros.optics.wavefront import Wavefront
 
 __all__ = [

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_option
+from coded_aperture_ros.frames import View, is_same_view
 from coded_aperture_ros.optics.diffraction import scatter_length_px
 from coded_aperture_ros.optics.field import FieldCurvature
 from coded_aperture_ros.optics.intrinsics import Intrinsics
@@ -25,7 +26,6 @@ from coded_aperture_ros.optics.lens import (
 )
 from coded_aperture_ros.optics.mask import Mask
 from coded_aperture_ros.optics.psf import psf_width
-from coded_aperture_ros.optics.view import View, is_same_view
 from coded_aperture_ros.optics.wavefront import Wavefront
 
 # Diffraction is left out where less of the light than this, as a share, lands more than a pixel

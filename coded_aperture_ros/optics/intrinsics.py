@@ -20,7 +20,7 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.core.options import has_type
-from coded_aperture_ros.optics.view import View
+from coded_aperture_ros.frames import View
 
 _IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 # Numbers of coefficients that each distortion model of ROS may have.

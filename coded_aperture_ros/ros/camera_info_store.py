@@ -12,9 +12,9 @@ from sensor_msgs.srv import SetCameraInfo
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.share import share_directory
+from coded_aperture_ros.frames import is_same_view
 from coded_aperture_ros.io.messages import MessageError
 from coded_aperture_ros.optics import Intrinsics, load_intrinsics
-from coded_aperture_ros.optics.view import is_same_view
 
 DEFAULT_URL = "file://${ROS_HOME}/camera_info/${NAME}.yaml"
 _VARIABLE = re.compile(r"\$\{([^}]*)\}")

@@ -7,8 +7,9 @@ from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.frames import View
 from coded_aperture_ros.io.messages import view_from_camera_info
-from coded_aperture_ros.optics import Camera, View, load_camera
+from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.ros.messages import camera_info_from_camera, scaled_camera_info, stamp_ns
 
 # So many coefficients does a model of distortion have that OpenCV undoes.

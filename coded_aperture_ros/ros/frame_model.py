@@ -13,7 +13,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.depth import blur_sizes_px, depths_are_measured
 from coded_aperture_ros.depth.levels import check_camera
-from coded_aperture_ros.frames import PatchGrid
+from coded_aperture_ros.frames import PatchGrid, View
 from coded_aperture_ros.io.messages import MessageError
 from coded_aperture_ros.likelihood import BlurLevels
 from coded_aperture_ros.likelihood.bank import (
@@ -25,7 +25,7 @@ from coded_aperture_ros.likelihood.bank import (
 )
 from coded_aperture_ros.likelihood.bank.learning import guarded_range
 from coded_aperture_ros.likelihood.bank.remap import remap_bank
-from coded_aperture_ros.optics import Camera, View
+from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.ros.camera_model import required_camera
 from coded_aperture_ros.ros.parameters import NodeParameters
 

@@ -8,8 +8,9 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.frames import ExpectedMotion
 from coded_aperture_ros.optics import Intrinsics
-from coded_aperture_ros.optics.rotation import ExpectedMotion, expected_motion, parse_imu_axes
+from coded_aperture_ros.optics.rotation import expected_motion, parse_imu_axes
 from coded_aperture_ros.ros.messages import stamp_ns
 
 # A second of a fast gyroscope: frames are worked on a little after they were taken.

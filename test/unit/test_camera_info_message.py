@@ -4,8 +4,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from coded_aperture_ros.frames import View
 from coded_aperture_ros.io.messages import scaled_matrices, view_from_camera_info
-from coded_aperture_ros.optics import Camera, Mask, View
+from coded_aperture_ros.optics import Camera, Mask
 
 
 def info(**roi):

@@ -49,6 +49,9 @@ class SharpnessModel:
     mask_digest: str = ""
     learned_from: str = "textures of our own"
 
+    def for_view(self, camera):
+        return self
+
     def plan(self, shape, stride_px, backend="numpy", threads=1):
         grid = PatchGrid.covering(shape, self.window_px, stride_px)
         seen = [sharpness(blurred_texture(psf, size=256, seed=9), grid) for psf in self.stack.psfs]

@@ -16,13 +16,13 @@ from coded_aperture_ros.calibration.planes.field import fit_field
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.frames import View
 from coded_aperture_ros.io import read_image, write_image
 from coded_aperture_ros.likelihood.bank import learn_bank, learn_bank_for_camera
 from coded_aperture_ros.optics import (
     Camera,
     FieldCurvature,
     Mask,
-    View,
     camera_from_mapping,
     render_psf_stack,
 )

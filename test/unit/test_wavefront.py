@@ -18,7 +18,8 @@ from coded_aperture_ros.likelihood.bank import (
     load_bank,
     save_bank,
 )
-from coded_aperture_ros.optics import Camera, FieldCurvature, Mask, View, Wavefront, render_psf
+from coded_aperture_ros.frames import View
+from coded_aperture_ros.optics import Camera, FieldCurvature, Mask, Wavefront, render_psf
 from coded_aperture_ros.optics.camera_file import camera_from_mapping
 from coded_aperture_ros.optics.wavefront import TERM_NAMES, TERMS
 from coded_aperture_ros.simulation.render import render_coded_frame

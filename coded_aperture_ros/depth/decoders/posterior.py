@@ -12,9 +12,6 @@ _SURE = 1e-3
 # errors 68 % are within one, and as many where the deviation is small as where it is large.
 _LEAST_DEVIATION = 2.0
 _DEVIATION = 0.18
-# Of ray-traced pixels whose depth is unknown, what is found with this share is farther than the
-# truth by more than 10 % at three in a thousand (47 % without), and by the median at 0.7 of it.
-_PLAUSIBLE = 0.05
 
 
 def refine_level(cost: FloatArray, level: IndexArray) -> FloatArray:
@@ -46,14 +43,15 @@ def level_probability(volume: FloatArray) -> FloatArray:
     return probability
 
 
-def nearest_plausible_level(probability: FloatArray, nearest_first: IndexArray) -> IndexArray:
-    """Return the level [rows, columns] that a patch's true level is hardly nearer than.
+def nearest_plausible_level(
+    probability: FloatArray, nearest_first: IndexArray, share: float
+) -> IndexArray:
+    """Level [rows, columns] that a patch's true level is nearer than with a share of probability.
 
-    It is the quantile of 5 % from the near end of the probability [rows, columns, L];
-    `nearest_first` are the levels, ordered by depth.
+    From the probability [rows, columns, L]; `nearest_first` are the levels, ordered by depth.
     """
     nearer = np.cumsum(probability[..., nearest_first], axis=-1)
-    rank = (nearer < _PLAUSIBLE).sum(axis=-1)
+    rank = (nearer < share).sum(axis=-1)
     return np.asarray(nearest_first[np.minimum(rank, len(nearest_first) - 1)])
 
 
@@ -137,8 +135,8 @@ def level_deviation(
     return square
 
 
-def is_unsure(confidence: FloatArray, threshold: float) -> BoolArray:
-    """Return where the depth counts as unknown: below the threshold, and where it is 0."""
+def below_threshold(confidence: FloatArray, threshold: float) -> BoolArray:
+    """Where the depth counts as unknown: below the threshold, and where the confidence is 0."""
     return ~(confidence >= threshold if threshold > 0 else confidence > 0)
 
 

@@ -7,10 +7,10 @@ neighbouring pixels up (`binning_x`, `binning_y`) says so there, and leaves K an
 import math
 from typing import Any
 
+from coded_aperture_ros.frames import View
 from coded_aperture_ros.io.messages.encodings import MessageError
 from coded_aperture_ros.optics.camera import Camera
 from coded_aperture_ros.optics.intrinsics import scaled_matrix
-from coded_aperture_ros.optics.view import View
 
 
 def view_from_camera_info(info: Any, width: int, height: int, camera: Camera) -> View | None:

@@ -37,6 +37,10 @@ class FieldPsfs:
         psfs = [_padded(of_part, width) for of_part in psfs]
         return cls(np.array(psfs), tangents, camera.intrinsics)
 
+    def for_view(self, camera: Camera) -> "FieldPsfs":
+        """Same PSFs, for frames that show a part of the view."""
+        return dataclasses.replace(self, intrinsics=camera.intrinsics)
+
 
 def psfs_at(camera: Camera, blur_sizes_px: DoubleArray, tangent: DoubleArray) -> FloatArray:
     """Return the PSFs [L, k, k] of a camera with a wavefront at one place; see `FieldPsfs`."""

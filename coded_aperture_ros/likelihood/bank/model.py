@@ -21,7 +21,7 @@ from coded_aperture_ros.optics import Camera, PsfStack
 DEFAULT_STRIDE_PX = 8
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class FilterBank:
     """Everything that depth estimation needs to know about a mask and its blur sizes.
 
@@ -212,12 +212,12 @@ class FilterBank:
             field=field,
         )
 
-    def seen_by(self, camera: Camera | None) -> "FilterBank":
-        """Return the bank for frames of a camera, which may show a part of its view only."""
+    def for_view(self, camera: Camera | None) -> "FilterBank":
+        """Bank for frames of a camera, which may show a part of its view only."""
         if self.field is None or camera is None:
             return self
-        psfs = dataclasses.replace(self.field.field, intrinsics=camera.intrinsics)
-        return dataclasses.replace(self, field=dataclasses.replace(self.field, field=psfs))
+        field = dataclasses.replace(self.field, field=self.field.field.for_view(camera))
+        return dataclasses.replace(self, field=field)
 
     def energies(self, grey: FloatArray, stride_px: int, noise: PerPatch) -> FloatArray:
         """Return the energies of a single frame [rows, columns, L]; `plan` is for many.

@@ -5,14 +5,14 @@ import dataclasses
 import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray, PerPatch
-from coded_aperture_ros.core.stages import Stages
+from coded_aperture_ros.core.timing import LapTimer
+from coded_aperture_ros.frames import ExpectedMotion
 from coded_aperture_ros.likelihood import Cost, MotionField, relative_cost
 from coded_aperture_ros.likelihood.motion.bank import MotionBank
 from coded_aperture_ros.likelihood.motion.config import MotionConfig
 from coded_aperture_ros.likelihood.motion.engine import MotionEngine
 from coded_aperture_ros.likelihood.motion.joint import Separated, separate, separate_expected
-from coded_aperture_ros.optics import PsfStack
-from coded_aperture_ros.optics.rotation import ExpectedMotion
+from coded_aperture_ros.optics import Camera, PsfStack
 
 # A motion is as good as another that is so near, px, or so near for its length.
 _AGREEMENT_PX, _AGREEMENT_SHARE = 1.0, 0.2
@@ -29,6 +29,10 @@ class MotionModel:
 
     bank: MotionBank
     config: MotionConfig = dataclasses.field(default_factory=MotionConfig)
+
+    def for_view(self, camera: Camera | None) -> "MotionModel":
+        """Model itself: its PSFs are the same all over the image."""
+        return self
 
     @property
     def stack(self) -> PsfStack:
@@ -104,27 +108,27 @@ class MotionLikelihood:
 
         With a `prior` only motions near it are tried; where it is not known, all are.
         """
-        stages = Stages()
+        timer = LapTimer()
         if usable is None:
             usable = np.ones((self.grid.rows, self.grid.columns), np.bool_)
         self._engine.project(grey)
-        stages.lap("spectra")
+        timer.lap("spectra")
         expected = self._expectation(prior)
         if expected.candidates is not None:
             energies = self._engine.of_some(noise, expected.candidates)
             pairs = self._relative(energies, usable)
-            stages.lap("energies")
+            timer.lap("energies")
             separated = separate_expected(pairs, expected.candidates, self._motions)
         else:
             pairs = self._of_all_motions(noise, usable)
-            stages.lap("energies")
+            timer.lap("energies")
             overlap = self.grid.window_px / self.grid.stride_px
             separated = separate(pairs, self._motions, self._config, overlap)
             if self._config.refinement_px:
                 separated = self._refined(separated, noise, usable)
         motion = self._field(separated, expected, usable)
-        stages.lap("motion")
-        return Cost(separated.level_cost, motion=motion, seconds=stages.seconds)
+        timer.lap("motion")
+        return Cost(separated.level_cost, motion=motion, seconds=timer.seconds)
 
     def close(self) -> None:
         """End the engine's threads."""

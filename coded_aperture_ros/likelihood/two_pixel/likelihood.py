@@ -15,7 +15,7 @@ from coded_aperture_ros.likelihood.bank import DEFAULT_STRIDE_PX
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE
 from coded_aperture_ros.likelihood.two_pixel.holes import Holes
 from coded_aperture_ros.likelihood.two_pixel.lines import NeighbourLine
-from coded_aperture_ros.optics import PsfStack
+from coded_aperture_ros.optics import Camera, PsfStack
 
 # Patches whose hypotheses are tried at a time: large products, but no more than a cache holds.
 _PATCHES = 128
@@ -77,6 +77,10 @@ class NeighbourModel:
     def fattening(self) -> float:
         """See `LikelihoodModel`."""
         return _FATTENING
+
+    def for_view(self, camera: Camera | None) -> "NeighbourModel":
+        """Model itself: its PSFs are the same all over the image."""
+        return self
 
     def plan(
         self, shape: tuple[int, ...], stride_px: int, backend: str = "numpy", threads: int = 1

@@ -1,4 +1,4 @@
-"""What the refinement looks at: the costs on a grid of blur sizes of its own, and the frame."""
+"""Input of the network: costs on a grid of blur sizes of its own, and the frame."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -25,12 +25,12 @@ KINDS = len(_UNTRIED)
 _MOST_COST = 140.0
 # Where there is little texture costs differ little, but those of many patches tell something.
 _FINE_SCALE = 30.0
-# Patches of two sizes are looked at: those of the model, and smaller ones.
-LOOKS = 2
-COST_CHANNELS = LOOKS * KINDS * len(BLUR_SIZES_PX)
+# Patches have two sizes: the model's, and a smaller one.
+N_SCALES = 2
+COST_CHANNELS = N_SCALES * KINDS * len(BLUR_SIZES_PX)
 # Beside them: the misfit of both, where there are patches of the model, texture over noise,
 # brightness, and the side of the focal plane.
-SCALARS = LOOKS + 4
+SCALARS = N_SCALES + 4
 # The frame's texture is looked at in squares of so many pixels: its channels.
 FRAME_CELL_PX = 4
 _SMOOTH_PX = 9
@@ -53,23 +53,23 @@ def resampling(sizes_px: DoubleArray) -> FloatArray:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Look:
-    """What the patches of one size tell about a frame."""
+class PatchScale:
+    """Cost of the patches of one size."""
 
     volume: FloatArray  # [grid rows, grid columns, L]; cost of every level; see `Cost`
     misfit: FloatArray  # [grid rows, grid columns]; see `Cost`
     grid: PatchGrid  # where the patches lie
 
     @classmethod
-    def of(cls, cost: Cost, grid: PatchGrid, volume: FloatArray | None = None) -> "Look":
-        """Return what patches tell by their cost, or by another volume."""
+    def of(cls, cost: Cost, grid: PatchGrid, volume: FloatArray | None = None) -> "PatchScale":
+        """Scale of a cost, with its own volume or another."""
         volume = cost.volume if volume is None else volume
         misfit = np.zeros(volume.shape[:2], np.float32) if cost.misfit is None else cost.misfit
         return cls(volume, misfit, grid)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Surroundings:
+class LocalContext:
     """Mean and variance of a frame around every pixel [height, width], and its noise."""
 
     grey: FloatArray
@@ -78,8 +78,8 @@ class Surroundings:
     noise: float
 
     @classmethod
-    def of(cls, grey: FloatArray, noise: float) -> "Surroundings":
-        """Look at a frame with noise of a standard deviation."""
+    def of(cls, grey: FloatArray, noise: float) -> "LocalContext":
+        """Context of a frame whose noise has a standard deviation."""
         side = (2 * _SMOOTH_PX + 1,) * 2
         mean = cv2.blur(grey, side)
         difference = grey - mean
@@ -87,32 +87,42 @@ class Surroundings:
 
 
 def cost_features(
-    looks: Sequence[Look],
-    around: Surroundings,
+    scales: Sequence[PatchScale],
+    context: LocalContext,
     cells: Cells,
     sizes_px: DoubleArray,
     near: float,
     workers: Workers | None = None,
 ) -> FloatArray:
-    """Return what is known of every cell [COST_CHANNELS + SCALARS, rows, columns].
+    """Features of every cell, float32 [COST_CHANNELS + SCALARS, rows, columns].
 
-    `looks` are with the model's patches and with smaller ones, `around` is of the frame, `sizes_px`
-    has the blur size of every level [L] of one side, and `near` is 1 for a scene before the focal
-    plane, 0 for one beyond it, 0.5 if that is not known. `workers` share the work.
+    Parameters
+    ----------
+    scales : sequence of PatchScale
+        The model's patches, and the smaller ones.
+    context : LocalContext
+        Of the frame.
+    cells : Cells
+    sizes_px : ndarray [L]
+        Blur size of every level, of one side.
+    near : float
+        1 for a scene before the focal plane, 0 beyond it, 0.5 if that is not known.
+    workers : Workers, optional
+        Threads that share the work.
     """
     tried = np.flatnonzero(tried_sizes(sizes_px))
     start, stop = int(tried[0]), int(tried[-1]) + 1
     to_sizes = resampling(sizes_px).T
     features = np.empty((COST_CHANNELS + SCALARS, cells.rows, cells.columns), np.float32)
-    of_kinds = features[:COST_CHANNELS].reshape(LOOKS, KINDS, -1, cells.rows, cells.columns)
+    of_kinds = features[:COST_CHANNELS].reshape(N_SCALES, KINDS, -1, cells.rows, cells.columns)
     for kind, untried in enumerate(_UNTRIED):
         of_kinds[:, kind, :start] = of_kinds[:, kind, stop:] = untried
 
-    def look_at(index: int, _: int) -> None:
-        look, count = looks[index], len(sizes_px)
-        added_up = semi_global_cost(look.volume, 1.0, brightness_at(around.grey, look.grid))
-        found = np.empty((KINDS, count, look.misfit.size), np.float32)
-        levels = np.moveaxis(look.volume, -1, 0).reshape(count, -1)
+    def add_scale(index: int, _: int) -> None:
+        scale, count = scales[index], len(sizes_px)
+        added_up = semi_global_cost(scale.volume, 1.0, brightness_at(context.grey, scale.grid))
+        found = np.empty((KINDS, count, scale.misfit.size), np.float32)
+        levels = np.moveaxis(scale.volume, -1, 0).reshape(count, -1)
         np.minimum(levels, np.float32(_MOST_COST), out=found[0])
         np.multiply(found[0], np.float32(_FINE_SCALE), out=found[1])
         found[2] = added_up.reshape(-1, count).T
@@ -120,32 +130,32 @@ def cost_features(
         found += np.float32(1)
         np.log(found, out=found)
         found[1] *= np.float32(1 / 3)
-        values = (to_sizes @ found).reshape(KINDS, -1, *look.misfit.shape)
-        of_kinds[index, :, start:stop] = cells.of_patches(values, look.grid)[0]
-        features[COST_CHANNELS + index], known = cells.of_patches(look.misfit, look.grid)
+        values = (to_sizes @ found).reshape(KINDS, -1, *scale.misfit.shape)
+        of_kinds[index, :, start:stop] = cells.of_patches(values, scale.grid)[0]
+        features[COST_CHANNELS + index], known = cells.of_patches(scale.misfit, scale.grid)
         if index == 0:
-            features[COST_CHANNELS + LOOKS] = known
+            features[COST_CHANNELS + N_SCALES] = known
 
-    (workers or Workers()).each(look_at, range(LOOKS))
+    (workers or Workers()).each(add_scale, range(N_SCALES))
     shape = cells.columns, cells.rows
     mean, variance = (
         cv2.resize(cells.of_frame(part), shape, interpolation=cv2.INTER_AREA)
-        for part in (around.mean, around.variance)
+        for part in (context.mean, context.variance)
     )
-    rest = features[COST_CHANNELS + LOOKS + 1 :]
-    rest[0] = np.log(variance / np.float32(around.noise**2) + 1) / 2
+    rest = features[COST_CHANNELS + N_SCALES + 1 :]
+    rest[0] = np.log(variance / np.float32(context.noise**2) + 1) / 2
     rest[1] = np.log(np.maximum(mean, np.float32(1e-3)))
     rest[2] = near
     return features
 
 
-def frame_features(around: Surroundings, cells: Cells) -> FloatArray:
+def frame_features(context: LocalContext, cells: Cells) -> FloatArray:
     """Return the frame's texture in squares of `FRAME_CELL_PX`, a channel for every pixel of them.
 
     The texture is relative to its surroundings' and the noise; float32 [channels, rows, columns].
     """
-    spread = np.sqrt(around.variance + np.float32(4 * around.noise**2))
-    whole = cells.of_frame((around.grey - around.mean) / spread)
+    spread = np.sqrt(context.variance + np.float32(4 * context.noise**2))
+    whole = cells.of_frame((context.grey - context.mean) / spread)
     side = FRAME_CELL_PX
     rows, columns = (length // side for length in whole.shape)
     squares = whole.reshape(rows, side, columns, side).transpose(1, 3, 0, 2)

@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -102,19 +101,3 @@ def chosen_neighbours(neighbour: NDArray[np.uint8]) -> IndexArray:
     corner = np.add.outer((columns + 2) * np.arange(rows), np.arange(columns))
     beyond = np.add.outer((columns + 2) * np.arange(3), np.arange(3)).ravel()
     return np.asarray(at_half_cells(corner + beyond[neighbour])[0])
-
-
-def drawn(values: FloatArray, quarters: IndexArray, one_surface: float) -> FloatArray:
-    """Return a map of half-cells' values at every pixel.
-
-    Linear within a surface, where neighbours differ by at most `one_surface`; elsewhere every
-    quarter has the value of the half-cell that was chosen.
-    """
-    pixels = (4 * values.shape[1], 4 * values.shape[0])
-    linear = cv2.resize(values, pixels, interpolation=cv2.INTER_LINEAR)
-    around = np.ones((3, 3), np.uint8)
-    even = (cv2.dilate(values, around) - cv2.erode(values, around) <= one_surface).view(np.uint8)
-    even = cv2.resize(even, pixels, interpolation=cv2.INTER_NEAREST)
-    bordered = cv2.copyMakeBorder(values, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
-    edges = cv2.resize(bordered.ravel()[quarters], pixels, interpolation=cv2.INTER_NEAREST)
-    return np.where(even.view(bool), linear, edges)

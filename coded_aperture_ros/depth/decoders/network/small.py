@@ -1,5 +1,7 @@
 """The likelihood of small patches, beside that of the model's: they see edges more sharply."""
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray, PerPatch
@@ -11,27 +13,43 @@ from coded_aperture_ros.likelihood.bank import FilterBank, relearned
 
 # Side of the small patches: most blur still fits in.
 SMALL_PX = 32
+# Banks that were learned already: learning takes a second, and settings change more often.
+_LEARNED: WeakKeyDictionary[FilterBank, FilterBank] = WeakKeyDictionary()
 
 
 def small_bank(bank: FilterBank) -> FilterBank:
-    """Return the bank of the small patches, for the sizes of a bank's levels without sign."""
-    return relearned(bank, SMALL_PX, Folding.of(bank.blur_sizes_px).far)
+    """Bank of small patches, for the sizes of a bank's levels without sign.
 
-
-def small_cost(small: Likelihood, seen: Observation, grey: FloatArray, noise: PerPatch) -> Cost:
-    """Return the cost of every blur size for every small patch of a frame, or of a mean of frames.
-
-    `small` is planned by the `small_bank`, with patches every `CELL_PX`. The `noise` of `grey` is
-    that of the frame, or that around every patch of the model [rows, columns].
+    It is learned once for a bank.
     """
-    nearest = _nearest(seen.grid, small.grid)
+    if bank not in _LEARNED:
+        _LEARNED[bank] = relearned(bank, SMALL_PX, Folding.of(bank.blur_sizes_px).far)
+    return _LEARNED[bank]
+
+
+def small_cost(
+    small: Likelihood, observation: Observation, grey: FloatArray, noise: PerPatch
+) -> Cost:
+    """Cost of every blur size for every small patch of a frame, or of a mean of frames.
+
+    Parameters
+    ----------
+    small : Likelihood
+        Planned by the `small_bank`, with patches every `CELL_PX`.
+    observation : Observation
+        Of the frame.
+    grey : ndarray, float32 [height, width]
+    noise : float, or ndarray, float32 [rows, columns]
+        Standard deviation of the noise of `grey`, of all or around every patch of the model.
+    """
+    nearest = _nearest_patches(observation.grid, small.grid)
     if isinstance(noise, np.ndarray):
         noise = np.ascontiguousarray(noise[nearest])
-    return small.cost(grey, noise, seen.usable[nearest])
+    return small.cost(grey, noise, observation.usable[nearest])
 
 
-def _nearest(of: PatchGrid, to: PatchGrid) -> tuple[IndexArray, ...]:
-    """Return the patch of one grid that is nearest to every patch of another."""
+def _nearest_patches(of: PatchGrid, to: PatchGrid) -> tuple[IndexArray, ...]:
+    """Patch of one grid that is nearest to every patch of another, as an open mesh."""
     rows, columns = (
         np.rint((np.asarray(wanted) - centres[0]) / of.stride_px)
         .clip(0, len(centres) - 1)

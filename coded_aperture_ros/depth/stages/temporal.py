@@ -1,11 +1,23 @@
 """Costs from the past frames of a video: where the same texture was, depth was the same."""
 
+import dataclasses
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.options import option
+from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.plan import Plan
+from coded_aperture_ros.depth.stage import Block, Stage
+from coded_aperture_ros.depth.work import Work
 from coded_aperture_ros.frames import PatchGrid
+from coded_aperture_ros.likelihood import bounded_cost
+
+LAYERS: tuple[LayerSpec, ...] = ()
+# Default of `temporal_frames` for nodes and bags, whose frames are those of a video.
+VIDEO_FRAMES = 4.0
 
 # The frames are compared at this many pixels per patch distance, shifted by so many of them each
 # way: what moves less than a patch distance between two frames is found again.
@@ -15,15 +27,68 @@ _REACH = 2
 _SIGMA = 1.0
 # tau_1 of thesis eq. 8.9, as a share of the local variance of the frame.
 _BANDWIDTH = 0.1
-# The cost of one frame counts up to the first, that of all past frames up to the second.
-_OF_A_FRAME = 12.0
-_OF_THE_PAST = 20.0
+# The cost of all past frames counts up to here.
+_LARGEST_PAST_COST = 20.0
 # Against a level's neighbour, per frame: surfaces come nearer and go away.
 _DRIFT = 4.0
 # How much of each shift of -2 to 2 samples leads to the patch before, to the same and to the next.
 _SHIFT_TO_PATCHES = np.array(
     [[1, 0.5, 0, 0, 0], [0, 0.5, 1, 0.5, 0], [0, 0, 0, 0.5, 1]], np.float32
 )
+
+
+@dataclasses.dataclass(frozen=True)
+class TemporalConfig:
+    """How past frames count."""
+
+    temporal_frames: float = option(
+        0.0,
+        "Frames of a video after which what was seen has lost most of its weight; 0: every frame "
+        "for itself.",
+        within=(0.0, 1000.0),
+        parameter="temporal.frames",
+    )
+
+
+def make(plan: Plan, config: TemporalConfig) -> Stage | None:
+    """Stage of a video's frames; None for single frames."""
+    return Temporal(config.temporal_frames) if config.temporal_frames else None
+
+
+class Temporal(Stage):
+    """Adds the costs of past frames, and of later ones where they are known."""
+
+    name = "temporal"
+
+    def __init__(self, frames: float) -> None:
+        self._frames = frames
+        self._filter = TemporalFilter(frames)
+
+    def __call__(self, work: Work) -> None:
+        """Add up the cost of the frame, or of the mean of frames alike, and those before."""
+        seen = work.observation
+        work.fused_cost = self._filter.add(
+            work.frame_cost.volume, work.grey, seen.grid, seen.noise.least
+        )
+
+    def both_ways(self, block: Block) -> None:
+        """Add up the costs of the frames before and after each."""
+        later = TemporalFilter(self._frames)
+        carried_back = [_add(later, work).copy() for work in reversed(block.works)][::-1]
+        finished = block.works[: block.finished]
+        for work, after in zip(finished, carried_back, strict=False):
+            together = _add(self._filter, work) + after - bounded_cost(work.frame_cost.volume)
+            together -= together.min(axis=-1, keepdims=True)
+            work.fused_cost = together
+
+    def reset(self) -> None:
+        """Forget the past frames."""
+        self._filter.reset()
+
+
+def _add(costs: "TemporalFilter", work: Work) -> FloatArray:
+    seen = work.observation
+    return costs.add(work.frame_cost.volume, seen.grey, seen.grid, seen.noise.least)
 
 
 class TemporalFilter:
@@ -60,7 +125,7 @@ class TemporalFilter:
         the standard deviation of its noise. Returns the same shape, 0 for the likeliest level.
         """
         samples = _sampled(grey, grid)
-        total = np.moveaxis(bounded(volume), -1, 0)
+        total = np.moveaxis(bounded_cost(volume), -1, 0)
         if self._past is not None and self._samples is not None:
             variance = 2 * (noise * _SAMPLES / grid.stride_px) ** 2
             weights, match = _matches(samples, self._samples, variance)
@@ -73,14 +138,9 @@ class TemporalFilter:
             past *= self._keep * match
             total += past
         total -= total.min(axis=0)
-        self._past = np.minimum(total, np.float32(_OF_THE_PAST))
+        self._past = np.minimum(total, np.float32(_LARGEST_PAST_COST))
         self._samples = samples
         return np.moveaxis(total, 0, -1)
-
-
-def bounded(volume: FloatArray) -> FloatArray:
-    """Return the cost of one frame as far as it counts."""
-    return np.minimum(volume, np.float32(_OF_A_FRAME))
 
 
 def _window(grid: PatchGrid) -> NDArray[np.uint8]:

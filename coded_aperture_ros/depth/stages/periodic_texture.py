@@ -1,23 +1,63 @@
-"""Where texture of another kind would explain a frame as well, at another depth.
+"""Periodic texture: where it would explain a frame as well as usual texture at another depth.
 
 Blurred texture of one band of frequencies may look like usual texture that is nearly sharp. All
 patches of a wall then agree on a wrong level, and neither they nor their neighbours show it.
 """
 
+import dataclasses
+
 import cv2
 import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
+from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.levels import Levels
+from coded_aperture_ros.depth.plan import Plan
+from coded_aperture_ros.depth.stage import Stage
+from coded_aperture_ros.depth.work import Work
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import Cost
 from coded_aperture_ros.likelihood.bank.periodic import periodic_levels
 
+LAYERS: tuple[LayerSpec, ...] = ()
 # What is left of the confidence: such depth is hardly ever right.
-BY_CHANCE = np.float32(0.2)
+CHANCE_CONFIDENCE = np.float32(0.2)
 # Blur sizes that differ by less, or by a step from level to level, are no other depth.
 _APART_PX = 1.5
 # Of the patches around so many have to say so: next to edges single ones do.
-_AROUND_PX, _AGREE = 104, 0.75
+_AROUND_PX = 104
+_AGREE = 0.75
+
+
+def make(plan: Plan, config: object) -> Stage:
+    """Stage of a plan's levels; it works where the cost knows of periodic texture."""
+    return PeriodicTexture(plan.levels)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PeriodicTexture(Stage):
+    """Lowers the confidence where periodic texture at another depth explains the frame as well."""
+
+    levels: Levels
+    name = "periodic texture"
+
+    def __call__(self, work: Work) -> None:
+        """Compare the level that was found with what periodic texture says."""
+        if work.frame_cost.periodic is None:
+            return
+        seen, at = work.observation, work.map_grid
+        periodic = may_be_periodic(
+            work.frame_cost,
+            seen.usable,
+            at.at_patches(work.level),
+            self.levels.blur_sizes_px,
+            seen.grid,
+        )
+        if periodic.any():
+            found = at.nearest(periodic)
+            lowered = np.minimum(work.confidence, CHANCE_CONFIDENCE)
+            work.confidence = np.where(found, lowered, work.confidence)
+            work.doubted |= found
 
 
 def may_be_periodic(

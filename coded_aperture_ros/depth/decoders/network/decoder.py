@@ -1,0 +1,310 @@
+"""Decides levels by a small network that has learned what edges do to cost volumes."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray, Shape
+from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.depth.decoders.network.cells import Cells
+from coded_aperture_ros.depth.decoders.network.drawing import HALF_CELL_PX, Drawing
+from coded_aperture_ros.depth.decoders.network.features import (
+    BLUR_SIZES_PX,
+    BLUR_STEP_PX,
+    LocalContext,
+    PatchScale,
+    cost_features,
+    frame_features,
+    tried_sizes,
+)
+from coded_aperture_ros.depth.decoders.network.network import Logits, Network
+from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells, chosen_neighbours
+from coded_aperture_ros.depth.decoders.sides import FocalSides
+from coded_aperture_ros.depth.folding import Folding
+from coded_aperture_ros.depth.levels import Levels
+from coded_aperture_ros.depth.observation import Observation
+from coded_aperture_ros.depth.upsample import MapGrid
+from coded_aperture_ros.frames import PatchGrid
+from coded_aperture_ros.likelihood import Cost, bounded_cost
+
+# Neighbouring half-cells whose blur sizes differ by at most this are one surface; so are those
+# whose confidences, and whose deviations in levels, differ by at most these.
+_ONE_SURFACE_PX = 0.8
+_ONE_CONFIDENCE = 0.1
+_ONE_DEVIATION = 0.5
+# The network knows costs of up to three frames: the sum of all past ones counts by this share.
+_OF_THE_PAST = 0.5
+# Costs that differ by less are those of a frame without any texture.
+_ALIKE = 1e-3
+# What a pixel shows may belong to its neighbours, px of the frame.
+_AROUND_PX = 4
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SizeScale:
+    """Signed blur sizes of a model's levels, equally spaced, and what they are worth.
+
+    Attributes
+    ----------
+    levels : Levels
+    order : ndarray, int [L]
+        The levels, ordered by signed blur size.
+    tolerance_px : ndarray, float32 [L]
+        By how much the blur size of each level may be wrong for 5 % of its depth.
+    """
+
+    levels: Levels
+    order: IndexArray
+    tolerance_px: FloatArray
+
+    @classmethod
+    def of(cls, levels: Levels) -> "SizeScale":
+        """Scale of a model's levels."""
+        return cls(levels, np.argsort(levels.blur_sizes_px), _tolerance_px(levels))
+
+    @property
+    def sizes_px(self) -> DoubleArray:
+        """Signed blur size of every level [L]."""
+        return self.levels.blur_sizes_px
+
+    @property
+    def levels_per_px(self) -> np.float32:
+        """Levels in a pixel of blur."""
+        return np.float32((len(self.sizes_px) - 1) / np.ptp(self.sizes_px))
+
+    def level(self, size_px: FloatArray) -> FloatArray:
+        """Fractional level of signed blur sizes, float32 of their shape."""
+        return np.interp(size_px, self.sizes_px[self.order], self.order).astype(np.float32)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class NetworkDecoded:
+    """What the network has decided; see `Decoded`."""
+
+    level: FloatArray
+    deviation: FloatArray
+    confidence: FloatArray
+    side_confidence: FloatArray | None
+    logits: Logits
+    features: FloatArray  # [COST_CHANNELS + SCALARS, rows, columns]; of every cell
+    half_cells: HalfCells
+    far: FloatArray  # [rows, columns]; probability of every half-cell to lie beyond the focus
+    scale: SizeScale
+    drawing: Drawing
+    blank: bool  # whether there is nothing to go by in the whole frame
+    unusable: BoolArray  # [map rows, map columns]; where no patch is usable
+    blind: BoolArray  # where no patch is usable and nothing else is known either
+
+    def quantile(self, probability: float) -> FloatArray:
+        """See `Decoded.quantile`; the nearest level where nothing was seen."""
+        if self.blank:
+            return np.full(self.drawing.size, self._nearest)
+        level = self.scale.level(self.half_cells.nearest_px(probability, self.far))
+        one_surface = _ONE_SURFACE_PX * float(self.scale.levels_per_px)
+        # Where nothing was seen anything may be, whatever is around.
+        return np.where(self.blind, self._nearest, self.drawing.render_map(level, one_surface))
+
+    def nearest_around(self, probability: float) -> FloatArray | None:
+        """See `Decoded.nearest_around`; the nearest level where nothing was seen."""
+        error = max(0.5, BLUR_STEP_PX / 2 * float(self.scale.levels_per_px))
+        level = self.scale.level(self.half_cells.nearest_px(probability, self.far))
+        level = near_ends(level, self.scale.levels, error, HALF_CELL_PX, self.drawing.pixel_px)
+        # Linear everywhere: what lies between two cells is not beyond what either says alone.
+        found = self.drawing.render_map(level)
+        return np.where(self.unusable | self.blank, self._nearest, found)
+
+    @property
+    def _nearest(self) -> np.float32:
+        return np.float32(self.scale.levels.nearest_first[0])
+
+
+class NetworkDecoder:
+    """Decides the levels of frames of one size, as `ClassicalDecoder` does by classical means.
+
+    Parameters
+    ----------
+    levels : Levels
+        Of a model that `unsupported_reason` has nothing to say of.
+    small : PatchGrid
+        Where the small patches lie, whose cost comes with that of the model's; see `small_cost`.
+    sides : FocalSides, optional
+        If there are levels on both sides of the focal plane.
+    workers : Workers, optional
+        Threads that share the work.
+    runtime : str
+        What runs the network; see `network_of`.
+    """
+
+    def __init__(
+        self,
+        levels: Levels,
+        small: PatchGrid,
+        sides: FocalSides | None = None,
+        workers: Workers | None = None,
+        runtime: str = "auto",
+    ) -> None:
+        self._workers = workers or Workers()
+        self._small = small
+        self._sides = sides
+        self._scale = SizeScale.of(levels)
+        self._folding = Folding.of(levels.blur_sizes_px)
+        self.tried = tried_sizes(self._folding.sizes_px)
+        self._tried_px = BLUR_SIZES_PX[self.tried].astype(np.float32)
+        self._network = Network(self.tried, self._workers, runtime)
+
+    def __call__(
+        self, observation: Observation, volume: FloatArray, frame_cost: Cost, size: Shape
+    ) -> NetworkDecoded:
+        """Decide the level of every pixel; see `ClassicalDecoder`.
+
+        Raises
+        ------
+        ValueError
+            If the cost of the small patches is missing.
+        """
+        if frame_cost.small is None:
+            raise ValueError("the cost of the small patches is missing")
+        volume = _with_some_past(volume, frame_cost)
+        cells = Cells.covering(observation.grey.shape, observation.grid)
+        features, logits = self._run(observation, volume, frame_cost, frame_cost.small, cells)
+        found = HalfCells.of(logits, self._tried_px, self._workers)
+        far = self._far_probability(found.size_px, volume, cells)
+        level, confidence, side_confidence = self._judged(found, far)
+        calibration = self._network.calibration
+        deviation = found.deviation_px() * (self._scale.levels_per_px * calibration.deviation)
+        drawing = Drawing(cells, size, chosen_neighbours(logits.neighbour))
+        one_surface = _ONE_SURFACE_PX * float(self._scale.levels_per_px)
+        confidence_map = drawing.render_map(confidence, _ONE_CONFIDENCE)
+        blank = bool(volume.max() <= _ALIKE)
+        if blank:
+            confidence_map[:] = 0
+        at = MapGrid.of(observation.grid, observation.grey.shape, size)
+        unusable = at.nearest(~observation.usable)
+        confidence_map[unusable] = 0
+        return NetworkDecoded(
+            level=drawing.render_map(level, one_surface),
+            deviation=drawing.render_map(deviation, _ONE_DEVIATION),
+            confidence=confidence_map,
+            side_confidence=None
+            if side_confidence is None
+            else drawing.render_map(side_confidence, _ONE_CONFIDENCE),
+            logits=logits,
+            features=features,
+            half_cells=found,
+            far=far,
+            scale=self._scale,
+            drawing=drawing,
+            blank=blank,
+            unusable=unusable,
+            blind=at.nearest(~observation.usable & (volume.max(axis=-1) <= _ALIKE)),
+        )
+
+    def _run(
+        self,
+        observation: Observation,
+        volume: FloatArray,
+        frame_cost: Cost,
+        small_cost: Cost,
+        cells: Cells,
+    ) -> tuple[FloatArray, Logits]:
+        """Features of all cells, and what the network says of them."""
+        scales = (
+            PatchScale.of(frame_cost, observation.grid, self._folding.of_sizes(volume)),
+            PatchScale.of(small_cost, self._small),
+        )
+        context = LocalContext.of(observation.grey, observation.noise.typical)
+        sizes_px = self._folding.sizes_px
+        features = cost_features(scales, context, cells, sizes_px, self._near_share, self._workers)
+        return features, self._network(features, frame_features(context, cells))
+
+    def _judged(
+        self, found: HalfCells, far: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """Level of every half-cell, how likely it is right, and its side; [rows, columns] each."""
+        sizes_px = self._scale.sizes_px
+        signed_px = np.where(far >= 0.5, found.size_px, -found.size_px)
+        level = self._scale.level(signed_px)
+        tolerance_px = self._scale.tolerance_px[np.rint(level).astype(np.intp)]
+        # One side may reach farther than the other.
+        beyond_px = np.abs(
+            signed_px - np.clip(signed_px, float(sizes_px.min()), float(sizes_px.max()))
+        )
+        possible = (beyond_px <= BLUR_STEP_PX).astype(np.float32)
+        side_confidence = None
+        if self._sides is not None:
+            side_confidence = np.maximum(far, 1 - far)
+            # Where both sides' depths are about the same, either is right.
+            possible *= np.where(self._sides.agree(level), 1, side_confidence)
+        probability = found.right_within(tolerance_px)
+        calibration = self._network.calibration
+        confidence = possible * calibration.confidence(probability, found.size_px, tolerance_px)
+        return level, confidence, side_confidence
+
+    @property
+    def _near_share(self) -> float:
+        """1 for a scene before the focal plane, 0 beyond it, 0.5 if that is not known."""
+        return 0.5 if self._sides is not None else float(self._scale.sizes_px.mean() < 0)
+
+    def _far_probability(self, size_px: FloatArray, volume: FloatArray, cells: Cells) -> FloatArray:
+        """Probability of every half-cell to lie beyond the focal plane [rows, columns]."""
+        if self._sides is None:
+            return np.full(size_px.shape, self._scale.sizes_px.mean() > 0, np.float32)
+        grid = cells.grid
+        rows, columns = (
+            (centres - first) // HALF_CELL_PX
+            for centres, first in ((grid.row_centres, cells.top), (grid.column_centres, cells.left))
+        )
+        # A centre is where four half-cells meet.
+        means = cv2.blur(size_px, (2, 2), anchor=(1, 1), borderType=cv2.BORDER_REPLICATE)
+        beyond = self._scale.level(means[np.ix_(rows, columns)])
+        probability = self._sides.confidence(beyond, volume, grid)
+        nearest = (
+            np.abs(
+                HALF_CELL_PX * np.arange(length)[:, None] + first + HALF_CELL_PX // 2 - centres
+            ).argmin(1)
+            for length, first, centres in (
+                (size_px.shape[0], cells.top, grid.row_centres),
+                (size_px.shape[1], cells.left, grid.column_centres),
+            )
+        )
+        return probability[np.ix_(*nearest)]
+
+
+def near_ends(
+    level: FloatArray, levels: Levels, error: float, cell_px: float, pixel_px: float
+) -> FloatArray:
+    """Near end, by an error in levels, of the nearest level around every cell [rows, columns].
+
+    Cells are `cell_px` of the frame wide, and what is made of them has pixels of `pixel_px`.
+    """
+    reach = int(np.ceil((_AROUND_PX + (pixel_px - 1) / 2) / cell_px))
+    square = np.ones((2 * reach + 1,) * 2, np.uint8)
+    if levels.nearest_first[0] == 0:
+        return np.asarray(np.maximum(cv2.erode(level, square) - np.float32(error), 0))
+    last = len(levels) - 1
+    return np.asarray(np.minimum(cv2.dilate(level, square) + np.float32(error), last))
+
+
+def _with_some_past(volume: FloatArray, frame_cost: Cost) -> FloatArray:
+    """Cost of all frames with as much of the past as the network knows [rows, columns, L]."""
+    if volume is frame_cost.volume:
+        return volume
+    past = volume - bounded_cost(frame_cost.volume)
+    volume = frame_cost.volume + np.float32(_OF_THE_PAST) * past
+    volume -= volume.min(axis=-1, keepdims=True)
+    return volume
+
+
+def _tolerance_px(levels: Levels) -> FloatArray:
+    """By how much the blur size of each level may be wrong for 5 % of its depth [L]."""
+    sizes = levels.blur_sizes_px
+    step_px = abs(np.mean(np.diff(sizes)))
+    if levels.depths_m is None:
+        return np.full(len(sizes), step_px, np.float32)
+    inverse = 1 / levels.depths_m
+    per_px = np.abs(np.gradient(inverse, sizes))
+    # Levels of infinite depth are alike; some have no depth at all.
+    tolerance = np.full(len(sizes), step_px)
+    finite = np.isfinite(levels.depths_m) & (per_px > 0)
+    return np.divide(0.05 * inverse, per_px, out=tolerance, where=finite).astype(np.float32)

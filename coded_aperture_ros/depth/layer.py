@@ -1,0 +1,72 @@
+"""Layers: what may be known of every pixel beside its depth."""
+
+import dataclasses
+from typing import Literal
+
+from coded_aperture_ros.core.arrays import FloatArray
+
+LayerKind = Literal["depth", "bound", "probability", "share", "vector"]
+
+
+@dataclasses.dataclass(frozen=True)
+class LayerSpec:
+    """Description of a layer, from which its files, topics, panels and documents are made.
+
+    Attributes
+    ----------
+    name : str
+        Name of the file beside a depth map and of the topic under ``depth/``. After a slash
+        follows what belongs to another layer: ``motion/confidence``.
+    description : str
+        One sentence, for documents and help.
+    unit : str
+        ``m``, ``px``, or empty for probabilities and shares.
+    kind : str
+        ``depth``: distance along the axis, limited to the published range like depth itself;
+        ``bound``: distance that what is seen is nearer than; ``probability`` and ``share``: 0 to
+        1; ``vector``: right and down.
+    encoding : str
+        Of the ROS image.
+    points : str
+        Name, under ``depth/``, of the topic with the layer as a point cloud; empty: none.
+    """
+
+    name: str
+    description: str
+    unit: str
+    kind: LayerKind
+    encoding: str = "32FC1"
+    points: str = ""
+
+    @property
+    def topic(self) -> str:
+        """Name of the topic, relative to the node's namespace."""
+        return f"depth/{self.name}"
+
+    @property
+    def points_topic(self) -> str:
+        """Name of the topic of the point cloud; empty if there is none."""
+        return self.points and f"depth/{self.points}"
+
+    @property
+    def file_suffix(self) -> str:
+        """What stands between the name of a depth map and its extension, in files of the layer."""
+        return "." + self.name.replace("/", ".")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Layer:
+    """Values of a layer for one frame.
+
+    Attributes
+    ----------
+    spec : LayerSpec
+    values : ndarray, float32 [rows, columns] or, of vectors, [rows, columns, 2]
+        NaN where unknown.
+    note : str
+        What else there is to say of them, in words.
+    """
+
+    spec: LayerSpec
+    values: FloatArray
+    note: str = ""

@@ -1,0 +1,82 @@
+"""The stages that a frame goes through, in order: one file for each.
+
+A stage's file has its configuration, its layers and `make`. What is in this folder and not in the
+lists below runs last: so a new stage is one new file.
+"""
+
+import pkgutil
+from functools import cache
+from importlib import import_module
+from typing import cast
+
+from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.plan import Plan
+from coded_aperture_ros.depth.stage import Stage, StageModule
+from coded_aperture_ros.depth.stages import (
+    decode,
+    focal_side,
+    focus_pair,
+    free_space,
+    likelihood,
+    metric,
+    motion,
+    observe,
+    periodic_texture,
+    quality_of_fit,
+    second_surface,
+    small_patches,
+    static_average,
+    temporal,
+    unknown,
+)
+
+# From light to the cost of every level.
+FRONT: tuple[StageModule, ...] = (
+    observe,
+    static_average,
+    likelihood,
+    focal_side,
+    small_patches,
+    temporal,
+    focus_pair,
+)
+# From cost to maps.
+BACK: tuple[StageModule, ...] = (
+    decode,
+    quality_of_fit,
+    periodic_texture,
+    unknown,
+    free_space,
+    second_surface,
+    metric,
+    motion,
+)
+
+
+@cache
+def extension_modules() -> tuple[StageModule, ...]:
+    """Stages in this folder that are not in the lists above, in alphabetical order."""
+    known = {module.__name__ for module in (*FRONT, *BACK)}  # type: ignore[attr-defined]
+    names = sorted(f"{__name__}.{found.name}" for found in pkgutil.iter_modules(__path__))
+    return tuple(cast(StageModule, import_module(name)) for name in names if name not in known)
+
+
+def layer_specs() -> tuple[LayerSpec, ...]:
+    """All layers that the stages may add, in the order of the stages."""
+    modules = (*FRONT, *BACK, *extension_modules())
+    return tuple(spec for module in modules for spec in module.LAYERS)
+
+
+def make_front(plan: Plan, config: object) -> tuple[Stage, ...]:
+    """Stages from light to the cost of every level; `config` is a `DepthConfig`."""
+    return _made(FRONT, plan, config)
+
+
+def make_back(plan: Plan, config: object) -> tuple[Stage, ...]:
+    """Stages from cost to maps; `config` is a `DepthConfig`."""
+    return _made((*BACK, *extension_modules()), plan, config)
+
+
+def _made(modules: tuple[StageModule, ...], plan: Plan, config: object) -> tuple[Stage, ...]:
+    stages = (module.make(plan, config) for module in modules)
+    return tuple(stage for stage in stages if stage is not None)

@@ -1,0 +1,102 @@
+"""Level of every pixel, by the network or by classical regularisation."""
+
+import dataclasses
+
+import numpy as np
+
+from coded_aperture_ros.core.networks import RUNTIMES, check_runtime
+from coded_aperture_ros.core.options import option
+from coded_aperture_ros.depth.decoders.classical import ClassicalDecoder
+from coded_aperture_ros.depth.decoders.edges import edge_correction
+from coded_aperture_ros.depth.decoders.network import NetworkDecoder
+from coded_aperture_ros.depth.decoders.regularize import LEARNED, REGULARIZERS, regularizer
+from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.plan import Plan
+from coded_aperture_ros.depth.stage import Stage
+from coded_aperture_ros.depth.work import Work
+
+SIDE = LayerSpec(
+    "side",
+    "Probability that the depth is on the right side of the focal plane.",
+    unit="",
+    kind="probability",
+)
+LAYERS = (SIDE,)
+
+
+@dataclasses.dataclass(frozen=True)
+class DecodeConfig:
+    """How the levels of neighbours are decided together."""
+
+    regularize: str = option(
+        LEARNED,
+        "How the levels of neighbours are decided together: learned is a small network, trained on "
+        "simulated scenes, and semiglobal where it was not; semiglobal needs nothing learned, "
+        "graphcut is the slow reference.",
+        choices=(*REGULARIZERS, LEARNED),
+        parameter="regularize.method",
+    )
+    smoothness: float = option(
+        1.0,
+        "Strength of the spatial regularisation, relative to its default; learned has none.",
+        within=(0.0, 100.0),
+        parameter="regularize.smoothness",
+    )
+    edge_correction: float = option(
+        0.28,
+        "How much is taken off foregrounds, which windows fatten, as a share of the window; 0: "
+        "nothing. Learned needs none.",
+        within=(0.0, 1.0),
+        parameter="regularize.edge_correction",
+    )
+    network: str = option(
+        "auto",
+        "What runs the networks: auto takes onnxruntime, twice as fast as opencv, if installed.",
+        choices=RUNTIMES,
+        parameter="compute.network",
+    )
+
+    def __post_init__(self) -> None:
+        check_runtime(self.network)
+
+    @property
+    def classical(self) -> str:
+        """Regulariser of what is not decided by the network."""
+        return "semiglobal" if self.regularize == LEARNED else self.regularize
+
+
+def make(plan: Plan, config: DecodeConfig) -> Stage:
+    """Stage of the network where the plan has small patches, else of the regulariser."""
+    if plan.small is not None:
+        network = NetworkDecoder(
+            plan.levels, plan.small.grid, plan.sides, plan.workers, config.network
+        )
+        return Decode(network)
+    regularize = plan.regularize or regularizer(config.classical, config.smoothness)
+    correct_edges = edge_correction(plan.model, config.edge_correction, plan.workers)
+    fills_gaps = plan.regularize is not None or config.classical != "none"
+    return Decode(
+        ClassicalDecoder(
+            plan.levels, regularize, correct_edges, plan.sides, fills_gaps, plan.workers
+        )
+    )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Decode(Stage):
+    """Decides level, deviation and confidence of every pixel."""
+
+    decoder: NetworkDecoder | ClassicalDecoder
+    name = "decode"
+
+    def __call__(self, work: Work) -> None:
+        """Decide by the cost of all frames that count."""
+        work.decoded = decoded = self.decoder(
+            work.observation, work.volume, work.frame_cost, work.size
+        )
+        work.level = decoded.level
+        work.deviation = decoded.deviation
+        work.confidence = decoded.confidence
+        work.doubted = np.zeros(decoded.level.shape, np.bool_)
+        if decoded.side_confidence is not None:
+            work.add_layer(SIDE, decoded.side_confidence)

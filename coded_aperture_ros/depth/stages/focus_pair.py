@@ -1,0 +1,32 @@
+"""A second frame of the same view, with the lens focused elsewhere."""
+
+import dataclasses
+
+from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.plan import Plan, SecondFocus
+from coded_aperture_ros.depth.stage import Stage
+from coded_aperture_ros.depth.work import Work
+
+LAYERS: tuple[LayerSpec, ...] = ()
+
+
+def make(plan: Plan, config: object) -> Stage | None:
+    """Stage of pairs of frames; None for single frames."""
+    return None if plan.second_focus is None else AddSecondFocus(plan.second_focus)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class AddSecondFocus(Stage):
+    """Adds the cost of the same depths by the second frame, and how well that fits its bank."""
+
+    second: SecondFocus
+    name = "focus pair"
+
+    def __call__(self, work: Work) -> None:
+        """Add what the second frame says, if there is one."""
+        if work.frame.refocused is not None:
+            work.frame_cost, work.health = self.second.add(work.frame_cost, work.frame.refocused)
+
+    def close(self) -> None:
+        """Let go of the threads for the second frame."""
+        self.second.close()

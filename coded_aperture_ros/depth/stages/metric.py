@@ -1,0 +1,29 @@
+"""From levels to blur sizes and metres."""
+
+import dataclasses
+
+from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.levels import Levels
+from coded_aperture_ros.depth.plan import Plan
+from coded_aperture_ros.depth.stage import Stage
+from coded_aperture_ros.depth.work import Work
+
+LAYERS: tuple[LayerSpec, ...] = ()
+
+
+def make(plan: Plan, config: object) -> Stage:
+    """Stage of the plan's levels."""
+    return Metric(plan.levels)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Metric(Stage):
+    """Looks up blur size, depth and its standard deviation; NaN where the depth is unknown."""
+
+    levels: Levels
+    name = "metric"
+
+    def __call__(self, work: Work) -> None:
+        """Look up what the levels mean."""
+        found = self.levels.meaning(work.level, work.deviation, work.unknown)
+        work.level, work.blur_size_px, work.depth_m, work.std_dev_m = found

@@ -1,0 +1,74 @@
+"""The frame by itself: grey, patches, noise."""
+
+import dataclasses
+
+from coded_aperture_ros.core.options import option
+from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.observation import Observation
+from coded_aperture_ros.depth.plan import Plan
+from coded_aperture_ros.depth.stage import Block, Stage
+from coded_aperture_ros.depth.work import Work
+from coded_aperture_ros.frames import grey_image
+
+LAYERS: tuple[LayerSpec, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class ObserveConfig:
+    """What is known of the frames."""
+
+    noise: float = option(
+        0.0,
+        "Standard deviation of one channel's noise, linear light; 0: estimated in each frame.",
+        within=(0.0, 0.5),
+        parameter="noise.sigma",
+    )
+    noise_gain: float = option(
+        0.0,
+        "Variance of one channel's shot noise per unit of light; adds to the variance of noise.",
+        within=(0.0, 0.1),
+        parameter="noise.gain",
+    )
+    least_noise: float = option(
+        0.0,
+        "The noise is not less than this, whatever a frame looks like: for cameras that compress "
+        "their pictures, which hides noise and loses texture. JPEG files and videos say it.",
+        within=(0.0, 0.5),
+        parameter="noise.least",
+    )
+    saturation: float = option(
+        0.995,
+        "Brightness from which a pixel counts as saturated and is left out; above 1: none.",
+        within=(0.1, 2.0),
+        parameter="frames.saturation",
+    )
+
+
+def make(plan: Plan, config: ObserveConfig) -> Stage:
+    """Stage for frames of the plan's size."""
+    return Observe(plan, config.saturation, config.least_noise)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Observe(Stage):
+    """Finds unusable pixels, brightness and noise of a frame."""
+
+    plan: Plan
+    saturation: float
+    least_noise: float
+    name = "observe"
+
+    def __call__(self, work: Work) -> None:
+        """Look at a frame by itself."""
+        frame = work.frame
+        grey, unusable = grey_image(frame.light, self.saturation)
+        least_noise = max(self.least_noise, frame.compression_noise)
+        work.observation = Observation.of(
+            grey, unusable, self.plan.grid, self.plan.known_noise, frame.channels, least_noise
+        )
+        work.grey = grey
+
+    def both_ways(self, block: Block) -> None:
+        """Look at the frames that no block before had."""
+        for work in block.works[len(block.works) - block.new :]:
+            self(work)

@@ -1,0 +1,71 @@
+"""Whether the frame fits its bank at all."""
+
+import dataclasses
+
+from coded_aperture_ros.core.options import option
+from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.plan import Plan
+from coded_aperture_ros.depth.quality import FitCheck, can_be_checked
+from coded_aperture_ros.depth.stage import Stage
+from coded_aperture_ros.depth.stages.temporal import TemporalConfig
+from coded_aperture_ros.depth.work import Work
+from coded_aperture_ros.likelihood.bank import FilterBank
+
+LAYERS: tuple[LayerSpec, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class QualityOfFitConfig(TemporalConfig):
+    """Whether frames are checked against their bank."""
+
+    check_fit: bool = option(
+        True,
+        "Check whether frames fit the bank at all, and lower the confidence where they do not.",
+        parameter="confidence.check_fit",
+    )
+
+
+def make(plan: Plan, config: QualityOfFitConfig) -> Stage | None:
+    """Stage of the check; None where it was switched off."""
+    return QualityOfFit(_fit_check(plan, config)) if config.check_fit else None
+
+
+def _fit_check(plan: Plan, config: QualityOfFitConfig) -> FitCheck | None:
+    """Check of the plan's bank; None for models that cannot be checked."""
+    model = plan.model
+    if not (isinstance(model, FilterBank) and can_be_checked(model.stack)):
+        return None
+    return FitCheck(
+        model.stack,
+        remembers=config.temporal_frames > 0,
+        guarded=model.guard_levels > 0,
+        middle_only=model.field is not None,
+    )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class QualityOfFit(Stage):
+    """Lowers the confidence of frames that do not fit.
+
+    The health that a stage before has found, as of a second frame, counts where it is less.
+    """
+
+    check: FitCheck | None
+    name = "quality of fit"
+
+    def __call__(self, work: Work) -> None:
+        """Check the frame."""
+        health, misfit = work.health, work.frame_cost.misfit
+        if self.check is not None and misfit is not None:
+            own = self.check(work.observation, misfit, work.level, work.confidence)
+            if own is not None and (health is None or own.value <= health.value):
+                health = own
+        work.health = health
+        if health is not None:
+            work.confidence = health.trusted(work.confidence)
+            work.doubted |= not health.fits
+
+    def reset(self) -> None:
+        """Forget the frames so far."""
+        if self.check is not None:
+            self.check.reset()

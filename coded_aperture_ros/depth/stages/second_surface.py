@@ -1,0 +1,98 @@
+"""A second surface in the window around a pixel, such as a net and the wall behind it."""
+
+import dataclasses
+
+import numpy as np
+
+from coded_aperture_ros.core.arrays import FloatArray, as_floats
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.options import option
+from coded_aperture_ros.depth.decoders.network import NetworkDecoded, SecondSurface
+from coded_aperture_ros.depth.decoders.network.features import (
+    BLUR_STEP_PX,
+    COST_CHANNELS,
+    tried_sizes,
+)
+from coded_aperture_ros.depth.decoders.regularize import LEARNED
+from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.levels import Levels
+from coded_aperture_ros.depth.plan import Plan
+from coded_aperture_ros.depth.stage import Stage
+from coded_aperture_ros.depth.stages.decode import DecodeConfig
+from coded_aperture_ros.depth.work import Work
+
+SECOND = LayerSpec(
+    "second",
+    "Depth of another surface in the window around the pixel, such as a net or what is behind it.",
+    unit="m",
+    kind="depth",
+)
+SECOND_SHARE = LayerSpec(
+    "second_share", "Share of the window that the second surface takes.", unit="", kind="share"
+)
+LAYERS = (SECOND, SECOND_SHARE)
+
+
+@dataclasses.dataclass(frozen=True)
+class SecondSurfaceConfig(DecodeConfig):
+    """Whether a second surface is looked for."""
+
+    second_surface: bool = option(
+        False,
+        "Tell of a second surface where windows show two, such as a net and the wall behind it.",
+        parameter="second_surface.enabled",
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.second_surface and self.regularize != LEARNED:
+            raise InputError("second_surface: use false, only regularize: learned tells of it")
+
+
+def make(plan: Plan, config: SecondSurfaceConfig) -> Stage | None:
+    """Stage of a second surface; None where none is asked for."""
+    if not config.second_surface:
+        return None
+    # What is more blurred may lie before or behind: with levels on two sides nothing is told.
+    if plan.small is None or plan.sides is not None:
+        return FindSecondSurface(plan.levels, None)
+    return FindSecondSurface(plan.levels, SecondSurface(tried_sizes(plan.levels.blur_sizes_px)))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FindSecondSurface(Stage):
+    """Finds depth and share of the second surface; NaN where there is one surface only."""
+
+    levels: Levels
+    network: SecondSurface | None
+    name = "second surface"
+
+    def __call__(self, work: Work) -> None:
+        """Add depth and share."""
+        level = share = np.full_like(work.level, np.nan)
+        decoded = work.decoded
+        if self.network is not None and isinstance(decoded, NetworkDecoded):
+            level, share = self._found(self.network, decoded)
+            level = np.where(work.doubted, np.float32(np.nan), level)
+            share = np.where(work.doubted, np.float32(np.nan), share)
+        depth_m = self.levels.depth_m(np.nan_to_num(level), np.isnan(level))
+        if depth_m is not None:
+            work.add_layer(SECOND, depth_m)
+        work.add_layer(SECOND_SHARE, share)
+
+    def _found(
+        self, network: SecondSurface, decoded: NetworkDecoded
+    ) -> tuple[FloatArray, FloatArray]:
+        """Level and share of the second surface [rows, columns]; NaN without one."""
+        pair = network(decoded.logits, decoded.features[COST_CHANNELS:])
+        pair = pair.mapped(decoded.drawing.upsample_nearest)
+        signed_px = self.levels.blur_sizes_px
+        sizes_px = np.abs(signed_px)
+        first_px = np.interp(decoded.level, np.arange(len(sizes_px)), sizes_px)
+        size_px, share = pair.beside(as_floats(first_px))
+        beyond_px = np.abs(np.clip(size_px, sizes_px.min(), sizes_px.max()) - size_px)
+        level = decoded.scale.level(-size_px if signed_px.mean() < 0 else size_px)
+        unknown = decoded.unusable | decoded.blank | (beyond_px > BLUR_STEP_PX)
+        level[unknown] = np.nan
+        share[unknown] = np.nan
+        return level, share

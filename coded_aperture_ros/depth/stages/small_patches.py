@@ -1,0 +1,37 @@
+"""Cost of small patches, which see edges more sharply."""
+
+import dataclasses
+
+from coded_aperture_ros.depth.decoders.network import small_cost
+from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.plan import Plan
+from coded_aperture_ros.depth.stage import Stage
+from coded_aperture_ros.depth.stages.likelihood import LikelihoodConfig
+from coded_aperture_ros.depth.work import Work
+from coded_aperture_ros.likelihood import Likelihood
+
+LAYERS: tuple[LayerSpec, ...] = ()
+
+
+def make(plan: Plan, config: LikelihoodConfig) -> Stage | None:
+    """Stage of the small patches; None where the network does not decide."""
+    if plan.small is None:
+        return None
+    return SmallPatches(plan.small)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SmallPatches(Stage):
+    """Computes the cost of every blur size for the small patches."""
+
+    likelihood: Likelihood
+    name = "small patches"
+
+    def __call__(self, work: Work) -> None:
+        """Add the cost of the small patches to that of the frame."""
+        small = small_cost(self.likelihood, work.observation, work.grey, work.mean_noise)
+        work.frame_cost = dataclasses.replace(work.frame_cost, small=small)
+
+    def close(self) -> None:
+        """Let go of the likelihood's threads and memory."""
+        self.likelihood.close()

@@ -1,0 +1,53 @@
+"""Less noise where nothing moves: the mean of the frames of a video that are alike."""
+
+from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.plan import Plan
+from coded_aperture_ros.depth.stage import Block, Stage
+from coded_aperture_ros.depth.stages.temporal import TemporalConfig
+from coded_aperture_ros.depth.work import Work
+from coded_aperture_ros.frames import StaticAverage, join_averages
+
+LAYERS: tuple[LayerSpec, ...] = ()
+# Frames that are averaged at most, in units of the frames that the video's memory is long.
+_LENGTH = 2
+
+
+def make(plan: Plan, config: TemporalConfig) -> Stage | None:
+    """Stage of a video's frames; None for single frames."""
+    return StaticAveraging(_LENGTH * config.temporal_frames) if config.temporal_frames else None
+
+
+class StaticAveraging(Stage):
+    """Takes the mean of the frames so far, and of later ones where they are known."""
+
+    name = "static average"
+
+    def __init__(self, most_frames: float) -> None:
+        self._most_frames = most_frames
+        self._before = StaticAverage(most_frames)
+        # Means of the frames up to each of those that wait for the frames after them.
+        self._waiting: list[tuple[FloatArray, FloatArray]] = []
+
+    def __call__(self, work: Work) -> None:
+        """Put the mean of the frames so far in the place of the frame."""
+        seen = work.observation
+        work.grey, work.averaged_frames = self._before.add(seen.grey, seen.noise.least)
+
+    def both_ways(self, block: Block) -> None:
+        """Put the mean of the frames before and after each in its place."""
+        for work in block.works[len(block.works) - block.new :]:
+            seen = work.observation
+            mean, count = self._before.add(seen.grey, seen.noise.least)
+            self._waiting.append((mean.copy(), count))
+        after = StaticAverage(self._most_frames)
+        for work, before in zip(reversed(block.works), reversed(self._waiting), strict=True):
+            seen = work.observation
+            backward = after.add(seen.grey, seen.noise.least)
+            work.grey, work.averaged_frames = join_averages(before, backward, seen.grey)
+        self._waiting = self._waiting[block.finished :]
+
+    def reset(self) -> None:
+        """Forget the past frames."""
+        self._before.reset()
+        self._waiting = []

@@ -1,0 +1,62 @@
+"""Where depth is unknown, and what stands there."""
+
+import dataclasses
+
+import numpy as np
+
+from coded_aperture_ros.core.options import option
+from coded_aperture_ros.depth.decoders.posterior import below_threshold
+from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.levels import Levels
+from coded_aperture_ros.depth.plan import Plan
+from coded_aperture_ros.depth.stage import Stage
+from coded_aperture_ros.depth.work import Work
+
+LAYERS: tuple[LayerSpec, ...] = ()
+# Of ray-traced pixels whose depth is unknown, what is found with this share is farther than the
+# truth by more than 10 % at three in a thousand (47 % without), and by the median at 0.7 of it.
+_PLAUSIBLE = 0.05
+
+
+@dataclasses.dataclass(frozen=True)
+class UnknownConfig:
+    """Which depth is unknown."""
+
+    confidence_threshold: float = option(
+        0.55,
+        "Depth is unknown where the confidence is below this; that of classical regularisation is "
+        "at most 0.90.",
+        within=(0.0, 1.0),
+        parameter="confidence.threshold",
+    )
+    unknown: str = option(
+        "nothing",
+        "What stands where depth is unknown: nothing (NaN), or nearest: the nearest depth that is "
+        "plausible, a conservative fill for obstacle avoidance.",
+        choices=("nothing", "nearest"),
+        parameter="confidence.unknown",
+    )
+
+
+def make(plan: Plan, config: UnknownConfig) -> Stage:
+    """Stage of a threshold."""
+    return Unknown(plan.levels, config.confidence_threshold, config.unknown == "nearest")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Unknown(Stage):
+    """Decides where depth is unknown; with `fill_nearest` the nearest plausible stands there."""
+
+    levels: Levels
+    threshold: float
+    fill_nearest: bool
+    name = "unknown"
+
+    def __call__(self, work: Work) -> None:
+        """Compare the confidence with the threshold."""
+        unknown = below_threshold(work.confidence, self.threshold)
+        if self.fill_nearest:
+            nearest = self.levels.nearer(work.level, work.decoded.quantile(_PLAUSIBLE))
+            work.level = np.where(unknown, nearest, work.level)
+            unknown = np.zeros_like(unknown)
+        work.unknown = unknown
