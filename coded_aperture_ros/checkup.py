@@ -10,6 +10,7 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimate, DepthEstimator
 from coded_aperture_ros.design.setting import design_setting, resolutions_m
+from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.likelihood.bank import FilterBank, check_frame_size, check_setting
 from coded_aperture_ros.optics import Camera
 
@@ -114,25 +115,22 @@ class FrameCheckup:
         self._bank = dataclasses.replace(bank, noise=0.0)
         self._estimator: DepthEstimator | None = None  # for frames of one size
 
-    def findings(self, frame: FloatArray, hidden_noise: float = 0.0) -> list[Finding]:
-        """Say what is wrong with a frame [rows, columns(, 3)], linear light.
-
-        In which compression has hidden some noise; see `imaging.hidden_noise`.
-        """
-        height, width = frame.shape[:2]
+    def findings(self, frame: Frame) -> list[Finding]:
+        """Findings about a frame: size, saturation, noise, fit, share of known depth."""
+        height, width = frame.shape
         try:
             check_frame_size(self._bank, width, height)
             camera = self._camera.resized(width, height)
         except InputError as error:
             return [_failed("size", error)]
-        found = [Finding("size", OK, f"{width}x{height}"), _saturation(frame)]
+        found = [Finding("size", OK, f"{width}x{height}"), _saturation(frame.light)]
         # The camera file's noise is what is compared with, not what is reckoned with.
         camera = dataclasses.replace(camera, noise=0.0, noise_gain=0.0)
         try:
             if self._estimator is None or self._estimator.camera != camera:
                 self.close()
                 self._estimator = DepthEstimator(self._bank, DepthConfig(), camera)
-            estimate = self._estimator.estimate(frame, hidden_noise=hidden_noise)
+            estimate = self._estimator.estimate(frame)
         except InputError as error:
             return [*found, _failed("frame", error)]
         return [*found, self._noise(estimate), _fit(estimate), _known(estimate)]

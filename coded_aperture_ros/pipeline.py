@@ -259,9 +259,10 @@ class FramePipeline:
         """Make anew what model, camera, view or settings of depth have made false."""
         shown = _cut(camera, view)
         old, estimator = self._estimator, self._estimator
-        if old is None or old.source_model is not model or (depth, shown) != (
-            old.config,
-            old.camera,
+        if (
+            old is None
+            or old.source_model is not model
+            or (depth, shown) != (old.config, old.camera)
         ):
             estimator = _new_estimator(model, depth, shown)
         other_psfs = model is not self.model or (

@@ -21,10 +21,10 @@ from tqdm import tqdm
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.depth.decoders.network import refine
+from coded_aperture_ros.depth.decoders.network import unsupported_reason
 from coded_aperture_ros.depth.decoders.network.calibration import Calibration, log_odds
 from coded_aperture_ros.depth.decoders.network.cells import CELL_PX, Cells
-from coded_aperture_ros.depth.observation import Observation
+from coded_aperture_ros.depth.work import Work
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, load_mask
 from coded_aperture_ros.simulation import SensorModel
@@ -90,13 +90,13 @@ def measured(index: int) -> np.ndarray | None:
         bank = learn_bank_for_camera(camera, *one.range_m, _LEVELS)
     except InputError:  # too shallow
         return None
-    if refine.untrained(bank, bank.stride_px):
+    if unsupported_reason(bank, bank.stride_px):
         return None
     estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0.0), camera)
-    seen = estimator.observe(frame)
-    told = _told(estimator, seen)
+    work = estimator.run_front(frame)
+    told = _told(estimator, work)
     estimator.close()
-    cells = Cells.covering(_SIZE, seen.grid)
+    cells = Cells.covering(_SIZE, work.observation.grid)
     starts = cells.top, cells.left
     at, middles = zip(*map(_within, starts, told[0].shape, _SIZE), strict=True)
     truth_m = one.depth_m[np.ix_(*middles)]
@@ -116,7 +116,7 @@ def _within(first: int, count: int, length: int) -> tuple[np.ndarray, np.ndarray
     return inside, middles[inside]
 
 
-def _told(estimator: DepthEstimator, seen: Observation) -> tuple[np.ndarray, ...]:
+def _told(estimator: DepthEstimator, work: Work) -> tuple[np.ndarray, ...]:
     """Return what the package would calibrate the confidence of a frame from."""
     taken: list[tuple[np.ndarray, ...]] = []
     usual = Calibration.confidence
@@ -127,8 +127,7 @@ def _told(estimator: DepthEstimator, seen: Observation) -> tuple[np.ndarray, ...
 
     Calibration.confidence = take
     try:
-        own = estimator.cost(seen, seen.grey)
-        estimator.decide(seen, own.volume, own)
+        estimator.run_back(work)
     finally:
         Calibration.confidence = usual
     return taken[0]

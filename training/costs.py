@@ -19,14 +19,14 @@ from shards import add_shard_options, compute
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.decoders.network.cells import CELL_PX, Cells
 from coded_aperture_ros.depth.decoders.network.features import (
-    Look,
-    Surroundings,
+    LocalContext,
+    PatchScale,
     cost_features,
     frame_features,
     tried_sizes,
 )
 from coded_aperture_ros.depth.decoders.network.small import small_bank, small_cost
-from coded_aperture_ros.depth.temporal import bounded
+from coded_aperture_ros.likelihood import bounded_cost
 from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank
 from coded_aperture_ros.likelihood.bank.file import load_bank, save_bank
 from coded_aperture_ros.optics import render_psf_stack
@@ -140,18 +140,18 @@ def shown(
     bank, bank_of_small = (with_levels(each, keep) for each in banks)
     noise = max(np.hypot(how.noise, 0.0011 * how.eight_bits), 2e-4) if how.known else 0.0
     estimator = DepthEstimator(bank, DepthConfig(noise=float(noise), regularize="semiglobal"))
-    observed = estimator.observe(frame)
-    cost = estimator.cost(observed, observed.grey)
+    work = estimator.run_front(frame)
+    observed, cost = work.observation, work.frame_cost
     estimator.close()
     volume = cost.volume
     if how.added_up:
-        volume = bounded(volume) * np.float32(how.added_up)
+        volume = bounded_cost(volume) * np.float32(how.added_up)
     small = bank_of_small.plan(frame.shape, CELL_PX)
     of_small = small_cost(small, observed, observed.grey, observed.noise.deviation)
-    looks = Look.of(cost, observed.grid, volume), Look.of(of_small, small.grid)
+    looks = PatchScale.of(cost, observed.grid, volume), PatchScale.of(of_small, small.grid)
     small.close()
     cells = Cells.covering(frame.shape, observed.grid)
-    around = Surroundings.of(observed.grey, observed.noise.typical)
+    around = LocalContext.of(observed.grey, observed.noise.typical)
     sizes = bank.blur_sizes_px * how.scale
     near = {"far": 0.0, "near": 1.0, "both": 0.5}[what.side]
     grid = observed.grid

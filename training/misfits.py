@@ -30,7 +30,7 @@ from shards import add_shard_options, compute
 
 from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.decoders.network import small_bank
-from coded_aperture_ros.depth.decoders.network.small import SMALL_PX
+from coded_aperture_ros.depth.decoders.network.small import SMALL_PX, keep_small_bank
 from coded_aperture_ros.depth.quality import FitCheck
 from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank
 from coded_aperture_ros.likelihood.bank.file import load_bank, save_bank
@@ -271,13 +271,16 @@ def _told(
     if camera is not None and shown.bank.blur_sizes_px[0] > 0.95 * camera.blur_at_infinity_px:
         camera = None
     estimator = DepthEstimator(shown.bank, config, camera)
-    estimator.__dict__["small_bank"] = shown.small  # known already
-    seen = estimator.observe(one.frame)
-    own = estimator.cost(seen, seen.grey)
-    estimate = estimator.decide(seen, own.volume, own)
+    keep_small_bank(shown.bank, shown.small)
+    work = estimator.run_front(one.frame)
+    estimator.run_back(work)
+    estimate = work.estimate()
     estimator.close()
     size_px, confidence = estimate.blur_size_px, estimate.confidence
-    *_, features = [None, *shown.check.looks(seen, own.misfit, estimate.level, confidence)]
+    *_, features = [
+        None,
+        *shown.check.looks(work.observation, work.frame_cost.misfit, estimate.level, confidence),
+    ]
     if features is None:
         return None
     # The inverse depth is linear in the blur size; near infinity nothing is told apart.

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from coded_aperture_ros.bags.codec import Picture, read_picture
 from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.stages import Stages
+from coded_aperture_ros.core.timing import LapTimer
 from coded_aperture_ros.depth import Health
-from coded_aperture_ros.frames import ExpectedMotion, Gamma, hidden_noise
-from coded_aperture_ros.io.messages import MessageError, frame_from_pixels, pixels_from_frame
+from coded_aperture_ros.frames import ExpectedMotion, Frame, Gamma, PixelFormat
+from coded_aperture_ros.io.messages import MessageError, pixels_from_frame
 from coded_aperture_ros.pipeline import FramePipeline
 
 
@@ -69,61 +69,54 @@ class FrameProcessor:
         return dataclasses.replace(result, processor_s=time.process_time() - started_s)
 
     def _result(self, data: bytes) -> ProcessedFrame:
-        stages = Stages()
+        timer = LapTimer()
         try:
-            picture, frame, coloured = self._decoded(data)
-            stages.lap("decode")
-            result = self.pipeline(
-                frame,
-                size=self.map_size,
-                prior=self.prior,
-                coloured=coloured,
-                hidden_noise=hidden_noise(picture.lost, frame, self.gamma),
-            )
-            stages.lap("depth")
+            picture, frame = self._decoded(data)
+            timer.lap("decode")
+            estimate = self.pipeline(frame, self.map_size)
+            timer.lap("depth")
         except InputError as error:
             return ProcessedFrame(*_fault(error, "frame"))
-        depth = result.depth
-        if depth.depth_m is None or depth.std_dev_m is None:
+        if estimate.depth_m is None or estimate.std_dev_m is None:
             return ProcessedFrame("frame", "the bank and the camera file give no depth")
-        motion_px = None if depth.motion is None else depth.motion.vectors_px
         processed = ProcessedFrame(
             header=picture.header,
             encoding=picture.encoding,
             maps=DepthMaps(
-                depth.depth_m,
-                depth.confidence,
-                depth.std_dev_m,
-                depth.noise,
-                motion_px,
-                depth.free_space_m,
-                depth.second_m,
-                depth.second_share,
-                depth.health,
+                estimate.depth_m,
+                estimate.confidence,
+                estimate.std_dev_m,
+                estimate.noise,
+                estimate.values("motion"),
+                estimate.values("free_space"),
+                estimate.values("second"),
+                estimate.values("second_share"),
+                estimate.health,
             ),
-            seconds=stages.seconds,
+            seconds=timer.seconds,
         )
         if not self.pipeline.deblurs:
             return processed
         try:
-            sharp = pixels_from_frame(result.all_in_focus, picture.encoding, self.gamma)
+            sharp = self.pipeline.deblur(frame, estimate)
+            stored = pixels_from_frame(sharp, picture.encoding, self.gamma)
         except InputError as error:
             fault, reason = _fault(error, "no depth")
             return dataclasses.replace(processed, fault=fault, reason=reason)
-        stages.lap("deblur")
-        return dataclasses.replace(processed, sharp=sharp, seconds=stages.seconds)
+        timer.lap("deblur")
+        return dataclasses.replace(processed, sharp=stored, seconds=timer.seconds)
 
-    def _decoded(self, data: bytes) -> tuple[Picture, FloatArray, FloatArray | None]:
+    def _decoded(self, data: bytes) -> tuple[Picture, Frame]:
         picture = read_picture(data, self.type_name)
         rows, columns = picture.pixels.shape[:2]
         if (rows, columns) != self.size:
             raise MessageError(
                 "size", f"the frame is {columns}x{rows}, others are {self.size[1]}x{self.size[0]}"
             )
-        how, coloured = (picture.pixels, self.gamma, self.bits, picture.mosaic), None
-        if picture.mosaic and self.pipeline.deblurs:
-            coloured = frame_from_pixels(*how, coloured=True)
-        return picture, frame_from_pixels(*how), coloured
+        pixel_format = PixelFormat(self.gamma, self.bits, picture.mosaic)
+        colour = self.pipeline.deblurs
+        frame = pixel_format.frame(picture.pixels, picture.lost, colour=colour, motion=self.prior)
+        return picture, frame
 
 
 def _fault(error: InputError, otherwise: str) -> tuple[str, str]:

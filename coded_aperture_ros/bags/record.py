@@ -15,8 +15,8 @@ from coded_aperture_ros.bags.recorded import Recorded
 from coded_aperture_ros.bags.score import FrameScore, summary
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.frames import Gamma
-from coded_aperture_ros.io.messages import frame_from_pixels, stamp_ns
+from coded_aperture_ros.frames import Gamma, PixelFormat
+from coded_aperture_ros.io.messages import stamp_ns
 from coded_aperture_ros.metrics.errors import median
 from coded_aperture_ros.metrics.times import Times
 
@@ -169,7 +169,7 @@ class Record:
         picture, gamma = read_picture(recorded.data, self._type_name), self._gamma
         self.samples[index] = Sample(
             index,
-            frame_from_pixels(picture.pixels, gamma, self._bits, picture.mosaic, coloured=True),
+            PixelFormat(gamma, self._bits, picture.mosaic).picture(picture.pixels),
             None if result.sharp is None else _shown(result.sharp, result.encoding, gamma),
             maps,
         )
@@ -185,7 +185,7 @@ class Record:
 def _shown(stored: NDArray, encoding: str, gamma: Gamma) -> FloatArray:
     """Return stored pixels as linear light in the order red, green, blue, without alpha."""
     pixels = stored[..., :3] if stored.ndim == 3 else stored
-    return frame_from_pixels(pixels[..., ::-1] if encoding.startswith("bgr") else pixels, gamma)
+    return PixelFormat(gamma).light(pixels[..., ::-1] if encoding.startswith("bgr") else pixels)
 
 
 def _number(value: float) -> float | None:

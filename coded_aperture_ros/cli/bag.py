@@ -99,7 +99,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _add_settings(parser: argparse.ArgumentParser) -> None:
-    from coded_aperture_ros.depth.config import VIDEO_FRAMES
+    from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 
     add_estimator_settings(parser, temporal_frames=VIDEO_FRAMES)
 

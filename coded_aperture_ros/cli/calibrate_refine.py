@@ -11,7 +11,7 @@ import yaml
 from coded_aperture_ros.calibration.service.refine import Refined, refine_camera
 from coded_aperture_ros.cli.checks import check_output, check_suffix
 from coded_aperture_ros.cli.command import Command, argument
-from coded_aperture_ros.cli.frames import light_of
+from coded_aperture_ros.cli.frames import decode
 from coded_aperture_ros.cli.reading import PixelArguments
 from coded_aperture_ros.cli.results import Summary, print_summary
 from coded_aperture_ros.core.arrays import FloatArray
@@ -60,7 +60,7 @@ def run(args: Arguments) -> int:
     frames: list[FloatArray] = []
     with closing(open_files(args.frames)) as source, naming(args.frames):
         for capture in progress(islice(captures(source), args.most_frames), None, "frame"):
-            grey, _ = grey_image(light_of(capture, args)[0], 1.0)
+            grey, _ = grey_image(decode(capture, args).light, 1.0)
             camera = camera.resized(grey.shape[1], grey.shape[0])
             frames.append(grey)
         if len(frames) < 2:

@@ -9,11 +9,9 @@ from functools import partial
 from coded_aperture_ros.checkup import FAILED, Finding, FrameCheckup, camera_findings
 from coded_aperture_ros.cli.command import Command, UsageError, argument
 from coded_aperture_ros.cli.reading import PixelArguments
-from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.progress import progress
-from coded_aperture_ros.frames import hidden_noise
-from coded_aperture_ros.io.messages import frame_from_pixels
+from coded_aperture_ros.frames import Frame, PixelFormat
 from coded_aperture_ros.likelihood.bank import (
     DEFAULT_LEVEL_COUNT,
     FilterBank,
@@ -72,10 +70,10 @@ def run(args: Arguments) -> int:
             bank = _learned(camera, near_m, far_m)
         with naming(args.bank or args.camera):
             checkup = FrameCheckup(camera, bank)
-        for given, name, frame, hidden in itertools.islice(_frames(args, report), _MOST_FRAMES):
+        for given, name, frame in itertools.islice(_frames(args, report), _MOST_FRAMES):
             while name in found:  # files of other folders may have this name, too
                 name = f"{given}, {name}"
-            found[name] = checkup.findings(frame, hidden)
+            found[name] = checkup.findings(frame)
         checkup.close()
     everything = [finding for findings in found.values() for finding in findings]
     failed = any(finding.state == FAILED for finding in everything)
@@ -101,18 +99,18 @@ def _learned(camera: Camera, near_m: float, far_m: float) -> FilterBank:
 
 def _frames(
     args: Arguments, report: Callable[[str, InputError], None]
-) -> Iterator[tuple[str, str, FloatArray, float]]:
-    """Yield input, name, light and hidden noise of every frame; report what cannot be read."""
+) -> Iterator[tuple[str, str, Frame]]:
+    """Yield input, name and frame of every picture; report what cannot be read."""
+    pixel_format = PixelFormat(args.gamma, args.bits, args.bayer or "")
     for given, source in [(given, open_files(given)) for given in args.inputs]:
         for capture in captures(source, partial(report, given)):
-            mosaic = capture.mosaic or args.bayer
             try:
                 with naming(capture.name):
-                    frame = frame_from_pixels(capture.frame, args.gamma, args.bits, mosaic)
+                    frame = capture.decode(pixel_format, colour=False)
             except InputError as error:
                 report(given, error)
                 continue
-            yield given, capture.name, frame, hidden_noise(capture.lost, frame, args.gamma)
+            yield given, capture.name, frame
 
 
 COMMAND = Command(

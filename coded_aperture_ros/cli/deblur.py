@@ -99,11 +99,11 @@ def run(args: argparse.Namespace) -> int:
         try:
             with naming(frame.source):
                 suitable(frame, bank)
-                stereo.check(frame.image)
+                stereo.check(frame.frame.light)
                 sharp, blur_size_px = restore(frame)
                 seconds = time.perf_counter() - start
                 if args.std_dev:
-                    found = uncertainty(frame.coloured, sharp, blur_size_px)
+                    found = uncertainty(frame.frame.picture, sharp, blur_size_px)
         except InputError as error:
             unusable.note(error)
             continue
@@ -149,22 +149,22 @@ def _restorer(
         with naming(args.camera or args.bank):
             pipeline = FramePipeline(bank, camera, depth, config, iterations)
 
-    def restored(frame: NamedFrame) -> tuple[Any, Any]:
-        fitted = fit_camera(args, pipeline, camera, frame.image)
+    def restored(named: NamedFrame) -> tuple[Any, Any]:
+        frame = named.frame
+        fitted = fit_camera(args, pipeline, camera, frame.light)
         blur_size_px: Any = None if given is None else blur_sizes_px(bank, fitted, given)
         if given is None:
-            more = {"coloured": frame.coloured, "hidden_noise": frame.hidden_noise}
-            result = pipeline(frame.image, frame.stamp_ns, **more)
-            blur_size_px = result.depth.blur_size_px
+            estimate = pipeline(frame)
+            blur_size_px = estimate.blur_size_px
             if motion_px is None:
-                return result.all_in_focus, blur_size_px
-        elif not covers_frame(given.shape, frame.image.shape):
-            of_map, of_frame = (f"{x.shape[1]} x {x.shape[0]}" for x in (given, frame.image))
+                return pipeline.deblur(frame, estimate), blur_size_px
+        elif not covers_frame(given.shape, frame.shape):
+            of_map, of_frame = (f"{x.shape[1]} x {x.shape[0]}" for x in (given, frame))
             raise InputError(
                 f"the depth map {args.depth} has {of_map} pixels, this frame {of_frame}: it must "
                 "be of this size, or of this shape and smaller"
             )
-        return deblurrer.deblur(frame.coloured, blur_size_px, motion_px=motion_px), blur_size_px
+        return deblurrer.deblur(frame.picture, blur_size_px, motion_px=motion_px), blur_size_px
 
     reset = deblurrer.reset if pipeline is None else pipeline.reset
     return restored, reset, deblurrer.uncertainty

@@ -135,7 +135,7 @@ def run(args: argparse.Namespace) -> int:
 
     def fit(found: NamedFrame) -> NamedFrame:
         frame = suitable(found, bank, args.frame_scale)
-        fit_camera(args, pipeline, camera, frame.image)
+        fit_camera(args, pipeline, camera, frame.frame.light)
         return frame
 
     shown: AbstractContextManager[Any] = movie(args.movie) if args.movie else nullcontext()
@@ -158,10 +158,10 @@ def run(args: argparse.Namespace) -> int:
                     values = estimate.level
                 _write(files(frame.output), values, estimate, args, scale)
                 if args.points and camera is not None:
-                    points = points_of_frame(estimate, frame.coloured, camera, args.gamma)
+                    points = points_of_frame(estimate, frame.frame.picture, camera, args.gamma)
                     write_points(files(frame.output)["points"], points)
                 if add_to_movie is not None:
-                    add_to_movie(_beside(frame.coloured, values, scale))
+                    add_to_movie(_beside(frame.frame.picture, values, scale))
                 summary = _summary(frame, values, estimate, seconds, args)
                 summaries.append(summary)
                 if not args.json:
@@ -202,8 +202,8 @@ def _told_if_lossy(video: _Frames) -> _Frames:
     """Yield the frames of a video; warn of the first one that was compressed with loss."""
     told = False
     for frame in video:
-        if frame.hidden_noise and not told:
-            logging.warning(_LOSSY, frame.source, frame.hidden_noise)
+        if frame.frame.compression_noise and not told:
+            logging.warning(_LOSSY, frame.source, frame.frame.compression_noise)
             told = True
         yield frame
 
@@ -215,8 +215,9 @@ def _in_turn(pipeline: Any, frames: _Frames, prior: Any, fit: _Fit, unusable: Un
         try:
             with naming(found.source):
                 frame = fit(found)
-                how = {"size": frame.size, "hidden_noise": frame.hidden_noise}
-                estimate = pipeline(frame.image, prior=prior, **how).depth
+                # Pictures in a folder are a video in the order of their names, whatever the time.
+                light = dataclasses.replace(frame.frame, motion=prior, stamp_ns=None)
+                estimate = pipeline(light, frame.size)
         except InputError as error:
             unusable.note(error)
             continue
@@ -233,11 +234,10 @@ def _with_second(pipeline: Any, frames: _Frames, fit: _Fit, args: argparse.Names
     start = time.perf_counter()
     with naming(frame.source):
         fit(frame)
-    second, hidden = single_frame(args.refocused_frame, args)
+    second = single_frame(args.refocused_frame, args)
     with naming(args.refocused_frame):
         pair = FocusPair(pipeline.estimator, args.refocused_to)
-        hidden_noise = frame.hidden_noise, hidden
-        estimate = pair.estimate(frame.image, second, frame.size, hidden_noise)
+        estimate = pair.estimate(frame.frame, second, frame.size)
     pair.close()
     yield frame, estimate, time.perf_counter() - start
 
@@ -255,23 +255,21 @@ def _with_look_ahead(pipeline: Any, frames: _Frames, fit: _Fit, unusable: Unusab
             for frame in frames:
                 try:
                     with naming(frame.source):
-                        check_same_size(frame.image.shape, shape or frame.image.shape)
+                        check_same_size(frame.frame.shape, shape or frame.frame.shape)
                         fit(frame)
                 except InputError as error:
                     unusable.note(error)
                     continue
-                shape = frame.image.shape
+                shape = frame.frame.shape
                 waiting.append(frame)
                 yield frame
         except InputError as error:
             unreadable.append(error)  # the frames before it are finished first
 
-    first, images, hidden = tee(suited(), 3)
+    first, named = tee(suited())
     next(first, None)  # the pipeline is made for its size before it begins
     del first  # or it would keep all of them
-    results = pipeline.video(
-        (frame.image for frame in images), hidden_noise=(frame.hidden_noise for frame in hidden)
-    )
+    results = pipeline.video(frame.frame for frame in named)
     while True:
         start = time.perf_counter()
         try:
@@ -280,7 +278,7 @@ def _with_look_ahead(pipeline: Any, frames: _Frames, fit: _Fit, unusable: Unusab
             raise InputError(f"{waiting[-1].source}: {error}") from error
         if result is None:
             break
-        yield waiting.popleft(), result.depth, time.perf_counter() - start
+        yield waiting.popleft(), result[1], time.perf_counter() - start
     if unreadable:
         raise unreadable[0]
 
@@ -305,9 +303,10 @@ def _summary(
     if not args.as_levels and known.any():
         summary["median_std_dev_m"] = rounded(np.median(estimate.std_dev_m[known]), 4)
     if args.motion:
-        moving = np.linalg.norm(estimate.motion.vectors_px, axis=-1) >= _MOVING_PX
+        motion = estimate.layers["motion"]
+        moving = np.linalg.norm(motion.values, axis=-1) >= _MOVING_PX
         summary["moving"] = round(float(moving.mean()), 4)
-        summary["searched"] = estimate.motion.searched
+        summary["searched"] = motion.note
     return summary
 
 
@@ -387,12 +386,10 @@ def _write(
     from coded_aperture_ros.io import confidence_picture, depth_picture, write_depth, write_image
 
     results = {"depth": values, "confidence": estimate.confidence}
-    results |= {"std_dev": estimate.std_dev_m, "side": estimate.side_confidence}
-    results["free_space"] = estimate.free_space_m
-    results |= {"second": estimate.second_m, "second_share": estimate.second_share}
-    if args.motion:
-        results["motion"] = estimate.motion.vectors_px
-        results["motion confidence"] = estimate.motion.confidence
+    results["std_dev"] = estimate.std_dev_m
+    for name in ("side", "free_space", "second", "second_share", "motion"):
+        results[name] = estimate.values(name)
+    results["motion confidence"] = estimate.values("motion/confidence")
     for name in results.keys() & files.keys():
         if results[name] is not None:  # as sides are that a second focus has told
             write_depth(files[name], results[name])

@@ -15,26 +15,23 @@ from coded_aperture_ros.cli.checks import check_output, inputs_of
 from coded_aperture_ros.cli.options import add_bits_option, add_mosaic_option
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.progress import progress
+from coded_aperture_ros.frames import Frame, PixelFormat, resampled
 
 
 @dataclasses.dataclass(frozen=True)
 class NamedFrame:
-    """A frame, and what is known about it.
+    """A frame of an input, and where its result goes.
 
     `video` changes where other frames begin: with every folder, video and bag. Pictures that are
-    given one after the other belong together. `hidden_noise` is what lossy compression has hidden,
-    in linear light; `size` that of the maps, rows and columns, where the frame was resampled;
-    `coloured` the picture to be deblurred where that is not the frame itself.
+    given one after the other belong together. `size` is that of the maps, rows and columns, where
+    the frame was resampled.
     """
 
     source: str  # what to call it in messages
     output: Path  # where its result goes
-    image: Any  # linear light
-    stamp_ns: int | None  # when it was taken
+    frame: Frame
     video: int
-    hidden_noise: float = 0.0
     size: tuple[int, int] | None = None
-    coloured: Any = None
 
 
 def add_input_options(parser: argparse.ArgumentParser, output_help: str) -> None:
@@ -46,18 +43,22 @@ def add_input_options(parser: argparse.ArgumentParser, output_help: str) -> None
     parser.add_argument("-o", "--output", required=True, metavar="OUT", help=output_help)
 
 
-def suitable(frame: NamedFrame, bank: Any, scale: float = 1.0) -> NamedFrame:
+def suitable(named: NamedFrame, bank: Any, scale: float = 1.0) -> NamedFrame:
     """Resample a frame by a scale; an `InputError` if its size is not the bank's."""
-    from coded_aperture_ros.frames import resampled
     from coded_aperture_ros.likelihood.bank import check_frame_size
 
-    size = frame.image.shape[:2]
+    size = named.frame.shape
     if scale != 1:
-        frame = dataclasses.replace(frame, image=resampled(frame.image, scale), size=size)
+        # The picture keeps its size, as the maps do.
+        small = dataclasses.replace(named.frame, light=resampled(named.frame.light, scale))
+        colour = named.frame.picture
+        named = dataclasses.replace(
+            named, frame=dataclasses.replace(small, colour=colour), size=size
+        )
     if bank is not None:
-        width, height = frame.image.shape[1::-1]
+        height, width = named.frame.shape
         check_frame_size(bank, width, height, size[::-1])
-    return frame
+    return named
 
 
 class Unusable:
@@ -154,34 +155,24 @@ def named_frames(
                 check_output(outputs(target), files, others=of_pictures)
             try:
                 with naming(given):
-                    image, coloured, hidden = light_of(capture, args)
+                    frame = decode(capture, args)
             except InputError as error:
                 unusable.note(error)
                 continue
-            stamp_ns = capture.stamp_ns
-            yield NamedFrame(given, target, image, stamp_ns, video, hidden, coloured=coloured)
+            yield NamedFrame(given, target, frame, video)
 
 
-def single_frame(path: str, args: argparse.Namespace) -> tuple[Any, float]:
-    """Return the light of the only frame of a file, read as inputs are, and its hidden noise."""
+def single_frame(path: str, args: argparse.Namespace) -> Frame:
+    """Only frame of a file, read as inputs are."""
     from coded_aperture_ros.sources import captures, open_files
 
     with closing(open_files(path)) as source, naming(path):
-        found = [light_of(capture, args) for capture in captures(source)]
+        found = [decode(capture, args) for capture in captures(source)]
     if len(found) != 1:
         raise InputError(f"{path}: expected one frame, it has {len(found)}")
-    ((image, _, hidden),) = found
-    return image, hidden
+    return found[0]
 
 
-def light_of(capture: Any, args: Any) -> tuple[Any, Any, float]:
-    """Return the light of a capture, in colour too, and what noise compression has hidden."""
-    from coded_aperture_ros.frames import hidden_noise
-    from coded_aperture_ros.io.messages import frame_from_pixels
-
-    mosaic = capture.mosaic or args.bayer
-    how = capture.frame, args.gamma, args.bits, mosaic
-    image = coloured = frame_from_pixels(*how)
-    if mosaic:
-        coloured = frame_from_pixels(*how, coloured=True)
-    return image, coloured, hidden_noise(capture.lost, image, args.gamma)
+def decode(capture: Any, args: Any) -> Frame:
+    """Frame of a capture, as the options say that its pixels are stored."""
+    return capture.decode(PixelFormat(args.gamma, args.bits, args.bayer or ""))

@@ -19,8 +19,8 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import naming
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.design.diffraction import diffraction_warning
-from coded_aperture_ros.io import PICTURE_SUFFIXES, read_depth, read_image, write_depth, write_image
 from coded_aperture_ros.frames import View
+from coded_aperture_ros.io import PICTURE_SUFFIXES, read_depth, read_image, write_depth, write_image
 from coded_aperture_ros.optics import MASK_NAMES, Camera, load_camera, load_mask
 from coded_aperture_ros.simulation import SensorModel, render_coded_frame
 from coded_aperture_ros.simulation.layered import random_scene

@@ -3,7 +3,6 @@
 import dataclasses
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.likelihood import BlurLevels
 from coded_aperture_ros.likelihood.bank import DEFAULT_LEVEL_COUNT, FilterBank, psf_stack_for_camera
 from coded_aperture_ros.likelihood.bank.field import FieldPsfs
 from coded_aperture_ros.optics import Camera, PsfStack
@@ -37,7 +36,7 @@ def blur_levels(
     bank: FilterBank | None = None,
     depth_range_m: tuple[float, float] | None = None,
     level_count: int = DEFAULT_LEVEL_COUNT,
-) -> BlurLevels:
+) -> FilterBank | RenderedLevels:
     """Return the levels of a bank, or render those of a camera for a range of depths."""
     if bank is not None:
         return bank

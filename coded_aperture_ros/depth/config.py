@@ -24,8 +24,8 @@ def _extensions() -> tuple[Any, ...]:
 
 
 @dataclasses.dataclass(frozen=True)
-class DepthConfig(  # type: ignore[misc]  # mypy cannot see what is not listed
-    *_extensions(),
+class DepthConfig(
+    *_extensions(),  # type: ignore[misc]  # mypy cannot see what is not listed
     QualityOfFitConfig,
     TemporalConfig,
     SecondSurfaceConfig,

@@ -128,8 +128,8 @@ class DepthEstimator:
             If the frame has a wrong shape or type, or is smaller than the model's window, or `size`
             is not that of a map.
         """
-        work = self.begin(frame, size)
-        run(self._stages_for(work.frame.shape).stages, work)
+        work = self.run_front(frame, size)
+        self.run_back(work)
         return work.estimate()
 
     def begin(self, frame: Frame | FloatArray, size: Shape | None = None) -> Work:
@@ -138,6 +138,16 @@ class DepthEstimator:
         check_map_size(size)
         frame.check()
         return Work(frame, size or frame.shape)
+
+    def run_front(self, frame: Frame | FloatArray, size: Shape | None = None) -> Work:
+        """Work on a frame up to the cost of every level; raises what `estimate` does."""
+        work = self.begin(frame, size)
+        run(self.front(work.frame.shape), work)
+        return work
+
+    def run_back(self, work: Work) -> None:
+        """Go on from the cost of every level to the maps."""
+        run(self.back(work.frame.shape), work)
 
     def front(self, shape: Shape) -> tuple[Stage, ...]:
         """Stages from light to the cost of every level, for frames of a shape."""

@@ -12,7 +12,6 @@ from coded_aperture_ros.depth.estimate import DepthEstimate
 from coded_aperture_ros.depth.estimator import DepthEstimator
 from coded_aperture_ros.depth.folding import Folding
 from coded_aperture_ros.depth.quality import Health
-from coded_aperture_ros.depth.stage import run
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.likelihood import Cost
 from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank
@@ -107,9 +106,8 @@ class _AddedFocus:
     folding: Folding  # of the levels of the frame that decides
 
     def add(self, cost: Cost, frame: Frame) -> tuple[Cost, Health | None]:
-        work = self.estimator.begin(frame)
-        run(self.estimator.front(frame.shape), work)
-        run(self.estimator.back(frame.shape), work)
+        work = self.estimator.run_front(frame)
+        self.estimator.run_back(work)
         own = Folding.of(self.estimator.model.stack.blur_sizes_px)
         return _added(cost, work.frame_cost, self.folding, own), work.health
 

@@ -10,7 +10,7 @@ from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.estimate import DepthEstimate
 from coded_aperture_ros.depth.estimator import DepthEstimator
-from coded_aperture_ros.depth.stage import Block, run
+from coded_aperture_ros.depth.stage import Block
 from coded_aperture_ros.depth.work import Work
 from coded_aperture_ros.frames import Frame
 
@@ -69,7 +69,7 @@ def estimate_video(
         waiting = waiting[finished:]
         while done:  # what is done is let go of: it is large
             work = done.popleft()
-            run(estimator.back(work.frame.shape), work)
+            estimator.run_back(work)
             yield work.estimate()
 
 

@@ -13,7 +13,8 @@ from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
-from coded_aperture_ros.io.messages import frame_from_pixels, pixels_from_frame
+from coded_aperture_ros.frames import PixelFormat
+from coded_aperture_ros.io.messages import pixels_from_frame
 from coded_aperture_ros.ros.camera_info_store import CameraInfoStore
 from coded_aperture_ros.ros.camera_model import required_camera
 from coded_aperture_ros.ros.diagnostics import (
@@ -274,7 +275,7 @@ class CameraDriverNode(ManagedNode):
         header = Header(frame_id=self._config.frame_id, stamp=stamp)
         encoding, frame = self._config.encoding, capture.frame
         if capture.mosaic:
-            frame = frame_from_pixels(frame, mosaic=capture.mosaic, coloured=True)
+            frame = PixelFormat(mosaic=capture.mosaic).picture(frame)
         if own_time:
             self._outputs.send("/clock", ClockMessage(clock=header.stamp))
         height, width = capture.frame.shape[:2]

@@ -1,23 +1,19 @@
 """The node that turns coded frames and their depth into all-in-focus frames."""
 
+import dataclasses
 import math
 import threading
 from typing import Any, ClassVar
 
 import numpy as np
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_msgs.msg import Header
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.stamp_order import StampOrder
-from coded_aperture_ros.deblur import (
-    AnyDeblurrer,
-    DeblurConfig,
-    blur_levels,
-    covers_frame,
-    make_deblurrer,
-)
-from coded_aperture_ros.frames import KnownNoise, channel_noise
+from coded_aperture_ros.deblur import DeblurConfig, blur_levels, covers_frame
+from coded_aperture_ros.deblur.levels import RenderedLevels
 from coded_aperture_ros.io.messages import (
     MessageError,
     array_from_image,
@@ -26,7 +22,8 @@ from coded_aperture_ros.io.messages import (
     output_encoding,
     pixels_from_frame,
 )
-from coded_aperture_ros.likelihood import BlurLevels
+from coded_aperture_ros.likelihood.bank import FilterBank
+from coded_aperture_ros.pipeline import FramePipeline
 from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
 from coded_aperture_ros.ros.frame_node import FrameNode
 from coded_aperture_ros.ros.messages import compressed_message, image_from_array, stamp_ns
@@ -55,10 +52,9 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
             _WAITING_BYTES,
             lambda message: len(message.data),
         )
-        # Of the frames that come, and of those that are deblurred, in the worker's thread.
-        self._arriving, self._deblurred = StampOrder(), StampOrder()
+        self._arriving = StampOrder()
         self._restarting = threading.Event()
-        self._deblurrer: AnyDeblurrer | None = None
+        self._pipeline: FramePipeline | None = None
         self.listen_to_frames("image_raw", self._on_image)
         self.listen("depth/image", Image, self._on_depth)
         self.begin()
@@ -66,14 +62,18 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
     def load(self) -> None:
         """Load the camera file, and the bank if there is one, and prepare the deblurring."""
         self._range = self.configs[ModelConfig]
-        self._model: FrameModel[BlurLevels] = FrameModel(self, self.configs, blur_levels)
-        self._deblurrer = self._new_deblurrer()
+        self._model: FrameModel[FilterBank | RenderedLevels] = FrameModel(
+            self, self.configs, blur_levels
+        )
+        model, camera = self._model.model, self._model.whole
+        self._pipeline = FramePipeline(model, camera, deblur=self.configs[DeblurConfig])
+        self._pipeline.prepare_deblurring((camera.image_height, camera.image_width))
 
     def unload(self) -> None:
-        """End the deblurrer's threads."""
-        deblurrer, self._deblurrer = self._deblurrer, None
-        if deblurrer is not None:
-            deblurrer.close()
+        """End the pipeline's threads."""
+        pipeline, self._pipeline = self._pipeline, None
+        if pipeline is not None:
+            pipeline.close()
 
     def identity(self) -> dict[str, str]:
         """Return which camera and bank the node works with."""
@@ -99,66 +99,55 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
     def process(self, item: tuple[Image, Image]) -> None:
         """Deblur and publish one frame."""
         image, depth = item
-        header, gamma = image.header, self.frame_config.gamma
-        frame = frame_from_image(image, gamma, self.frame_config.bits, coloured=True)
+        header = image.header
+        pixel_format = self.frame_config.pixel_format
+        frame = frame_from_image(image, pixel_format, colour=True, stamp_ns=stamp_ns(header))
         depth_m = depth_of_frame(depth, image)
         # Beyond the range is deblurred as the end of the range; NaN stays unknown.
         depth_m = np.clip(depth_m, self._range.near_m, self._range.far_m or math.inf)
-        size = image.height, image.width
-        driver = self.driver_info.at(header)
-        self._model.fit(driver.view(self._model.whole, size))
-        camera, config = self._model.whole, self.configs[DeblurConfig]
-        blur_size_px = self._model.blur_size_px(depth_m)
-        if not np.isfinite(blur_size_px).any():
+        if not np.isfinite(depth_m).any():
             raise MessageError("depth", "no depth is known in the whole frame")
-        deblurrer = self._present_deblurrer(config)
-        if self._begins_anew(stamp_ns(header)):
-            deblurrer.reset()
-        noise = channel_noise(frame, KnownNoise.of(config, camera, self._model.model))
-        sharp = deblurrer.deblur(frame, blur_size_px, noise)
-        encoding = output_encoding(image.encoding)
-        compressed = self.wants("deblurred/image/compressed")
-        if compressed or self.wants("deblurred/image"):
-            pixels = pixels_from_frame(sharp, encoding, gamma)
-            self.send("deblurred/image", image_from_array(pixels, encoding, header))
-        if compressed:
-            try:
-                content = compressed_picture(pixels, encoding)
-                self.send("deblurred/image/compressed", compressed_message(content, header))
-            except MessageError as error:  # the other outputs do not depend on it
-                self.reject(error.kind, str(error))
-        if complaint := driver.complaint(camera, size):
+        driver = self.driver_info.at(header)
+        view = driver.view(self._model.whole, frame.shape)
+        self._model.fit(view)
+        pipeline = self._present_pipeline()
+        sharp = pipeline.deblur(dataclasses.replace(frame, view=view), depth_m)
+        self._send_picture(sharp, output_encoding(image.encoding), header)
+        camera = self._model.whole
+        if complaint := driver.complaint(camera, frame.shape):
             self.reject("camera_info", complaint)
-        self.send("deblurred/camera_info", driver.info(camera, size, size, header))
+        info = driver.info(camera, frame.shape, frame.shape, header)
+        self.send("deblurred/camera_info", info)
         self.sent(header)
 
-    def _begins_anew(self, stamp: int) -> bool:
-        """Return whether a frame is the first one of another video."""
+    def _send_picture(self, sharp: FloatArray, encoding: str, header: Header) -> None:
+        compressed = self.wants("deblurred/image/compressed")
+        if not (compressed or self.wants("deblurred/image")):
+            return
+        pixels = pixels_from_frame(sharp, encoding, self.frame_config.gamma)
+        self.send("deblurred/image", image_from_array(pixels, encoding, header))
+        if not compressed:
+            return
+        try:
+            content = compressed_picture(pixels, encoding)
+            self.send("deblurred/image/compressed", compressed_message(content, header))
+        except MessageError as error:  # the other outputs do not depend on it
+            self.reject(error.kind, str(error))
+
+    def _present_pipeline(self) -> FramePipeline:
+        """Pipeline for the present PSFs and parameters."""
+        pipeline = self._pipeline
+        if pipeline is None:  # cleaned up while this frame was in work
+            raise InputError("the node is being cleaned up")
+        model, camera = self._model.model, self._model.whole
+        if model is not pipeline.model or camera != pipeline.camera:
+            pipeline.reconfigure(model=model, camera=camera)
+            pipeline.prepare_deblurring((camera.image_height, camera.image_width))
+        pipeline.reconfigure(deblur=self.configs[DeblurConfig])
         if self._restarting.is_set():
             self._restarting.clear()
-            self._deblurred.forget()
-            self._deblurred.follow(stamp)
-            return True
-        return self._deblurred.follow(stamp) == "restart"
-
-    def _present_deblurrer(self, config: DeblurConfig) -> AnyDeblurrer:
-        """Return the deblurrer for the present PSFs and parameters."""
-        made = self._deblurrer
-        if made is None:  # cleaned up while this frame was in work
-            raise InputError("the node is being cleaned up")
-        if made.stack is not self._model.model.stack:
-            self._deblurrer = self._new_deblurrer()
-            made.close()
-            return self._deblurrer
-        if made.config is not config:
-            made.reconfigure(config)
-        return made
-
-    def _new_deblurrer(self) -> AnyDeblurrer:
-        deblurrer = make_deblurrer(self._model.model, self.configs[DeblurConfig])
-        camera = self._model.camera
-        deblurrer.prepare((camera.image_height, camera.image_width))
-        return deblurrer
+            pipeline.reset()
+        return pipeline
 
 
 def depth_of_frame(depth: Image, image: Image) -> FloatArray:

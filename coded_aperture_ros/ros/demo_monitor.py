@@ -93,7 +93,7 @@ class DemoMonitor(Node):
         if not complete:
             return None
         return {
-            topic: (frame_from_image if topic in _PICTURES else array_from_image)(image)
+            topic: frame_from_image(image).light if topic in _PICTURES else array_from_image(image)
             for topic, image in complete[-1].items()
         }
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
 from std_msgs.msg import Header
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.blas import slow_blas_warning
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
@@ -20,20 +21,23 @@ from coded_aperture_ros.core.workers import thread_count
 from coded_aperture_ros.depth import (
     MAP_SIZES,
     DepthConfig,
+    DepthEstimate,
+    layer_specs,
     map_size,
     nearest_obstacle_m,
     points_of_depth,
     refinement_note,
     side_warning,
 )
-from coded_aperture_ros.depth.config import VIDEO_FRAMES
-from coded_aperture_ros.frames import hidden_noise
+from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
+from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.io.messages import (
     DEPTH_FORMATS,
     MessageError,
     compressed_depth,
     frame_from_image,
     limit_depth,
+    limit_layer,
     millimetres_from_depth,
     pixels_from_frame,
 )
@@ -44,6 +48,7 @@ from coded_aperture_ros.likelihood.motion import MotionConfig
 from coded_aperture_ros.likelihood.two_pixel import SimpleConfig
 from coded_aperture_ros.optics.intrinsics import pixel_rays
 from coded_aperture_ros.pipeline import FramePipeline, LateFrameError
+from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.diagnostics import Complaint
 from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
 from coded_aperture_ros.ros.frame_node import FrameNode
@@ -54,6 +59,17 @@ from coded_aperture_ros.ros.messages import (
     image_from_array,
     stamp_ns,
 )
+
+_CORE_TOPICS = {
+    "depth/image": Image,
+    "depth/image/compressedDepth": CompressedImage,
+    "depth/image_raw": Image,
+    "depth/image_raw/compressedDepth": CompressedImage,
+    "depth/confidence": Image,
+    "depth/std_dev": Image,
+    "depth/camera_info": CameraInfo,
+    "depth/points": PointCloud2,
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,24 +113,20 @@ class DepthNodeConfig:
     )
 
 
-class DepthNode(FrameNode[tuple[Image, float]]):
-    """Publishes depth of coded frames, how sure it is, and the matching camera model."""
+def _output_types() -> dict[str, type]:
+    """Message type of every topic; those of layers come from the stages of depth."""
+    types = dict(_CORE_TOPICS)
+    for spec in layer_specs():
+        types[spec.topic] = Image
+        if spec.points_topic:
+            types[spec.points_topic] = PointCloud2
+    return types
 
-    outputs: ClassVar = {
-        "depth/image": Image,
-        "depth/image/compressedDepth": CompressedImage,
-        "depth/image_raw": Image,
-        "depth/image_raw/compressedDepth": CompressedImage,
-        "depth/confidence": Image,
-        "depth/std_dev": Image,
-        "depth/free_space": Image,  # only with free_space.risk, as its points
-        "depth/free_points": PointCloud2,
-        "depth/second": Image,  # only with second_surface.enabled, as its share
-        "depth/second_share": Image,
-        "depth/camera_info": CameraInfo,
-        "depth/points": PointCloud2,
-        "depth/motion": Image,  # only with method: motion
-    }
+
+class DepthNode(FrameNode[tuple[Image, float]]):
+    """Publishes depth of coded frames, its confidence, the layers, and the camera model."""
+
+    outputs: ClassVar = _output_types()
 
     def __init__(self, **node_options: Any) -> None:
         super().__init__(
@@ -141,10 +153,6 @@ class DepthNode(FrameNode[tuple[Image, float]]):
     @property
     def _finds_motion(self) -> bool:
         return self.configs[DepthNodeConfig].method == "motion"
-
-    def offers(self, topic: str) -> bool:
-        """Return whether the method has this output."""
-        return topic != "depth/motion" or self._finds_motion
 
     def load(self) -> None:
         """Load the camera file and load or learn the bank."""
@@ -187,78 +195,120 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         return identity
 
     def process(self, item: tuple[Image, float]) -> None:
-        """Estimate and publish the depth of a frame; with it comes what compression has hidden."""
-        (image, lost), config = item, self.configs[DepthNodeConfig]
-        header, gamma = image.header, self.frame_config.gamma
-        frame = frame_from_image(image, gamma, self.frame_config.bits)
-        if hidden := hidden_noise(lost, frame, gamma):
-            self.get_logger().warning(
-                f"frames are compressed: their noise is taken to be about {hidden:.4f} at least",
-                once=True,
-            )
-        frame_size = frame.shape[0], frame.shape[1]
-        size = map_size(frame_size, config.output_size)
+        """Estimate and publish the depth of a frame; with it comes what compression has lost."""
+        image, compression_loss = item
+        header = image.header
         driver = self.driver_info.at(header)
-        self._model.fit(driver.view(self._model.whole, frame_size))
-        camera, prior = self._model.camera, None
-        if self._finds_motion:
-            prior = self._gyro.expected(header, self.configs[GyroConfig], camera.intrinsics)
+        frame = self._frame(image, compression_loss, driver)
+        shape = frame.shape
+        size = map_size(shape, self.configs[DepthNodeConfig].output_size)
         try:
-            pipeline, stamp = self._present_pipeline(), stamp_ns(header)
-            result = pipeline(frame, stamp, size=size, prior=prior, hidden_noise=hidden)
+            estimate = self._present_pipeline()(frame, size)
         except LateFrameError as error:
             raise MessageError("late", str(error)) from error
-        estimate = result.depth
         if estimate.depth_m is None or estimate.std_dev_m is None:
             raise InputError("the bank and the camera file give no depth")
-        ends_m = self._range.near_m, self._range.far_m or math.inf
-        depth_m = limit_depth(estimate.depth_m, *ends_m)
+        depth_m = limit_depth(estimate.depth_m, *self._ends_m)
+        std_dev_m = np.where(np.isinf(depth_m), np.float32(np.inf), estimate.std_dev_m)
         self._send_depth("depth/image", lambda: depth_m, "32FC1", header)
         self._send_depth(
             "depth/image_raw", lambda: millimetres_from_depth(depth_m), "16UC1", header
         )
-        std_dev_m = np.where(np.isinf(depth_m), np.float32(np.inf), estimate.std_dev_m)
-        images = {"depth/confidence": estimate.confidence, "depth/std_dev": std_dev_m}
-        clouds = {"depth/points": depth_m}
-        if estimate.free_space_m is not None:
-            free_m = np.minimum(estimate.free_space_m, ends_m[1])
-            images["depth/free_space"] = clouds["depth/free_points"] = free_m
-        if estimate.second_m is not None and estimate.second_share is not None:
-            images["depth/second"] = limit_depth(estimate.second_m, *ends_m)
-            images["depth/second_share"] = estimate.second_share
-        for topic in filter(self.wants, images):
-            self.send(topic, image_from_array(images[topic], "32FC1", header))
-        if complaint := driver.complaint(self._model.whole, frame_size):
+        self._send_map("depth/confidence", estimate.confidence, header)
+        self._send_map("depth/std_dev", std_dev_m, header)
+        self._send_layers(estimate, header)
+        if complaint := driver.complaint(self._model.whole, shape):
             self.reject("camera_info", complaint)
-        info = driver.info(self._model.whole, frame_size, size, header)
+        info = driver.info(self._model.whole, shape, size, header)
         self.send("depth/camera_info", info)
-        if wanted := list(filter(self.wants, clouds)):
-            through = pixel_rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
-            small = cv2.resize(frame, size[::-1], interpolation=cv2.INTER_AREA)
-            maps = estimate.confidence, std_dev_m, pixels_from_frame(small, "rgb8", gamma), through
-            for topic in wanted:
-                ends = self._range.near_m, config.points_far_m
-                points = points_of_depth(clouds[topic], *maps, *ends)
-                self.send(topic, cloud_from_points(points, header))
-        if estimate.motion is not None:
-            self._searched = estimate.motion.searched
-            if self.wants("depth/motion"):
-                self.send(
-                    "depth/motion", image_from_array(estimate.motion.vectors_px, "32FC2", header)
-                )
-        # What is a little nearer than the range is measured all the same.
-        seen_m = np.where(depth_m == -np.inf, estimate.depth_m, depth_m)
-        figures = {"nearest_obstacle_m": nearest_obstacle_m(seen_m, config.obstacle_share)}
-        misfit: Complaint | None = None
-        if (health := estimate.health) is not None:
-            figures["health"] = health.value
-            if not health.fits:
-                given = "little depth is sure"
-                if health.withheld:  # a guess may be asked for all the same (confidence.unknown)
-                    guessed = not np.isnan(depth_m).all()
-                    given = "the depth given is a guess" if guessed else "no depth is given"
-                misfit = Complaint(f"{given}, the frame {health}", health.withheld)
+        self._send_points(frame, estimate, (depth_m, std_dev_m), info)
+        figures, misfit = self._figures(estimate, estimate.depth_m, depth_m)
         self.sent(header, estimate.seconds, figures, misfit)
+
+    def _frame(self, image: Image, compression_loss: float, driver: CameraModel) -> Frame:
+        """Frame of a message; the model is made that of its view."""
+        header = image.header
+        frame = frame_from_image(
+            image, self.frame_config.pixel_format, compression_loss, stamp_ns=stamp_ns(header)
+        )
+        if frame.compression_noise:
+            self.get_logger().warning(
+                "frames are compressed: their noise is taken to be about "
+                f"{frame.compression_noise:.4f} at least",
+                once=True,
+            )
+        view = driver.view(self._model.whole, frame.shape)
+        self._model.fit(view)
+        motion = None
+        if self._finds_motion:
+            intrinsics = self._model.camera.intrinsics
+            motion = self._gyro.expected(header, self.configs[GyroConfig], intrinsics)
+        return dataclasses.replace(frame, view=view, motion=motion)
+
+    @property
+    def _ends_m(self) -> tuple[float, float]:
+        """Nearest and farthest depth that are published as such."""
+        return self._range.near_m, self._range.far_m or math.inf
+
+    def _send_map(self, topic: str, values: FloatArray, header: Header) -> None:
+        if self.wants(topic):
+            self.send(topic, image_from_array(values, "32FC1", header))
+
+    def _send_layers(self, estimate: DepthEstimate, header: Header) -> None:
+        """Publish the images of all layers."""
+        for layer in estimate.layers.values():
+            spec = layer.spec
+            if self.wants(spec.topic):
+                values = limit_layer(layer.values, spec.kind, *self._ends_m)
+                self.send(spec.topic, image_from_array(values, spec.encoding, header))
+        motion = estimate.layers.get("motion")
+        self._searched = "" if motion is None else motion.note
+
+    def _send_points(
+        self,
+        frame: Frame,
+        estimate: DepthEstimate,
+        depth_and_deviation_m: tuple[FloatArray, FloatArray],
+        info: CameraInfo,
+    ) -> None:
+        """Publish the point clouds of depth and of the layers that have one."""
+        depth_m, std_dev_m = depth_and_deviation_m
+        clouds = {"depth/points": depth_m}
+        for layer in estimate.layers.values():
+            if layer.spec.points_topic:
+                values = limit_layer(layer.values, layer.spec.kind, *self._ends_m)
+                clouds[layer.spec.points_topic] = values
+        wanted = [topic for topic in clouds if self.wants(topic)]
+        if not wanted:
+            return
+        size = depth_m.shape
+        through = pixel_rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
+        small = cv2.resize(frame.light, size[::-1], interpolation=cv2.INTER_AREA)
+        colours = pixels_from_frame(small, "rgb8", self.frame_config.gamma)
+        ends = self._range.near_m, self.configs[DepthNodeConfig].points_far_m
+        for topic in wanted:
+            maps = clouds[topic], estimate.confidence, std_dev_m, colours, through
+            self.send(topic, cloud_from_points(points_of_depth(*maps, *ends), info.header))
+
+    def _figures(
+        self, estimate: DepthEstimate, measured_m: FloatArray, depth_m: FloatArray
+    ) -> tuple[dict[str, float], Complaint | None]:
+        """Figures of a frame for diagnostics, and what is wrong with it."""
+        # What is a little nearer than the range is measured all the same.
+        seen_m = np.where(depth_m == -np.inf, measured_m, depth_m)
+        share = self.configs[DepthNodeConfig].obstacle_share
+        figures = {"nearest_obstacle_m": nearest_obstacle_m(seen_m, share)}
+        health = estimate.health
+        if health is None:
+            return figures, None
+        figures["health"] = health.value
+        if health.fits:
+            return figures, None
+        given = "little depth is sure"
+        if health.withheld:  # a guess may be asked for all the same (confidence.unknown)
+            guessed = not np.isnan(depth_m).all()
+            given = "the depth given is a guess" if guessed else "no depth is given"
+        return figures, Complaint(f"{given}, the frame {health}", health.withheld)
 
     def _send_depth(
         self, topic: str, depth: Callable[[], NDArray[Any]], encoding: str, header: Header
@@ -280,7 +330,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             raise InputError("the node is being cleaned up")
         motion = self.configs[MotionConfig]
         self._model.change(lambda model: with_settings(model, motion))
-        model, camera = self._model.model, self._model.camera
+        model, camera = self._model.model, self._model.whole
         # OpenCV runs the network, which is too much for the one thread of `limit_libraries`.
         depth = self.configs[DepthConfig]
         if cv2.getNumThreads() != (threads := thread_count(depth.threads)):

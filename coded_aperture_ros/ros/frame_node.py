@@ -14,6 +14,7 @@ from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
+from coded_aperture_ros.frames import PixelFormat
 from coded_aperture_ros.frames.decoding import lost_by_compression
 from coded_aperture_ros.io.messages import MessageError
 from coded_aperture_ros.ros.camera_model import CameraModel
@@ -60,6 +61,11 @@ class FrameNodeConfig:
         read_only=True,
         parameter="image_transport",
     )
+
+    @property
+    def pixel_format(self) -> PixelFormat:
+        """How the pixels of messages become linear light."""
+        return PixelFormat(self.gamma, self.bits)
 
 
 class FrameNode(ManagedNode, Generic[Item]):

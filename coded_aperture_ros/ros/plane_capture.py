@@ -12,7 +12,7 @@ from sensor_msgs.msg import Image
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.frames import Gamma
+from coded_aperture_ros.frames import Gamma, PixelFormat
 from coded_aperture_ros.io.messages import MessageError, frame_from_image
 from coded_aperture_ros.ros.running import running_apart
 
@@ -73,7 +73,8 @@ class FrameGrabber(contextlib.AbstractContextManager["FrameGrabber"]):
             if len(self._frames) >= self._wanted:
                 return
             try:
-                self._frames.append(np.array(frame_from_image(message, self._gamma)))
+                frame = frame_from_image(message, PixelFormat(self._gamma))
+                self._frames.append(np.array(frame.light))
             except MessageError as error:
                 self._refused = str(error)
             self._changed.notify()

@@ -57,7 +57,7 @@ class RgbdSource:
             pair, self._pair = self._pair, None
         if pair is None:
             raise InputError(f"no pair of {_IMAGE} and {_DEPTH} with equal stamps has come")
-        sharp, depth_m = frame_from_image(pair[0]), depth_in_metres(pair[1])
+        sharp, depth_m = frame_from_image(pair[0]).light, depth_in_metres(pair[1])
         if sharp.shape[:2] != depth_m.shape:
             raise MessageError("size", f"{_IMAGE} and {_DEPTH} are not of one size")
         coded = render_coded_frame(sharp, depth_m, self._camera)

@@ -2,13 +2,14 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.frames import Frame, PixelFormat
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,17 @@ class Capture:
     lost: float = 0.0
     name: str = ""
     mosaic: str = ""
+
+    def decode(self, pixel_format: PixelFormat, *, colour: bool = True) -> Frame:
+        """Frame in linear light; the source's own mosaic goes before that of the format.
+
+        Raises
+        ------
+        InputError
+            If the pixels cannot be what the format says.
+        """
+        pixel_format = replace(pixel_format, mosaic=self.mosaic or pixel_format.mosaic)
+        return pixel_format.frame(self.frame, self.lost, colour=colour, stamp_ns=self.stamp_ns)
 
 
 class Source(Protocol):

@@ -4,10 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
+from coded_aperture_ros.depth.ambiguity import may_be_periodic
 from textures import natural_texture
 
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.depth.ambiguity import may_be_periodic
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import Cost
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera

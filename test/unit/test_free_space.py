@@ -5,12 +5,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from coded_aperture_ros.depth.free_space import near_ends
 from textures import natural_texture
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, refinement_note
 from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells
-from coded_aperture_ros.depth.free_space import near_ends
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, FieldCurvature, Mask

@@ -4,12 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from coded_aperture_ros.depth.temporal import TemporalFilter
 from scipy.ndimage import gaussian_filter
 from textures import natural_texture
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video
-from coded_aperture_ros.depth.temporal import TemporalFilter
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.frames.static_average import StaticAverage, frames_of_patches, joined
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera

@@ -11,6 +11,7 @@ from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.calibration.planes.wavefront import fit_wavefront
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.frames import View
 from coded_aperture_ros.likelihood import Plan, new_engine
 from coded_aperture_ros.likelihood.bank import (
     learn_bank,
@@ -18,7 +19,6 @@ from coded_aperture_ros.likelihood.bank import (
     load_bank,
     save_bank,
 )
-from coded_aperture_ros.frames import View
 from coded_aperture_ros.optics import Camera, FieldCurvature, Mask, Wavefront, render_psf
 from coded_aperture_ros.optics.camera_file import camera_from_mapping
 from coded_aperture_ros.optics.wavefront import TERM_NAMES, TERMS

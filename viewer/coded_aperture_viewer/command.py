@@ -26,7 +26,8 @@ from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.share import share_directory
 from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthConfig
-from coded_aperture_ros.depth.config import VIDEO_FRAMES
+from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
+from coded_aperture_ros.frames import PixelFormat
 from coded_aperture_ros.likelihood.bank import (
     DEFAULT_LEVEL_COUNT,
     FilterBank,
@@ -37,7 +38,7 @@ from coded_aperture_ros.likelihood.bank import (
 from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.pipeline import FramePipeline
 from coded_aperture_ros.sources import SIMULATOR, PictureSource, open_source
-from coded_aperture_viewer.live import Live, Stored
+from coded_aperture_viewer.live import Live
 from coded_aperture_viewer.server import Server
 from coded_aperture_viewer.settings import LookConfig, Settings
 
@@ -133,7 +134,7 @@ def _server(args: argparse.Namespace, parser: argparse.ArgumentParser) -> tuple[
     still = isinstance(source, PictureSource) and len(source.files) == 1
     look = LookConfig(focus_m=(near + far) / 2, paused=still)
     token = "" if args.host == _LOCAL else secrets.token_urlsafe(16)
-    stored = Stored(args.gamma, args.bits, args.bayer)
+    stored = PixelFormat(args.gamma, args.bits, args.bayer or "")
     server = Server(camera, (near, far), args.bayer, Path(args.output), token)
     settings = Settings(depth, deblur, look)
     server.live = Live(source, pipeline, settings, stored, 1 / args.rate, server.show)

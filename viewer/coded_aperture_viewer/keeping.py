@@ -43,10 +43,7 @@ def write_snapshot(folder: Path, shown: Shown, camera: Camera) -> None:
     if found is None or found.depth_m is None or found.std_dev_m is None:
         return
     maps = {"depth": found.depth_m, "std_dev": found.std_dev_m, "confidence": found.confidence}
-    if found.free_space_m is not None:
-        maps["free_space"] = found.free_space_m
-    if found.second_m is not None and found.second_share is not None:
-        maps |= {"second": found.second_m, "second_share": found.second_share}
+    maps |= {layer.spec.file_suffix[1:]: layer.values for layer in found.layers.values()}
     for name, values in maps.items():
         write_depth(folder / f"{name}.npy", values)
     write_image(folder / "depth.picture.png", depth_picture(found.depth_m))

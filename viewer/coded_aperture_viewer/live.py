@@ -10,8 +10,7 @@ from collections.abc import Callable
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthEstimate
-from coded_aperture_ros.frames import Gamma, hidden_noise
-from coded_aperture_ros.io.messages import frame_from_pixels
+from coded_aperture_ros.frames import PixelFormat
 from coded_aperture_ros.likelihood.bank import check_frame_size
 from coded_aperture_ros.likelihood.choose import bank_of
 from coded_aperture_ros.optics import Camera
@@ -24,15 +23,6 @@ from coded_aperture_viewer.settings import LookConfig, Settings
 _DEPTH_TO_PICTURES = 10.0
 _IDLE_S, _RETRY_S = 0.1, 1.0
 _MEASURED = 20
-
-
-@dataclasses.dataclass(frozen=True)
-class Stored:
-    """How the frames of a source store light; see `frame_from_pixels`."""
-
-    gamma: Gamma = 1.0
-    bits: int = 16
-    mosaic: str = ""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -76,7 +66,7 @@ class Live:
         It is closed in the end.
     settings : Settings
         To begin with.
-    stored : Stored
+    stored : PixelFormat
     period_s : float
         Between the frames of a source that is not live and does not say when they were taken.
     show : callable
@@ -88,7 +78,7 @@ class Live:
         source: Source,
         pipeline: FramePipeline,
         settings: Settings,
-        stored: Stored,
+        stored: PixelFormat,
         period_s: float,
         show: Callable[[Shown], None],
     ) -> None:
@@ -155,25 +145,20 @@ class Live:
         self, capture: Capture | None, settings: Settings, again: bool, pictures: "_Share"
     ) -> Shown:
         assert capture is not None
-        stored, mosaic = self._stored, capture.mosaic or self._stored.mosaic
-        how = capture.frame, stored.gamma, stored.bits, mosaic
-        frame = coloured = frame_from_pixels(*how)
-        if mosaic:
-            coloured = frame_from_pixels(*how, coloured=True)
-        shown = Shown(settings, capture, coloured)
+        frame = dataclasses.replace(capture.decode(self._stored), stamp_ns=None)
+        shown = Shown(settings, capture, frame.picture)
         if again:
             self._pipeline.reset()  # it is not a new frame of the video
         try:
-            camera = self._camera_for(frame)
+            camera = self._camera_for(frame.light)
             self._pipeline.reconfigure(camera=camera, depth=settings.depth, deblur=settings.deblur)
-            hidden = hidden_noise(capture.lost, frame, stored.gamma)
-            result = self._pipeline(frame, coloured=coloured, hidden_noise=hidden)
-            shown = dataclasses.replace(shown, estimate=result.depth)
+            estimate = self._pipeline(frame)
+            shown = dataclasses.replace(shown, estimate=estimate)
             if settings.look.picture == "none" or not (again or pictures.due):
                 return shown
             with pictures:
-                sharp = result.all_in_focus
-                looked_at = _looked_at(sharp, result.depth, settings.look)
+                sharp = self._pipeline.deblur(frame, estimate)
+                looked_at = _looked_at(sharp, estimate, settings.look)
         except InputError as error:
             return dataclasses.replace(shown, problem=str(error))
         return dataclasses.replace(shown, sharp=sharp, picture=looked_at)

@@ -171,9 +171,7 @@ def deblurred(
         "motion, true": deblurrer.deblur(coded, blur, motion_px=truth.motion_px),
         "defocus": deblurrer.deblur(coded, alone.blur_size_px),
         "motion": deblurrer.deblur(
-            coded,
-            together.blur_size_px,
-            motion_px=together.motion.vectors_px if together.motion else None,
+            coded, together.blur_size_px, motion_px=together.values("motion")
         ),
     }
     return {

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth.decoders.network import untrained
+from coded_aperture_ros.depth.decoders.network import unsupported_reason
 from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import read_depth, read_image
 from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank_for_camera
@@ -126,7 +126,7 @@ def learned_bank(
         range_m = np.array([min(ends_m[0], share * ends_m[1]), ends_m[1]], np.float32)
         with suppress(InputError):
             bank = bank_for(camera, range_m, levels)
-            if not untrained(bank, bank.stride_px):
+            if not unsupported_reason(bank, bank.stride_px):
                 return bank, float(range_m[0] * (1 - RANGE_MARGIN))
     raise InputError("there is no bank for this scene that depth is refined with")
 

@@ -248,7 +248,7 @@ class SideScore:
         oracle = np.nan_to_num(_pixels(e.oracle_size_px for e in estimates), nan=0.0)
         known = (confidence >= threshold) & (confidence > 0)
         sided = np.abs(truth) >= SMALLEST_BLUR_PX
-        said = _pixels(np.asarray(e.both.side_confidence) for e in estimates)
+        said = _pixels(np.asarray(e.both.values("side")) for e in estimates)
         errors = [np.abs(each - truth) / step_px for each in (size, oracle)]
         relative = [
             np.abs(each - depth)[known] / depth[known]

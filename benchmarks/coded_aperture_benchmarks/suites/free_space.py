@@ -111,13 +111,12 @@ def measure(cell: Cell) -> Measured:
     known = seen.depth_m > 0
     # In inverse depth, as blur goes by that: 0 for the nearest level, 1 for the truth.
     nearest = 1 / near_m
-    before: DepthEstimator | None = None
     for risk in cell.risks:
         config = DepthConfig(free_space_risk=risk)
-        estimator = DepthEstimator(bank, config, seen.camera, like=before)
+        estimator = DepthEstimator(bank, config, seen.camera)
         estimate = estimator.estimate(frame)
         estimator.close()
-        before, bound = estimator, estimate.free_space_m
+        bound = estimate.values("free_space")
         assert bound is not None and estimate.depth_m is not None
         bounds_m[risk], truth = bound, seen.depth_m[known]
         there, found = bound[known], estimate.depth_m[known]

@@ -74,15 +74,13 @@ def measure(cell: Cell) -> Row:
     bank, alone, together = _estimators(cell.mask, cell.levels, cell.deblur is not None)
     (scene,) = frames.make_moving_scenes(cell.mask, cell.sigma, cell.seed, [cell.scene])
     first, second = alone.estimate(scene.coded), together.estimate(scene.coded)
-    assert second.motion is not None  # that is what the method finds
+    motion_px = second.values("motion")
+    assert motion_px is not None  # that is what the method finds
     row: Row = {
         "scene": scene.name,
         "motion_px": list(frames.SCENES[cell.scene][2]),
         "defocus": frames.depth_error(first, scene),
-        "motion": {
-            **frames.depth_error(second, scene),
-            **frames.motion_error_px(second.motion.vectors_px, scene),
-        },
+        "motion": {**frames.depth_error(second, scene), **frames.motion_error_px(motion_px, scene)},
     }
     if cell.deblur is not None:
         camera = frames.scene_camera(cell.mask)

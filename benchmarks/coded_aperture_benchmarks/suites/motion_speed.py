@@ -13,6 +13,7 @@ from coded_aperture_benchmarks.options import JSON, OUTPUT, Args, frame_size, nu
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.likelihood.motion import MotionConfig, MotionModel, learn_motion_bank
 from coded_aperture_ros.optics import Mask
@@ -44,7 +45,7 @@ def _cells(args: Args) -> list[Ways]:
     ways: Ways = {
         _ALONE: lambda: alone.estimate(frame),
         f"{len(motion_bank.motions) - 1} motions": lambda: together.estimate(frame),
-        "expected motions": lambda: together.estimate(frame, prior=expected),
+        "expected motions": lambda: together.estimate(Frame(frame, motion=expected)),
     }
     return [ways] * (args.repeats + 1)
 

@@ -21,7 +21,7 @@ from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.depth.config import VIDEO_FRAMES
+from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import depth_picture, write_image
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera

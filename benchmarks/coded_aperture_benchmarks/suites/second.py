@@ -129,21 +129,23 @@ def measure(cell: Cell) -> Measured:
     estimate = estimator.estimate(frame)
     estimator.close()
     assert estimate.depth_m is not None
-    assert estimate.second_m is not None
-    assert estimate.second_share is not None
+    second_m = estimate.values("second")
+    second_share = estimate.values("second_share")
+    assert second_m is not None
+    assert second_share is not None
     windows = seen.windows
     true_m = [
         seen.camera.depth_m(_signed(size, seen.camera))
         for size in (windows.less_px, windows.more_px)
     ]
-    found_m = [at_middles(values) for values in (estimate.depth_m, estimate.second_m)]
+    found_m = [at_middles(values) for values in (estimate.depth_m, second_m)]
     is_two = np.isfinite(found_m[1])
     straight, crossed = (
         [_is_right(one, true) for one, true in zip(found_m, order, strict=True)]
         for order in (true_m, true_m[::-1])
     )
     both = (straight[0] & straight[1]) | (crossed[0] & crossed[1])
-    share = at_middles(estimate.second_share)
+    share = at_middles(second_share)
     of_less = np.where(straight[0] & straight[1], 1 - share, share)
     two, one = windows.two == 1, windows.two == 0
     return Measured(
@@ -163,7 +165,7 @@ def measure(cell: Cell) -> Measured:
         },
         frame,
         estimate.depth_m,
-        estimate.second_m,
+        second_m,
         seen.ends_m,
     )
 

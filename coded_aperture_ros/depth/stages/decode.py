@@ -21,7 +21,7 @@ SIDE = LayerSpec(
     unit="",
     kind="probability",
 )
-LAYERS = (SIDE,)
+LAYERS: tuple[LayerSpec, ...] = (SIDE,)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -22,7 +22,7 @@ FREE_SPACE = LayerSpec(
     kind="bound",
     points="free_points",
 )
-LAYERS = (FREE_SPACE,)
+LAYERS: tuple[LayerSpec, ...] = (FREE_SPACE,)
 # This share of the probability of the blur sizes, times a power of the risk, lies before the bound:
 # on random scenes of the kind and with the mask that it suits least no more pixels are nearer.
 _SHARE = 1.2

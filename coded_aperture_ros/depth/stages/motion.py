@@ -18,7 +18,7 @@ MOTION = LayerSpec(
 MOTION_CONFIDENCE = LayerSpec(
     "motion/confidence", "Probability that the motion is about right.", unit="", kind="probability"
 )
-LAYERS = (MOTION, MOTION_CONFIDENCE)
+LAYERS: tuple[LayerSpec, ...] = (MOTION, MOTION_CONFIDENCE)
 
 
 def make(plan: Plan, config: object) -> Stage:

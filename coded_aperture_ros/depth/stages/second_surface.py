@@ -30,7 +30,7 @@ SECOND = LayerSpec(
 SECOND_SHARE = LayerSpec(
     "second_share", "Share of the window that the second surface takes.", unit="", kind="share"
 )
-LAYERS = (SECOND, SECOND_SHARE)
+LAYERS: tuple[LayerSpec, ...] = (SECOND, SECOND_SHARE)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """From messages to frames in linear light and depth, and back (REP 117, 118)."""
 
+import dataclasses
 from typing import Any
 
 import cv2
@@ -8,9 +9,9 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.frames import (
+    Frame,
     Gamma,
-    colour_from_mosaic,
-    grey_from_mosaic,
+    PixelFormat,
     linear_from_pixels,
     mosaic_from_colour,
     pixels_from_linear,
@@ -25,33 +26,37 @@ _MILLIMETRE = np.float32(1e-3)
 
 
 def frame_from_image(
-    message: Any, gamma: Gamma = 1.0, bits: int = 16, *, coloured: bool = False
-) -> FloatArray:
-    """Return an image message as the frame that the library works on.
+    message: Any,
+    pixel_format: PixelFormat | None = None,
+    compression_loss: float = 0.0,
+    *,
+    colour: bool = False,
+    **known: Any,
+) -> Frame:
+    """Frame of an image message.
 
-    See `array_from_image` and `frame_from_pixels`.
+    Parameters
+    ----------
+    message : sensor_msgs/Image
+        Its encoding says whether there is a mosaic.
+    pixel_format : PixelFormat, optional
+        How pixels become linear light.
+    compression_loss : float
+        See `PixelFormat.frame`.
+    colour : bool
+        Whether a mosaic is turned into a colour picture, too, which takes time.
+    **known
+        Other attributes of the `Frame`.
+
+    Raises
+    ------
+    MessageError
+        If the message cannot be read; see `array_from_image`.
     """
     mosaic = parse_encoding(message.encoding).mosaic
-    return frame_from_pixels(array_from_image(message), gamma, bits, mosaic, coloured)
-
-
-def frame_from_pixels(
-    pixels: NDArray, gamma: Gamma = 1.0, bits: int = 16, mosaic: str = "", coloured: bool = False
-) -> FloatArray:
-    """Return stored pixels as the frame that the library works on: linear light, float32.
-
-    Pixels are uint8, uint16 or float, [row, column] or [row, column, RGB], and the frame has their
-    shape. Integers are scaled to [0, 1], floats are taken as they are. `gamma` turns 8-bit values
-    into linear light; others are linear by definition. `bits` is what 16-bit pixels have, where the
-    sensor's numbers were not scaled to 16. With a `mosaic` of colour filters before the pixels, see
-    `grey_from_mosaic`, the frame is grey, for depth, or `coloured`.
-    """
-    if bits < 16 and pixels.dtype == np.uint16:
-        pixels = np.minimum(pixels, 2**bits - 1) << (16 - bits)
-    frame = pixels if pixels.dtype == np.float32 else linear_from_pixels(pixels, gamma)
-    if not mosaic:
-        return frame
-    return (colour_from_mosaic if coloured else grey_from_mosaic)(frame, mosaic)
+    pixel_format = dataclasses.replace(pixel_format or PixelFormat(), mosaic=mosaic)
+    pixels = array_from_image(message)
+    return pixel_format.frame(pixels, compression_loss, colour=colour, **known)
 
 
 def luminance(frame: NDArray) -> NDArray:
@@ -99,6 +104,15 @@ def limit_depth(depth_m: FloatArray, near_m: float = 0.0, far_m: float = np.inf)
     depth_m[depth_m < near_m * (1 - _DEPTH_ROUNDING)] = -np.inf
     depth_m[depth_m > far_m * (1 + _DEPTH_ROUNDING)] = np.inf
     return depth_m
+
+
+def limit_layer(
+    values: FloatArray, kind: str, near_m: float = 0.0, far_m: float = np.inf
+) -> FloatArray:
+    """Values of a layer of a kind, see `LayerSpec`, as they are published for a range of depths."""
+    if kind == "depth":
+        return limit_depth(values, near_m, far_m)
+    return np.minimum(values, np.float32(far_m)) if kind == "bound" else values
 
 
 def millimetres_from_depth(depth_m: FloatArray) -> NDArray[np.uint16]:

@@ -28,7 +28,7 @@ from coded_aperture_ros.frames.patches import PatchGrid
 from coded_aperture_ros.likelihood import Cost, relative_cost
 from coded_aperture_ros.likelihood.bank.learning import check_levels
 from coded_aperture_ros.likelihood.bank.prior import power_spectrum
-from coded_aperture_ros.optics import Mask, PsfStack
+from coded_aperture_ros.optics import Camera, Mask, PsfStack
 
 BASES = ("svd", "joint")
 _SLOPE = 2.4
@@ -108,6 +108,10 @@ class SubspaceBank:
     def fattening(self) -> float:
         """See `LikelihoodModel`."""
         return 1.0
+
+    def for_view(self, camera: Camera | None) -> "SubspaceBank":
+        """Bank itself: its PSFs are the same all over the image."""
+        return self
 
     def plan(
         self, shape: tuple[int, ...], stride_px: int, backend: str = "numpy", threads: int = 1

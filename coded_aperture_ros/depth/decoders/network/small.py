@@ -27,6 +27,11 @@ def small_bank(bank: FilterBank) -> FilterBank:
     return _LEARNED[bank]
 
 
+def keep_small_bank(bank: FilterBank, small: FilterBank) -> None:
+    """Take a small bank that was learned before for that of a bank."""
+    _LEARNED[bank] = small
+
+
 def small_cost(
     small: Likelihood, observation: Observation, grey: FloatArray, noise: PerPatch
 ) -> Cost:
