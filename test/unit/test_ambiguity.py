@@ -4,10 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from coded_aperture_ros.depth.ambiguity import may_be_periodic
 from textures import natural_texture
 
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth.stages.periodic_texture import may_be_periodic
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import Cost
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
@@ -49,11 +49,11 @@ def wall(camera, texture, contrast):
 def published(bank, camera, frame, how, periodic):
     """Return the share of pixels with a depth, and of these what is right within 10 %."""
     estimator = DepthEstimator(bank, DepthConfig(regularize=how, check_fit=False), camera)
-    seen = estimator.observe(frame)
-    cost = estimator.cost(seen, seen.grey)
+    work = estimator.run_front(frame)
     if not periodic:
-        cost = dataclasses.replace(cost, periodic=None)
-    depth = np.asarray(estimator.decide(seen, cost.volume, cost).depth_m)
+        work.frame_cost = dataclasses.replace(work.frame_cost, periodic=None)
+    estimator.run_back(work)
+    depth = np.asarray(work.estimate().depth_m)
     estimator.close()
     known = np.isfinite(depth)
     right = np.abs(depth / WALL_M - 1) < 0.1

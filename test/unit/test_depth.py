@@ -18,8 +18,7 @@ from coded_aperture_ros.depth.decoders.edges import (
 from coded_aperture_ros.depth.decoders.posterior import refine_level
 from coded_aperture_ros.depth.decoders.regularize import regularizer
 from coded_aperture_ros.depth.upsample import MapGrid
-from coded_aperture_ros.frames import PatchGrid, estimate_noise
-from coded_aperture_ros.frames.frame import grey_image
+from coded_aperture_ros.frames import PatchGrid, estimate_noise, grey_image
 from coded_aperture_ros.frames.noise import high_power
 from coded_aperture_ros.frames.patches import usable_windows
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera

@@ -185,7 +185,7 @@ def test_a_fitting_frame_keeps_its_confidence(bank, scene):
     assert checked.health.cause == ""
     assert unchecked.health is None
     np.testing.assert_array_equal(checked.confidence, unchecked.confidence)
-    assert checked.seconds["fit"] > 0
+    assert checked.seconds["quality of fit"] > 0
 
 
 def test_a_frame_without_noise_fits(scene, bank):
@@ -230,10 +230,10 @@ def test_a_video_is_checked_now_and_then_and_remembered(bank, scene):
     fitting, other = recorded(scene.coded()), recorded(scene.coded(Mask.named("zhou")))
 
     def asked(frame):
-        seen = estimator.observe(frame)
-        cost = estimator.cost(seen, seen.grey)
-        decided = estimator.decide(seen, cost.volume, cost)
-        return check(seen, cost.misfit, decided.level, decided.confidence)
+        work = estimator.run_front(frame)
+        estimator.run_back(work)
+        misfit = work.frame_cost.misfit
+        return check(work.observation, misfit, work.level, work.confidence)
 
     first = asked(fitting)
     assert [asked(other) for _ in range(3)] == [first] * 3

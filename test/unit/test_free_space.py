@@ -5,11 +5,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from coded_aperture_ros.depth.free_space import near_ends
 from textures import natural_texture
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, refinement_note
+from coded_aperture_ros.depth.decoders.network.decoder import near_ends
 from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
@@ -60,7 +60,7 @@ def estimated(seen, frame=None, size=None, **settings):
 
 
 def test_next_to_nothing_is_nearer_than_the_bound(seen, truth_m):
-    bound = estimated(seen).free_space_m
+    bound = estimated(seen).values("free_space")
     assert bound.shape == SHAPE and np.isfinite(bound).all()
     assert (truth_m < bound).mean() <= 0.01
     assert bound.min() >= RANGE_M[0] * (1 - 1e-5)
@@ -71,7 +71,9 @@ def test_next_to_nothing_is_nearer_than_the_bound(seen, truth_m):
 
 
 def test_less_risk_promises_less(seen):
-    bounds = [estimated(seen, free_space_risk=risk).free_space_m for risk in (0.03, 0.01, 0.001)]
+    bounds = [
+        estimated(seen, free_space_risk=risk).values("free_space") for risk in (0.03, 0.01, 0.001)
+    ]
     for more, less in pairwise(bounds):
         # Where the edge of a surface is drawn depends on both sides.
         assert (less <= 1.01 * more).mean() > 0.99 and (less < more).mean() > 0.2
@@ -82,18 +84,21 @@ def test_the_bound_is_never_beyond_the_depth(seen, unknown):
     estimate = estimated(seen, unknown=unknown, temporal_frames=3.0)
     known = np.isfinite(estimate.depth_m)
     assert known.mean() > 0.5 or seen[0].side == "both"
-    assert (estimate.free_space_m[known] <= estimate.depth_m[known] + 1e-5).all()
+    assert (estimate.values("free_space")[known] <= estimate.depth_m[known] + 1e-5).all()
 
 
 def test_no_bound_unless_asked_for_and_nothing_else_changes(seen):
     without, with_it = estimated(seen, free_space_risk=0.0), estimated(seen)
-    assert without.free_space_m is None
+    assert without.values("free_space") is None
     for name in ("depth_m", "confidence", "std_dev_m"):
         np.testing.assert_array_equal(getattr(without, name), getattr(with_it, name))
 
 
 def test_smaller_maps_say_the_same(seen):
-    full, half = estimated(seen).free_space_m, estimated(seen, size=(80, 112)).free_space_m
+    full, half = (
+        estimated(seen).values("free_space"),
+        estimated(seen, size=(80, 112)).values("free_space"),
+    )
     assert half.shape == (80, 112)
     assert np.median(np.abs(half / full[::2, ::2] - 1)) < 0.03
 
@@ -115,7 +120,7 @@ def test_the_near_end_of_the_nearest_level_around_counts(seen, pixel_px, reach):
 @pytest.mark.parametrize("divisor", [2, 4, 8, 9])
 def test_a_pixel_of_a_small_map_keeps_to_all_that_it_covers(seen, truth_m, divisor):
     rows, columns = SHAPE[0] // divisor, SHAPE[1] // divisor
-    bound = estimated(seen, size=(rows, columns)).free_space_m
+    bound = estimated(seen, size=(rows, columns)).values("free_space")
     covered = truth_m[: rows * divisor, : columns * divisor]
     nearest = covered.reshape(rows, divisor, columns, divisor).min(axis=(1, 3))
     assert (nearest < bound).mean() <= 0.01
@@ -125,17 +130,17 @@ def test_nothing_is_promised_of_frames_that_do_not_fit(seen):
     disc = dataclasses.replace(seen[0], mask=Mask.named("disc"))
     estimate = estimated(seen, coded_by(disc, np.full(SHAPE, NEAR_M, np.float32)))
     assert not estimate.health.fits
-    np.testing.assert_allclose(estimate.free_space_m, RANGE_M[0], rtol=1e-4)
+    np.testing.assert_allclose(estimate.values("free_space"), RANGE_M[0], rtol=1e-4)
 
 
 def test_nothing_is_promised_where_nothing_is_seen(seen):
     dark = seen[2].copy()
     dark[:, :80] = 1.0  # saturated
-    bound = estimated(seen, dark, check_fit=False).free_space_m
+    bound = estimated(seen, dark, check_fit=False).values("free_space")
     np.testing.assert_allclose(bound[:, :40], RANGE_M[0], rtol=1e-4)
     assert np.median(bound[:, 180:]) > RANGE_M[0] * 1.05
     blank = np.full(SHAPE, 0.4, np.float32)
-    np.testing.assert_allclose(estimated(seen, blank).free_space_m, RANGE_M[0], rtol=1e-4)
+    np.testing.assert_allclose(estimated(seen, blank).values("free_space"), RANGE_M[0], rtol=1e-4)
 
 
 def test_field_curvature_moves_the_bound_with_the_depth(truth_m):
@@ -145,8 +150,8 @@ def test_field_curvature_moves_the_bound_with_the_depth(truth_m):
     bent = dataclasses.replace(camera, field_curvature=FieldCurvature(0.5, 0.0))
     flat, moved = (estimated((lens, bank, coded)) for lens in (camera, bent))
     known = np.isfinite(flat.depth_m) & np.isfinite(moved.depth_m)
-    assert np.abs(moved.free_space_m / flat.free_space_m - 1).max() > 0.02
-    assert (moved.free_space_m[known] <= moved.depth_m[known] + 1e-4).all()
+    assert np.abs(moved.values("free_space") / flat.values("free_space") - 1).max() > 0.02
+    assert (moved.values("free_space")[known] <= moved.depth_m[known] + 1e-4).all()
 
 
 def test_what_gives_no_bound_is_refused():
@@ -163,7 +168,7 @@ def test_where_the_network_was_not_trained_nothing_is_promised():
     assert refinement_note(bank, config).endswith("it tells of no free space")
     assert "free space" not in refinement_note(bank, DepthConfig())
     frame = natural_texture(SHAPE, seed=2)
-    bound = DepthEstimator(bank, config, camera).estimate(frame).free_space_m
+    bound = DepthEstimator(bank, config, camera).estimate(frame).values("free_space")
     np.testing.assert_allclose(bound, RANGE_M[0], rtol=1e-4)
 
 
@@ -172,10 +177,10 @@ def test_nothing_is_promised_where_light_is_lost_in_a_video(seen):
     settings = DepthConfig(free_space_risk=0.01, temporal_frames=4.0, check_fit=False)
     estimator = DepthEstimator(bank, settings, camera)
     for _ in range(4):
-        before = estimator.estimate(coded).free_space_m
+        before = estimator.estimate(coded).values("free_space")
     lit = coded.copy()
     lit[60:100, 150:200] = 1.0
-    after = estimator.estimate(lit).free_space_m
+    after = estimator.estimate(lit).values("free_space")
     estimator.close()
     inside = np.s_[70:90, 160:190]
     np.testing.assert_allclose(after[inside], RANGE_M[0], rtol=1e-4)

@@ -11,6 +11,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.frames import PixelFormat
 from coded_aperture_ros.io import messages
 from coded_aperture_ros.optics import Camera, Mask
 from coded_aperture_ros.ros.messages import (
@@ -44,7 +45,7 @@ def test_grey_integers_survive_the_round_trip(encoding, data):
     pixels = data.draw(hnp.arrays(TYPES[encoding], SIZES))
     message = image_from_array(pixels, encoding, header())
     np.testing.assert_array_equal(messages.array_from_image(message), pixels)
-    frame = messages.frame_from_image(message)
+    frame = messages.frame_from_image(message).light
     assert frame.dtype == np.float32
     np.testing.assert_array_equal(messages.pixels_from_frame(frame, encoding), pixels)
 
@@ -52,7 +53,7 @@ def test_grey_integers_survive_the_round_trip(encoding, data):
 @given(pixels=hnp.arrays(np.float32, SIZES, elements=st.floats(width=32, allow_nan=True)))
 def test_floats_survive_the_round_trip_with_nan_and_infinity(pixels):
     message = image_from_array(pixels, "32FC1", header())
-    np.testing.assert_array_equal(messages.frame_from_image(message), pixels)
+    np.testing.assert_array_equal(messages.frame_from_image(message).light, pixels)
 
 
 @pytest.mark.parametrize("encoding", COLOURS)
@@ -65,7 +66,7 @@ def test_colours_come_out_as_rgb_and_go_back(encoding, data):
     message = image_from_array(stored, encoding, header())
     rgb = messages.array_from_image(message)
     np.testing.assert_array_equal(rgb, stored[:, :, COLOURS[encoding]])
-    again = messages.pixels_from_frame(messages.frame_from_image(message), encoding)
+    again = messages.pixels_from_frame(messages.frame_from_image(message).light, encoding)
     np.testing.assert_array_equal(again[:, :, :3], stored[:, :, :3])
 
 
@@ -73,11 +74,12 @@ def test_colours_come_out_as_rgb_and_go_back(encoding, data):
 def test_bits_that_a_sensor_does_not_scale(encoding, coloured):
     stored = np.array([[0, 819, 4095], [1638, 2457, 4095]], np.uint16)
     message = image_from_array(stored, encoding, Header())
-    frame = messages.frame_from_image(message, bits=12, coloured=coloured)
+    of_12_bits, of_10_bits = PixelFormat(bits=12), PixelFormat(bits=10)
+    frame = messages.frame_from_image(message, of_12_bits, colour=coloured).picture
     if coloured:
         frame = messages.pixels_from_frame(frame, encoding) / 65535
     np.testing.assert_allclose(frame, stored / 4095, atol=3e-4)
-    more = messages.frame_from_image(message, bits=10, coloured=coloured)
+    more = messages.frame_from_image(message, of_10_bits, colour=coloured).picture
     if not coloured:  # clipped, and not what is left over
         np.testing.assert_allclose(more, [[0, 0.8, 1], [1, 1, 1]], atol=2e-3)
 
@@ -94,7 +96,7 @@ def test_yuv_comes_out_as_rgb_and_goes_on_as_rgb(encoding, luma):
     np.testing.assert_allclose(rgb, expected, atol=2)
     written = messages.output_encoding(encoding)
     assert written == "rgb8"
-    again = messages.pixels_from_frame(messages.frame_from_image(message), written)
+    again = messages.pixels_from_frame(messages.frame_from_image(message).light, written)
     np.testing.assert_array_equal(again, rgb)
     with pytest.raises(messages.MessageError, match="pixels in pairs"):
         messages.array_from_image(image(encoding, 2, 3, 6, bytes(12)))
@@ -136,17 +138,21 @@ def test_a_bad_message_is_a_named_error(kind, message):
 
 def test_values_are_linear_light():
     message = image(width=3, height=1, data=bytes([0, 51, 255]))
-    np.testing.assert_allclose(messages.frame_from_image(message)[0], [0, 0.2, 1], atol=1e-6)
+    np.testing.assert_allclose(messages.frame_from_image(message).light[0], [0, 0.2, 1], atol=1e-6)
     np.testing.assert_allclose(
-        messages.frame_from_image(message, gamma=2.2)[0], [0, 0.2**2.2, 1], atol=1e-6
+        messages.frame_from_image(message, PixelFormat(2.2)).light[0], [0, 0.2**2.2, 1], atol=1e-6
     )
     wide = image("mono16", 1, 1, 2, np.uint16([32768]).tobytes())
-    assert messages.frame_from_image(wide, gamma=2.2)[0, 0] == pytest.approx(32768 / 65535)
+    assert messages.frame_from_image(wide, PixelFormat(2.2)).light[0, 0] == pytest.approx(
+        32768 / 65535
+    )
 
 
 def test_gamma_is_undone_on_the_way_back():
     pixels = np.arange(256, dtype=np.uint8).reshape(16, 16)
-    frame = messages.frame_from_image(image_from_array(pixels, "mono8", header()), 2.2)
+    frame = messages.frame_from_image(
+        image_from_array(pixels, "mono8", header()), PixelFormat(2.2)
+    ).light
     np.testing.assert_array_equal(messages.pixels_from_frame(frame, "mono8", 2.2), pixels)
 
 

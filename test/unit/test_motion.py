@@ -9,6 +9,7 @@ from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video
+from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.likelihood import NumpyEngine, Plan
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank, learn_bank_for_camera
 from coded_aperture_ros.likelihood.motion import (
@@ -126,12 +127,17 @@ def test_defocus_and_motion_are_identified_together(bank, level, motion):
     frame = moving_plane(level, tuple(vector), seed=motion)
     found = DepthEstimator(MotionModel(bank, MOTION), CONFIG).estimate(frame)
     assert np.abs(found.level - level).mean() < 0.3
-    apart = np.hypot(*np.moveaxis(found.motion.vectors_px - vector, -1, 0))
+    apart = np.hypot(*np.moveaxis(found.values("motion") - vector, -1, 0))
     assert (apart < 0.3).mean() > 0.9
-    assert found.motion.vectors_px.shape == (*frame.shape, 2)
-    assert found.motion.confidence[apart < 0.3].mean() > 0.5
-    assert 0 <= found.motion.confidence.min() <= found.motion.confidence.max() <= 1 + 1e-6
-    assert found.motion.searched == "nothing expected"
+    assert found.values("motion").shape == (*frame.shape, 2)
+    assert found.values("motion/confidence")[apart < 0.3].mean() > 0.5
+    assert (
+        0
+        <= found.values("motion/confidence").min()
+        <= found.values("motion/confidence").max()
+        <= 1 + 1e-6
+    )
+    assert found.layers["motion"].note == "nothing expected"
 
 
 def test_depth_of_what_moves_in_front_of_a_scene():
@@ -147,7 +153,7 @@ def test_depth_of_what_moves_in_front_of_a_scene():
     error = scenes.depth_error(found, scene)
     assert error["mean_object"] < 0.5 * alone["mean_object"]
     assert error["mean_scene"] < 1.1 * alone["mean_scene"]
-    apart = scenes.motion_error_px(found.motion.vectors_px, scene)
+    apart = scenes.motion_error_px(found.values("motion"), scene)
     assert apart["motion_object"] < 3  # of 8.5 px
     assert apart["motion_scene"] < 0.5
 
@@ -213,9 +219,11 @@ def test_without_a_usable_gyroscope_all_motions_are_tried(bank, rate, exposure, 
     expected = expected_motion(rate, exposure, INTRINSICS, late)
     vector = bank.motions.vectors_px[6]
     frame = moving_plane(2, tuple(vector))
-    found = DepthEstimator(MotionModel(bank, MOTION), CONFIG).estimate(frame, prior=expected)
-    assert reason in found.motion.searched
-    assert np.median(found.motion.vectors_px, axis=(0, 1)) == pytest.approx(vector, abs=1e-3)
+    found = DepthEstimator(MotionModel(bank, MOTION), CONFIG).estimate(
+        Frame(frame, motion=expected)
+    )
+    assert reason in found.layers["motion"].note
+    assert np.median(found.values("motion"), axis=(0, 1)) == pytest.approx(vector, abs=1e-3)
 
 
 def test_expected_motions_are_enough_and_tell_the_way_round(bank):
@@ -223,33 +231,33 @@ def test_expected_motions_are_enough_and_tell_the_way_round(bank):
     # 200 px of focal length, 6 px to the left.
     turning = expected_motion((0.0, 0.6, 0.0), 0.05, INTRINSICS)
     estimator = DepthEstimator(MotionModel(bank, MOTION), CONFIG)
-    found = estimator.estimate(frame, prior=turning)
-    assert found.motion.searched == ""
+    found = estimator.estimate(Frame(frame, motion=turning))
+    assert found.layers["motion"].note == ""
     assert np.abs(found.level - 3).mean() < 0.3
-    assert np.median(found.motion.vectors_px, axis=(0, 1)) == pytest.approx((-6, 0), abs=1e-3)
+    assert np.median(found.values("motion"), axis=(0, 1)) == pytest.approx((-6, 0), abs=1e-3)
     # What is wrongly expected leaves no way to the truth.
     wrong = expected_motion((0.6, 0.0, 0.0), 0.05, INTRINSICS)
-    amiss = estimator.estimate(frame, prior=wrong)
+    amiss = estimator.estimate(Frame(frame, motion=wrong))
     assert np.abs(amiss.level - 3).mean() > 2 * np.abs(found.level - 3).mean()
     # The next frame is one like any other.
-    assert estimator.estimate(frame).motion.searched == "nothing expected"
+    assert estimator.estimate(frame).layers["motion"].note == "nothing expected"
 
 
 def test_unusable_patches_have_no_motion(bank):
     frame = moving_plane(2, (6.0, 0.0))
     frame[:, :80] = 1.0
     found = DepthEstimator(MotionModel(bank, MOTION), CONFIG).estimate(frame)
-    assert np.isnan(found.motion.vectors_px[:, :50]).all()
-    assert (found.motion.confidence[:, :50] == 0).all()
-    assert np.isfinite(found.motion.vectors_px[:, 120:]).all()
+    assert np.isnan(found.values("motion")[:, :50]).all()
+    assert (found.values("motion/confidence")[:, :50] == 0).all()
+    assert np.isfinite(found.values("motion")[:, 120:]).all()
 
 
 def test_maps_of_another_size(bank):
     frame = moving_plane(2, (6.0, 0.0))
     found = DepthEstimator(MotionModel(bank, MOTION), CONFIG).estimate(frame, (64, 80))
-    assert found.level.shape == found.motion.confidence.shape == (64, 80)
+    assert found.level.shape == found.values("motion/confidence").shape == (64, 80)
     # In pixels of the frame all the same.
-    assert np.median(found.motion.vectors_px[..., 0]) == pytest.approx(6, abs=0.2)
+    assert np.median(found.values("motion")[..., 0]) == pytest.approx(6, abs=0.2)
 
 
 def test_threads_and_subsets_change_nothing(bank):
@@ -347,7 +355,7 @@ def test_a_motion_between_those_that_are_told_apart_is_searched_for(bank):
     found = DepthEstimator(MotionModel(bank, config), CONFIG).estimate(
         moving_plane(3, tuple(true), 2)
     )
-    assert np.median(np.hypot(*np.moveaxis(found.motion.vectors_px - true, -1, 0))) < 0.3
+    assert np.median(np.hypot(*np.moveaxis(found.values("motion") - true, -1, 0))) < 0.3
 
 
 @pytest.mark.parametrize("temporal_frames", [0.0, 2.0])
@@ -374,5 +382,5 @@ def test_every_frame_of_a_video_has_its_own_motion(bank):
     results = list(estimate_video(estimator, frames))
     assert len(results) == len(frames)
     for found, vector in zip(results, vectors, strict=True):
-        median = np.nanmedian(np.abs(found.motion.vectors_px), axis=(0, 1))
+        median = np.nanmedian(np.abs(found.values("motion")), axis=(0, 1))
         assert median == pytest.approx(vector, abs=1.5)

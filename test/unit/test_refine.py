@@ -8,23 +8,20 @@ import pytest
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video, refinement_note
-from coded_aperture_ros.depth.decoders.network import small_bank, untrained
+from coded_aperture_ros.depth.decoders.network import small_bank, unsupported_reason
 from coded_aperture_ros.depth.decoders.network.cells import CELL_PX, HALVINGS, Cells
+from coded_aperture_ros.depth.decoders.network.drawing import upsample_half_cells
 from coded_aperture_ros.depth.decoders.network.features import (
     BLUR_SIZES_PX,
     COST_CHANNELS,
-    Look,
-    Surroundings,
+    LocalContext,
+    PatchScale,
     cost_features,
     frame_features,
     tried_sizes,
 )
 from coded_aperture_ros.depth.decoders.network.network import NEIGHBOURS, Logits, Network
-from coded_aperture_ros.depth.decoders.network.probabilities import (
-    HalfCells,
-    chosen_neighbours,
-    drawn,
-)
+from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells, chosen_neighbours
 from coded_aperture_ros.depth.decoders.network.small import SMALL_PX
 from coded_aperture_ros.depth.folding import Folding
 from coded_aperture_ros.frames import PatchGrid
@@ -128,9 +125,9 @@ def test_costs_are_put_on_the_grid_of_blur_sizes(sign, order):
     misfit = np.full((grid.rows, grid.columns), 0.25, np.float32)
     grey = np.full(shape, 0.2, np.float32)
     folding = Folding.of(sizes)
-    looks = [Look(folding.of_sizes(volume), misfit, grid)] * 2
+    looks = [PatchScale(folding.of_sizes(volume), misfit, grid)] * 2
     near = float(sign < 0)
-    around = Surroundings.of(grey, 0.001)
+    around = LocalContext.of(grey, 0.001)
     features = cost_features(looks, around, cells, folding.sizes_px, near)
     row, column = cells.rows // 2, cells.columns // 2
     tried = tried_sizes(folding.sizes_px)
@@ -208,7 +205,7 @@ def test_deviation_holds_two_thirds_of_the_errors():
 def test_maps_are_linear_within_surfaces_and_cut_at_edges():
     slope = np.add.outer(np.arange(6) * 0.1, np.arange(8) * 0.05).astype(np.float32)
     nowhere = np.arange(48).reshape(6, 8).repeat(2, 0).repeat(2, 1)
-    level = drawn(slope, nowhere, 0.8)
+    level = upsample_half_cells(slope, nowhere, 0.8)
     rows = (np.arange(24) + 0.5) / 4 - 0.5
     assert level[4:-4, 14] == pytest.approx((rows * 0.1 + (14.5 / 4 - 0.5) * 0.05)[4:-4], abs=1e-5)
     step = np.zeros((6, 8), np.float32)
@@ -216,7 +213,7 @@ def test_maps_are_linear_within_surfaces_and_cut_at_edges():
     neighbour = np.full((4, 6, 8), 4)  # its own
     for quarter in (1, 3):  # the right quarters of the last column before the step: the right one's
         neighbour[quarter, :, 3] = 5
-    edge = drawn(step, chosen_neighbours(neighbour), 0.8)
+    edge = upsample_half_cells(step, chosen_neighbours(neighbour), 0.8)
     assert set(np.unique(edge)) == {0, 9}
     assert (edge[:, :14] == 0).all() and (edge[:, 14:] == 9).all()
 
@@ -232,21 +229,21 @@ def test_what_stands_in_for_it_is_told(camera):
 
 def test_where_it_was_not_trained_it_stands_back(bank, camera, scene):
     frame, _ = scene
-    assert untrained(bank, 8) == ""
-    assert "stride of 24 px" in untrained(bank, 24)
+    assert unsupported_reason(bank, 8) == ""
+    assert "stride of 24 px" in unsupported_reason(bank, 24)
     small = dataclasses.replace(bank, window_px=24)
-    assert "window of 24 px" in untrained(small, 8)
+    assert "window of 24 px" in unsupported_reason(small, 8)
     coarse = learn_bank(render_psf_stack(camera.mask, np.linspace(2, 10, 9)))
-    assert "up to 1 px apart" in untrained(coarse, 8)
+    assert "up to 1 px apart" in unsupported_reason(coarse, 8)
     wide = learn_bank(render_psf_stack(camera.mask, np.linspace(4, 30, 53)))
-    assert "blur of 30 px" in untrained(wide, 8)
+    assert "blur of 30 px" in unsupported_reason(wide, 8)
     narrow = learn_bank(render_psf_stack(camera.mask, np.linspace(3.05, 3.2, 12)))
-    assert "span 0.15 px" in untrained(narrow, 8)
+    assert "span 0.15 px" in unsupported_reason(narrow, 8)
     margin = np.pad(bank.stack.psfs, [(0, 0), (10, 10), (10, 10)])
     padded = dataclasses.replace(bank, stack=dataclasses.replace(bank.stack, psfs=margin))
-    assert "do not fit patches of 32 px" in untrained(padded, 8)
+    assert "do not fit patches of 32 px" in unsupported_reason(padded, 8)
     indices = dataclasses.replace(bank, stack=dataclasses.replace(bank.stack, in_pixels=False))
-    assert "not known in pixels" in untrained(indices, 8)
+    assert "not known in pixels" in unsupported_reason(indices, 8)
     learned, classical = (
         DepthEstimator(bank, DepthConfig(regularize=how, stride_px=24), camera).estimate(frame)
         for how in ("learned", "semiglobal")
@@ -297,13 +294,10 @@ def test_levels_beyond_infinity_have_a_confidence(camera, scene):
 
 
 def test_small_bank_is_learned_once(bank, camera, scene):
-    first = DepthEstimator(bank, DepthConfig(), camera)
-    first.estimate(scene[0])
-    other = DepthEstimator(bank, DepthConfig(confidence_threshold=0.2), camera, like=first)
-    other.estimate(scene[0])
-    assert other.small_bank is first.small_bank
-    other.estimate(scene[0][:, :150])
-    assert other.small_bank is first.small_bank
+    first = small_bank(bank)
+    for frame in (scene[0], scene[0][:, :150]):
+        DepthEstimator(bank, DepthConfig(confidence_threshold=0.2), camera).estimate(frame)
+        assert small_bank(bank) is first
 
 
 def test_maps_of_other_sizes_show_the_same(bank, camera, scene):
@@ -353,7 +347,7 @@ def test_options_meet_each_other(bank, camera, scene, unknown, memory, size):
 def test_both_sides_of_the_focal_plane():
     camera = Camera(600.0, 1.0, 192, 160, Mask.named("three_wide"), 30.0, side="both")
     bank = learn_bank_for_camera(camera, 0.7, 1.8, 31)
-    assert untrained(bank, 8) == ""
+    assert unsupported_reason(bank, 8) == ""
     scene = random_scene(1_000_007, camera.mask, "both", (160, 192))
     camera = scene.camera
     bank = learn_bank_for_camera(camera, *_range_of(scene.depth_m()), 31)
@@ -362,7 +356,7 @@ def test_both_sides_of_the_focal_plane():
     found = DepthEstimator(bank, config, camera).estimate(frame.astype(np.float32))
     right = np.abs(np.abs(found.blur_size_px) - np.abs(scene.blur_size_px())) < 1
     assert right[np.isfinite(scene.blur_size_px())].mean() > 0.6
-    assert (found.side_confidence >= 0.5).all() and (found.side_confidence <= 1).all()
+    assert (found.values("side") >= 0.5).all() and (found.values("side") <= 1).all()
     assert (found.confidence <= 1).all() and np.isfinite(found.depth_m).all()
 
 
@@ -402,8 +396,8 @@ def test_network_runs_frames_of_any_size():
         volume = random.random((grid.rows, grid.columns, 9), dtype=np.float32)
         grey = random.random(shape, dtype=np.float32)
         flat = volume[..., 0]
-        looks = [Look(volume, flat, grid)] * 2
-        around = Surroundings.of(grey, 0.01)
+        looks = [PatchScale(volume, flat, grid)] * 2
+        around = LocalContext.of(grey, 0.01)
         costs = cost_features(looks, around, cells, np.linspace(2, 8, 9), 0.0)
         logits = network(costs, frame_features(around, cells))
         assert logits.size.shape == (tried.sum(), 2 * cells.rows, 2 * cells.columns)

@@ -62,7 +62,7 @@ def estimated(camera, bank, frame, size=None, **settings):
 def test_what_is_behind_leaves_is_told_beside_them(fence):
     camera, bank, frame, fenced = fence
     estimate = estimated(camera, bank, frame, confidence_threshold=0.0)
-    second_m, share = estimate.second_m, estimate.second_share
+    second_m, share = estimate.values("second"), estimate.values("second_share")
     assert second_m.dtype == share.dtype == np.float32
     assert second_m.shape == share.shape == frame.shape
     two = np.isfinite(second_m)
@@ -76,7 +76,7 @@ def test_what_is_behind_leaves_is_told_beside_them(fence):
     assert right.mean() > 0.7
     # It takes nothing from the depth, and is not told where nobody asks.
     without = estimated(camera, bank, frame, second_surface=False)
-    assert without.second_m is None and without.second_share is None
+    assert without.values("second") is None and without.values("second_share") is None
     np.testing.assert_array_equal(without.depth_m, estimated(camera, bank, frame).depth_m)
 
 
@@ -84,10 +84,12 @@ def test_what_is_behind_leaves_is_told_beside_them(fence):
 def test_with_other_settings_and_smaller_maps(fence, settings):
     camera, bank, frame, _ = fence
     plain, whole = estimated(camera, bank, frame), estimated(camera, bank, frame, **settings)
-    np.testing.assert_array_equal(plain.second_m, whole.second_m)
+    np.testing.assert_array_equal(plain.values("second"), whole.values("second"))
     small = estimated(camera, bank, frame, (144, 192), **settings)
-    assert small.second_m.shape == small.second_share.shape == (144, 192)
-    same = np.isclose(whole.second_m[::2, ::2], small.second_m, rtol=1e-3, equal_nan=True)
+    assert small.values("second").shape == small.values("second_share").shape == (144, 192)
+    same = np.isclose(
+        whole.values("second")[::2, ::2], small.values("second"), rtol=1e-3, equal_nan=True
+    )
     assert same.mean() > 0.9
 
 
@@ -95,25 +97,28 @@ def test_nothing_is_told_of_what_was_not_seen(fence):
     camera, bank, frame, _ = fence
     dark = frame.copy()
     dark[:, :160] = 2.0  # saturated
-    second_m = estimated(camera, bank, dark).second_m
+    second_m = estimated(camera, bank, dark).values("second")
     assert np.isnan(second_m[:, :96]).all() and np.isfinite(second_m[:, 240:]).any()
     other = learn_bank_for_camera(camera, *camera.depth_m([2.0, 18.0]), 30)
     # Half as fine as the bank takes it to be.
     misfit = estimated(
         camera, other, np.ascontiguousarray(frame[::2, ::2].repeat(2, 0).repeat(2, 1))
     )
-    assert not misfit.health.fits and np.isnan(misfit.second_m).all()
+    assert not misfit.health.fits and np.isnan(misfit.values("second")).all()
 
 
 def test_of_both_sides_and_of_coarse_banks_nothing_is_told(fence):
     camera, _, frame, _ = fence
     coarse = learn_bank_for_camera(camera, *camera.depth_m([3.0, 15.0]), 8)
     estimate = estimated(camera, coarse, frame)
-    assert np.isnan(estimate.second_m).all() and np.isnan(estimate.second_share).all()
+    assert (
+        np.isnan(estimate.values("second")).all()
+        and np.isnan(estimate.values("second_share")).all()
+    )
     assert "no second surface" in refinement_note(coarse, DepthConfig(second_surface=True))
     both = Camera(400.0, 2.4, 224, 160, Mask.named("three_wide"), 100.0, side="both")
     of_both = learn_bank_for_camera(both, 1.5, 5.0, 30)
-    assert np.isnan(estimated(both, of_both, frame[:160, :224]).second_m).all()
+    assert np.isnan(estimated(both, of_both, frame[:160, :224]).values("second")).all()
     assert "both sides" in refinement_note(of_both, DepthConfig(second_surface=True))
     assert refinement_note(of_both, DepthConfig()) is None
     with pytest.raises(InputError, match="second_surface: use false, only regularize: learned"):
