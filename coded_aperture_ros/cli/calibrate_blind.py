@@ -11,13 +11,12 @@ import numpy as np
 from coded_aperture_ros.calibration.blind.config import BlindConfig
 from coded_aperture_ros.calibration.blind.find import BlindMask, find_mask
 from coded_aperture_ros.calibration.pictures import blind_picture, enlarged
-from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.cli.command import Command, UsageError, argument, group
 from coded_aperture_ros.cli.plane_pictures import MASK_FILE, pictures_in, write_report
 from coded_aperture_ros.cli.reading import GammaArguments
 from coded_aperture_ros.cli.results import Summary, print_summary
 from coded_aperture_ros.cli.rules import required
-from coded_aperture_ros.core.files import atomic_outputs
+from coded_aperture_ros.core.files import atomic_outputs, check_output
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.io import read_image, write_image
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank, save_bank

@@ -11,14 +11,13 @@ import numpy as np
 from coded_aperture_ros.calibration.planes.field import FieldFit, fit_field
 from coded_aperture_ros.calibration.planes.folder import load_planes
 from coded_aperture_ros.calibration.planes.wavefront import fit_wavefront
-from coded_aperture_ros.cli.checks import check_output, input_files
 from coded_aperture_ros.cli.command import Command, argument
 from coded_aperture_ros.cli.field_report import field_page
 from coded_aperture_ros.cli.plane_pictures import PlanesArguments, check_size
-from coded_aperture_ros.cli.results import Summary, print_summary
+from coded_aperture_ros.cli.results import Summary, input_files, print_summary
 from coded_aperture_ros.cli.rules import needs
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
-from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.core.files import atomic_output, check_output
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.likelihood.bank.field import COLUMNS, FieldPsfs

@@ -15,7 +15,6 @@ from coded_aperture_ros.calibration.planes.field import fit_field
 from coded_aperture_ros.calibration.planes.folder import add_plane, listed_depths_m, load_planes
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.cli.calibrate_field import field_summary, field_text, misplaced_planes
-from coded_aperture_ros.cli.checks import check_output, check_suffix, input_files
 from coded_aperture_ros.cli.command import Command, UsageError, argument, group
 from coded_aperture_ros.cli.plane_pictures import (
     MASK_FILE,
@@ -23,13 +22,13 @@ from coded_aperture_ros.cli.plane_pictures import (
     check_size,
     write_report,
 )
-from coded_aperture_ros.cli.results import Summary, print_summary, rounded
+from coded_aperture_ros.cli.results import Summary, input_files, print_summary
 from coded_aperture_ros.cli.rules import excludes, only_with, required
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.files import atomic_outputs
+from coded_aperture_ros.core.files import atomic_outputs, check_output, check_suffix
 from coded_aperture_ros.core.progress import progress
-from coded_aperture_ros.core.text import table
+from coded_aperture_ros.core.text import rounded, table
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera, save_bank
 from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.optics.camera_file import camera_entries

@@ -12,16 +12,15 @@ from coded_aperture_ros.calibration.pictures import psf_picture
 from coded_aperture_ros.calibration.psf.centre import CentredPsf
 from coded_aperture_ros.calibration.psf.dots import DotPsf, psf_from_dots
 from coded_aperture_ros.calibration.psf.stack import psf_stack
-from coded_aperture_ros.cli.checks import check_output, input_files
 from coded_aperture_ros.cli.command import Command, UsageError, argument
 from coded_aperture_ros.cli.plane_pictures import pictures_in
 from coded_aperture_ros.cli.reading import GammaArguments, read_numbers
-from coded_aperture_ros.cli.results import Summary, print_summary, rounded
+from coded_aperture_ros.cli.results import Summary, input_files, print_summary
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
-from coded_aperture_ros.core.files import atomic_outputs
+from coded_aperture_ros.core.files import atomic_outputs, check_output
 from coded_aperture_ros.core.progress import progress
-from coded_aperture_ros.core.text import table
+from coded_aperture_ros.core.text import rounded, table
 from coded_aperture_ros.io import read_image, write_image
 from coded_aperture_ros.optics import PsfStack, load_camera, load_mask
 

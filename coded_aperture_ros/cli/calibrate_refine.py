@@ -9,14 +9,13 @@ import numpy as np
 import yaml
 
 from coded_aperture_ros.calibration.service.refine import Refined, refine_camera
-from coded_aperture_ros.cli.checks import check_output, check_suffix
 from coded_aperture_ros.cli.command import Command, argument
 from coded_aperture_ros.cli.frames import decode
 from coded_aperture_ros.cli.reading import PixelArguments
 from coded_aperture_ros.cli.results import Summary, print_summary
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
-from coded_aperture_ros.core.files import atomic_outputs
+from coded_aperture_ros.core.files import atomic_outputs, check_output, check_suffix
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.frames import grey_image
 from coded_aperture_ros.optics import Camera, load_camera

@@ -9,11 +9,10 @@ import yaml
 
 from coded_aperture_ros.calibration.prescription.fit import traced_camera
 from coded_aperture_ros.calibration.prescription.lens import load_lens
-from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.cli.command import Command, argument
 from coded_aperture_ros.cli.results import Summary, print_summary
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.core.files import atomic_output, check_output
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.optics.camera_file import camera_entries
 

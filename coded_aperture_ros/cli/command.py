@@ -81,12 +81,13 @@ def argument(
     return dataclasses.field(default=default, metadata={"option": known})
 
 
-def group(title: str, default: Any) -> Any:
+def group(title: str, default: Any, *, without: Sequence[str] = ()) -> Any:
     """Declare a field that is a dataclass: its options are shown together below a title.
 
-    `default` is an instance, whose values are the defaults of the options.
+    `default` is an instance, whose values are the defaults of the options; the fields `without`
+    are no options of the command.
     """
-    return dataclasses.field(default=default, metadata={"group": title})
+    return dataclasses.field(default=default, metadata={"group": title, "without": without})
 
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:

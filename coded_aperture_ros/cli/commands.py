@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from coded_aperture_ros.cli.extension import BENCH, VIEW
+from coded_aperture_ros.cli.extension import BENCH, VIEWER
 from coded_aperture_ros.cli.table import Actions, Entry, OldEntry
 
 _DESIGN = Entry(
@@ -79,10 +79,10 @@ COMMANDS: dict[str, Any] = {
     "learn": Entry(
         "learn", "learn a filter bank from a camera file, a mask, measured PSFs or planes"
     ),
-    "depth": OldEntry("depth", "estimate depth from coded frames"),
-    "deblur": OldEntry("deblur", "make all-in-focus frames from coded frames and depth"),
+    "depth": Entry("depth", "estimate depth from coded frames"),
+    "deblur": Entry("deblur", "make all-in-focus frames from coded frames and depth"),
     "simulate": Entry("simulate", "render a coded frame from a sharp picture and its depth"),
     "bag": OldEntry("bag", "estimate depth of a recorded bag, and score it"),
-    "view": VIEW,
+    "view": Entry("view", VIEWER.help),
     "bench": BENCH,
 }

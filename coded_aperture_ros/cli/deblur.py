@@ -1,197 +1,259 @@
 """`coded_aperture deblur`: all-in-focus frames from coded frames and depth."""
 
-import argparse
 import dataclasses
 import json
 import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.estimators import CAMERA_OPTION, fit_camera
+import numpy as np
+
+from coded_aperture_ros.cli.command import Command, argument, group
+from coded_aperture_ros.cli.estimation import fit_camera
+from coded_aperture_ros.cli.estimation_arguments import CameraArguments
 from coded_aperture_ros.cli.frames import (
+    InputArguments,
     NamedFrame,
-    Unusable,
-    add_input_options,
+    Outputs,
+    SkippedInputs,
     named_frames,
-    suitable,
 )
-from coded_aperture_ros.cli.options import add_gamma_option, add_options, config_from, settings_of
-from coded_aperture_ros.cli.stereo_output import StereoOutput, add_stereo_options
+from coded_aperture_ros.cli.rules import needs, only_with
+from coded_aperture_ros.cli.stereo_output import StereoArguments, StereoOutput
+from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.progress import progress
+from coded_aperture_ros.deblur import DeblurConfig, Uncertainty, covers_frame, make_deblurrer
+from coded_aperture_ros.depth import DepthConfig, blur_sizes_px
+from coded_aperture_ros.frames import KnownNoise
+from coded_aperture_ros.io import PICTURE_SUFFIXES, read_depth, write_image
+from coded_aperture_ros.likelihood.bank import FilterBank, check_setting, load_bank
+from coded_aperture_ros.optics import Camera, load_camera
+from coded_aperture_ros.optics.camera_file import camera_files
+from coded_aperture_ros.pipeline import FramePipeline
 
-_EPILOG = """examples:
+_EXAMPLES = """examples:
   with the depth estimated from the frame itself:
     coded_aperture deblur --bank bank.npz --depth auto coded.png -o sharp.png
   with a depth map, and as a 3D picture for red-cyan glasses too:
     coded_aperture deblur --bank bank.npz --depth depth.npy coded.png -o sharp.png \\
         --anaglyph 3d.png
-  and what each opening of the mask sees, and a video on the way around them:
+  and what each opening of the mask sees:
     coded_aperture deblur --bank bank.npz --camera config/demo_camera.yaml --depth depth.npy \\
         coded.png -o sharp.png --views views/
   with what depth --motion has found of a moving scene:
     coded_aperture deblur --bank bank.npz --depth moving.npy --motion moving.motion.npy \\
         --method cg coded.png -o sharp.png
 """
+_AUTO = "auto"
 # What --std-dev writes beside a picture, and the steps of grey of the second.
-_BESIDE, _GREY = {"std_dev": ".uncertainty.npy", "kind": ".kind.png"}, 127
+_STD_DEV = ".uncertainty.npy"
+_KIND = ".kind.png"
+_GREY = 127
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the sub-command to the program's parser."""
-    parser = subparsers.add_parser(
-        "deblur",
-        help="make all-in-focus frames from coded frames and depth",
-        description="Remove the blur of every pixel according to its depth. PNG pictures are "
-        "written with 16 bits in linear light, which look dark in most viewers; with --gamma they "
-        "are written, like the input, with 8 bits in that encoding.",
-        epilog=_EPILOG,
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arguments(InputArguments, CameraArguments):
+    """Arguments of `deblur`."""
+
+    output: str = argument(
+        "all-in-focus picture, or a folder for one .png per frame", written="-o --output OUT"
     )
-    add_input_options(parser, "all-in-focus picture, or a folder for one .png per frame")
-    needed = {
-        "--bank NPZ": "filter bank, see learn",
-        "--depth FILE|auto": "depth map in m (.npy, .tiff) or mm (16-bit .png) for all frames; "
-        "auto estimates it",
-    }
-    motion = {
-        "--motion NPY": "motion during the exposure, px, [row, column, right and down], as depth "
-        "--motion writes it; removed too, by --method cg or sparse"
-    }
-    add_options(parser, needed, required=True)
-    add_options(parser, CAMERA_OPTION | motion)
-    beside = "write OUT.uncertainty.npy, standard deviations in linear light, and OUT.kind.png, in "
-    beside += "which pixels are black that were made up, uncertain ones grey, and seen ones white"
-    add_options(parser, {"--std-dev": beside})
-    add_stereo_options(parser)
-    add_gamma_option(parser)
-    add_options(parser, {"--json": "print a summary as JSON"})
-    parser.add_late_options = settings_of({"deblur.DeblurConfig": "deblurring"}, threads=None)
+    bank: str = argument("filter bank, see learn", written="--bank NPZ")
+    depth: str = argument(
+        "depth map in m (.npy, .tiff) or mm (16-bit .png) for all frames; auto estimates it",
+        written="--depth FILE|auto",
+    )
+    motion: str | None = argument(
+        "motion during the exposure, px, [row, column, right and down], as depth --motion writes "
+        "it; removed too, by --method cg or sparse",
+        None,
+        written="--motion NPY",
+        daily=False,
+    )
+    std_dev: bool = argument(
+        "write OUT.uncertainty.npy, standard deviations in linear light, and OUT.kind.png, in "
+        "which pixels are black that were made up, uncertain ones grey, and seen ones white",
+        False,
+    )
+    threads: int | None = argument(
+        "threads of the processor, at most as many as it has cores; 0: so many, but no more than "
+        "four (default: 1 for the filters, 0 for --depth auto)",
+        None,
+        written="--threads N",
+        minimum=0,
+        maximum=1024,
+        daily=False,
+    )
+    json: bool = argument("print a summary as JSON", False)
+    stereo_output: StereoArguments = group(
+        "3D pictures: 8 bits, sRGB or as --gamma says, .npy linear; folders where OUT is one",
+        StereoArguments(),
+    )
+    deblurring: DeblurConfig = group("deblurring", DeblurConfig(), without=("threads",))
+
+    @property
+    def config(self) -> DeblurConfig:
+        """Settings of deblurring."""
+        if self.threads is None:
+            return self.deblurring
+        return dataclasses.replace(self.deblurring, threads=self.threads)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Run the sub-command; return its exit status."""
-    from coded_aperture_ros.io import PICTURE_SUFFIXES, write_image
-    from coded_aperture_ros.likelihood.bank import load_bank
-    from coded_aperture_ros.optics import load_camera
+_RULES = (
+    needs("--motion", "--method cg | --method sparse"),
+    only_with("--parallax", "--anaglyph", "--stereo"),
+    needs("--views", "--camera"),
+)
 
+
+def run(args: Arguments) -> int:
+    """Write the all-in-focus picture of every frame; return the exit status."""
     bank = load_bank(args.bank)
     camera = load_camera(args.camera) if args.camera else None
-    stereo = StereoOutput(args, bank.stack, camera)
-    restore, reset, uncertainty = _restorer(args, bank, camera)
-
-    def beside(output: Path) -> dict[str, Path]:
-        return {name: output.with_suffix(_BESIDE[name]) for name in _BESIDE if args.std_dev}
-
-    def outputs(output: Path) -> list[Path]:
-        return [*stereo.outputs(output), *beside(output).values()]
-
+    with naming(args.bank):
+        stereo = StereoOutput(args.stereo_output, args.output, args.gamma, bank.stack, camera)
+    restorer = _Restorer(args, bank, camera)
     encoding: dict[str, Any] = {} if args.gamma == 1 else {"bits": 8, "gamma": args.gamma}
-    summaries = []
-    unusable = Unusable()
+
+    def files(output: Path) -> list[Path]:
+        beside = [output.with_suffix(_STD_DEV), output.with_suffix(_KIND)] if args.std_dev else []
+        return [*stereo.outputs(output), *beside]
+
+    skipped = SkippedInputs()
+    summaries: list[dict[str, Any]] = []
     video: int | None = None
-    for frame in named_frames(args, ".png", PICTURE_SUFFIXES, outputs, unusable):
-        if frame.video != video:
-            reset()
-            video = frame.video
+    outputs = Outputs(args.output, ".png", PICTURE_SUFFIXES, files, _files_read(args))
+    for named in named_frames(args, outputs, skipped):
+        if named.video != video:
+            restorer.reset()
+            video = named.video
         start = time.perf_counter()
         try:
-            with naming(frame.source):
-                suitable(frame, bank)
-                stereo.check(frame.frame.light)
-                sharp, blur_size_px = restore(frame)
+            with naming(named.source):
+                named.suited(bank)
+                stereo.check(named.frame.shape)
+                sharp, blur_size_px = restorer.restored(named)
                 seconds = time.perf_counter() - start
-                if args.std_dev:
-                    found = uncertainty(frame.frame.picture, sharp, blur_size_px)
+                found = restorer.uncertainty(named, sharp, blur_size_px) if args.std_dev else None
         except InputError as error:
-            unusable.note(error)
+            skipped.note(error)
             continue
-        write_image(frame.output, sharp, **encoding)
-        written = {name: str(path) for name, path in beside(frame.output).items()}
-        if written:
-            write_image(written["std_dev"], found.std_dev)
-            write_image(written["kind"], (_GREY * found.kind).astype("uint8"))
-        written |= stereo.write(frame.output, sharp, blur_size_px)
-        summaries.append({"output": str(frame.output), "seconds": round(seconds, 3), **written})
+        write_image(named.output, sharp, **encoding)
+        summary: dict[str, Any] = {"output": str(named.output), "seconds": round(seconds, 3)}
+        if found is not None:
+            summary |= _write_uncertainty(found, named.output)
+        summary |= stereo.write(named.output, sharp, blur_size_px)
+        summaries.append(summary)
         if not args.json:
-            print(f"{frame.output}: deblurred in {seconds:.2f} s")
+            print(f"{named.output}: deblurred in {seconds:.2f} s")
     if args.json:
         print(json.dumps(summaries))
-    return unusable.status()
+    return skipped.status()
 
 
-def _restorer(
-    args: argparse.Namespace, bank: Any, camera: Any
-) -> tuple[Callable[[NamedFrame], tuple[Any, Any]], Callable[[], None], Callable[..., Any]]:
-    """Return what makes pictures and maps of blur sizes, what begins a video, what tells errors."""
-    from coded_aperture_ros.deblur import DeblurConfig, covers_frame, make_deblurrer
-    from coded_aperture_ros.depth import DepthConfig, blur_sizes_px
-    from coded_aperture_ros.frames import KnownNoise
-    from coded_aperture_ros.likelihood.bank import check_setting
-    from coded_aperture_ros.pipeline import FramePipeline
+def _files_read(args: Arguments) -> list[Path]:
+    """Files that the options name."""
+    given = [Path(args.bank), *([Path(args.motion)] if args.motion else [])]
+    if args.depth != _AUTO:
+        given.append(Path(args.depth))
+    return [*given, *(camera_files(args.camera) if args.camera else ())]
 
-    motion_px = _motion(args)
-    config = config_from(args, DeblurConfig)
-    noise = dataclasses.asdict(KnownNoise.of(config, camera, bank))
-    config = dataclasses.replace(config, **noise)
-    iterations = partial(progress, unit="iteration")
-    deblurrer = make_deblurrer(bank, config, iterations)
-    if camera is not None:
-        with naming(args.camera):
-            camera = check_setting(bank, camera)
-    given: Any = None if args.depth == "auto" else _known_depths(args, bank, camera)
-    pipeline: Any = None
-    if given is None:
-        shared = {"saturation": config.saturation, "network": config.network}
+
+def _write_uncertainty(found: Uncertainty, output: Path) -> dict[str, str]:
+    """Write how far a picture can be relied on; return the files."""
+    files = {"std_dev": output.with_suffix(_STD_DEV), "kind": output.with_suffix(_KIND)}
+    write_image(files["std_dev"], found.std_dev)
+    write_image(files["kind"], (_GREY * found.kind).astype(np.uint8))
+    return {name: str(path) for name, path in files.items()}
+
+
+class _Restorer:
+    """Makes all-in-focus pictures and the maps of blur sizes that they were made with."""
+
+    def __init__(self, args: Arguments, bank: FilterBank, camera: Camera | None) -> None:
+        self._args = args
+        self._bank = bank
+        self._motion_px = None if args.motion is None else _load_motion(args.motion)
+        noise = dataclasses.asdict(KnownNoise.of(args.config, camera, bank))
+        config = dataclasses.replace(args.config, **noise)
+        iterations = partial(progress, unit="iteration")
+        self._deblurrer = make_deblurrer(bank, config, iterations)
+        if camera is not None:
+            with naming(args.camera):
+                camera = check_setting(bank, camera)
+        self._camera = camera
+        self._depth_m: FloatArray | None = None
+        self._pipeline: FramePipeline | None = None
+        if args.depth != _AUTO:
+            self._depth_m = _known_depths(args, bank, camera)
+            return
         # A picture from depth that is not sure shows that itself.
-        depth = DepthConfig(**noise, **shared, threads=args.threads or 0, check_fit=False)
+        depth = DepthConfig(
+            **noise,
+            saturation=config.saturation,
+            network=config.network,
+            threads=args.threads or 0,
+            check_fit=False,
+        )
         with naming(args.camera or args.bank):
-            pipeline = FramePipeline(bank, camera, depth, config, iterations)
+            self._pipeline = FramePipeline(bank, camera, depth, config, iterations)
 
-    def restored(named: NamedFrame) -> tuple[Any, Any]:
+    def reset(self) -> None:
+        """Forget the frames so far: another video begins."""
+        self._deblurrer.reset()
+        if self._pipeline is not None:
+            self._pipeline.reset()
+
+    def restored(self, named: NamedFrame) -> tuple[FloatArray, FloatArray]:
+        """All-in-focus picture of a frame, and its blur sizes, px."""
         frame = named.frame
-        fitted = fit_camera(args, pipeline, camera, frame.light)
-        blur_size_px: Any = None if given is None else blur_sizes_px(bank, fitted, given)
-        if given is None:
-            estimate = pipeline(frame)
+        camera = fit_camera(self._pipeline, self._camera, frame.shape)
+        if self._pipeline is not None:
+            estimate = self._pipeline(frame)
             blur_size_px = estimate.blur_size_px
-            if motion_px is None:
-                return pipeline.deblur(frame, estimate), blur_size_px
-        elif not covers_frame(given.shape, frame.shape):
-            of_map, of_frame = (f"{x.shape[1]} x {x.shape[0]}" for x in (given, frame))
+            if self._motion_px is None:
+                return self._pipeline.deblur(frame, estimate), blur_size_px
+        else:
+            blur_size_px = self._known_blur_size_px(frame.shape, camera)
+        picture = self._deblurrer.deblur(frame.picture, blur_size_px, motion_px=self._motion_px)
+        return picture, blur_size_px
+
+    def _known_blur_size_px(self, shape: Shape, camera: Camera | None) -> FloatArray:
+        """Blur sizes of the depth map that was given, for frames of a shape."""
+        blur_size_px = None
+        if self._depth_m is not None:
+            blur_size_px = blur_sizes_px(self._bank, camera, self._depth_m)
+        if self._depth_m is None or blur_size_px is None:
+            raise InputError("no depth")
+        if not covers_frame(self._depth_m.shape, shape):
+            of_map, of_frame = (f"{x[1]} x {x[0]}" for x in (self._depth_m.shape, shape))
             raise InputError(
-                f"the depth map {args.depth} has {of_map} pixels, this frame {of_frame}: it must "
-                "be of this size, or of this shape and smaller"
+                f"the depth map {self._args.depth} has {of_map} pixels, this frame {of_frame}: it "
+                "must be of this size, or of this shape and smaller"
             )
-        return deblurrer.deblur(frame.picture, blur_size_px, motion_px=motion_px), blur_size_px
+        return blur_size_px
 
-    reset = deblurrer.reset if pipeline is None else pipeline.reset
-    return restored, reset, deblurrer.uncertainty
+    def uncertainty(
+        self, named: NamedFrame, sharp: FloatArray, blur_size_px: FloatArray
+    ) -> Uncertainty:
+        """How far each pixel of an all-in-focus picture can be relied on."""
+        return self._deblurrer.uncertainty(named.frame.picture, sharp, blur_size_px)
 
 
-def _motion(args: argparse.Namespace) -> Any:
-    """Return the map of motion for all frames; None if there is none."""
-    import numpy as np
-
-    if args.motion is None:
-        return None
-    if args.method in ("fast", "inverse"):
-        args.usage_error(f"--motion: --method {args.method} removes no motion, use cg or sparse")
+def _load_motion(path: str) -> FloatArray:
+    """Map of motion for all frames."""
     try:
-        return np.lib.format.open_memmap(args.motion, mode="r")
+        motion_px: FloatArray = np.lib.format.open_memmap(path, mode="r")
     except (OSError, ValueError, EOFError) as error:
         what = "expected a .npy as depth --motion writes it"
-        raise InputError(f"cannot read motion {args.motion}: {what}") from error
+        raise InputError(f"cannot read motion {path}: {what}") from error
+    return motion_px
 
 
-def _known_depths(args: argparse.Namespace, bank: Any, camera: Any) -> Any:
-    """Return the file's depths, of which blur sizes can be made."""
-    import numpy as np
-
-    from coded_aperture_ros.depth import blur_sizes_px
-    from coded_aperture_ros.io import read_depth
-
+def _known_depths(args: Arguments, bank: FilterBank, camera: Camera | None) -> FloatArray:
+    """Depths of the file, m, of which blur sizes can be made."""
     depth_m = read_depth(args.depth)
     blur_size_px = blur_sizes_px(bank, camera, depth_m)
     if blur_size_px is None:
@@ -200,3 +262,14 @@ def _known_depths(args: argparse.Namespace, bank: Any, camera: Any) -> Any:
     if not np.isfinite(blur_size_px).any():
         raise InputError(f"{args.depth}: no pixel has a known depth")
     return depth_m
+
+
+COMMAND = Command(
+    Arguments,
+    run,
+    description="Remove the blur of every pixel according to its depth. PNG pictures are written "
+    "with 16 bits in linear light, which look dark in most viewers; with --gamma they are written, "
+    "like the input, with 8 bits in that encoding.",
+    examples=_EXAMPLES,
+    rules=_RULES,
+)

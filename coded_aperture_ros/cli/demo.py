@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.cli.command import Command, argument
 from coded_aperture_ros.cli.demo_processes import Children
 from coded_aperture_ros.cli.demo_report import (
@@ -22,6 +21,7 @@ from coded_aperture_ros.cli.demo_report import (
     write_results,
 )
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.files import check_output
 from coded_aperture_ros.core.share import (
     SHARED_MEMORY_MB,
     private_network,

@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coded_aperture_ros.cli.results import rounded
+from coded_aperture_ros.core.text import rounded
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, input_files
 from coded_aperture_ros.cli.command import Command, argument, group
-from coded_aperture_ros.cli.results import Summary, print_summary
+from coded_aperture_ros.cli.results import Summary, input_files, print_summary
 from coded_aperture_ros.core.errors import naming
-from coded_aperture_ros.core.files import atomic_outputs
+from coded_aperture_ros.core.files import atomic_outputs, check_output
 from coded_aperture_ros.design import (
     DesignConfig,
     best_settings,

@@ -47,6 +47,6 @@ _BENCHMARKS = "benchmarks", "coded_aperture_benchmarks"
 BENCH = Extension(
     "bench", *_BENCHMARKS, "measure accuracy on frames whose truth is known, and speed"
 )
-VIEW = Extension(
+VIEWER = Extension(
     "view", "viewer", "coded_aperture_viewer", "show a camera, a video or a bag live in the browser"
 )

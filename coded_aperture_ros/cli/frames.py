@@ -1,6 +1,5 @@
 """Input frames and output names that `depth` and `deblur` share."""
 
-import argparse
 import dataclasses
 import logging
 import re
@@ -11,11 +10,25 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output, inputs_of
-from coded_aperture_ros.cli.options import add_bits_option, add_mosaic_option
+from coded_aperture_ros.cli.command import argument
+from coded_aperture_ros.cli.reading import PixelArguments
 from coded_aperture_ros.core.errors import InputError, naming
+from coded_aperture_ros.core.files import check_output
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.frames import Frame, PixelFormat, resampled
+from coded_aperture_ros.likelihood.bank import FilterBank, check_frame_size
+from coded_aperture_ros.sources import Capture, PictureSource, captures, open_files
+from coded_aperture_ros.sources.files import FileSource
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class InputArguments(PixelArguments):
+    """Inputs of `depth` and `deblur`."""
+
+    inputs: tuple[str, ...] = argument(
+        "picture, .npy, folder of pictures, video, or bag (with #TOPIC: bag:PATH#TOPIC)",
+        written="INPUT",
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,44 +46,30 @@ class NamedFrame:
     video: int
     size: tuple[int, int] | None = None
 
-
-def add_input_options(parser: argparse.ArgumentParser, output_help: str) -> None:
-    """Add the inputs, the output and what they have in common."""
-    what = "picture, .npy, folder of pictures, video, or bag (with #TOPIC: bag:PATH#TOPIC)"
-    parser.add_argument("inputs", nargs="+", metavar="INPUT", help=what)
-    add_mosaic_option(parser)
-    add_bits_option(parser)
-    parser.add_argument("-o", "--output", required=True, metavar="OUT", help=output_help)
-
-
-def suitable(named: NamedFrame, bank: Any, scale: float = 1.0) -> NamedFrame:
-    """Resample a frame by a scale; an `InputError` if its size is not the bank's."""
-    from coded_aperture_ros.likelihood.bank import check_frame_size
-
-    size = named.frame.shape
-    if scale != 1:
-        # The picture keeps its size, as the maps do.
-        small = dataclasses.replace(named.frame, light=resampled(named.frame.light, scale))
-        colour = named.frame.picture
-        named = dataclasses.replace(
-            named, frame=dataclasses.replace(small, colour=colour), size=size
-        )
-    if bank is not None:
-        height, width = named.frame.shape
-        check_frame_size(bank, width, height, size[::-1])
-    return named
+    def suited(self, bank: FilterBank | None, scale: float = 1.0) -> "NamedFrame":
+        """Return it resampled by a scale; an `InputError` if its size is not the bank's."""
+        named, size = self, self.frame.shape
+        if scale != 1:
+            # The picture keeps its size, as the maps do.
+            small = resampled(self.frame.light, scale)
+            frame = dataclasses.replace(self.frame, light=small, colour=self.frame.picture)
+            named = dataclasses.replace(self, frame=frame, size=size)
+        if bank is not None:
+            height, width = named.frame.shape
+            check_frame_size(bank, width, height, size[::-1])
+        return named
 
 
-class Unusable:
+class SkippedInputs:
     """Takes down pictures that cannot be used; one by itself ends the command."""
 
     def __init__(self) -> None:
-        self.alone = True
+        self.fail_fast = True
         self._reasons: list[str] = []
 
     def note(self, error: InputError) -> None:
         """Go on after an error, or raise it."""
-        if self.alone:
+        if self.fail_fast:
             raise error
         self._reasons.append(str(error))
 
@@ -81,91 +80,132 @@ class Unusable:
         return int(bool(self._reasons))
 
 
+@dataclasses.dataclass(frozen=True)
+class Outputs:
+    """Where results go: to the output itself where it names a file, or else into a folder.
+
+    Attributes
+    ----------
+    output : str
+    suffix : str
+        Of the files in a folder, which are named like their frames.
+    suffixes : sequence of str
+        What the name of a single file may end in.
+    files : callable
+        From the path of a result to those of all files that belong to it.
+    read : sequence of Path
+        Files that the command reads beside its inputs: they must not be overwritten.
+    """
+
+    output: str
+    suffix: str
+    suffixes: Sequence[str]
+    files: Callable[[Path], Iterable[Path]]
+    read: Sequence[Path]
+
+    @property
+    def is_file(self) -> bool:
+        """Whether the output is a file, not a folder."""
+        path = Path(self.output)
+        return bool(path.suffix) and not self.output.endswith("/") and not path.is_dir()
+
+    def path(self, name: str) -> Path:
+        """Path of the result of a frame with a name."""
+        return Path(self.output) if self.is_file else Path(self.output, f"{name}{self.suffix}")
+
+    def check(self, total: int | None) -> None:
+        """Raise `InputError` if so many frames, None: not known, cannot go there."""
+        if not self.is_file:
+            return
+        if Path(self.output).suffix.lower() not in self.suffixes:
+            known = ", ".join(self.suffixes)
+            raise InputError(
+                f"{self.output}: unknown format, use {known}, or end a folder's name with /"
+            )
+        if total != 1:
+            raise InputError(
+                f"{self.output}: {'several' if total is None else total} frames do not fit into "
+                "one file, name a folder"
+            )
+
+
 def named_frames(
-    args: argparse.Namespace,
-    suffix: str,
-    suffixes: Sequence[str],
-    outputs: Callable[[Path], Iterable[Path]],
-    unusable: Unusable,
+    args: InputArguments, outputs: Outputs, skipped: SkippedInputs
 ) -> Iterator[NamedFrame]:
     """Go through every frame of every input.
 
-    A single frame goes to the output itself where that names a file, which may end in one of
-    `suffixes`; otherwise the output is a folder that gets one file per frame, named like the frame,
-    that ends in `suffix`. `outputs` gives all the files that belong to an output. That they can be
-    written is checked before a frame is handed out; those of pictures, before the first. Raises
-    `InputError` if several frames would go to one file, an input cannot be read, or an output
-    cannot be written or would overwrite an input. Of several pictures, those that cannot be read
-    are left to `unusable`.
-    """
-    from coded_aperture_ros.sources import PictureSource, captures, open_files
+    That results can be written is checked before a frame is handed out; those of pictures, before
+    the first. Of several pictures, those that cannot be read are left to `skipped`.
 
+    Raises
+    ------
+    InputError
+        If several frames would go to one file, an input cannot be read, or an output cannot be
+        written or would overwrite an input.
+    """
     with ExitStack() as opened:
         sources = [opened.enter_context(closing(open_files(given))) for given in args.inputs]
         lengths = [source.length for source in sources]
         total = None if None in lengths else sum(length or 0 for length in lengths)
-        output = Path(args.output)
-        to_file = output.suffix and not args.output.endswith("/") and not output.is_dir()
-        if to_file and output.suffix.lower() not in suffixes:
-            known = ", ".join(suffixes)
-            raise InputError(
-                f"{output}: unknown format, use {known}, or end a folder's name with /"
-            )
-        if to_file and total != 1:
-            raise InputError(
-                f"{output}: {'several' if total is None else total} frames do not fit into one "
-                "file, name a folder"
-            )
-        pictures = [source for source in sources if isinstance(source, PictureSource)]
-        names = Counter(file.stem for source in pictures for file in source.files)
-        # Frames of these are numbered.
-        others = Counter(source.files[0].stem for source in sources if source not in pictures)
-        twice = [name for name, count in [*names.items(), *others.items()] if count > 1]
-        # A picture may be named like a frame of these.
-        numbered = [re.fullmatch(r"(.+)_\d{6,}", name) for name in names]
-        if twice := twice + [found[0] for found in numbered if found and found[1] in others]:
-            raise InputError(
-                f"{output}: several inputs are named {twice[0]}, and so would their results be: "
-                "use a folder for each"
-            )
-        unusable.alone = total == 1 or len(pictures) < len(sources)
-        files = [file for source in sources for file in source.files]
-        files += inputs_of(args, "bank", "camera", "depth", "motion", "refocused_frame")
-
-        def target_of(name: str) -> Path:
-            return output if to_file else output / f"{name}{suffix}"
-
-        of_pictures = [path for name in names for path in outputs(target_of(name))]
-        check_output(of_pictures, files)
-
-        def frames() -> Iterator[tuple[str, Any, int]]:
-            video, alone = 0, False
-            for given, source in zip(args.inputs, sources, strict=True):
-                before = alone
-                alone = isinstance(source, PictureSource) and source.files == (Path(given),)
-                video += not (before and alone)
-                for capture in captures(source, unusable.note):
-                    yield given if alone else f"{given}, frame {capture.name}", capture, video
-                if source.damage:
-                    logging.warning(f"{given}: read up to the damage: {source.damage}")
-
-        for given, capture, video in progress(frames(), total, "frame"):
-            target = target_of(capture.name)
+        outputs.check(total)
+        names = _picture_names(sources, outputs)
+        pictures = [isinstance(source, PictureSource) for source in sources]
+        skipped.fail_fast = total == 1 or not all(pictures)
+        read = [*(file for source in sources for file in source.files), *outputs.read]
+        of_pictures = [path for name in names for path in outputs.files(outputs.path(name))]
+        check_output(of_pictures, read)
+        found = _captures(args, sources, skipped)
+        for given, capture, video in progress(found, total, "frame"):
+            target = outputs.path(capture.name)
             if capture.name not in names:
-                check_output(outputs(target), files, others=of_pictures)
+                check_output(outputs.files(target), read, others=of_pictures)
             try:
                 with naming(given):
                     frame = decode(capture, args)
             except InputError as error:
-                unusable.note(error)
+                skipped.note(error)
                 continue
             yield NamedFrame(given, target, frame, video)
 
 
-def single_frame(path: str, args: argparse.Namespace) -> Frame:
-    """Only frame of a file, read as inputs are."""
-    from coded_aperture_ros.sources import captures, open_files
+def _picture_names(sources: Sequence[FileSource[Any]], outputs: Outputs) -> list[str]:
+    """Names of the pictures among the inputs; an `InputError` if two results had one name."""
+    names: Counter[str] = Counter()
+    others: Counter[str] = Counter()  # frames of these are numbered
+    for source in sources:
+        if isinstance(source, PictureSource):
+            names.update(file.stem for file in source.files)
+        else:
+            others.update([source.files[0].stem])
+    twice = [name for name, count in [*names.items(), *others.items()] if count > 1]
+    # A picture may be named like a frame of a video.
+    numbered = [re.fullmatch(r"(.+)_\d{6,}", name) for name in names]
+    twice += [found[0] for found in numbered if found and found[1] in others]
+    if twice:
+        raise InputError(
+            f"{outputs.output}: several inputs are named {twice[0]}, and so would their results "
+            "be: use a folder for each"
+        )
+    return list(names)
 
+
+def _captures(
+    args: InputArguments, sources: Sequence[FileSource[Any]], skipped: SkippedInputs
+) -> Iterator[tuple[str, Capture, int]]:
+    """Yield what every frame is called, the frame as it is stored, and the number of its video."""
+    video, alone = 0, False
+    for given, source in zip(args.inputs, sources, strict=True):
+        before = alone
+        alone = isinstance(source, PictureSource) and source.files == (Path(given),)
+        video += not (before and alone)
+        for capture in captures(source, skipped.note):
+            yield given if alone else f"{given}, frame {capture.name}", capture, video
+        if source.damage:
+            logging.warning(f"{given}: read up to the damage: {source.damage}")
+
+
+def single_frame(path: str, args: PixelArguments) -> Frame:
+    """Only frame of a file, read as inputs are."""
     with closing(open_files(path)) as source, naming(path):
         found = [decode(capture, args) for capture in captures(source)]
     if len(found) != 1:
@@ -173,6 +213,6 @@ def single_frame(path: str, args: argparse.Namespace) -> Frame:
     return found[0]
 
 
-def decode(capture: Any, args: Any) -> Frame:
+def decode(capture: Capture, args: PixelArguments) -> Frame:
     """Frame of a capture, as the options say that its pixels are stored."""
-    return capture.decode(PixelFormat(args.gamma, args.bits, args.bayer or ""))
+    return capture.decode(PixelFormat(args.gamma, args.bits, args.bayer))

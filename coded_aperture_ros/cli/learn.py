@@ -8,13 +8,14 @@ import numpy as np
 
 from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_planes
 from coded_aperture_ros.calibration.planes.folder import load_folder
-from coded_aperture_ros.cli.checks import check_output, input_files
 from coded_aperture_ros.cli.command import Command, UsageError, argument, group
 from coded_aperture_ros.cli.reading import GammaArguments, read_numbers
-from coded_aperture_ros.cli.results import Summary, print_summary, rounded
+from coded_aperture_ros.cli.results import Summary, input_files, print_summary
 from coded_aperture_ros.cli.rules import excludes, needs, only_with, required
 from coded_aperture_ros.core.errors import naming
+from coded_aperture_ros.core.files import check_output
 from coded_aperture_ros.core.progress import progress
+from coded_aperture_ros.core.text import rounded
 from coded_aperture_ros.depth import side_warning
 from coded_aperture_ros.design.diffraction import diffraction_warning
 from coded_aperture_ros.design.setting import resolutions_m

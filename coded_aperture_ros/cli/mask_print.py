@@ -5,12 +5,12 @@ import logging
 from collections.abc import Callable
 from pathlib import Path
 
-from coded_aperture_ros.cli.checks import check_output, input_files
 from coded_aperture_ros.cli.command import Command, argument
-from coded_aperture_ros.cli.results import print_summary, rounded
+from coded_aperture_ros.cli.results import input_files, print_summary
 from coded_aperture_ros.cli.rules import excludes, required
 from coded_aperture_ros.core.errors import naming
-from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.core.files import atomic_output, check_output
+from coded_aperture_ros.core.text import rounded
 from coded_aperture_ros.design import mask_openings
 from coded_aperture_ros.design.diffraction import airy_width_px, diffraction_warning
 from coded_aperture_ros.design.openings import Openings, narrowest_bar

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.cli.command import Command, argument, group
 from coded_aperture_ros.cli.results import Summary, print_summary
 from coded_aperture_ros.core.arrays import BoolArray
 from coded_aperture_ros.core.cluster import dask_client
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.files import check_output
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.core.text import table
 from coded_aperture_ros.core.workers import processors

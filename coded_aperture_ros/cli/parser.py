@@ -68,7 +68,13 @@ class Field:
         return many
 
 
-def fields_of(arguments: type, default: Any = None, path: str = "", title: str = "") -> list[Field]:
+def fields_of(
+    arguments: type,
+    default: Any = None,
+    path: str = "",
+    title: str = "",
+    without: Sequence[str] = (),
+) -> list[Field]:
     """Return all fields of a dataclass, and those of the dataclasses in it.
 
     `default` is an instance whose values are the defaults, instead of the class' own.
@@ -81,6 +87,8 @@ def fields_of(arguments: type, default: Any = None, path: str = "", title: str =
         key=lambda field: next(at for at, names in enumerate(owners) if field.name in names),
     )
     for field in ordered:
+        if field.name in without:
+            continue
         value = field.default if default is None else getattr(default, field.name)
         name = f"{path}{field.name}"
         if "option" in field.metadata:
@@ -88,7 +96,8 @@ def fields_of(arguments: type, default: Any = None, path: str = "", title: str =
             found.append(Field(name, title, field.metadata["option"], hint, value))
         elif dataclasses.is_dataclass(hint := hints[field.name]):
             below = field.metadata.get("group", title)
-            found += fields_of(hint, value, f"{name}.", below)  # type: ignore[arg-type]
+            left_out = field.metadata.get("without", ())
+            found += fields_of(hint, value, f"{name}.", below, left_out)  # type: ignore[arg-type]
     return found
 
 
@@ -128,6 +137,8 @@ def _built(arguments: Any, default: Any, given: Mapping[str, Any], path: str, fl
         elif dataclasses.is_dataclass(hint := hints[field.name]):
             below = field.default if default is None else getattr(default, field.name)
             values[field.name] = _built(hint, below, given, f"{name}.", flags)
+    if default is not None and all(values[name] is getattr(default, name) for name in values):
+        return default
     try:
         if default is None:
             return arguments(**values)

@@ -2,10 +2,11 @@
 
 import json
 import logging
-import math
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
+
+from coded_aperture_ros.optics.camera_file import camera_files
 
 Summary = Mapping[str, Any]  # numbers and texts by name, as `json` takes them
 
@@ -20,12 +21,13 @@ def print_summary(
     return 0
 
 
-def rounded(value: float, digits: int) -> float | None:
-    """Return a number for JSON, None where it is not finite."""
-    return round(float(value), digits) if math.isfinite(value) else None
-
-
 def write_json(path: Path, summary: Summary) -> None:
     """Write a summary for reading."""
     text = json.dumps(summary, indent=1, allow_nan=False)
     path.write_text(f"{text}\n", encoding="utf-8")
+
+
+def input_files(*paths: str | None, camera: str | None = None) -> list[Path]:
+    """Return the files that are read, of those that are given: also what a camera file names."""
+    given = [Path(path) for path in paths if path]
+    return [*given, *(camera_files(camera) if camera else ())]

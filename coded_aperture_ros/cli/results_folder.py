@@ -5,9 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.cli.checks import check_output
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.core.files import atomic_output, check_output
 from coded_aperture_ros.design.page import finite
 
 RESULTS = "results.json"

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.cli.checks import check_output, check_suffix, input_files
 from coded_aperture_ros.cli.command import Command, argument, group
 from coded_aperture_ros.cli.reading import GammaArguments
-from coded_aperture_ros.cli.results import print_summary
+from coded_aperture_ros.cli.results import input_files, print_summary
 from coded_aperture_ros.cli.rules import excludes, only_with, required
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import naming
-from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.core.files import atomic_output, check_output, check_suffix
 from coded_aperture_ros.design.diffraction import diffraction_warning
 from coded_aperture_ros.frames import View
 from coded_aperture_ros.io import PICTURE_SUFFIXES, read_depth, read_image, write_depth, write_image

@@ -1,5 +1,6 @@
-"""Tables as text."""
+"""Numbers and tables as text."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -28,3 +29,8 @@ def columns(rows: Iterable[Mapping[str, Any]], described: Mapping[str, Any]) -> 
     """
     forms = [form if callable(form) else form.format_map for form in described.values()]
     return table(list(described), [[form(row) for form in forms] for row in rows])
+
+
+def rounded(value: float, digits: int) -> float | None:
+    """Return a number for JSON, None where it is not finite."""
+    return round(float(value), digits) if math.isfinite(value) else None

@@ -405,7 +405,7 @@ def test_frames_of_a_folder_share_the_scale_of_their_parallax(scene, tmp_path, c
         shutil.copy(scene.coded_png, tmp_path / "in" / name)
     scales = []
     monkeypatch.setattr(
-        "coded_aperture_ros.deblur.stereo_pair",
+        "coded_aperture_ros.cli.stereo_output.stereo_pair",
         lambda sharp, _, parallax: (scales.append(parallax), (sharp, sharp))[1],
     )
     arguments = ("--bank", scene.bank, "--depth", "auto", "-o", tmp_path / "out", tmp_path / "in")
@@ -542,9 +542,9 @@ def test_impossible_outputs_are_refused_before_deblurring(
         (("--method", "magic"), "'magic' is not allowed"),
         (("--rank", 1), "--rank: 1 is out of range (2 to 64)"),
         (("--smoothness", 0), "--smoothness: 0.0 is out of range"),
-        (("--parallax", 5), "--parallax only goes with --anaglyph or --stereo"),
-        (("--parallax", 0), "--parallax: expected a number of pixels above 0, got 0"),
-        (("--parallax", "wide"), "--parallax: expected a number of pixels above 0, got wide"),
+        (("--parallax", 5), "--parallax: only with --anaglyph or --stereo"),
+        (("--parallax", 0), "--parallax: 0.0 is out of range (more than 0 px)"),
+        (("--parallax", "wide"), "--parallax: invalid float value: 'wide'"),
     ],
 )
 def test_wrong_usage(scene, tmp_path, capsys, options, phrase):

@@ -91,5 +91,5 @@ def test_views_need_a_mask_and_sizes_in_pixels(scene, tmp_path, capsys):
     views = (*indices, "--views", tmp_path / "v", "--camera", scene.camera)
     refused(call(capsys, *views), "measured.npz: --views needs blur sizes in pixels")
     parallax = call(capsys, *views, "--parallax", 5)
-    wrong_usage(parallax, "deblur", "--parallax only goes with --anaglyph or --stereo")
+    wrong_usage(parallax, "deblur", "--parallax: only with --anaglyph or --stereo")
     assert names(tmp_path) == ["measured.npz"]

@@ -19,11 +19,11 @@ from waiting import scaled, wait_until
 
 aiohttp = pytest.importorskip("aiohttp", reason="the viewer needs aiohttp")
 
-from coded_aperture_viewer import command as view_command  # noqa: E402
 from coded_aperture_viewer.aid import aid_of, wall_of  # noqa: E402
 from coded_aperture_viewer.packet import BEYOND, NEARER, steps  # noqa: E402
 from coded_aperture_viewer.refocus import refocused  # noqa: E402
 from coded_aperture_viewer.settings import LookConfig, Settings  # noqa: E402
+from coded_aperture_viewer.show import Options, make_server  # noqa: E402
 from live_page import CHROMIUM, page_at  # noqa: E402
 
 from coded_aperture_ros.bags import Bag  # noqa: E402
@@ -31,6 +31,7 @@ from coded_aperture_ros.cli.main import main  # noqa: E402
 from coded_aperture_ros.core.errors import InputError  # noqa: E402
 from coded_aperture_ros.deblur import DeblurConfig  # noqa: E402
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate  # noqa: E402
+from coded_aperture_ros.frames import PixelFormat  # noqa: E402
 from coded_aperture_ros.io import read_depth, read_image, write_image  # noqa: E402
 from coded_aperture_ros.optics import Camera, Mask  # noqa: E402
 
@@ -269,8 +270,9 @@ def test_wrong_use_is_told_in_one_line(viewer, capsys, tmp_path):
     assert main(["view", "--port", port, "--no-browser"]) == 1
     assert f"cannot listen on 127.0.0.1, port {port}" in capsys.readouterr().err
     for options, said in (
-        (["video.avi"], "the following arguments are required: --camera"),
-        (["--camera", "no.yaml"], "no.yaml"),
+        (["video.avi"], "required: --camera"),
+        (["--camera", "no.yaml", "--depth-range", "1", "2"], "no.yaml"),
+        (["--camera", "no.yaml"], "required: --depth-range or --bank"),
     ):
         try:
             status = main(["view", "--port", "0", "--no-browser", *options])
@@ -391,10 +393,20 @@ def test_frames_of_another_size_are_refused_and_kept_in_snapshots(tmp_path):
     shape = 2 * CAMERA["image_height"], 2 * CAMERA["image_width"]
     light = np.random.default_rng(0).uniform(0.2, 0.8, shape).astype(np.float32)
     write_image(picture, light)
-    parser = view_command._parser()
-    options = ["--camera", str(camera), "--depth-range", str(NEAR_M), str(FAR_M)]
-    arguments = parser.parse_args([str(picture), *options, "--output", str(tmp_path / "kept")])
-    server, _ = view_command._server(arguments, parser)
+    options = Options(
+        source=str(picture),
+        camera=str(camera),
+        bank=None,
+        depth_range=(NEAR_M, FAR_M),
+        output=tmp_path / "kept",
+        host="127.0.0.1",
+        port=0,
+        rate=15.0,
+        browser=False,
+        pixels=PixelFormat(),
+        depth=DepthConfig(temporal_frames=4.0),
+    )
+    server, _ = make_server(options)
     shown = []
     show = server.live._show
     server.live._show = lambda each: (show(each), shown.append(each))

@@ -1,0 +1,81 @@
+"""Options that choose the method and its settings, which `depth` and `bag` share."""
+
+import dataclasses
+
+from coded_aperture_ros.cli.command import argument, group
+from coded_aperture_ros.cli.rules import excludes, needs, only_with, required
+from coded_aperture_ros.depth import DepthConfig
+from coded_aperture_ros.likelihood.bank import DEFAULT_LEVEL_COUNT
+from coded_aperture_ros.likelihood.choose import METHODS
+from coded_aperture_ros.likelihood.motion import MotionConfig
+from coded_aperture_ros.likelihood.two_pixel import SimpleConfig
+
+_MOTION = "--motion | --method motion"
+_OF_BANK = "a bank has its own, see learn"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CameraArguments:
+    """The camera of `depth`, `bag` and `deblur`."""
+
+    camera: str | None = argument(
+        "camera file, for a bank that does not know its depths; its noise, where it has any, "
+        "stands in for --noise and --noise-gain",
+        None,
+        written="--camera YAML",
+    )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EstimationArguments(CameraArguments):
+    """The method, what each of them needs, and what a gyroscope says of the motion."""
+
+    method: str = argument(
+        "bank: a filter bank, for any mask; simple: a pixel and its neighbours, for a mask of 2 to "
+        "8 equal holes, from --camera and --depth-range alone; motion: bank with --motion",
+        "bank",
+        choices=METHODS,
+    )
+    bank: str | None = argument(
+        "filter bank, see learn; needed with --method bank", None, written="--bank NPZ"
+    )
+    depth_range: tuple[float, float] | None = argument(
+        "with --method simple: depths that are told apart, m",
+        None,
+        written="--depth-range NEAR FAR",
+    )
+    motion: bool = argument("estimate motion blur too, with --method bank", False)
+    angular_velocity: tuple[float, float, float] | None = argument(
+        "with --motion and --camera: of the camera around its axes to the right, down and forward, "
+        "rad/s; only motions near what it lets expect are tried, which is faster",
+        None,
+        written="--angular-velocity X Y Z",
+        daily=False,
+    )
+    exposure: float | None = argument(
+        "with --angular-velocity: exposure time, s", None, written="--exposure S", daily=False
+    )
+    level_count: int = argument(
+        "with --method simple: blur levels in the depth range",
+        DEFAULT_LEVEL_COUNT,
+        written="--level-count N",
+        minimum=2,
+        daily=False,
+    )
+    estimation: DepthConfig = group("estimation", DepthConfig())
+    two_pixel: SimpleConfig = group("with --method simple", SimpleConfig())
+    motions: MotionConfig = group("with --motion", MotionConfig())
+
+
+ESTIMATION_RULES = (
+    required("--bank", "--method simple"),
+    excludes("--motion", "--method simple"),
+    excludes("--bank", "--method simple", note="which has none"),
+    needs("--method simple", "--camera", "--depth-range"),
+    only_with("--depth-range", "--method simple", note="a bank has its own range"),
+    only_with("--level-count", "--method simple", note=_OF_BANK),
+    only_with("two_pixel.*", "--method simple", note=_OF_BANK),
+    only_with("motions.*", _MOTION),
+    only_with("--exposure", "--angular-velocity"),
+    needs("--angular-velocity", _MOTION, "--camera", "--exposure"),
+)
