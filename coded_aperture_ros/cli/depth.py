@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from coded_aperture_ros.cli.command import Command, UsageError
-from coded_aperture_ros.cli.depth_arguments import EXAMPLES, RULES, Arguments
+from coded_aperture_ros.cli.depth_arguments import EXAMPLES, RULES, Arguments, layers_text
 from coded_aperture_ros.cli.depth_pictures import (
     depth_scale,
     frame_beside_depth,
@@ -276,10 +276,9 @@ COMMAND = Command(
     run,
     description="Estimate the depth of every pixel of coded frames. Beside each depth map x.npy "
     "its confidence, 0 to 1, is written to x.confidence.npy; where that is low, the depth is "
-    "unknown (NaN, or 0 in a 16-bit PNG). In m, its standard deviation goes to x.std_dev.npy, the "
-    "bound of --free-space-risk to x.free_space.npy, and --second-surface to x.second.npy and "
-    "x.second_share.npy (not with --as-levels). With levels on both sides of the focal plane "
-    "(side: both), x.side.npy has the probability that the side is right.",
-    examples=EXAMPLES,
+    "unknown (NaN, or 0 in a 16-bit PNG). In m, its standard deviation goes to x.std_dev.npy. "
+    "What else the options ask for, or the levels tell, is written beside them, see below; what is "
+    "of depths in m, not with --as-levels.",
+    examples=f"{layers_text()}\n\n{EXAMPLES}",
     rules=RULES,
 )

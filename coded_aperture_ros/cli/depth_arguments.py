@@ -1,11 +1,13 @@
 """The arguments of `coded_aperture depth`, and which of them go together."""
 
 import dataclasses
+import textwrap
 
 from coded_aperture_ros.cli.command import argument
 from coded_aperture_ros.cli.estimation_arguments import ESTIMATION_RULES, EstimationArguments
 from coded_aperture_ros.cli.frames import InputArguments
 from coded_aperture_ros.cli.rules import excludes, needs
+from coded_aperture_ros.depth import layer_specs
 
 EXAMPLES = """examples:
   one frame, depth in metres and confidence as .npy, and a picture of both:
@@ -78,6 +80,15 @@ class Arguments(InputArguments, EstimationArguments):
         daily=False,
     )
     json: bool = argument("print a summary as JSON", False)
+
+
+def layers_text() -> str:
+    """Return what is written beside a depth map, for the help."""
+    lines = ["files beside x.npy, where there is something to tell:"]
+    for spec in layer_specs():
+        lines.append(f"  x{spec.file_suffix}.npy")
+        lines.append(textwrap.indent(textwrap.fill(spec.description, 73), "      "))
+    return "\n".join(lines)
 
 
 RULES = (

@@ -84,7 +84,7 @@ def fields_of(
     owners = [vars(one).get("__annotations__", {}) for one in arguments.__mro__]
     ordered = sorted(  # what a command shares with others comes after its own
         dataclasses.fields(arguments),
-        key=lambda field: next(at for at, names in enumerate(owners) if field.name in names),
+        key=lambda field: max(at for at, names in enumerate(owners) if field.name in names),
     )
     for field in ordered:
         if field.name in without:
@@ -258,10 +258,10 @@ def _described(field: Field) -> str:
     if option.allowed and not option.choices:
         known.append(option.allowed)
     unspoken = "default" not in option.description
-    if unspoken and default not in (None, dataclasses.MISSING, False, True, "", ()):
-        known.append(f"default {default}")
     if unspoken and default is True:
         known.append("default: on")
+    elif unspoken and field.kind is not bool and default not in (None, "", (), dataclasses.MISSING):
+        known.append(f"default {default}")
     text = option.description
     if known and text.endswith(")"):
         text = f"{text[:-1]}; {'; '.join(known)})"

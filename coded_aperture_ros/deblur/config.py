@@ -19,11 +19,15 @@ class DeblurConfig:
         "each pixel's level, without it; cg: a few steps towards the sharp scene that explains "
         "the whole frame; sparse: many of them, the best picture.",
         choices=("fast", "inverse", "cg", "sparse"),
+        daily=True,
     )
     noise: float = option_of(DepthConfig, "noise")
     noise_gain: float = option_of(DepthConfig, "noise_gain")
     smoothness: float = option(
-        1.0, "Trades sharpness (below 1) against noise and ringing (above 1).", within=(0.01, 100.0)
+        1.0,
+        "Trades sharpness (below 1) against noise and ringing (above 1).",
+        within=(0.01, 100.0),
+        daily=True,
     )
     occlusion: str = option(
         "auto",

@@ -35,6 +35,7 @@ class DecodeConfig:
         "graphcut is the slow reference.",
         choices=(*REGULARIZERS, LEARNED),
         parameter="regularize.method",
+        daily=True,
     )
     smoothness: float = option(
         1.0,

@@ -38,6 +38,7 @@ class FreeSpaceConfig(DecodeConfig):
         "Give a bound that such a share of the pixels may be nearer than: 0.001 to 0.01; 0: none.",
         within=(0.0, 0.1),
         parameter="free_space.risk",
+        daily=True,
     )
 
     def __post_init__(self) -> None:

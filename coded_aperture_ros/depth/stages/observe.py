@@ -22,6 +22,7 @@ class ObserveConfig:
         "Standard deviation of one channel's noise, linear light; 0: estimated in each frame.",
         within=(0.0, 0.5),
         parameter="noise.sigma",
+        daily=True,
     )
     noise_gain: float = option(
         0.0,

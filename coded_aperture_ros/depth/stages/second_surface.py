@@ -41,6 +41,7 @@ class SecondSurfaceConfig(DecodeConfig):
         False,
         "Tell of a second surface where windows show two, such as a net and the wall behind it.",
         parameter="second_surface.enabled",
+        daily=True,
     )
 
     def __post_init__(self) -> None:

@@ -47,6 +47,7 @@ class TemporalConfig:
         "for itself.",
         within=(0.0, 1000.0),
         parameter="temporal.frames",
+        daily=True,
     )
 
 

@@ -28,6 +28,7 @@ class UnknownConfig:
         "at most 0.90.",
         within=(0.0, 1.0),
         parameter="confidence.threshold",
+        daily=True,
     )
     unknown: str = option(
         "nothing",

@@ -47,6 +47,7 @@ class LearnConfig:
         "edges. 0: by the largest blur, 48 up to 22 px and 3.2 times as wide beyond.",
         unit="px",
         within=(0, _LARGEST_WINDOW_PX),
+        daily=True,
     )
     rank: int = option(
         96,
@@ -64,6 +65,7 @@ class LearnConfig:
         0.0,
         "Standard deviation of the camera's noise in linear light; 0 if it is not known.",
         within=(0.0, 0.5),
+        daily=True,
     )
 
     def __post_init__(self) -> None:
