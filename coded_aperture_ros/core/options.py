@@ -26,6 +26,7 @@ class Option:
     choices: tuple[Any, ...] | None = None  # the only values allowed
     read_only: bool = False  # whether a running node cannot change it
     daily: bool = False  # whether `--help` shows it; `--help-all` shows every option
+    needs: tuple[str, Any] | None = None  # field and value without which only the default goes
     # Name of the ROS parameter, such as ``regularize.method``; empty: see `parameter_names`.
     parameter: str = ""
 
@@ -95,7 +96,12 @@ def check_options(config: Any) -> None:
     what is allowed.
     """
     for name, (field, described) in options_of(config).items():
-        check_option(name, getattr(config, name), type(field.default), described)
+        value = getattr(config, name)
+        check_option(name, value, type(field.default), described)
+        if described.needs is not None and value != field.default:
+            other, needed = described.needs
+            if getattr(config, other) != needed:
+                raise InputError(f"{name}: needs {other}: {needed}, else use {field.default}")
 
 
 def check_option(name: str, value: Any, expected: type, described: Option) -> None:

@@ -3,9 +3,8 @@
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.decoders.edges import DEPTH_EDGE_PX
 from coded_aperture_ros.depth.decoders.regularize import REGULARIZERS, Regularizer
-from coded_aperture_ros.depth.decoders.sides import side_warning
 from coded_aperture_ros.depth.estimate import MAP_SIZES, DepthEstimate, map_size
-from coded_aperture_ros.depth.estimator import DepthEstimator, refinement_note
+from coded_aperture_ros.depth.estimator import DepthEstimator, refinement_note, side_warning
 from coded_aperture_ros.depth.focus_pair import FocusPair
 from coded_aperture_ros.depth.layer import Layer, LayerSpec
 from coded_aperture_ros.depth.levels import Levels, blur_sizes_px, depths_are_measured

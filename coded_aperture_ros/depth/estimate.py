@@ -8,7 +8,6 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth.decoders.posterior import below_threshold
 from coded_aperture_ros.depth.layer import Layer
 from coded_aperture_ros.depth.quality import Health
 
@@ -104,6 +103,11 @@ class DepthEstimate:
         values = {name: getattr(self, name) for name in names}
         changed = {name: change(value) for name, value in values.items() if value is not None}
         return dataclasses.replace(self, **changed)  # type: ignore[arg-type]
+
+
+def below_threshold(confidence: FloatArray, threshold: float) -> BoolArray:
+    """Where the depth counts as unknown: below the threshold, and where the confidence is 0."""
+    return ~(confidence >= threshold if threshold > 0 else confidence > 0)
 
 
 def check_map_size(size: Shape | None) -> None:

@@ -3,6 +3,8 @@
 import dataclasses
 from contextlib import ExitStack
 
+import numpy as np
+
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, Shape
 from coded_aperture_ros.core.workers import Workers, thread_count
 from coded_aperture_ros.depth.config import DepthConfig
@@ -22,6 +24,9 @@ from coded_aperture_ros.depth.work import Work
 from coded_aperture_ros.frames import Frame, KnownNoise
 from coded_aperture_ros.likelihood import Likelihood, LikelihoodModel
 from coded_aperture_ros.optics import Camera
+
+# A mask with less asymmetry, as `Mask.asymmetry` has it, does not tell the sides.
+_LEAST_ASYMMETRY = 0.05
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -238,4 +243,19 @@ def refinement_note(model: LikelihoodModel, config: DepthConfig) -> str | None:
         "regularize: semiglobal in place of learned, which was not trained for this model: "
         f"{why}{'; it tells of no free space' if config.free_space_risk else ''}"
         f"{'; it tells of no second surface' if config.second_surface else ''}"
+    )
+
+
+def side_warning(model: LikelihoodModel) -> str | None:
+    """Line for users if a model has levels on both sides that its mask does not tell apart."""
+    stack = model.stack
+    if not stack.has_both_sides:
+        return None
+    psf = stack.psfs[np.abs(stack.blur_sizes_px).argmax()]
+    if np.abs(psf - psf[::-1, ::-1]).sum() / 2 >= _LEAST_ASYMMETRY:
+        return None
+    return (
+        "side: the mask is nearly the same after half a turn, so the blur does not tell the two "
+        "sides of the focal plane apart: use an asymmetric mask such as three_wide or zhou, or "
+        "focus before or beyond the scene"
     )

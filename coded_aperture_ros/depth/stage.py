@@ -58,9 +58,11 @@ class StageModule(Protocol):
     """What the file of a stage defines."""
 
     LAYERS: tuple[LayerSpec, ...]  # what the stage may add
+    # Option, or attribute of the plan, without which there is no such stage; empty: always.
+    WHEN: str
 
-    def make(self, plan: Plan, config: Any) -> Stage | None:
-        """Stage for frames of one size; None if the configuration or the model has no use for it.
+    def make(self, plan: Plan, config: Any) -> Stage:
+        """Stage for frames of one size.
 
         `config` is a `DepthConfig`; the stage reads the fields of its own configuration.
         """

@@ -88,7 +88,7 @@ def test_a_bound_on_free_space_where_one_is_asked_for(ros, model, coded):
     assert (bound_m > DEPTH_M).mean() < 0.01
     # Only the network gives bounds: both parameters are refused together, and go on as they were.
     (refused,) = chain.node.set_parameters([Parameter("regularize.method", value="semiglobal")])
-    assert not refused.successful and "only regularize: learned gives a bound" in refused.reason
+    assert not refused.successful and "free_space_risk: needs regularize: learned" in refused.reason
     nearer = array_from_image(chain.result(mono8(coded), FREE_SPACE))
     np.testing.assert_allclose(nearer, bound_m, rtol=0.2)
     (changed,) = chain.node.set_parameters([Parameter("free_space.risk", value=0.0)])
@@ -143,7 +143,7 @@ def test_a_second_surface_where_it_is_asked_for(ros, model, coded):
     # One wall all over.
     assert np.isnan(second_m).mean() > 0.9
     (refused,) = chain.node.set_parameters([Parameter("regularize.method", value="semiglobal")])
-    assert not refused.successful and "only regularize: learned tells of it" in refused.reason
+    assert not refused.successful and "second_surface: needs regularize: learned" in refused.reason
     (changed,) = chain.node.set_parameters([Parameter("second_surface.enabled", value=False)])
     assert changed.successful
     chain.result(mono8(coded))

@@ -135,11 +135,6 @@ def level_deviation(
     return square
 
 
-def below_threshold(confidence: FloatArray, threshold: float) -> BoolArray:
-    """Where the depth counts as unknown: below the threshold, and where the confidence is 0."""
-    return ~(confidence >= threshold if threshold > 0 else confidence > 0)
-
-
 def is_uninformative(probability: FloatArray) -> BoolArray:
     """Return which patches [rows, columns] find all levels alike."""
     return probability.max(axis=-1) <= 1.0001 / probability.shape[-1]

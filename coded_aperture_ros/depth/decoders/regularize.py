@@ -7,27 +7,20 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth.decoders.paths import add_best_paths
 from coded_aperture_ros.depth.decoders.posterior import refine_level
+from coded_aperture_ros.depth.decoders.semi_global import bound_outliers, semi_global_cost
 from coded_aperture_ros.depth.decoders.surface import on_surfaces
 
 # The choice beside `REGULARIZERS` that a network makes.
 LEARNED = "learned"
-# The cost of a level counts up to here; beyond, it is an outlier (natural logarithm).
-_MOST_COST = 7.0
 # A step of more levels than this is a depth edge: how large it is no longer matters.
 _EDGE_LEVELS = 4
-# Weights of the smoothness beside natural-logarithm likelihoods.
-_P1 = 4.0
-_P2 = 22.0
 _CUT_BETA = 1.2
 _TV_BETA = 0.6
 # The coupling of total variation's two variables, and the iterations that take it there.
 _TV_THETA = (10.0, 0.1)
 _TV_ITERATIONS = 10
 _TV_STEPS = 4
-# Where the brightness changes by much more than usual, smoothness counts only this share.
-_ACROSS_CONTRAST = 0.3
 
 
 class Regularizer(Protocol):
@@ -104,37 +97,6 @@ REGULARIZERS: dict[str, Callable[[float], Regularizer]] = {
 }
 
 
-def semi_global_cost(
-    volume: FloatArray, smoothness: float, brightness: FloatArray | None
-) -> FloatArray:
-    """Minimise along rows and columns, both ways, and add up (Hirschmueller, 2008).
-
-    Each of the four paths through a patch is minimised exactly, with a small cost for steps of
-    one level, as of slants, and a larger one for jumps. Takes and gives [rows, columns, L].
-    """
-    known = np.ascontiguousarray(_bounded(volume))
-    rows, columns = known.shape[:2]
-    down = np.full((rows - 1, columns), smoothness, np.float32)
-    across = np.full((rows, columns - 1), smoothness, np.float32)
-    if brightness is not None and brightness.size > 1:
-        changes = [np.abs(np.diff(brightness, axis=axis)) for axis in (0, 1)]
-        usual = np.median(np.concatenate([change.ravel() for change in changes]))
-        weights = [
-            _ACROSS_CONTRAST + (1 - _ACROSS_CONTRAST) * np.exp(-((change / max(usual, 1e-6)) ** 2))
-            for change in changes
-        ]
-        mean = np.mean(np.concatenate([weight.ravel() for weight in weights]))
-        down *= weights[0] / mean
-        across *= weights[1] / mean
-    # Every path counts the cost of its patch.
-    total = -3 * known
-    add_best_paths(known, down, np.float32(_P1), np.float32(_P2), total)
-    add_best_paths(
-        known.swapaxes(0, 1), across.T, np.float32(_P1), np.float32(_P2), total.swapaxes(0, 1)
-    )
-    return total
-
-
 def _graph_cut(volume: FloatArray, smoothness: float) -> IndexArray:
     """Alpha expansion of ``-log p + beta min(|d_p - d_q|, edge)`` (thesis eq. 6.25 and 5.24)."""
     try:
@@ -147,7 +109,7 @@ def _graph_cut(volume: FloatArray, smoothness: float) -> IndexArray:
     index = np.arange(volume.shape[-1])
     step = np.minimum(np.abs(index[:, None] - index), _EDGE_LEVELS)
     labels = aexpansion_grid(
-        np.ascontiguousarray(_bounded(volume), np.float64),
+        np.ascontiguousarray(bound_outliers(volume), np.float64),
         _CUT_BETA * smoothness * step.astype(np.float64),
     )
     return np.asarray(labels, np.intp)
@@ -161,7 +123,7 @@ def _total_variation(volume: FloatArray, smoothness: float) -> FloatArray:
     steps of Chambolle and Pock (2011).
     """
     index = np.arange(volume.shape[-1], dtype=np.float32)
-    known = _bounded(volume)
+    known = bound_outliers(volume)
     beta = np.float32(max(_TV_BETA * smoothness, 1e-6))
     step = np.float32(1 / np.sqrt(8))  # the norm of the gradient is at most the root of 8
     smooth = relaxed = volume.argmin(axis=-1).astype(np.float32)
@@ -182,9 +144,3 @@ def _total_variation(volume: FloatArray, smoothness: float) -> FloatArray:
             relaxed = 2 * smooth - previous
     # The primal-dual steps may overshoot the ends of the range.
     return np.clip(smooth, 0, index[-1])
-
-
-def _bounded(volume: FloatArray) -> FloatArray:
-    """Return the negative logarithm of the probability, up to where it is an outlier's."""
-    of_all = np.log(np.exp(-volume).sum(axis=-1, keepdims=True))
-    return np.minimum(volume + of_all, np.float32(_MOST_COST))

@@ -24,7 +24,6 @@ from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.frames import PatchGrid, periodic, periodic_shape, transfer_function
 from coded_aperture_ros.frames.patches import mean_at
-from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.likelihood.bank import image_prior
 from coded_aperture_ros.optics import PsfStack
 
@@ -34,8 +33,6 @@ _ONE_SURFACE = 3.0
 # overlap, and a texture that looks like one of the other side does so in many of them. From
 # simulated scenes; with it, the confidence of the side is about how often it is right.
 _SHARE = 0.15
-# A mask with less asymmetry, as `Mask.asymmetry` has it, does not tell the sides.
-_LEAST_ASYMMETRY = 0.05
 # What one blur size for the whole frame leaves unexplained, as a share of the texture at every
 # frequency.
 _MODEL_ERROR = 0.1
@@ -49,21 +46,6 @@ _MOST_LOG_ODDS = 6.0
 # Frames are extended by this, or by the width of the PSFs; it is what a gradient's surroundings
 # are, too.
 _AROUND_PX = 32
-
-
-def side_warning(model: LikelihoodModel) -> str | None:
-    """Return one line if a model has levels on both sides that its mask does not tell apart."""
-    stack = model.stack
-    if not stack.has_both_sides:
-        return None
-    psf = stack.psfs[np.abs(stack.blur_sizes_px).argmax()]
-    if np.abs(psf - psf[::-1, ::-1]).sum() / 2 >= _LEAST_ASYMMETRY:
-        return None
-    return (
-        "side: the mask is nearly the same after half a turn, so the blur does not tell the two "
-        "sides of the focal plane apart: use an asymmetric mask such as three_wide or zhou, or "
-        "focus before or beyond the scene"
-    )
 
 
 class FocalSides:

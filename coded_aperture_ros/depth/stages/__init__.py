@@ -78,5 +78,10 @@ def make_back(plan: Plan, config: object) -> tuple[Stage, ...]:
 
 
 def _made(modules: tuple[StageModule, ...], plan: Plan, config: object) -> tuple[Stage, ...]:
-    stages = (module.make(plan, config) for module in modules)
-    return tuple(stage for stage in stages if stage is not None)
+    return tuple(
+        module.make(plan, config) for module in modules if _is_wanted(module.WHEN, plan, config)
+    )
+
+
+def _is_wanted(when: str, plan: Plan, config: object) -> bool:
+    return not when or bool(getattr(config, when, None) or getattr(plan, when, None))

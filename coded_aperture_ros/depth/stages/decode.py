@@ -22,6 +22,7 @@ SIDE = LayerSpec(
     kind="probability",
 )
 LAYERS: tuple[LayerSpec, ...] = (SIDE,)
+WHEN = ""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,11 +9,13 @@ from coded_aperture_ros.depth.stage import Stage
 from coded_aperture_ros.depth.work import Work
 
 LAYERS: tuple[LayerSpec, ...] = ()
+WHEN = "sides"
 
 
-def make(plan: Plan, config: object) -> Stage | None:
-    """Stage of levels on both sides of the focal plane; None with those of one side."""
-    return None if plan.sides is None else FocalSide(plan.sides)
+def make(plan: Plan, config: object) -> Stage:
+    """Stage of levels on both sides of the focal plane."""
+    assert plan.sides is not None  # see WHEN
+    return FocalSide(plan.sides)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -8,11 +8,13 @@ from coded_aperture_ros.depth.stage import Stage
 from coded_aperture_ros.depth.work import Work
 
 LAYERS: tuple[LayerSpec, ...] = ()
+WHEN = "second_focus"
 
 
-def make(plan: Plan, config: object) -> Stage | None:
-    """Stage of pairs of frames; None for single frames."""
-    return None if plan.second_focus is None else AddSecondFocus(plan.second_focus)
+def make(plan: Plan, config: object) -> Stage:
+    """Stage of pairs of frames."""
+    assert plan.second_focus is not None  # see WHEN
+    return AddSecondFocus(plan.second_focus)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

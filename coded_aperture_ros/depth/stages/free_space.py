@@ -4,14 +4,12 @@ import dataclasses
 
 import numpy as np
 
-from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.decoders.regularize import LEARNED
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.plan import Plan
 from coded_aperture_ros.depth.stage import Stage
-from coded_aperture_ros.depth.stages.decode import DecodeConfig
 from coded_aperture_ros.depth.work import Work
 
 FREE_SPACE = LayerSpec(
@@ -23,6 +21,7 @@ FREE_SPACE = LayerSpec(
     points="free_points",
 )
 LAYERS: tuple[LayerSpec, ...] = (FREE_SPACE,)
+WHEN = "free_space_risk"
 # This share of the probability of the blur sizes, times a power of the risk, lies before the bound:
 # on random scenes of the kind and with the mask that it suits least no more pixels are nearer.
 _SHARE = 1.2
@@ -30,26 +29,22 @@ _POWER = 0.7
 
 
 @dataclasses.dataclass(frozen=True)
-class FreeSpaceConfig(DecodeConfig):
+class FreeSpaceConfig:
     """Risk of the bound."""
 
     free_space_risk: float = option(
         0.0,
         "Give a bound that such a share of the pixels may be nearer than: 0.001 to 0.01; 0: none.",
         within=(0.0, 0.1),
+        needs=("regularize", LEARNED),
         parameter="free_space.risk",
         daily=True,
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.free_space_risk and self.regularize != LEARNED:
-            raise InputError("free_space_risk: use 0, only regularize: learned gives a bound")
 
-
-def make(plan: Plan, config: FreeSpaceConfig) -> Stage | None:
-    """Stage of a bound; None where none is asked for."""
-    return FreeSpace(plan.levels, config.free_space_risk) if config.free_space_risk else None
+def make(plan: Plan, config: FreeSpaceConfig) -> Stage:
+    """Stage of a bound at the risk that is asked for."""
+    return FreeSpace(plan.levels, config.free_space_risk)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from coded_aperture_ros.depth.work import Work
 from coded_aperture_ros.likelihood import BACKENDS, Likelihood
 
 LAYERS: tuple[LayerSpec, ...] = ()
+WHEN = ""
 
 
 @dataclasses.dataclass(frozen=True)

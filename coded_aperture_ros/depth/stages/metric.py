@@ -9,6 +9,7 @@ from coded_aperture_ros.depth.stage import Stage
 from coded_aperture_ros.depth.work import Work
 
 LAYERS: tuple[LayerSpec, ...] = ()
+WHEN = ""
 
 
 def make(plan: Plan, config: object) -> Stage:

@@ -19,6 +19,7 @@ MOTION_CONFIDENCE = LayerSpec(
     "motion/confidence", "Probability that the motion is about right.", unit="", kind="probability"
 )
 LAYERS: tuple[LayerSpec, ...] = (MOTION, MOTION_CONFIDENCE)
+WHEN = ""
 
 
 def make(plan: Plan, config: object) -> Stage:

@@ -11,6 +11,7 @@ from coded_aperture_ros.depth.work import Work
 from coded_aperture_ros.frames import grey_image
 
 LAYERS: tuple[LayerSpec, ...] = ()
+WHEN = ""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -20,6 +20,7 @@ from coded_aperture_ros.likelihood import Cost
 from coded_aperture_ros.likelihood.bank.periodic import periodic_levels
 
 LAYERS: tuple[LayerSpec, ...] = ()
+WHEN = ""
 # What is left of the confidence: such depth is hardly ever right.
 CHANCE_CONFIDENCE = np.float32(0.2)
 # Blur sizes that differ by less, or by a step from level to level, are no other depth.

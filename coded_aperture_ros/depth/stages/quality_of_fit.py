@@ -12,6 +12,7 @@ from coded_aperture_ros.depth.work import Work
 from coded_aperture_ros.likelihood.bank import FilterBank
 
 LAYERS: tuple[LayerSpec, ...] = ()
+WHEN = "check_fit"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,9 +26,9 @@ class QualityOfFitConfig(TemporalConfig):
     )
 
 
-def make(plan: Plan, config: QualityOfFitConfig) -> Stage | None:
-    """Stage of the check; None where it was switched off."""
-    return QualityOfFit(_fit_check(plan, config)) if config.check_fit else None
+def make(plan: Plan, config: QualityOfFitConfig) -> Stage:
+    """Stage of the check."""
+    return QualityOfFit(_fit_check(plan, config))
 
 
 def _fit_check(plan: Plan, config: QualityOfFitConfig) -> FitCheck | None:

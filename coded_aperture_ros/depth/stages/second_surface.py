@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray, as_floats
-from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.decoders.network import NetworkDecoded, SecondSurface
 from coded_aperture_ros.depth.decoders.network.features import (
@@ -18,7 +17,6 @@ from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.plan import Plan
 from coded_aperture_ros.depth.stage import Stage
-from coded_aperture_ros.depth.stages.decode import DecodeConfig
 from coded_aperture_ros.depth.work import Work
 
 SECOND = LayerSpec(
@@ -31,29 +29,24 @@ SECOND_SHARE = LayerSpec(
     "second_share", "Share of the window that the second surface takes.", unit="", kind="share"
 )
 LAYERS: tuple[LayerSpec, ...] = (SECOND, SECOND_SHARE)
+WHEN = "second_surface"
 
 
 @dataclasses.dataclass(frozen=True)
-class SecondSurfaceConfig(DecodeConfig):
+class SecondSurfaceConfig:
     """Whether a second surface is looked for."""
 
     second_surface: bool = option(
         False,
         "Tell of a second surface where windows show two, such as a net and the wall behind it.",
+        needs=("regularize", LEARNED),
         parameter="second_surface.enabled",
         daily=True,
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.second_surface and self.regularize != LEARNED:
-            raise InputError("second_surface: use false, only regularize: learned tells of it")
 
-
-def make(plan: Plan, config: SecondSurfaceConfig) -> Stage | None:
-    """Stage of a second surface; None where none is asked for."""
-    if not config.second_surface:
-        return None
+def make(plan: Plan, config: SecondSurfaceConfig) -> Stage:
+    """Stage of a second surface."""
     # What is more blurred may lie before or behind: with levels on two sides nothing is told.
     if plan.small is None or plan.sides is not None:
         return FindSecondSurface(plan.levels, None)

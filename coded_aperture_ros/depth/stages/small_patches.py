@@ -6,17 +6,16 @@ from coded_aperture_ros.depth.decoders.network import small_cost
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.plan import Plan
 from coded_aperture_ros.depth.stage import Stage
-from coded_aperture_ros.depth.stages.likelihood import LikelihoodConfig
 from coded_aperture_ros.depth.work import Work
 from coded_aperture_ros.likelihood import Likelihood
 
 LAYERS: tuple[LayerSpec, ...] = ()
+WHEN = "small"
 
 
-def make(plan: Plan, config: LikelihoodConfig) -> Stage | None:
-    """Stage of the small patches; None where the network does not decide."""
-    if plan.small is None:
-        return None
+def make(plan: Plan, config: object) -> Stage:
+    """Stage of the small patches that the network needs."""
+    assert plan.small is not None  # see WHEN
     return SmallPatches(plan.small)
 
 

@@ -9,13 +9,14 @@ from coded_aperture_ros.depth.work import Work
 from coded_aperture_ros.frames import StaticAverage, join_averages
 
 LAYERS: tuple[LayerSpec, ...] = ()
+WHEN = "temporal_frames"
 # Frames that are averaged at most, in units of the frames that the video's memory is long.
 _LENGTH = 2
 
 
-def make(plan: Plan, config: TemporalConfig) -> Stage | None:
-    """Stage of a video's frames; None for single frames."""
-    return StaticAveraging(_LENGTH * config.temporal_frames) if config.temporal_frames else None
+def make(plan: Plan, config: TemporalConfig) -> Stage:
+    """Stage of a video's frames."""
+    return StaticAveraging(_LENGTH * config.temporal_frames)
 
 
 class StaticAveraging(Stage):

@@ -16,6 +16,7 @@ from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import bounded_cost
 
 LAYERS: tuple[LayerSpec, ...] = ()
+WHEN = "temporal_frames"
 # Default of `temporal_frames` for nodes and bags, whose frames are those of a video.
 VIDEO_FRAMES = 4.0
 
@@ -51,9 +52,9 @@ class TemporalConfig:
     )
 
 
-def make(plan: Plan, config: TemporalConfig) -> Stage | None:
-    """Stage of a video's frames; None for single frames."""
-    return Temporal(config.temporal_frames) if config.temporal_frames else None
+def make(plan: Plan, config: TemporalConfig) -> Stage:
+    """Stage of a video's frames."""
+    return Temporal(config.temporal_frames)
 
 
 class Temporal(Stage):

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from coded_aperture_ros.core.options import option
-from coded_aperture_ros.depth.decoders.posterior import below_threshold
+from coded_aperture_ros.depth.estimate import below_threshold
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.plan import Plan
@@ -13,6 +13,7 @@ from coded_aperture_ros.depth.stage import Stage
 from coded_aperture_ros.depth.work import Work
 
 LAYERS: tuple[LayerSpec, ...] = ()
+WHEN = ""
 # Of ray-traced pixels whose depth is unknown, what is found with this share is farther than the
 # truth by more than 10 % at three in a thousand (47 % without), and by the median at 0.7 of it.
 _PLAUSIBLE = 0.05

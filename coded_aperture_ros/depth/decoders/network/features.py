@@ -9,7 +9,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.decoders.network.cells import Cells
-from coded_aperture_ros.depth.decoders.regularize import semi_global_cost
+from coded_aperture_ros.depth.decoders.semi_global import semi_global_cost
 from coded_aperture_ros.frames import PatchGrid, brightness_at
 from coded_aperture_ros.likelihood import Cost
 

@@ -1,9 +1,17 @@
-"""The cheapest sequence of levels up to each patch, along one axis; see `semi_global_cost`."""
+"""Semi-global matching: costs of levels along the cheapest paths through the patches."""
 
 import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.compiled import Compiled
+
+# The cost of a level counts up to here; beyond, it is an outlier (natural logarithm).
+_MOST_COST = 7.0
+# Weights of the smoothness beside natural-logarithm likelihoods.
+_P1 = 4.0
+_P2 = 22.0
+# Where the brightness changes by much more than usual, smoothness counts only this share.
+_ACROSS_CONTRAST = 0.3
 
 
 def _loop(
@@ -65,3 +73,40 @@ def _plain(
 # from either end of the first axis. Takes the volume [n, m, L], the weight of the smoothness
 # between neighbours [n - 1, m], and the costs P1 of a step of one level and P2 of a jump.
 add_best_paths = Compiled(_loop, _plain)
+
+
+def semi_global_cost(
+    volume: FloatArray, smoothness: float, brightness: FloatArray | None
+) -> FloatArray:
+    """Minimise along rows and columns, both ways, and add up (Hirschmueller, 2008).
+
+    Each of the four paths through a patch is minimised exactly, with a small cost for steps of
+    one level, as of slants, and a larger one for jumps. Takes and gives [rows, columns, L].
+    """
+    known = np.ascontiguousarray(bound_outliers(volume))
+    rows, columns = known.shape[:2]
+    down = np.full((rows - 1, columns), smoothness, np.float32)
+    across = np.full((rows, columns - 1), smoothness, np.float32)
+    if brightness is not None and brightness.size > 1:
+        changes = [np.abs(np.diff(brightness, axis=axis)) for axis in (0, 1)]
+        usual = np.median(np.concatenate([change.ravel() for change in changes]))
+        weights = [
+            _ACROSS_CONTRAST + (1 - _ACROSS_CONTRAST) * np.exp(-((change / max(usual, 1e-6)) ** 2))
+            for change in changes
+        ]
+        mean = np.mean(np.concatenate([weight.ravel() for weight in weights]))
+        down *= weights[0] / mean
+        across *= weights[1] / mean
+    # Every path counts the cost of its patch.
+    total = -3 * known
+    add_best_paths(known, down, np.float32(_P1), np.float32(_P2), total)
+    add_best_paths(
+        known.swapaxes(0, 1), across.T, np.float32(_P1), np.float32(_P2), total.swapaxes(0, 1)
+    )
+    return total
+
+
+def bound_outliers(volume: FloatArray) -> FloatArray:
+    """Return the negative logarithm of the probability, up to where it is an outlier's."""
+    of_all = np.log(np.exp(-volume).sum(axis=-1, keepdims=True))
+    return np.minimum(volume + of_all, np.float32(_MOST_COST))
