@@ -29,6 +29,8 @@ class LayerSpec:
         Of the ROS image.
     points : str
         Name, under ``depth/``, of the topic with the layer as a point cloud; empty: none.
+    title : str
+        Few words for people, as in a list to choose from; empty: made of the name.
     """
 
     name: str
@@ -37,6 +39,12 @@ class LayerSpec:
     kind: LayerKind
     encoding: str = "32FC1"
     points: str = ""
+    title: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.title:
+            words = self.name.replace("/", " ").replace("_", " ")
+            object.__setattr__(self, "title", words)
 
     @property
     def topic(self) -> str:

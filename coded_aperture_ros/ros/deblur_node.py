@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import threading
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
@@ -38,13 +38,12 @@ _WAITING_BYTES = 256 * 2**20
 class DeblurNode(FrameNode[tuple[Image, Image]]):
     """Pairs each coded frame with its own depth image and publishes the frame all in focus."""
 
-    outputs: ClassVar = {
-        "deblurred/image": Image,
-        "deblurred/image/compressed": CompressedImage,
-        "deblurred/camera_info": CameraInfo,
-    }
-
     def __init__(self, **node_options: Any) -> None:
+        self.outputs = {
+            "deblurred/image": Image,
+            "deblurred/image/compressed": CompressedImage,
+            "deblurred/camera_info": CameraInfo,
+        }
         super().__init__("deblur_node", ModelConfig(), DeblurConfig(), fixed={}, **node_options)
         self._pairs: StampPairs[Image, Image] = StampPairs(
             _WAITING_FRAMES,

@@ -5,7 +5,7 @@ import functools
 import math
 import threading
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import cv2
 import numpy as np
@@ -126,9 +126,8 @@ def _output_types() -> dict[str, type]:
 class DepthNode(FrameNode[tuple[Image, float]]):
     """Publishes depth of coded frames, its confidence, the layers, and the camera model."""
 
-    outputs: ClassVar = _output_types()
-
     def __init__(self, **node_options: Any) -> None:
+        self.outputs = _output_types()
         super().__init__(
             "depth_node",
             ModelConfig(),

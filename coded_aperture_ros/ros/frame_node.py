@@ -5,7 +5,7 @@ import dataclasses
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
@@ -71,13 +71,13 @@ class FrameNodeConfig:
 class FrameNode(ManagedNode, Generic[Item]):
     """A node that works on the newest frame, in a thread of its own, while someone listens.
 
-    A node that derives from this one names its outputs, calls `listen` for each input but the
-    driver's `camera_info`, implements `load`, `unload` and `process`, and ends its constructor with
-    `begin`. The arguments are those of `ManagedNode`, and `local` of the process that it shares
-    with others.
+    A node that derives from this one sets its `outputs`, topics and their message types, before the
+    constructor of this class, calls `listen` for each input but the driver's `camera_info`,
+    implements `load`, `unload` and `process`, and ends its constructor with `begin`. The arguments
+    are those of `ManagedNode`, and `local` of the process that it shares with others.
     """
 
-    outputs: ClassVar[Mapping[str, type]]
+    outputs: Mapping[str, type]
 
     def __init__(
         self,
@@ -90,8 +90,7 @@ class FrameNode(ManagedNode, Generic[Item]):
         configs = FrameNodeConfig(), DiagnosticsConfig(), *configs
         super().__init__(name, *configs, fixed=fixed, **node_options)
         self.statistics = Statistics()
-        offered = {topic: kind for topic, kind in self.outputs.items() if self.offers(topic)}
-        self._outputs = Outputs(self, offered, local)
+        self._outputs = Outputs(self, self.outputs, local)
         self._inputs = Inputs(self, local)
         self.driver_info = CameraModel(self.reject)
         # Before the frames: of what has come, the executor takes what was subscribed to first.
@@ -155,10 +154,6 @@ class FrameNode(ManagedNode, Generic[Item]):
     def identity(self) -> dict[str, str]:
         """Return what /diagnostics says the node works with."""
         return {}
-
-    def offers(self, topic: str) -> bool:
-        """Return whether the node has an output at all, with the parameters it was started with."""
-        return topic in self.outputs
 
     @property
     def frame_config(self) -> FrameNodeConfig:

@@ -66,7 +66,7 @@ def test_a_bound_on_free_space_beside_the_depth(scene, tmp_path, capsys, suffix)
     assert (bound_m > scene.depth_m).mean() < 0.01
     assert np.median(bound_m) > NEAR_M * 0.9
     result = call(capsys, *arguments, "--free-space-risk", 0.01, "--regularize", "semiglobal")
-    wrong_usage(result, "depth", "--free-space-risk: needs --regularize learned")
+    wrong_usage(result, "depth", "--free-space-risk: needs regularize: learned")
 
 
 def test_a_second_surface_beside_the_depth(scene, tmp_path, capsys):

@@ -311,35 +311,36 @@ def test_a_browser_shows_and_changes_what_is_seen(viewer, tmp_path):
         assert "confidence" in await page.value("document.querySelector('#cursor').textContent")
 
         # How far nothing is, in place of the depth, and under the cursor.
-        assert await page.value("viewer.frame.free === null")
+        assert await page.value("viewer.frame.layers.free_space === undefined")
         surfaces = await page.value("document.querySelector('#depth').toDataURL()")
-        await page.value("map.value = 'free'; map.onchange()")
+        await page.value("map.value = 'free_space'; map.onchange()")
         await page.wait(
-            "viewer.frame.free && viewer.frame.settings['depth.free_space_risk'] === 0.01"
+            "viewer.frame.layers.free_space"
+            " && viewer.frame.settings['depth.free_space_risk'] === 0.01"
         )
-        assert await page.value("viewer.frame.free.every((step, at) => step > 0)")
+        assert await page.value("viewer.frame.layers.free_space.every((step, at) => step > 0)")
         assert await page.value(
-            "viewer.frame.free.every((step, at) => !viewer.frame.depth[at] ||"
+            "viewer.frame.layers.free_space.every((step, at) => !viewer.frame.depth[at] ||"
             " step <= viewer.frame.depth[at] + 1)"
         )
         assert await page.value("document.querySelector('#depth').toDataURL()") != surfaces
         text = await page.value("drawCursor(), document.querySelector('#cursor').textContent")
         assert "free up to" in text
         await page.picture(tmp_path / "free.png")
-        await page.value("map.value = 'depth'; map.onchange()")
+        await page.value("map.value = ''; map.onchange()")
         await slide(page, "depth.free_space_risk", 0.0)
 
         # A second surface, where there is one.
-        assert await page.value("viewer.frame.second === null")
+        assert await page.value("viewer.frame.layers.second === undefined")
         await page.value("map.value = 'second'; map.onchange()")
         await page.wait(
-            "viewer.frame.second && viewer.frame.settings['depth.second_surface'] === true"
+            "viewer.frame.layers.second && viewer.frame.settings['depth.second_surface'] === true"
         )
-        assert await page.value("viewer.frame.second.length === viewer.frame.depth.length")
+        assert await page.value("viewer.frame.layers.second.length === viewer.frame.depth.length")
         assert await page.value("document.querySelector('#depth').toDataURL()") != surfaces
         await page.picture(tmp_path / "second.png")
-        await page.value("map.value = 'depth'; map.onchange(); set('depth.second_surface', false)")
-        await page.wait("viewer.frame.second === null")
+        await page.value("map.value = ''; map.onchange(); set('depth.second_surface', false)")
+        await page.wait("viewer.frame.layers.second === undefined")
 
         await page.value("document.querySelector('#aid').open = true")
         await page.wait("document.querySelector('#numbers').textContent.includes('Sharpness')")

@@ -16,6 +16,9 @@ from coded_aperture_ros.io.messages import pixels_from_frame
 _STEPS = 60_000
 NEARER, BEYOND = 65_534, 65_535
 _QUALITY = 85
+# Kinds of layers that the page can draw; vectors are left out.
+METRES = ("depth", "bound")
+SHARES = ("probability", "share")
 
 
 def packet(
@@ -28,9 +31,9 @@ def packet(
     """Return the bytes of a frame, and of what was found in it.
 
     The first four of eight bytes say how long the header is. Its `parts` say where what follows
-    begins, counted from the header's end, and how long it is: `frame` and `picture` are JPEG,
-    `depth`, `std_dev` and, if asked for, `free_space` and `second` of 16 bits in units of `unit_m`,
-    row by row, `confidence` of 8 bits.
+    begins, counted from the header's end, and how long it is. `frame` and `picture` are JPEG. Maps
+    are row by row: `depth`, `std_dev` and layers in metres of 16 bits in units of `unit_m`,
+    `confidence` and layers from 0 to 1 of 8 bits.
 
     Parameters
     ----------
@@ -49,10 +52,12 @@ def packet(
     if estimate is not None and estimate.depth_m is not None and estimate.std_dev_m is not None:
         parts["depth"] = steps(estimate.depth_m, unit_m).tobytes()
         parts["std_dev"] = steps(estimate.std_dev_m, unit_m).tobytes()
-        parts["confidence"] = np.rint(255 * estimate.confidence).astype(np.uint8).tobytes()
-        for name in ("free_space", "second"):
-            if (metres := getattr(estimate, f"{name}_m")) is not None:
-                parts[name] = steps(metres, unit_m).tobytes()
+        parts["confidence"] = as_bytes(estimate.confidence).tobytes()
+        for layer in estimate.layers.values():
+            if layer.spec.kind in METRES:
+                parts[layer.spec.name] = steps(layer.values, unit_m).tobytes()
+            elif layer.spec.kind in SHARES:
+                parts[layer.spec.name] = as_bytes(layer.values).tobytes()
     places, at = {}, 0
     for name, part in parts.items():
         places[name] = [at, len(part)]
@@ -71,6 +76,11 @@ def steps(metres: FloatArray, unit_m: float) -> NDArray[np.uint16]:
     found = np.where(known, np.rint(counted), 0).astype("<u2")
     found[metres == np.inf], found[metres == -np.inf] = BEYOND, NEARER
     return found
+
+
+def as_bytes(share: FloatArray) -> NDArray[np.uint8]:
+    """Shares from 0 to 1 as whole numbers up to 255; 0 where unknown."""
+    return np.rint(255 * np.nan_to_num(share)).astype(np.uint8)
 
 
 def _jpeg(light: FloatArray) -> bytes:

@@ -203,6 +203,7 @@ class Server:
         near, far = self._range_m
         return {
             "controls": self.live.settings.controls() if self.live is not None else [],
+            "layers": self.live.settings.layers() if self.live is not None else [],
             "settings": self._values(),
             "range_m": [near, far],
             "colours": turbo.tolist(),

@@ -7,6 +7,8 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option, options_of
 from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthConfig
+from coded_aperture_ros.depth.stages import stage_modules
+from coded_aperture_viewer.packet import METRES, SHARES
 
 PICTURES = ("none", "sharp", "refocused")
 # Of depth and of deblurring: what the page has a control for, and the end of its slider where the
@@ -89,6 +91,26 @@ class Settings:
             for part, fields in names.items()
             for field in fields
         }
+
+    def layers(self) -> list[dict[str, Any]]:
+        """What the page needs to draw each layer, and the setting that switches it on."""
+        most = {control["name"]: control["most"] for control in self.controls()}
+        found = []
+        for module in stage_modules():
+            name = f"depth.{module.WHEN}"
+            for spec in module.LAYERS:
+                if spec.kind in (*METRES, *SHARES):
+                    found.append(
+                        {
+                            "name": spec.name,
+                            "title": spec.title,
+                            "help": spec.description,
+                            "in_metres": spec.kind in METRES,
+                            "setting": name if name in most else None,
+                            "on": most.get(name) or True,
+                        }
+                    )
+        return found
 
     def controls(self) -> list[dict[str, Any]]:
         """Return what the page needs to draw a control for each setting, in their order."""

@@ -61,10 +61,14 @@ def extension_modules() -> tuple[StageModule, ...]:
     return tuple(cast(StageModule, import_module(name)) for name in names if name not in known)
 
 
+def stage_modules() -> tuple[StageModule, ...]:
+    """Files of all stages, in the order in which they run."""
+    return (*FRONT, *BACK, *extension_modules())
+
+
 def layer_specs() -> tuple[LayerSpec, ...]:
     """All layers that the stages may add, in the order of the stages."""
-    modules = (*FRONT, *BACK, *extension_modules())
-    return tuple(spec for module in modules for spec in module.LAYERS)
+    return tuple(spec for module in stage_modules() for spec in module.LAYERS)
 
 
 def make_front(plan: Plan, config: object) -> tuple[Stage, ...]:

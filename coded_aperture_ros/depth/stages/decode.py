@@ -20,6 +20,7 @@ SIDE = LayerSpec(
     "Probability that the depth is on the right side of the focal plane.",
     unit="",
     kind="probability",
+    title="side of the focal plane",
 )
 LAYERS: tuple[LayerSpec, ...] = (SIDE,)
 WHEN = ""

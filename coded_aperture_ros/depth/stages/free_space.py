@@ -19,6 +19,7 @@ FREE_SPACE = LayerSpec(
     unit="m",
     kind="bound",
     points="free_points",
+    title="free up to, at a risk",
 )
 LAYERS: tuple[LayerSpec, ...] = (FREE_SPACE,)
 WHEN = "free_space_risk"

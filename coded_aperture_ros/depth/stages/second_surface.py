@@ -24,6 +24,7 @@ SECOND = LayerSpec(
     "Depth of another surface in the window around the pixel, such as a net or what is behind it.",
     unit="m",
     kind="depth",
+    title="a second surface, such as behind a net",
 )
 SECOND_SHARE = LayerSpec(
     "second_share", "Share of the window that the second surface takes.", unit="", kind="share"

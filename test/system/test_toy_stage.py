@@ -1,0 +1,130 @@
+"""A feature is one file: a stage with a layer is a file, a topic, a panel, a line of a table."""
+
+import importlib
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from ros_helpers import Ros
+from small_camera import CAMERA, FAR_M, NEAR_M, coded_wall
+from waiting import wait_until
+
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator, stages
+from coded_aperture_ros.io import write_image
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera, save_bank
+from coded_aperture_ros.optics.camera_file import camera_from_mapping
+
+TOY = '''
+"""How surely a pixel is not the nearest thing."""
+
+import dataclasses
+
+from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.stage import Stage
+
+TOY = LayerSpec("toy", "Half of the confidence.", unit="", kind="probability", title="half as sure")
+LAYERS = (TOY,)
+WHEN = ""
+
+
+def make(plan, config):
+    return Toy()
+
+
+class Toy(Stage):
+    name = "toy"
+
+    def __call__(self, work):
+        work.add_layer(TOY, work.confidence / 2)
+'''
+
+
+@pytest.fixture
+def toy_stage(tmp_path, monkeypatch):
+    """The only thing that is added: one file in the folder of the stages."""
+    folder = tmp_path / "stages"
+    folder.mkdir()
+    (folder / "toy.py").write_text(TOY)
+    monkeypatch.setattr(stages, "__path__", [*stages.__path__, str(folder)])
+    stages.extension_modules.cache_clear()
+    yield "toy"
+    stages.extension_modules.cache_clear()
+    sys.modules.pop(f"{stages.__name__}.toy", None)
+    if hasattr(stages, "toy"):
+        del stages.toy
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Camera file, bank and frame of a wall."""
+    camera = camera_from_mapping(CAMERA)
+    bank = learn_bank_for_camera(camera, NEAR_M, FAR_M, 12, LearnConfig(window_px=32, rank=32))
+    (tmp_path / "camera.yaml").write_text(yaml.safe_dump(CAMERA))
+    save_bank(bank, tmp_path / "bank.npz")
+    write_image(tmp_path / "coded.npy", coded_wall(camera))
+    return tmp_path
+
+
+def test_layer_is_of_the_estimate(toy_stage, files):
+    camera = camera_from_mapping(CAMERA)
+    bank = learn_bank_for_camera(camera, NEAR_M, FAR_M, 12, LearnConfig(window_px=32, rank=32))
+    estimate = DepthEstimator(bank, DepthConfig(), camera).estimate(coded_wall(camera), (24, 32))
+    assert np.allclose(estimate.values("toy"), estimate.confidence / 2)
+    assert "toy" in estimate.seconds
+
+
+def test_layer_is_a_topic_of_the_node(toy_stage, files):
+    from sensor_msgs.msg import CameraInfo, Image
+
+    from coded_aperture_ros.ros.depth_node import DepthNode
+    from coded_aperture_ros.ros.messages import image_from_array
+
+    ros = Ros()
+    try:
+        given = {"camera_file": str(files / "camera.yaml"), "bank": str(files / "bank.npz")}
+        ros.make(DepthNode, given)
+        received = ros.subscribe("depth/toy", Image)
+        publisher = ros.publisher("image_raw", Image)
+        frame = np.load(files / "coded.npy")
+
+        def came():
+            message = image_from_array(frame, "32FC1", CameraInfo().header)
+            publisher.publish(message)
+            return len(received) > 0
+
+        assert wait_until(came, timeout_s=60)
+        assert received[0].encoding == "32FC1"
+    finally:
+        ros.close()
+
+
+def test_layer_is_a_choice_of_the_viewer(toy_stage):
+    from coded_aperture_viewer.settings import LookConfig, Settings
+
+    from coded_aperture_ros.deblur import DeblurConfig
+
+    settings = Settings(DepthConfig(), DeblurConfig(), LookConfig())
+    (choice,) = [layer for layer in settings.layers() if layer["name"] == "toy"]
+    assert choice["title"] == "half as sure" and not choice["in_metres"]
+
+
+@pytest.fixture
+def generator(checkout, monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(checkout) / "scripts"))
+    module = importlib.import_module("generate_layers")
+    yield module
+    sys.modules.pop("generate_layers")
+
+
+def test_layer_is_a_line_of_the_table_and_of_the_policy(toy_stage, generator):
+    assert "**toy**: Half of the confidence." in generator.layer_table()
+    text = generator.POLICY.read_text()
+    assert "<topic>depth/toy</topic>" in generator.policy(text)
+
+
+def test_what_is_generated_is_up_to_date(generator):
+    assert generator.TABLE.read_text() == generator.layer_table()
+    text = generator.POLICY.read_text()
+    assert text == generator.policy(text)
