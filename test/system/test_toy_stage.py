@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from cli_scene import call
 from ros_helpers import Ros
 from small_camera import CAMERA, FAR_M, NEAR_M, coded_wall
 from waiting import wait_until
@@ -73,6 +74,15 @@ def test_layer_is_of_the_estimate(toy_stage, files):
     estimate = DepthEstimator(bank, DepthConfig(), camera).estimate(coded_wall(camera), (24, 32))
     assert np.allclose(estimate.values("toy"), estimate.confidence / 2)
     assert "toy" in estimate.seconds
+
+
+def test_layer_is_a_file(toy_stage, files, capsys):
+    result = call(
+        capsys, "depth", "--bank", files / "bank.npz", files / "coded.npy", "-o", files / "x.npy"
+    )
+    assert result.status == 0, result.err
+    confidence = np.load(files / "x.confidence.npy")
+    assert np.allclose(np.load(files / "x.toy.npy"), confidence / 2)
 
 
 def test_layer_is_a_topic_of_the_node(toy_stage, files):
