@@ -69,6 +69,7 @@ setup(
         ],
         "eval": [
             "rosbags>=0.11.9",
+            "joblib>=1.3",
             "matplotlib>=3.8",
             "scikit-image>=0.22",
             "scikit-learn>=1.4",

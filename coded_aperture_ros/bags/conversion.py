@@ -1,13 +1,27 @@
-"""A recording in; the recording with depth and all-in-focus frames, and a report, out."""
+"""A bag becomes a bag with depth and all-in-focus frames, and a report."""
 
 import dataclasses
+import functools
+import pickle
+import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.bags.codec import read_picture
-from coded_aperture_ros.bags.frames import FrameProcessor
+from coded_aperture_ros.bags import frames
+from coded_aperture_ros.bags.codec import IMAGE, new_topic, read_picture
+from coded_aperture_ros.bags.engine import in_order, workers_starting
+from coded_aperture_ros.bags.frames import (
+    FrameProcessor,
+    FrameRecipe,
+    ProcessedFrame,
+    StoredProcessor,
+    kept_processor,
+    prepare,
+    process,
+)
 from coded_aperture_ros.bags.messages import (
     Batch,
     batches,
@@ -29,134 +43,125 @@ from coded_aperture_ros.bags.topics import (
     image_topic,
     namespace_of,
 )
-from coded_aperture_ros.bags.workers import Wait, frame_workers, in_order
-from coded_aperture_ros.bags.writing import bag_output
+from coded_aperture_ros.bags.writing import BagWriter, bag_output
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.figures import new_figure
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import map_size
 from coded_aperture_ros.frames import ExpectedMotion, Gamma, View
 from coded_aperture_ros.io.messages import MessageError, view_from_camera_info
-from coded_aperture_ros.likelihood.bank import check_frame_size
-from coded_aperture_ros.likelihood.choose import bank_of
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.pipeline import FramePipeline
 
 REPORT = "report"
-# Frames between reading and writing, for each processor.
-_AHEAD = 3
+# Frames whose results are in memory at once, at most, for each process.
+_WINDOW = 8
 Progress = Callable[[Iterable[Any], int | None], Iterable[Any]]
+
+
+def _nothing_expected(camera: Camera) -> ExpectedMotion | None:
+    return None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class BagConversion:
-    """What to make of the frames of a bag."""
+    """Everything that the conversion of a bag depends on, but for the bag.
 
-    topic: str | None  # of the coded frames; by default it is found out
-    reference_topic: str | None  # of the depth to compare with
-    namespace: str | None  # of the results; by default the camera's
+    Attributes
+    ----------
+    topic : str or None
+        Of the coded frames; None: it is found out.
+    reference_topic : str or None
+        Of the depth to compare with.
+    namespace : str or None
+        Of the results; None: the camera's.
+    camera : Camera
+    new_pipeline : callable
+        Pipeline for the camera at the frames' scale; picklable.
+    gamma : float or "srgb"
+        Of 8-bit frames.
+    map_size : str
+        Of the depth images, see `depth.map_size`.
+    prior : callable
+        Expected motion of all frames, or None, for their camera; picklable.
+    bits : int
+        Of 16-bit frames.
+    settings : mapping
+        For the report.
+    processes : int
+        Worker processes that share the frames, unless the pipeline remembers frames; 0: one for
+        each processor.
+    threads : int
+        Of the pipeline in this process, if its configuration leaves them open; 0: as many as it
+        chooses.
+    """
+
+    topic: str | None
+    reference_topic: str | None
+    namespace: str | None
     camera: Camera
-    new_pipeline: Callable[[Camera], FramePipeline]  # for the camera at the frames' scale
-    gamma: Gamma = 1.0  # of 8-bit frames
-    map_size: str = "full"  # of the depth images, see `depth.map_size`
-    more: tuple[str, ...] = ()  # what else the pipeline gives; see `Outputs.within`
-    # Of all frames, by their camera; for such a method.
-    prior: Callable[[Camera], ExpectedMotion | None] = lambda camera: None
-    bits: int = 16  # of 16-bit frames
-    settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # for the report
+    new_pipeline: Callable[[Camera], FramePipeline]
+    gamma: Gamma = 1.0
+    map_size: str = "full"
+    prior: Callable[[Camera], ExpectedMotion | None] = _nothing_expected
+    bits: int = 16
+    settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    processes: int = 0
+    threads: int = 0
 
     def run(
         self, source: Path, target: Path, progress: Progress = lambda steps, total: steps
     ) -> dict[str, Any]:
-        """Convert all frames of a bag into another one, with a report in its folder.
+        """Convert a bag into another one, with a report in its folder.
 
-        `progress` gets the steps and their number, if it is known, and returns the steps. What is
-        returned is what the report says, ready for JSON. Raises `InputError` if the bag cannot be
-        read, has no such topics or no frame that can be used, or the output cannot be written.
+        Parameters
+        ----------
+        source, target : Path
+        progress : callable
+            Gets the steps and their number, None if unknown, and returns the steps.
+
+        Returns
+        -------
+        dict
+            Content of the report, ready for JSON.
+
+        Raises
+        ------
+        InputError
+            If the bag cannot be read, has no such topics or no frame that can be used, or the
+            output cannot be written.
         """
         new_figure(1, 1)  # without matplotlib there would be no report
         started_s = time.perf_counter()
         with Bag(source) as bag:
             try:
-                return self._converted(bag, target, progress, started_s)
+                with workers_starting(self._processes, frames.__name__):
+                    plan = self._plan(bag)
+                return self._convert(bag, plan, target, progress, started_s)
             except MessageError as error:
                 raise InputError(f"{source}: {error}") from error
 
-    def _converted(
-        self, bag: Bag, target: Path, progress: Progress, started_s: float
-    ) -> dict[str, Any]:
+    @property
+    def _processes(self) -> int:
+        return self.processes or processors()
+
+    def _plan(self, bag: Bag) -> "_Plan":
+        """Find out about the topics and the first frame, and make the pipeline."""
         image, references, outputs = self._topics(bag)
-        first, view, camera = first_frame(bag, image, self.camera)
-        size = view.height, view.width
-        depth_size = map_size(size, self.map_size)
-        pipeline = self.new_pipeline(camera)
-        if (bank := bank_of(pipeline.estimator.model)) is not None:
-            check_frame_size(bank, view.whole_width, view.whole_height)
-        cut, kind = camera.for_view(view), image.type_name
-        pipeline.reconfigure(camera=cut)
-        processor = FrameProcessor(
-            pipeline, kind, size, depth_size, self.gamma, self.prior(cut), self.bits
+        data, view, camera = first_frame(bag, image, self.camera)
+        recipe = FrameRecipe(
+            self.new_pipeline,
+            self.prior,
+            camera,
+            view,
+            image.type_name,
+            map_size((view.height, view.width), self.map_size),
+            self.gamma,
+            self.bits,
+            self.threads if self._processes == 1 else 1,
         )
-        warm_up(camera)
-        record = Record(image.type_name, self.bits, self.gamma)
-        with frame_workers(processor, first) as submit, bag_output(target, bag.storage) as writer:
-            preparation_s = time.perf_counter() - started_s
-            for topic in (*bag.topics.values(), *result_topics(outputs, pipeline.deblurs)):
-                writer.add_topic(topic)
-
-            def begin(batch: Batch) -> Wait | None:
-                return None if batch.index is None else submit(batch.copies[-1].data)
-
-            record.start()
-            found = batches(bag, image.name, camera_info_topic(bag.topics, image), camera, view)
-            steps = in_order(begin, found, _AHEAD * processors())
-            for batch, result in progress(steps, image.count):
-                for message in batch.copies:
-                    writer.write(message.topic, message.time_ns, message.data)
-                if references:
-                    references.add_messages(batch.copies)
-                if result is not None and batch.index is not None:
-                    for topic_name, data in result_messages(result, batch.info, outputs):
-                        writer.write(topic_name, batch.copies[-1].time_ns, data)
-                    record.add(batch.index, batch.copies[-1], result)
-                    if references:
-                        references.add_frame(batch.index, result)
-                if references:
-                    record.add_scores(references.scores())
-            if references:
-                record.add_scores(references.scores(end=True))
-            writer.close()
-            record.stop()
-            if not record.used:
-                reasons = "; ".join(record.reasons.values()) or "it ends before the first one"
-                raise InputError(f"{bag.path}: no frame could be used: {reasons}")
-            results = {
-                "input": str(bag.path),
-                "output": str(target),
-                "storage": bag.storage,
-                "topic": image.name,
-                "outputs": {
-                    kind: name for kind, name in dataclasses.asdict(outputs).items() if name
-                },
-                "damage": bag.damage,
-                "frames": record.frames,
-                "used": record.used,
-                "faults": dict(record.faults),
-                "fault_reasons": record.reasons,
-                "size": list(size),
-                "depth_size": list(depth_size),
-                "depth": record.depth(),
-                "reference": record.reference(references.topic) if references else None,
-                "timing": {
-                    **record.timing(),
-                    "preparation_s": preparation_s,
-                    "processors": processors(),
-                },
-                "settings": dict(self.settings),
-                "report": str(target / REPORT / PAGE),
-            }
-            write_report(writer.folder / REPORT, results, record)
-        return results
+        processor = kept_processor(pickle.dumps(recipe))
+        return _Plan(image, references, outputs, recipe, processor, data)
 
     def _topics(self, bag: Bag) -> tuple[Topic, References | None, Outputs]:
         reference = None
@@ -165,15 +170,131 @@ class BagConversion:
                 reference = depth_topic(bag.topics, self.reference_topic).name
             image = image_topic(bag.topics, self.topic, reference)
             namespace = namespace_of(image) if self.namespace is None else self.namespace
-            outputs = Outputs.within(f"/{namespace.strip('/')}", self.more)
+            outputs = Outputs.within(f"/{namespace.strip('/')}")
             check_outputs(bag.topics, outputs)
         return image, None if reference is None else References(reference), outputs
 
+    def _convert(
+        self, bag: Bag, plan: "_Plan", target: Path, progress: Progress, started_s: float
+    ) -> dict[str, Any]:
+        pipeline = plan.processor.pipeline
+        processes = 1 if pipeline.remembers else self._processes
+        warm_up(plan.recipe.camera)
+        record = Record(plan.image.type_name, self.bits, self.gamma)
+        with _prepared(plan, processes) as work, bag_output(target, bag.storage) as writer:
+            preparation_s = time.perf_counter() - started_s
+            for topic in (*bag.topics.values(), *result_topics(plan.outputs, pipeline.deblurs)):
+                writer.add_topic(topic)
+            record.start()
+            steps = in_order(
+                work,
+                ((batch, batch.frame) for batch in plan.batches(bag)),
+                processes=processes,
+                window=_WINDOW * processes,
+            )
+            with closing(steps):
+                for batch, result in progress(steps, plan.image.count):
+                    _take(batch, result, plan, writer, record)
+            if plan.references:
+                record.add_scores(plan.references.scores(end=True))
+            writer.close()
+            record.stop()
+            if not record.used:
+                reasons = "; ".join(record.reasons.values()) or "it ends before the first one"
+                raise InputError(f"{bag.path}: no frame could be used: {reasons}")
+            results = self._results(bag, plan, target, record, preparation_s)
+            write_report(writer.folder / REPORT, results, record)
+        return results
+
+    def _results(
+        self, bag: Bag, plan: "_Plan", target: Path, record: Record, preparation_s: float
+    ) -> dict[str, Any]:
+        view, references = plan.recipe.view, plan.references
+        return {
+            "input": str(bag.path),
+            "output": str(target),
+            "storage": bag.storage,
+            "topic": plan.image.name,
+            "outputs": plan.outputs.present(record.layers),
+            "damage": bag.damage,
+            "frames": record.frames,
+            "used": record.used,
+            "faults": dict(record.faults),
+            "fault_reasons": record.reasons,
+            "size": [view.height, view.width],
+            "depth_size": list(plan.recipe.map_size),
+            "depth": record.depth(),
+            "reference": None if references is None else record.reference(references.topic),
+            "timing": {
+                **record.timing(),
+                "preparation_s": preparation_s,
+                "processors": processors(),
+            },
+            "settings": dict(self.settings),
+            "report": str(target / REPORT / PAGE),
+        }
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Plan:
+    """What is known of a bag before its frames are worked on."""
+
+    image: Topic
+    references: References | None
+    outputs: Outputs
+    recipe: FrameRecipe
+    processor: FrameProcessor
+    first: bytes  # message of a frame that can be used
+
+    def batches(self, bag: Bag) -> Iterator[Batch]:
+        """Messages of the bag, up to and with a frame at a time."""
+        info_topic = camera_info_topic(bag.topics, self.image)
+        return batches(bag, self.image.name, info_topic, self.recipe.camera, self.recipe.view)
+
+
+@contextmanager
+def _prepared(plan: _Plan, processes: int) -> Iterator[Callable[[bytes], ProcessedFrame]]:
+    """Yield a function for frames, for which all processes are prepared."""
+    if processes == 1:
+        plan.processor.prepare(plan.first)
+        yield plan.processor
+        return
+    with tempfile.TemporaryDirectory(prefix="coded_aperture_") as folder:
+        stored = StoredProcessor.store(plan.processor, Path(folder) / "processor")
+        key = pickle.dumps(stored)
+        # One each: they take as long as one another.
+        each = [(None, plan.first)] * processes
+        work = functools.partial(prepare, key)
+        for _ in in_order(work, each, processes=processes, window=processes):
+            pass
+        yield functools.partial(process, key)
+
+
+def _take(
+    batch: Batch, result: ProcessedFrame | None, plan: _Plan, writer: BagWriter, record: Record
+) -> None:
+    """Write messages and the results of their frame, and note them."""
+    references = plan.references
+    for message in batch.copies:
+        writer.write(message.topic, message.time_ns, message.data)
+    if references:
+        references.add_messages(batch.copies)
+    if result is not None and batch.index is not None:
+        for topic, data in result_messages(result, batch.info, plan.outputs):
+            if topic not in writer:  # of a layer that no frame had before
+                writer.add_topic(new_topic(topic, IMAGE))
+            writer.write(topic, batch.copies[-1].time_ns, data)
+        record.add(batch.index, batch.copies[-1], result)
+        if references:
+            references.add_frame(batch.index, result)
+    if references:
+        record.add_scores(references.scores())
+
 
 def first_frame(bag: Bag, topic: Topic, camera: Camera) -> tuple[bytes, View, Camera]:
-    """Return the first message of a topic that can be used, its view, and the camera of all of it.
+    """First message of a topic that can be used, its view, and the camera of the whole view.
 
-    An `InputError` if there is none.
+    The camera has the scale of the frames. An `InputError` if there is no such message.
     """
     info = first_info(bag, camera_info_topic(bag.topics, topic))
     reason = ""

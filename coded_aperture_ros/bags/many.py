@@ -1,15 +1,17 @@
-"""Many recordings: what each becomes, which of them are done, and one report over all."""
+"""Many bags: converted side by side or one after the other, and one report over all."""
 
 import dataclasses
 import html
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from coded_aperture_ros.bags.conversion import REPORT
+from coded_aperture_ros.bags.engine import WorkerLostError, in_order
 from coded_aperture_ros.bags.page import JSON, PAGE, page_of
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_outputs
@@ -24,18 +26,18 @@ _OVER_FRAMES: dict[str, Callable[[Any], Any]] = {
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """A bag, and the one with results that it becomes."""
+    """A bag, and the bag with results that it becomes."""
 
     source: Path
     target: Path
 
     def report(self) -> Any:
-        """Return what the results say of themselves; None: there are none, or not all yet."""
+        """Content of the report of the results; None if they are not complete."""
         path = self.target / REPORT / JSON
         return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
 
     def done(self, settings: Mapping[str, Any]) -> bool:
-        """Tell whether there are results; an `InputError` if of another bag or other settings."""
+        """Whether the results are complete; an `InputError` if of another bag or settings."""
         if (found := self.report()) is None:
             return False
         was, wanted = {**found, **found["settings"]}, {"input": str(self.source), **settings}
@@ -45,8 +47,53 @@ class Job:
         return True
 
 
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """How the conversion of a bag ended: `failure` is the reason in a line, empty if it did not.
+
+    `warnings` are lines for the user.
+    """
+
+    failure: str = ""
+    warnings: tuple[str, ...] = ()
+
+
+def convert_jobs(
+    convert: Callable[[Job], Outcome], jobs: Sequence[Job], processes: int, client: Any = None
+) -> Iterator[tuple[Job, Outcome]]:
+    """Convert bags; yield them with their outcomes, in their order.
+
+    Parameters
+    ----------
+    convert : callable
+        Converts a bag that is not complete yet; pickled.
+    jobs : sequence of Job
+    processes : int
+        Worker processes with a bag each; 1: one bag after the other, in this process.
+    client : distributed.Client, optional
+        Of a Dask cluster, whose workers take the place of processes.
+    """
+    taken = 0
+    each = [(job, job) for job in jobs]
+    steps = in_order(convert, each, processes=processes, window=len(each), client=client)
+    try:
+        with closing(steps):
+            for job, outcome in steps:
+                taken += 1
+                yield job, outcome or Outcome()
+    except WorkerLostError as error:
+        # One of those that are left: which, is found by halving. What is complete takes no time.
+        left = jobs[taken:]
+        if len(left) == 1:
+            yield left[0], Outcome(str(error))
+            return
+        middle = len(left) // 2
+        for part in (left[:middle], left[middle:]):
+            yield from convert_jobs(convert, part, processes, client)
+
+
 def jobs_of(sources: Iterable[Path], folder: Path) -> list[Job]:
-    """Return what becomes of bags: each has a folder of its name; no two may have the same."""
+    """Jobs of bags, each with a folder of its name; an `InputError` if two have the same name."""
     jobs: dict[str, Job] = {}
     for source in (path.resolve() for path in sources):
         name = source.name.removesuffix(".mcap").removesuffix(".db3")
@@ -59,7 +106,10 @@ def jobs_of(sources: Iterable[Path], folder: Path) -> list[Job]:
 def write_summary(
     folder: Path, jobs: Sequence[Job], failed: Mapping[Job, str], before: int
 ) -> dict[str, Any]:
-    """Write a page and JSON about all bags; `before` says how many were done beforehand."""
+    """Write a page and JSON about all bags, and return their content.
+
+    `before` is the number of bags that were complete beforehand.
+    """
     reports = [job.report() for job in jobs if job not in failed]
     results = {
         "output": str(folder),

@@ -1,4 +1,4 @@
-"""The messages of the recording on their way through, and those of the results."""
+"""Messages of a bag, frame by frame, and messages of the results."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -22,14 +22,25 @@ _WAITING_BYTES = 16 * 2**20
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Batch:
-    """Messages in the order of the bag, and the camera model of that time.
+    """Messages in the order of the bag, up to a frame.
 
-    If the last one is a frame, `index` says which.
+    Attributes
+    ----------
+    copies : tuple of Recorded
+    index : int or None
+        Of the frame in its topic, which is the last of the messages; None: none of them is one.
+    info : message
+        Camera model of that time.
     """
 
     copies: tuple[Recorded, ...]
     index: int | None
     info: Any
+
+    @property
+    def frame(self) -> bytes | None:
+        """Message of the frame, if there is one."""
+        return None if self.index is None else self.copies[-1].data
 
 
 def batches(
@@ -56,7 +67,7 @@ def batches(
 
 
 def first_info(bag: Bag, topic: str | None) -> Any:
-    """Return the first camera model of a topic with a calibration; None if there is none."""
+    """First camera model of a topic that has a calibration; None if there is none."""
     for message in () if topic is None else bag.messages(topic):
         with suppress(MessageError):
             info = codec.read_camera_info(message.data)
@@ -66,7 +77,7 @@ def first_info(bag: Bag, topic: str | None) -> Any:
 
 
 def _usable_info(data: bytes, view: View, camera: Camera) -> Any:
-    """Return a camera model of the bag; None if it is empty or not of the frames."""
+    """Camera model of a message; None if it is empty or not of the frames."""
     with suppress(MessageError):
         info = codec.read_camera_info(data)
         if view_from_camera_info(info, view.width, view.height, camera) is not None:
@@ -75,11 +86,9 @@ def _usable_info(data: bytes, view: View, camera: Camera) -> Any:
 
 
 def result_topics(outputs: Outputs, deblurs: bool) -> list[Topic]:
-    """Return the topics of the results."""
+    """Topics of the results, but for those of layers."""
     kinds = dict.fromkeys((outputs.depth, outputs.confidence, outputs.std_dev), codec.IMAGE)
     kinds[outputs.depth_info] = codec.CAMERA_INFO
-    more = outputs.motion, outputs.free_space, outputs.second, outputs.second_share
-    kinds |= {name: codec.IMAGE for name in more if name}
     if deblurs:
         kinds |= {outputs.deblurred: codec.IMAGE, outputs.deblurred_info: codec.CAMERA_INFO}
     return [codec.new_topic(name, kind) for name, kind in kinds.items()]
@@ -88,7 +97,10 @@ def result_topics(outputs: Outputs, deblurs: bool) -> list[Topic]:
 def result_messages(
     result: ProcessedFrame, info: Any, outputs: Outputs
 ) -> Iterator[tuple[str, memoryview]]:
-    """Yield topic and data of the messages that say what was made of a frame."""
+    """Yield topic and data of the messages with the results of a frame.
+
+    `info` is the camera model of the frame's time.
+    """
     header = result.header
     if (maps := result.maps) is not None:
         yield outputs.depth, codec.image_data(maps.depth_m, "32FC1", header)
@@ -96,15 +108,8 @@ def result_messages(
         yield outputs.std_dev, codec.image_data(maps.std_dev_m, "32FC1", header)
         rows, columns = maps.depth_m.shape
         yield outputs.depth_info, codec.camera_info_data(info, (rows, columns), header)
-        if outputs.motion is not None and maps.motion_px is not None:
-            yield outputs.motion, codec.image_data(maps.motion_px, "32FC2", header)
-        for topic, values in (
-            (outputs.free_space, maps.free_space_m),
-            (outputs.second, maps.second_m),
-            (outputs.second_share, maps.second_share),
-        ):
-            if topic is not None and values is not None:
-                yield topic, codec.image_data(values, "32FC1", header)
+        for name, layer in maps.layers.items():
+            yield outputs.layers[name], codec.image_data(layer.values, layer.spec.encoding, header)
     if result.sharp is not None:
         rows, columns = result.sharp.shape[:2]
         yield outputs.deblurred, codec.image_data(result.sharp, result.encoding, header)
@@ -112,7 +117,7 @@ def result_messages(
 
 
 def warm_up(camera: Camera) -> None:
-    """Have made what reads and writes messages: with the first ones it takes 0.1 s."""
+    """Prepare reading and writing of messages, which takes 0.1 s with the first ones."""
     info = codec.info_of(camera.intrinsics)
     codec.read_camera_info(codec.camera_info_data(info, (1, 1), info.header))
     codec.read_depth_image(codec.image_data(np.zeros((1, 1), np.float32), "32FC1", info.header))

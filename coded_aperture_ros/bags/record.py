@@ -1,6 +1,7 @@
 """What is noted while a bag is worked on, for its report."""
 
 import dataclasses
+import os
 import time
 from collections import Counter
 from collections.abc import Iterable
@@ -49,6 +50,7 @@ class Record:
         self.reasons: dict[str, str] = {}  # the first of each in a line
         self.samples: dict[int, Sample] = {}  # at most four, spread over the recording, by index
         self.scores: dict[int, FrameScore] = {}  # by index, without the references themselves
+        self.layers: dict[str, None] = {}  # names of the layers that frames had, in their order
         self._rows: dict[int, dict[str, Any]] = {}
         self._spacing = 1
         self._start_s = time.perf_counter()
@@ -73,7 +75,8 @@ class Record:
     def add(self, index: int, recorded: Recorded, result: ProcessedFrame) -> None:
         """Note the result of a frame, by its index in the topic and its message."""
         self.frames += 1
-        self._processor_s += result.processor_s
+        if result.process != os.getpid():  # else it is in the time of this process
+            self._processor_s += result.processor_s
         if result.fault:
             self.faults[result.fault] += 1
             self.reasons.setdefault(result.fault, result.reason)
@@ -92,6 +95,7 @@ class Record:
             "misfit": "" if maps.health is None else maps.health.cause,
             **{f"{stage}_s": seconds for stage, seconds in result.seconds.items()},
         }
+        self.layers.update(dict.fromkeys(maps.layers))
         if index % self._spacing == 0:
             self._keep(index, recorded, result, maps)
 

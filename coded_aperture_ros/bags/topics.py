@@ -1,11 +1,13 @@
-"""Which topic of a bag is the camera's, and what those of the results are called."""
+"""Topics of a bag: the camera's, the reference's, and the names of those of the results."""
 
 import dataclasses
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 from coded_aperture_ros.bags.codec import CAMERA_INFO, COMPRESSED, IMAGE
 from coded_aperture_ros.bags.recorded import Topic
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth import layer_specs
 
 _RAW = "image_raw"
 _COMPRESSED_RAW = "image_raw/compressed"
@@ -13,7 +15,10 @@ _COMPRESSED_RAW = "image_raw/compressed"
 
 @dataclasses.dataclass(frozen=True)
 class Outputs:
-    """Names of the topics of the results: those of the nodes, in the camera's namespace."""
+    """Names of the topics of the results: those of the nodes, in the camera's namespace.
+
+    `layers` are those of all layers that a depth estimate may have, by the names of the layers.
+    """
 
     depth: str
     confidence: str
@@ -21,24 +26,27 @@ class Outputs:
     depth_info: str
     deblurred: str
     deblurred_info: str
-    motion: str | None = None
-    free_space: str | None = None
-    second: str | None = None
-    second_share: str | None = None
+    layers: Mapping[str, str]
 
     @classmethod
-    def within(cls, namespace: str, more: Iterable[str] = ()) -> "Outputs":
-        """Return the names in a namespace, such as `/camera`; empty for the topmost.
-
-        With `more` of depth, which only some bags get: motion, free_space, second...
-        """
-        names = (
-            *("depth/image", "depth/confidence", "depth/std_dev", "depth/camera_info"),
-            *("deblurred/image", "deblurred/camera_info"),
-        )
+    def within(cls, namespace: str) -> "Outputs":
+        """Names in a namespace, such as `/camera`; empty for the topmost."""
         top = namespace.rstrip("/")
-        others = {name: f"{top}/depth/{name}" for name in more}
-        return cls(*(f"{top}/{name}" for name in names), **others)
+        return cls(
+            depth=f"{top}/depth/image",
+            confidence=f"{top}/depth/confidence",
+            std_dev=f"{top}/depth/std_dev",
+            depth_info=f"{top}/depth/camera_info",
+            deblurred=f"{top}/deblurred/image",
+            deblurred_info=f"{top}/deblurred/camera_info",
+            layers={spec.name: f"{top}/{spec.topic}" for spec in layer_specs()},
+        )
+
+    def present(self, layers: Iterable[str]) -> dict[str, str]:
+        """Names by what the topics hold, with those of some layers."""
+        names: dict[str, Any] = dict(vars(self))
+        every: Mapping[str, str] = names.pop("layers")
+        return {**names, **{layer: every[layer] for layer in layers}}
 
 
 def image_topic(
@@ -88,8 +96,8 @@ def camera_info_topic(topics: Mapping[str, Topic], image: Topic) -> str | None:
 
 
 def check_outputs(topics: Mapping[str, Topic], outputs: Outputs) -> None:
-    """Refuse results with the name of a topic that the bag has already, by an `InputError`."""
-    for name in dataclasses.astuple(outputs):
+    """Raise `InputError` if the bag has a topic of the name of one of the results already."""
+    for name in outputs.present(outputs.layers).values():
         if name in topics:
             raise InputError(f"it has a topic {name} already: say --namespace NAME for the results")
 

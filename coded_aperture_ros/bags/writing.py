@@ -46,6 +46,10 @@ class BagWriter:
             offered_qos_profiles=topic.qos,
         )
 
+    def __contains__(self, topic: str) -> bool:
+        """Whether a topic was added."""
+        return topic in self._connections
+
     def write(self, topic: str, time_ns: int, data: bytes | memoryview) -> None:
         """Write a message to a topic that was added."""
         self._writer.write(self._connections[topic], time_ns, data)

@@ -3,9 +3,11 @@
 import argparse
 import functools
 import logging
+import os
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +24,7 @@ from coded_aperture_ros.cli.options import add_bits_option, add_gamma_option, ad
 from coded_aperture_ros.core.arguments import checked
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import progress
-from coded_aperture_ros.core.workers import load_in_fork_server, processors
+from coded_aperture_ros.core.workers import processors
 
 _DEBLUR_RANK = 10
 _NAMESPACE = re.compile(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*/?)?", re.ASCII)
@@ -111,44 +113,63 @@ def run(args: argparse.Namespace) -> int:
         args.usage_error("the following arguments are required: --camera")
     if args.deblur == "none" and (args.deblur_rank, args.deblur_band) != (_DEBLUR_RANK, "full"):
         args.usage_error("--deblur none takes neither --deblur-rank nor --deblur-band")
-    if processors() > 1 and not args.scheduler:
-        load_in_fork_server("coded_aperture_ros.bags.workers")
     if len(args.inputs) > 1 or args.scheduler:
         return _convert_all(args)
-    return tell(args, _convert(args, Path(args.inputs[0]), Path(args.output)), _in_words)
+    results = _convert(args, Path(args.inputs[0]), Path(args.output))
+    for line in _warnings(Path(args.inputs[0]), results):
+        logging.warning(line)
+    return tell(args, results, _in_words)
 
 
-def _convert(args: argparse.Namespace, source: Path, target: Path) -> dict[str, Any]:
+def _convert(
+    args: argparse.Namespace, source: Path, target: Path, threads: int = 0
+) -> dict[str, Any]:
+    """Convert a bag, in this process alone if `threads` says how many are for it."""
     from coded_aperture_ros.bags import check_bag_output
     from coded_aperture_ros.bags.conversion import BagConversion
-    from coded_aperture_ros.deblur import DeblurConfig
     from coded_aperture_ros.optics import load_camera
 
     check_bag_output(target, [source, *inputs_of(args, "bank", "camera")], args.overwrite)
-    camera = load_camera(args.camera)
-    deblurring = {"rank": args.deblur_rank, "band": args.deblur_band}
-    deblur = None if args.deblur == "none" else DeblurConfig(args.deblur, **deblurring)
-    asked = {"motion": args.motion, "free_space": args.free_space_risk}
-    asked |= dict.fromkeys(("second", "second_share"), args.second_surface)
+    options = _picklable(args)
     conversion = BagConversion(
         topic=args.topic,
         reference_topic=args.reference_depth,
         namespace=args.namespace,
-        camera=camera,
-        new_pipeline=lambda camera: pipeline_of(args, camera, deblur),
+        camera=load_camera(args.camera),
+        new_pipeline=functools.partial(_new_pipeline, options),
         gamma=args.gamma,
         bits=args.bits,
         map_size=args.output_size,
-        more=tuple(name for name in asked if asked[name]),
-        prior=lambda camera: expected_motion_of(args, camera),
+        prior=functools.partial(expected_motion_of, options),
         settings=_settings(args),
+        # Frames of a video go through one pipeline, in their order.
+        processes=1 if threads or args.temporal_frames else 0,
+        threads=threads,
     )
-    results = conversion.run(source, target, lambda steps, total: progress(steps, total, "frame"))
+    return conversion.run(source, target, lambda steps, total: progress(steps, total, "frame"))
+
+
+def _new_pipeline(args: argparse.Namespace, camera: Any) -> Any:
+    from coded_aperture_ros.deblur import DeblurConfig
+
+    deblurring = {"rank": args.deblur_rank, "band": args.deblur_band}
+    deblur = None if args.deblur == "none" else DeblurConfig(args.deblur, **deblurring)
+    return pipeline_of(args, camera, deblur)
+
+
+def _warnings(source: Path, results: dict[str, Any]) -> Iterator[str]:
+    """Lines about a bag whose results are not as good as they might be."""
     if results["damage"]:
-        logging.warning(f"{source}: processed up to the damage: {results['damage']}")
+        yield f"{source}: processed up to the damage: {results['damage']}"
     for fault, reason in results["fault_reasons"].items():
-        logging.warning(f"{results['faults'][fault]} frame(s) not used ({fault}): {reason}")
-    return results
+        yield f"{results['faults'][fault]} frame(s) not used ({fault}): {reason}"
+
+
+def _picklable(args: argparse.Namespace) -> argparse.Namespace:
+    """Arguments without what belongs to the parser, for a worker."""
+    parsers = "of_simple", "of_motion"
+    given = {name: value for name, value in vars(args).items() if name not in parsers}
+    return argparse.Namespace(**given | {"usage_error": sys.exit})
 
 
 def _settings(args: argparse.Namespace) -> dict[str, Any]:
@@ -158,35 +179,68 @@ def _settings(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _convert_all(args: argparse.Namespace) -> int:
-    from coded_aperture_ros.bags.many import jobs_of, write_summary
+    from coded_aperture_ros.bags.many import convert_jobs, jobs_of, write_summary
+    from coded_aperture_ros.core.cluster import dask_client
 
+    args = _picklable(args)
     for name in filter(vars(args).get, ("bank", "camera")):  # a worker may be elsewhere
         setattr(args, name, str(Path(getattr(args, name)).resolve()))
-    del args.of_simple, args.of_motion  # these do not travel
-    args.usage_error = sys.exit
     jobs = jobs_of(map(Path, args.inputs), Path(args.output))
     left = [job for job in jobs if args.overwrite or not job.done(_settings(args))]
-    work = functools.partial(_failure, args)
-    outcomes: Iterable[tuple[Any, str]] = ((job, work(job)) for job in left)
-    if args.scheduler:
-        from coded_aperture_ros.core.cluster import failures_on_workers
-
-        outcomes = failures_on_workers(args.scheduler, work, left)
-    failed = {job: reason for job, reason in progress(outcomes, len(left), "bag") if reason}
+    processes = 1 if args.scheduler else _bags_at_once(args, len(left))
+    threads = processors() // processes if processes > 1 else 0
+    convert = functools.partial(_outcome, args, 1 if args.scheduler else threads)
+    with dask_client(args.scheduler) if args.scheduler else nullcontext() as client:
+        outcomes = dict(progress(convert_jobs(convert, left, processes, client), len(left), "bag"))
+    for line in dict.fromkeys(line for each in outcomes.values() for line in each.warnings):
+        logging.warning(line)
+    failed = {job: outcome.failure for job, outcome in outcomes.items() if outcome.failure}
     for job, reason in failed.items():
         logging.error(f"{job.source}: {reason}")
     results = write_summary(Path(args.output), jobs, failed, len(jobs) - len(left))
     return tell(args, results, _all_in_words) or int(bool(failed))
 
 
-def _failure(args: argparse.Namespace, job: Any) -> str:
-    """Work on a bag, perhaps far from who asked for it; return what went wrong, or nothing."""
-    try:  # who did it before may have died before saying so
-        if args.overwrite or not job.done(_settings(args)):
-            _convert(args, job.source, job.target)
-    except (InputError, SystemExit) as error:
-        return str(error)
-    return ""
+def _bags_at_once(args: argparse.Namespace, count: int) -> int:
+    """Return the number of processes with a bag each.
+
+    Fewer bags than processors are better worked on one after the other, with their frames shared
+    among all processors, which frames of a video cannot be.
+    """
+    if count < processors() and not args.temporal_frames:
+        return 1
+    return max(1, min(count, processors()))
+
+
+def _outcome(args: argparse.Namespace, threads: int, job: Any) -> Any:
+    """Convert a bag, perhaps far from who asked for it, unless its results are complete."""
+    from coded_aperture_ros.bags.many import Outcome
+
+    if threads:
+        os.environ["TQDM_DISABLE"] = "1"  # the program shows how far all bags are
+    with _logged() as lines:
+        try:
+            # Another worker may have done it, and died before saying so.
+            if args.overwrite or not job.done(_settings(args)):
+                lines.extend(_warnings(job.source, _convert(args, job.source, job.target, threads)))
+        except (InputError, SystemExit) as error:
+            return Outcome(str(error), tuple(lines))
+    return Outcome("", tuple(lines))
+
+
+@contextmanager
+def _logged() -> Iterator[list[str]]:
+    """Collect warnings, which a worker has nobody to show to."""
+    lines: list[str] = []
+    handler = logging.Handler()
+    handler.emit = lambda record: lines.append(record.getMessage())  # type: ignore[method-assign]
+    root = logging.getLogger()
+    before = root.handlers
+    root.handlers = [handler]
+    try:
+        yield lines
+    finally:
+        root.handlers = before
 
 
 def _all_in_words(results: dict[str, Any]) -> str:

@@ -169,7 +169,7 @@ def test_a_region_of_interest_turns_around_the_axis_of_the_whole_view(
         priors.append(prior)
         raise InputError("that is enough")
 
-    monkeypatch.setattr("coded_aperture_ros.bags.conversion.FrameProcessor", processor)
+    monkeypatch.setattr("coded_aperture_ros.bags.frames.FrameProcessor", processor)
     options = ("--motion", *FEW_MOTIONS, "--angular-velocity", 0, 0, 1, "--exposure", 0.01)
     refused(call(capsys, *command(scene, bag, tmp_path / "out", *options)), "that is enough")
     middle = (HEIGHT - 1) / 2 - top, (WIDTH - 1) / 2 - left

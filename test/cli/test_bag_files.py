@@ -7,9 +7,8 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 
 import cv2
@@ -36,7 +35,7 @@ from rosbags.rosbag2 import CompressionMode
 from waiting import output_of, run_python, wait_until
 
 from coded_aperture_ros.bags import Bag, bag_output, is_bag
-from coded_aperture_ros.bags.workers import in_order
+from coded_aperture_ros.bags.engine import in_order
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.optics import load_camera
@@ -359,76 +358,74 @@ def test_what_is_a_bag(scene, recorded, tmp_path):
         open_source("bag:/missing", None, 1.0)
 
 
-def test_results_come_in_order_however_long_each_takes():
-    started, lock, busy, most = [], threading.Lock(), 0, 0
+def squared(number):
+    time.sleep(0.005 * (number % 3))
+    return number**2
 
-    def items():
+
+def named(number):
+    if number == 3:
+        raise InputError("three")
+    return number
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_results_come_in_order_however_long_each_takes(processes):
+    taken = []
+
+    def tasks():
         for number in range(20):
-            started.append(number)
-            yield number
+            taken.append(number)
+            yield number, number
 
-    def work(number):
-        nonlocal busy, most
-        with lock:
-            busy += 1
-            most = max(most, busy)
-        time.sleep(0.002 * (number % 3))
-        with lock:
-            busy -= 1
-        return number**2
-
-    with ThreadPoolExecutor(3) as pool:
-        results = in_order(lambda item: pool.submit(work, item).result, items(), ahead=5)
+    with closing(in_order(squared, tasks(), processes=processes, window=6)) as results:
         assert next(results) == (0, 0)
-        assert len(started) <= 6  # no more than was asked for
+        assert len(taken) <= 6  # no more than results may wait
         assert list(results) == [(number, number**2) for number in range(1, 20)]
-    assert most <= 3
 
 
-def test_an_item_without_work_keeps_its_place():
-    with ThreadPoolExecutor(1) as pool:
-        results = in_order(
-            lambda item: pool.submit(abs, item).result if item else None, [-1, 0, -2], ahead=2
-        )
-        assert list(results) == [(-1, 1), (0, None), (-2, 2)]
+@pytest.mark.parametrize("processes", [1, 2])
+def test_an_item_without_work_keeps_its_place(processes):
+    tasks = [("a", -1), ("b", None), ("c", -2)]
+    results = in_order(abs, tasks, processes=processes, window=2)
+    assert list(results) == [("a", 1), ("b", None), ("c", 2)]
 
 
-def test_a_failure_in_a_thread_comes_out():
-    def work(number):
-        if number == 3:
-            raise InputError("three")
-        return number
-
-    with ThreadPoolExecutor(2) as pool, pytest.raises(InputError, match="three"):
-        list(in_order(lambda item: pool.submit(work, item).result, range(9), ahead=4))
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_failure_of_a_worker_comes_out(processes):
+    with pytest.raises(InputError, match="three"):
+        list(in_order(named, zip(range(9), range(9), strict=True), processes=processes, window=9))
+    # The next ones get new workers.
+    assert list(in_order(named, [(1, 1)], processes=processes, window=9)) == [(1, 1)]
 
 
 @pytest.mark.skipif(processors() < 2, reason="with one processor all is done by one process")
-@pytest.mark.parametrize("options", [(), ("--temporal-frames", "3")])
+@pytest.mark.parametrize("options", [("--temporal-frames", "0"), ("--temporal-frames", "3")])
 def test_processes_write_what_one_process_writes(
     scene, recorded, tmp_path, capsys, monkeypatch, options
 ):
     bag = recorded(9)
     assert call(capsys, *command(scene, bag, tmp_path / "several", *options)).status == 0
-    monkeypatch.setattr("coded_aperture_ros.bags.workers.processors", lambda: 1)
+    monkeypatch.setattr("coded_aperture_ros.bags.conversion.processors", lambda: 1)
     assert call(capsys, *command(scene, bag, tmp_path / "one", *options)).status == 0
     assert read(tmp_path / "several") == read(tmp_path / "one")
 
 
-def forked_processes(pid):
-    """Return the processes that a program has had forked by its fork server, in no order."""
-    parents = {}
+def worker_processes(pid):
+    """Return the worker processes that a program has started."""
+    found = set()
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):  # it may end meanwhile
-            parents[int(stat.parent.name)] = int(stat.read_text().rpartition(")")[2].split()[1])
-    servers = {child for child, parent in parents.items() if parent == pid}
-    return {child for child, parent in parents.items() if parent in servers}
+            is_child = int(stat.read_text().rpartition(")")[2].split()[1]) == pid
+            if is_child and "popen_loky" in (stat.parent / "cmdline").read_text():
+                found.add(int(stat.parent.name))
+    return found
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(processors() < 2, reason="with one processor all is done by one process")
-@pytest.mark.parametrize("whom", ["program", "worker"])
-def test_nothing_stays_of_a_program_or_a_worker_that_is_killed(scene, recorded, tmp_path, whom):
+@pytest.mark.parametrize("how", ["program", "worker", "ctrl-c", "terminated"])
+def test_nothing_stays_of_a_program_or_a_worker_that_is_ended(scene, recorded, tmp_path, how):
     bag, target = recorded(600), tmp_path / "out"
     before = everything(tmp_path)
     # Frames by themselves are shared among processes.
@@ -439,25 +436,34 @@ def test_nothing_stays_of_a_program_or_a_worker_that_is_killed(scene, recorded, 
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        start_new_session=True,
     )
     try:
         # It has begun to write.
         assert wait_until(lambda: list(tmp_path.glob(".out-*/out/*")))
-        workers = forked_processes(program.pid)
+        workers = worker_processes(program.pid)
         assert len(workers) == processors()
-        if whom == "program":
+        if how == "program":
             program.kill()
-        else:
+        elif how == "worker":
             os.kill(min(workers), signal.SIGKILL)
+        elif how == "ctrl-c":  # a terminal sends it to all of them
+            os.killpg(program.pid, signal.SIGINT)
+        else:
+            program.terminate()
         _, said = output_of(program)
         assert wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers))
     finally:
         program.kill()
-    if whom == "worker":
+    if how == "program":
+        return
+    assert "Traceback" not in said
+    assert everything(tmp_path) == before
+    if how == "worker":
         assert program.returncode == 1
         assert "a process that worked on frames ended by itself" in said.splitlines()[-1]
-        assert "Traceback" not in said
-        assert everything(tmp_path) == before
+    else:
+        assert (program.returncode, said) == (130, "")
 
 
 def test_a_closed_source_begins_again(scene, recorded, tmp_path):

@@ -74,6 +74,7 @@ def test_manifest_names_every_package_that_the_code_imports(checkout, manifest):
         "yaml": "python3-yaml",
         "numba": "python3-numba",
         "tqdm": "python3-tqdm",
+        "joblib": "python3-joblib",
     }
     optional = {
         "maxflow",
@@ -123,7 +124,7 @@ def test_extras(requirements):
     assert {"ros-rclpy", "ros-jazzy-sensor-msgs", "ros-jazzy-diagnostic-msgs"} <= names_in_extra(
         requirements, "ros"
     )
-    evaluation = {"rosbags", "matplotlib", "scikit-image", "scikit-learn", "zxing-cpp"}
+    evaluation = {"rosbags", "joblib", "matplotlib", "scikit-image", "scikit-learn", "zxing-cpp"}
     assert evaluation == names_in_extra(requirements, "eval")
     assert {"torch"} == names_in_extra(requirements, "gpu")
     dev = {"pytest", "pytest-xdist", "hypothesis", "ruff", "mypy", "colcon-core", "colcon-ros"}
