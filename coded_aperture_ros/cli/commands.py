@@ -3,7 +3,7 @@
 from typing import Any
 
 from coded_aperture_ros.cli.extension import BENCH, VIEWER
-from coded_aperture_ros.cli.table import Actions, Entry, OldEntry
+from coded_aperture_ros.cli.table import Actions, Entry
 
 _DESIGN = Entry(
     "design", "show how finely a camera tells depths apart, and the best focus and mask size"
@@ -82,7 +82,7 @@ COMMANDS: dict[str, Any] = {
     "depth": Entry("depth", "estimate depth from coded frames"),
     "deblur": Entry("deblur", "make all-in-focus frames from coded frames and depth"),
     "simulate": Entry("simulate", "render a coded frame from a sharp picture and its depth"),
-    "bag": OldEntry("bag", "estimate depth of a recorded bag, and score it"),
+    "bag": Entry("bag", "estimate depth of a recorded bag, and score it"),
     "view": Entry("view", VIEWER.help),
     "bench": BENCH,
 }

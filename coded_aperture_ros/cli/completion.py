@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from coded_aperture_ros.cli.parser import make_parser
-from coded_aperture_ros.cli.table import Actions, Entry, OldEntry
+from coded_aperture_ros.cli.table import Actions, Entry
 
 
 def complete(program: str, commands: Mapping[str, Any]) -> None:
@@ -24,12 +24,8 @@ def _add(
     """Let a parser choose among commands; those that `words` name have their options."""
     subparsers = parser.add_subparsers()
     for name, entry in commands.items():
-        if name in words and isinstance(entry, Entry | OldEntry):
-            options: argparse.ArgumentParser = (
-                make_parser(entry.load(), name, everything=True)
-                if isinstance(entry, Entry)
-                else entry.parser(name)
-            )
+        if name in words and isinstance(entry, Entry):
+            options = make_parser(entry.load(), name, everything=True)
             subparsers.add_parser(name, parents=[options], add_help=False)
             continue
         below = subparsers.add_parser(name, add_help=False)

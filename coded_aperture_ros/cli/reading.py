@@ -30,8 +30,8 @@ class GammaArguments:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class PixelArguments(GammaArguments):
-    """How the numbers of pixels become light."""
+class BitsArguments(GammaArguments):
+    """How 8-bit and 16-bit pixels are encoded."""
 
     bits: int = argument(
         "of 16-bit input, where a sensor's 10 or 12 are not scaled to 16",
@@ -41,6 +41,12 @@ class PixelArguments(GammaArguments):
         maximum=16,
         daily=False,
     )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PixelArguments(BitsArguments):
+    """How the numbers of pixels become light."""
+
     bayer: str = argument(
         "pictures are the grey mosaics of a sensor with these colour filters in every two by two "
         "pixels; bags know it themselves",

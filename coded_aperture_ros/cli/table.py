@@ -110,30 +110,3 @@ class Actions:
             yield f"  {before + name:16} {entry.help}"
             if everything and isinstance(entry, Actions):
                 yield from entry._lines(everything, f"{before}{name} ")
-
-
-@dataclasses.dataclass(frozen=True)
-class OldEntry:
-    """A command whose module has `add_parser` and `run` yet."""
-
-    module: str
-    help: str
-
-    def prepare(self, program: str, words: Sequence[str]) -> Callable[[], int]:
-        """Read what was typed after the command's name; return what runs it, for its status."""
-        module = import_module(f"coded_aperture_ros.cli.{self.module}")
-        return partial(module.run, self.parser(program).parse_args(words))
-
-    def parser(self, program: str) -> Any:
-        """Return the parser with all options."""
-        import argparse
-
-        from coded_aperture_ros.cli.options import CommandParser, show_late_options
-
-        module = import_module(f"coded_aperture_ros.cli.{self.module}")
-        root = argparse.ArgumentParser(prog=program.rpartition(" ")[0])
-        choice = root.add_subparsers(parser_class=CommandParser)
-        module.add_parser(choice)
-        (parser,) = choice.choices.values()
-        show_late_options(parser, ())
-        return parser

@@ -163,7 +163,7 @@ def test_nothing_outside_imports_the_command_line(checkout, beside):
 @pytest.mark.parametrize(
     "source",
     [
-        "from coded_aperture_ros.cli.options import add_options",
+        "from coded_aperture_ros.cli.command import argument",
         "def f():\n    import coded_aperture_ros.cli.main",
         "from coded_aperture_ros import cli",
         "from coded_aperture_ros.cli import main",
